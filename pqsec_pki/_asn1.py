@@ -1,0 +1,297 @@
+"""ASN.1 structures of X.509, PKCS#8, PKCS#10 and CMS; the one user of hazmat.asn1.
+
+cryptography marks that module as unstable, so nothing else may import it, pyproject
+pins the versions it was tested with, and golden-file tests watch its output. It reads
+and writes DER only. Field names follow the specifications, in snake case.
+"""
+
+from datetime import UTC, datetime
+from typing import Annotated, TypeVar
+
+from cryptography.hazmat import asn1
+from cryptography.hazmat.asn1 import (
+    TLV,
+    BitString,
+    Default,
+    Explicit,
+    GeneralizedTime,
+    Implicit,
+    Null,
+    SetOf,
+    UTCTime,
+    sequence,
+)
+from cryptography.x509 import ObjectIdentifier
+
+from pqsec_pki.errors import MalformedError
+
+__all__ = [
+    "TLV",
+    "AlgorithmIdentifier",
+    "Attribute",
+    "BitString",
+    "CMSAlgorithmProtection",
+    "ContentInfo",
+    "ECPrivateKey",
+    "EncapsulatedContentInfo",
+    "EncryptedPrivateKeyInfo",
+    "Extension",
+    "IssuerAndSerialNumber",
+    "Oid",
+    "OneAsymmetricKey",
+    "PBES2Params",
+    "PBKDF2Params",
+    "PreTBSCertificate",
+    "SeedAndExpandedKey",
+    "SetOf",
+    "Signed",
+    "SignedData",
+    "SignerInfo",
+    "SubjectPublicKeyInfo",
+    "TBSCertificate",
+    "Time",
+    "Validity",
+    "algorithm",
+    "attribute",
+    "bits",
+    "decode",
+    "encode",
+    "moment_of",
+    "raw",
+    "read_time",
+    "time_of",
+    "whole_bytes",
+]
+
+Oid = ObjectIdentifier
+Time = UTCTime | GeneralizedTime
+T = TypeVar("T")
+
+FIRST_GENERALIZED_YEAR = 2050
+
+
+def encode(value: object) -> bytes:
+    """The DER encoding of `value`."""
+    return asn1.encode_der(value)
+
+
+def decode(kind: type[T], der: bytes, what: str) -> T:
+    """`der` read as a `kind`; MalformedError, naming `what`, if it is none."""
+    try:
+        return asn1.decode_der(kind, der)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise MalformedError(f"not a DER {what}: {error}") from error
+
+
+def raw(der: bytes) -> TLV:
+    """A complete DER value, kept as it is inside another structure."""
+    return asn1.decode_der(TLV, der)
+
+
+def bits(data: bytes) -> BitString:
+    """A BIT STRING of whole bytes."""
+    return BitString(data, 0)
+
+
+def whole_bytes(value: BitString, what: str) -> bytes:
+    """The bytes of a BIT STRING that has no unused bits; MalformedError otherwise."""
+    if value.padding_bits():
+        raise MalformedError(f"{what} is not a whole number of bytes")
+    return value.as_bytes()
+
+
+def time_of(moment: datetime) -> Time:
+    """UTCTime through 2049, GeneralizedTime from 2050 (RFC 5280 4.1.2.5); whole seconds."""
+    whole = moment.replace(microsecond=0)
+    return UTCTime(whole) if whole.year < FIRST_GENERALIZED_YEAR else GeneralizedTime(whole)
+
+
+def read_time(der: bytes, what: str) -> datetime:
+    """The moment in a DER Time; MalformedError if it is none."""
+    if der[:1] == b"\x17":
+        return moment_of(decode(UTCTime, der, what))
+    return moment_of(decode(GeneralizedTime, der, what))
+
+
+def moment_of(time: Time) -> datetime:
+    """`time` as an aware datetime in UTC."""
+    return time.as_datetime().replace(tzinfo=UTC)
+
+
+# RFC 5280 4.1, X.509 (10/2019) 7.2
+
+
+@sequence
+class AlgorithmIdentifier:
+    algorithm: Oid
+    parameters: TLV | Null | None
+
+
+@sequence
+class SubjectPublicKeyInfo:
+    algorithm: AlgorithmIdentifier
+    subject_public_key: BitString
+
+
+@sequence
+class Extension:
+    extn_id: Oid
+    critical: Annotated[bool, Default(False)]  # noqa: FBT003 -- the ASN.1 DEFAULT
+    extn_value: bytes
+
+
+@sequence
+class Validity:
+    not_before: Time
+    not_after: Time
+
+
+@sequence
+class TBSCertificate:
+    version: Annotated[int, Explicit(0), Default(0)]
+    serial_number: int
+    signature: AlgorithmIdentifier
+    issuer: TLV
+    validity: TLV
+    subject: TLV
+    subject_public_key_info: TLV
+    issuer_unique_id: Annotated[BitString | None, Implicit(1)]
+    subject_unique_id: Annotated[BitString | None, Implicit(2)]
+    extensions: Annotated[list[Extension] | None, Explicit(3)]
+
+
+@sequence
+class PreTBSCertificate:
+    """What an alternative signature covers: no `signature`, no altSignatureValue (9.8)."""
+
+    version: Annotated[int, Explicit(0), Default(0)]
+    serial_number: int
+    issuer: TLV
+    validity: TLV
+    subject: TLV
+    subject_public_key_info: TLV
+    issuer_unique_id: Annotated[BitString | None, Implicit(1)]
+    subject_unique_id: Annotated[BitString | None, Implicit(2)]
+    extensions: Annotated[list[Extension] | None, Explicit(3)]
+
+
+@sequence
+class Signed:
+    """A Certificate, CertificateList or CertificationRequest: content, algorithm, signature."""
+
+    tbs: TLV
+    signature_algorithm: AlgorithmIdentifier
+    signature: BitString
+
+
+@sequence
+class Attribute:
+    type: Oid
+    values: SetOf[TLV]
+
+
+# RFC 5958 (PKCS#8), RFC 5915, RFC 9881 6
+
+
+@sequence
+class OneAsymmetricKey:
+    version: int
+    algorithm: AlgorithmIdentifier
+    private_key: bytes
+    attributes: Annotated[SetOf[Attribute] | None, Implicit(0)]
+    public_key: Annotated[BitString | None, Implicit(1)]
+
+
+@sequence
+class ECPrivateKey:
+    version: int
+    private_key: bytes
+    parameters: Annotated[Oid | None, Explicit(0)]
+    public_key: Annotated[BitString | None, Explicit(1)]
+
+
+@sequence
+class SeedAndExpandedKey:
+    seed: bytes
+    expanded_key: bytes
+
+
+# RFC 8018 (PKCS#5): PBES2
+
+
+@sequence
+class PBKDF2Params:
+    salt: bytes
+    iteration_count: int
+    key_length: int | None
+    prf: AlgorithmIdentifier | None
+
+
+@sequence
+class PBES2Params:
+    key_derivation: AlgorithmIdentifier
+    encryption: AlgorithmIdentifier
+
+
+@sequence
+class EncryptedPrivateKeyInfo:
+    algorithm: AlgorithmIdentifier
+    encrypted_data: bytes
+
+
+# RFC 5652 (CMS), RFC 6211
+
+
+@sequence
+class EncapsulatedContentInfo:
+    content_type: Oid
+    content: Annotated[bytes | None, Explicit(0)]
+
+
+@sequence
+class IssuerAndSerialNumber:
+    issuer: TLV
+    serial_number: int
+
+
+@sequence
+class SignerInfo:
+    version: int
+    sid: IssuerAndSerialNumber | Annotated[bytes, Implicit(0)]
+    digest_algorithm: AlgorithmIdentifier
+    signed_attributes: Annotated[list[Attribute] | None, Implicit(0)]
+    signature_algorithm: AlgorithmIdentifier
+    signature: bytes
+    unsigned_attributes: Annotated[list[Attribute] | None, Implicit(1)]
+
+
+@sequence
+class SignedData:
+    version: int
+    digest_algorithms: SetOf[AlgorithmIdentifier]
+    encapsulated_content: EncapsulatedContentInfo
+    certificates: Annotated[list[TLV] | None, Implicit(0)]
+    crls: Annotated[list[TLV] | None, Implicit(1)]
+    signer_infos: SetOf[SignerInfo]
+
+
+@sequence
+class ContentInfo:
+    content_type: Oid
+    content: Annotated[SignedData, Explicit(0)]
+
+
+@sequence
+class CMSAlgorithmProtection:
+    digest_algorithm: AlgorithmIdentifier
+    signature_algorithm: Annotated[AlgorithmIdentifier, Implicit(1)]
+
+
+def algorithm(oid: str, *, null: bool = False) -> AlgorithmIdentifier:
+    """An AlgorithmIdentifier without parameters, or with NULL as RSA wants it."""
+    return AlgorithmIdentifier(algorithm=Oid(oid), parameters=Null() if null else None)
+
+
+def attribute(oid: str, value: bytes) -> Attribute:
+    """An attribute with the one DER value `value`."""
+    return Attribute(type=Oid(oid), values=SetOf([raw(value)]))

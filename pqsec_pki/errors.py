@@ -1,0 +1,108 @@
+"""Every error a caller is meant to catch.
+
+PqsecError is the one root: nothing else leaves a room on outside input. The command
+line prints the message, the hint, and exits with the error's exit_code: 1 where
+something was checked and the answer is no, 2 where the request makes no sense, 3 where
+the work could not be done.
+"""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+
+class PqsecError(Exception):
+    """The work could not be done.
+
+    `hint` is the way out, one sentence. `where` names the file (or message) at fault;
+    the layer that knows it sets it with `located`.
+    """
+
+    exit_code = 3
+
+    def __init__(self, message: str, *, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.hint = hint
+        self.where: str | None = None
+
+    def __str__(self) -> str:
+        message = super().__str__()
+        return f"{self.where}: {message}" if self.where else message
+
+
+class UsageError(PqsecError):
+    """What is asked for makes no sense, or breaks a promise that was also asked for."""
+
+    exit_code = 2
+
+
+class UnknownAlgorithmError(UsageError):
+    """No table has a row of that name, identifier or key type."""
+
+
+class MalformedError(PqsecError):
+    """Bytes that are not the certificate, key, document or message they should be."""
+
+
+class FileError(PqsecError):
+    """A file cannot be read or written."""
+
+
+class ExistsError(FileError):
+    """Something is there already, and nothing is overwritten unless told."""
+
+
+class KeystoreError(PqsecError):
+    """The keystore lacks what the work needs, or is not a keystore."""
+
+
+class PassphraseError(PqsecError):
+    """A private key is encrypted and the passphrase is missing or wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong with a document, and where."""
+
+    line: int | None
+    element: str | None
+    message: str
+
+    def __str__(self) -> str:
+        place = f"line {self.line}: " if self.line is not None else ""
+        element = f"<{self.element}>: " if self.element else ""
+        return f"{place}{element}{self.message}"
+
+
+class InvalidDocumentError(PqsecError):
+    """A governance or permissions document breaks its schema; `problems` has it all."""
+
+    exit_code = 1
+
+    def __init__(self, problems: Iterable[Problem], *, hint: str | None = None) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(map(str, self.problems)), hint=hint)
+
+
+class VerificationError(PqsecError):
+    """A signature, chain, document or handshake message was checked and refused.
+
+    `problems` lists everything that is wrong, not only the first thing.
+    """
+
+    exit_code = 1
+
+    def __init__(self, *problems: str, hint: str | None = None) -> None:
+        self.problems = problems
+        super().__init__("; ".join(problems), hint=hint)
+
+
+@contextmanager
+def located(where: object) -> Iterator[None]:
+    """Let errors that pass through here say where, unless they already do."""
+    try:
+        yield
+    except PqsecError as error:
+        if error.where is None:
+            error.where = str(where)
+        raise
