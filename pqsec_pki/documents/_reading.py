@@ -1,0 +1,89 @@
+"""What the elements of a valid document say, as Python values.
+
+The schema has been asked before, so only what it lets pass and a value cannot hold is
+refused here: InvalidDocumentError with the line.
+"""
+
+import re
+from datetime import UTC, datetime, timedelta, timezone
+from typing import TYPE_CHECKING
+
+from pqsec_pki.documents._xml import problem, shown
+from pqsec_pki.documents.domains import MAX_DOMAIN_ID, DomainRange, DomainSet
+from pqsec_pki.errors import InvalidDocumentError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element
+
+_INSTANT = re.compile(
+    r"(?P<year>-?\d{4,})-(?P<rest>\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.\d+)?"
+    r"(?:Z|(?P<sign>[+-])(?P<hours>\d\d):(?P<minutes>\d\d))?",
+    re.ASCII,
+)
+_XML_SPACE = " \t\r\n"
+
+
+def text(element: "_Element") -> str:
+    """The text of an element that holds nothing else."""
+    return element.text or ""
+
+
+def boolean(element: "_Element") -> bool:
+    """An xs:boolean, whose values are true, false, 1 and 0."""
+    return text(element).strip(_XML_SPACE) in {"true", "1"}
+
+
+def texts(element: "_Element") -> tuple[str, ...]:
+    """The texts of its children."""
+    return tuple(map(text, element))
+
+
+def domains(element: "_Element") -> DomainSet:
+    """A list of ids and ranges (9.4.1.2); a range without min starts at 0."""
+    return DomainSet(
+        parts=tuple(
+            _domain_range(part) if part.tag == "id_range" else _domain_id(part) for part in element
+        )
+    )
+
+
+def _domain_range(element: "_Element") -> DomainRange:
+    ends = {end.tag: _domain_id(end) for end in element}
+    return DomainRange(first=ends.get("min", 0), last=ends.get("max"))
+
+
+def _domain_id(element: "_Element") -> int:
+    digits = text(element).strip(_XML_SPACE).lstrip("+-").lstrip("0") or "0"
+    if len(digits) > len(str(MAX_DOMAIN_ID)) or int(digits) > MAX_DOMAIN_ID:
+        raise _refused(element, f"{shown(digits, 20)} is above {MAX_DOMAIN_ID}, so no domain id")
+    return int(digits)
+
+
+def instant(element: "_Element") -> datetime:
+    """An xs:dateTime in UTC; without a zone it is in UTC already (9.4.1.3.2.2).
+
+    A fraction of a second is dropped: no stack but OpenDDS reads it.
+    InvalidDocumentError for years outside 1 to 9999, and for 24:00:00.
+    """
+    value = text(element).strip(_XML_SPACE)
+    try:
+        return _instant(value)
+    except (ValueError, OverflowError):
+        reason = "is not a time between the years 1 and 9999, written with hours 00 to 23"
+        raise _refused(element, f"{shown(value)} {reason}") from None
+
+
+def _instant(value: str) -> datetime:
+    found = _INSTANT.fullmatch(value)
+    if not found or len(found["year"]) > len("9999"):
+        raise ValueError(value)
+    local = datetime.fromisoformat(f"{found['year']}-{found['rest']}")
+    if not found["sign"]:
+        return local.replace(tzinfo=UTC)
+    offset = timedelta(hours=int(found["hours"]), minutes=int(found["minutes"]))
+    zone = timezone(-offset if found["sign"] == "-" else offset)
+    return local.replace(tzinfo=zone).astimezone(UTC)
+
+
+def _refused(element: "_Element", message: str) -> InvalidDocumentError:
+    return InvalidDocumentError([problem(element, message)])

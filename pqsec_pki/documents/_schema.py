@@ -1,0 +1,130 @@
+"""Does a document keep to its schema, and if not, everything that is wrong with it."""
+
+import re
+from collections.abc import Iterable, Iterator
+from enum import StrEnum
+from functools import cache
+from itertools import islice
+from threading import Lock
+from typing import TYPE_CHECKING
+
+from pqsec_pki._assets import asset
+from pqsec_pki.documents._xml import parse, problem, shown
+from pqsec_pki.errors import InvalidDocumentError, Problem
+
+if TYPE_CHECKING:
+    from lxml.etree import XMLSchema, _Element, _LogEntry
+
+MAX_PROBLEMS = 100
+"""More of them help nobody, and a hostile document has a million."""
+
+
+_ONE_AT_A_TIME = Lock()
+"""A compiled schema has one error log, whoever validates with it."""
+
+
+class Kind(StrEnum):
+    """The two documents of DDS-Security 1.1, 9.4.1."""
+
+    GOVERNANCE = "governance"
+    PERMISSIONS = "permissions"
+
+
+_KIND_OF_CONTENT = {"domain_access_rules": Kind.GOVERNANCE, "permissions": Kind.PERMISSIONS}
+
+_TYPES = {
+    "xs:boolean": "true or false",
+    "xs:dateTime": "a time such as 2030-01-31T00:00:00Z",
+    "xs:nonNegativeInteger": "a domain id, 0 or more",
+}
+
+# What libxml2 says (xmlschemas.c) -> what it means.
+_WORDING = (
+    (r"This element is not expected\. Expected is (?:one of )?\( (?P<right>.*) \)\.",
+     "is not expected here; expected: {right}"),
+    (r"This element is not expected\.", "is not expected here"),
+    (r"Missing child element\(s\)\. Expected is (?:one of )?\( (?P<right>.*) \)\.",
+     "is not complete; expected next: {right}"),
+    (r"\[facet 'enumeration'\] The value '(?P<wrong>.*)' is not .* the set \{(?P<right>.*)\}\.",
+     "'{wrong}' is none of {right}"),
+    (r"'(?P<wrong>.*)' is not a valid value of the atomic type '(?P<right>.*)'\.",
+     "'{wrong}' is not {right}"),
+    (r"The attribute '(?P<wrong>.*)' is not allowed\.", "has no attribute '{wrong}'"),
+    (r"The attribute '(?P<right>.*)' is required but missing\.", "lacks its attribute '{right}'"),
+    (r"Element content is not allowed, because the type definition is simple\.",
+     "holds text only, no elements"),
+    (r"Character content other than whitespace is not allowed.*", "holds elements only, no text"),
+    (r"No matching global declaration available for the validation root\.",
+     "is not the root element <dds>, which has no namespace"),
+)  # fmt: skip
+_RULES = tuple((re.compile(pattern, re.DOTALL), words) for pattern, words in _WORDING)
+_PLACE = re.compile(r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: ")
+
+
+def validate(xml: bytes) -> Kind:
+    """Which of the two documents `xml` is; it is valid when this returns.
+
+    InvalidDocumentError lists what breaks the schema, each with its line, element and
+    the rule in plain words; of an element with several children out of place, the
+    first. MalformedError if it is not XML.
+    """
+    root = parse(xml)
+    kind = _kind(root)
+    _check(root, kind)
+    return kind
+
+
+def read(xml: bytes, kind: Kind) -> "_Element":
+    """The root element of a valid document of that kind; errors as in `validate`."""
+    root = parse(xml)
+    found = _kind(root)
+    if found is not kind:
+        raise InvalidDocumentError([problem(root, f"is a {found} document, not a {kind} one")])
+    _check(root, kind)
+    return root
+
+
+def _kind(root: "_Element") -> Kind:
+    for child in root:
+        if found := _KIND_OF_CONTENT.get(child.tag):
+            return found
+    message = "is no <dds> with <domain_access_rules> or <permissions> in it"
+    raise InvalidDocumentError([problem(root, message)])
+
+
+def _check(root: "_Element", kind: Kind) -> None:
+    schema = _schema(kind)
+    with _ONE_AT_A_TIME:
+        if schema.validate(root):
+            return
+        log: Iterable[_LogEntry] = schema.error_log  # type: ignore[assignment] # lxml-stubs has no __iter__
+        problems = tuple(_problems(log))
+    raise InvalidDocumentError(problems)
+
+
+@cache
+def _schema(kind: Kind) -> "XMLSchema":
+    from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
+
+    return etree.XMLSchema(etree.fromstring(asset("schemas", f"{kind}.xsd").read_bytes()))
+
+
+def _problems(log: "Iterable[_LogEntry]") -> Iterator[Problem]:
+    entries = iter(log)
+    for entry in islice(entries, MAX_PROBLEMS):
+        found = _PLACE.match(entry.message)
+        message = entry.message[found.end() :] if found else entry.message
+        yield Problem(entry.line, shown(found["name"]) if found else None, _plain(message))
+    if rest := sum(1 for _ in entries):
+        yield Problem(None, None, f"and {rest} more")
+
+
+def _plain(message: str) -> str:
+    for pattern, words in _RULES:
+        if found := pattern.fullmatch(message):
+            return words.format_map({k: _term(v) for k, v in found.groupdict().items()})
+    return shown(message, limit=200)
+
+
+def _term(term: str) -> str:
+    return _TYPES.get(term) or shown(term, limit=200)

@@ -1,0 +1,69 @@
+"""The one place where XML from outside is parsed.
+
+Nothing is fetched, no entity is replaced, no DOCTYPE is taken: neither document has a
+use for them, and each has been an attack. Parsing comes to an end on any input: there
+is a limit on size here, and one on depth in libxml2.
+"""
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from pqsec_pki.errors import MalformedError, Problem
+
+if TYPE_CHECKING:
+    from lxml.etree import XMLParser, _Element
+
+MAX_DOCUMENT = 8 << 20
+"""Bytes. The largest document any stack was measured to take is 0.5 MB."""
+
+
+def parse(xml: bytes) -> "_Element":
+    """The root element of `xml`, without its comments and processing instructions.
+
+    The encoding is found as XML 1.0, appendix F, says: byte order mark, declaration,
+    else UTF-8. MalformedError, with the line, for what is not well formed, is too
+    large or too deep, or has a DOCTYPE.
+    """
+    from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
+
+    if len(xml) > MAX_DOCUMENT:
+        raise MalformedError(f"larger than {MAX_DOCUMENT} bytes, so not a document of this kind")
+    try:
+        root = etree.fromstring(xml, _parser())
+    except etree.XMLSyntaxError as error:
+        raise MalformedError(_not_well_formed(error)) from None
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise MalformedError("has a DOCTYPE, which is never needed and not read here")
+    return root
+
+
+@cache
+def _parser() -> "XMLParser":
+    from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
+
+    return etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        dtd_validation=False,
+        huge_tree=False,  # so libxml2 stops at depth 256 and at 10 MB of text in one place
+        remove_comments=True,
+        remove_pis=True,
+    )
+
+
+def _not_well_formed(error: SyntaxError) -> str:
+    reason, _, _ = (error.msg or "no XML").partition(", line ")
+    return f"line {error.lineno or 1}: not well-formed XML: {shown(reason.strip())}"
+
+
+def shown(text: str, limit: int = 80) -> str:
+    """`text` from outside made fit for a message: no control characters, not long."""
+    short = text if len(text) <= limit else f"{text[: limit - 3]}..."
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in short)
+
+
+def problem(element: "_Element", message: str) -> Problem:
+    """What is wrong with an element, and where that is."""
+    line: int = element.sourceline  # type: ignore[assignment] # lxml-stubs leave its type open
+    return Problem(line, shown(element.tag), message)

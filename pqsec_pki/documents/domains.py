@@ -1,0 +1,103 @@
+"""Which DDS domains a rule speaks of."""
+
+import re
+from dataclasses import dataclass
+from typing import Self
+
+from pqsec_pki.errors import UsageError
+
+MAX_DOMAIN = 230
+"""Cyclone DDS refuses documents that name a domain above this one."""
+
+MAX_DOMAIN_ID = (1 << 31) - 1
+"""DomainId_t of the DDS API is a signed 32 bit number."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DomainRange:
+    """Domains `first` to `last`, both included; without `last` there is no end.
+
+    Cyclone DDS and Fast DDS read a range without an end as `first` alone, against
+    DDS-Security 1.1, 9.4.1.2.
+    """
+
+    first: int
+    last: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_id(self.first)
+        if self.last is not None:
+            _check_id(self.last)
+
+    def __contains__(self, domain: int) -> bool:
+        return self.first <= domain and (self.last is None or domain <= self.last)
+
+    def __str__(self) -> str:
+        return f"{self.first}-{'' if self.last is None else self.last}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DomainSet:
+    """Domain ids and ranges in the order of the document; never empty."""
+
+    parts: tuple[int | DomainRange, ...]
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise UsageError("a rule must name at least one domain")
+        for part in self.parts:
+            if not isinstance(part, DomainRange):
+                _check_id(part)
+
+    @classmethod
+    def of(cls, *parts: int | DomainRange) -> Self:
+        """The set of `parts`, as every stack reads it.
+
+        UsageError above domain 230 and for a range without an end or with none in it.
+        """
+        for part in parts:
+            _readable_everywhere(part)
+        return cls(parts=parts)
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The inverse of str(): domain ids and ranges such as "0,2-5".
+
+        UsageError for anything else, and as in `of`.
+        """
+        return cls.of(*(_part(part) for part in text.split(",")))
+
+    def __contains__(self, domain: int) -> bool:
+        return any(
+            domain in part if isinstance(part, DomainRange) else domain == part
+            for part in self.parts
+        )
+
+    def __str__(self) -> str:
+        return ",".join(map(str, self.parts))
+
+
+def _part(text: str) -> int | DomainRange:
+    found = re.fullmatch(r"\s*([0-9]{1,10})(?:-([0-9]{1,10}))?\s*", text)
+    if not found:
+        raise UsageError(f"{text!r} is not a domain", hint="write 0, or 0-3, or 0,2-5")
+    first, last = found.groups()
+    return DomainRange(first=int(first), last=int(last)) if last else int(first)
+
+
+def _check_id(domain: int) -> None:
+    if not 0 <= domain <= MAX_DOMAIN_ID:
+        raise UsageError(f"a domain id lies between 0 and {MAX_DOMAIN_ID}")
+
+
+def _readable_everywhere(part: int | DomainRange) -> None:
+    last = part.last if isinstance(part, DomainRange) else part
+    if last is None:
+        raise UsageError(
+            f"domains {part} has no end, and Cyclone DDS and Fast DDS take it for one domain",
+            hint=f"end it with {MAX_DOMAIN}, the largest domain id",
+        )
+    if last > MAX_DOMAIN:
+        raise UsageError(f"domain {last} is above {MAX_DOMAIN}, the largest Cyclone DDS takes")
+    if isinstance(part, DomainRange) and part.first > last:
+        raise UsageError(f"domains {part} is an empty range")

@@ -1,0 +1,153 @@
+"""The governance document: how a domain and its topics are protected."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Self
+
+from pqsec_pki.documents import _reading, _render, _schema
+from pqsec_pki.documents.domains import DomainSet
+from pqsec_pki.errors import UsageError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element
+
+
+class ProtectionKind(StrEnum):
+    """What is done to a message; the last two give every receiver a key of its own."""
+
+    NONE = "NONE"
+    SIGN = "SIGN"
+    ENCRYPT = "ENCRYPT"
+    SIGN_WITH_ORIGIN_AUTHENTICATION = "SIGN_WITH_ORIGIN_AUTHENTICATION"
+    ENCRYPT_WITH_ORIGIN_AUTHENTICATION = "ENCRYPT_WITH_ORIGIN_AUTHENTICATION"
+
+
+_PAYLOAD_KINDS = {ProtectionKind.NONE, ProtectionKind.SIGN, ProtectionKind.ENCRYPT}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicRule:
+    """How topics whose name matches `topic_expression` (fnmatch) are protected (9.4.1.2).
+
+    UsageError if `data_protection_kind` asks for origin authentication, which payloads
+    do not have.
+    """
+
+    topic_expression: str
+    enable_discovery_protection: bool
+    enable_liveliness_protection: bool
+    enable_read_access_control: bool
+    enable_write_access_control: bool
+    metadata_protection_kind: ProtectionKind
+    data_protection_kind: ProtectionKind
+
+    def __post_init__(self) -> None:
+        if self.data_protection_kind not in _PAYLOAD_KINDS:
+            raise UsageError(f"data_protection_kind cannot be {self.data_protection_kind}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DomainRule:
+    """How some domains are protected (9.4.1.2); the first topic rule to match governs."""
+
+    domains: DomainSet
+    allow_unauthenticated_participants: bool
+    enable_join_access_control: bool
+    discovery_protection_kind: ProtectionKind
+    liveliness_protection_kind: ProtectionKind
+    rtps_protection_kind: ProtectionKind
+    topic_rules: tuple[TopicRule, ...]
+
+    def __post_init__(self) -> None:
+        if not self.topic_rules:
+            raise UsageError("a domain rule must have at least one topic rule")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Governance:
+    """A governance document (DDS-Security 1.1, 9.4.1.2)."""
+
+    domain_rules: tuple[DomainRule, ...]
+
+    def __post_init__(self) -> None:
+        if not self.domain_rules:
+            raise UsageError("a governance document must have at least one domain rule")
+
+    @classmethod
+    def protected(cls, domains: DomainSet) -> Self:
+        """Everything on these domains is authenticated and encrypted.
+
+        What SROS2 writes, and what every stack takes. The whole RTPS message is signed
+        and not encrypted: what it carries is encrypted already (discovery, liveliness,
+        each submessage and its payload), so ENCRYPT would cost twice and hide no more
+        than submessage headers, while SIGN still refuses what outsiders send.
+        """
+        topics = TopicRule(
+            topic_expression="*",
+            enable_discovery_protection=True,
+            enable_liveliness_protection=True,
+            enable_read_access_control=True,
+            enable_write_access_control=True,
+            metadata_protection_kind=ProtectionKind.ENCRYPT,
+            data_protection_kind=ProtectionKind.ENCRYPT,
+        )
+        rule = DomainRule(
+            domains=domains,
+            allow_unauthenticated_participants=False,
+            enable_join_access_control=True,
+            discovery_protection_kind=ProtectionKind.ENCRYPT,
+            liveliness_protection_kind=ProtectionKind.ENCRYPT,
+            rtps_protection_kind=ProtectionKind.SIGN,
+            topic_rules=(topics,),
+        )
+        return cls(domain_rules=(rule,))
+
+    @classmethod
+    def from_xml(cls, xml: bytes) -> Self:
+        """What the document says.
+
+        MalformedError if it is not XML; InvalidDocumentError if it breaks its schema,
+        or names a domain id of more than 31 bits.
+        """
+        [rules] = _schema.read(xml, _schema.Kind.GOVERNANCE)
+        return cls(domain_rules=tuple(map(_domain_rule, rules)))
+
+    def to_xml(self) -> bytes:
+        """The document in the one form every stack takes, schema-valid UTF-8.
+
+        UsageError for a topic expression with a character XML cannot carry.
+        """
+        return _render.render(_schema.Kind.GOVERNANCE, domain_rules=self.domain_rules)
+
+    def rule_for(self, domain: int) -> DomainRule | None:
+        """The rule that governs `domain`: the first that names it (9.4.1.2.7)."""
+        return next((rule for rule in self.domain_rules if domain in rule.domains), None)
+
+
+# The schema has fixed the number and order of the children: they are told by their place.
+
+
+def _domain_rule(element: "_Element") -> DomainRule:
+    domains, unauthenticated, join, discovery, liveliness, rtps, topics = element
+    return DomainRule(
+        domains=_reading.domains(domains),
+        allow_unauthenticated_participants=_reading.boolean(unauthenticated),
+        enable_join_access_control=_reading.boolean(join),
+        discovery_protection_kind=ProtectionKind(_reading.text(discovery)),
+        liveliness_protection_kind=ProtectionKind(_reading.text(liveliness)),
+        rtps_protection_kind=ProtectionKind(_reading.text(rtps)),
+        topic_rules=tuple(map(_topic_rule, topics)),
+    )
+
+
+def _topic_rule(element: "_Element") -> TopicRule:
+    expression, discovery, liveliness, read, write, metadata, data = element
+    return TopicRule(
+        topic_expression=_reading.text(expression),
+        enable_discovery_protection=_reading.boolean(discovery),
+        enable_liveliness_protection=_reading.boolean(liveliness),
+        enable_read_access_control=_reading.boolean(read),
+        enable_write_access_control=_reading.boolean(write),
+        metadata_protection_kind=ProtectionKind(_reading.text(metadata)),
+        data_protection_kind=ProtectionKind(_reading.text(data)),
+    )

@@ -1,0 +1,206 @@
+"""The permissions document: what each participant may publish, subscribe to and relay."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import TYPE_CHECKING, Self
+
+from pqsec_pki.documents import _reading, _render, _schema
+from pqsec_pki.documents.domains import DomainSet
+from pqsec_pki.errors import UsageError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element
+
+
+class DefaultAction(StrEnum):
+    """What holds where no rule of a grant does."""
+
+    ALLOW = "ALLOW"
+    DENY = "DENY"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Criteria:
+    """Topics (fnmatch patterns, at least one), narrowed by partitions and data tags.
+
+    A data tag is a (name, value) pair. No partitions means the default partition in an
+    allow rule. Only these three together are met (9.4.1.3.2.3).
+    """
+
+    topics: tuple[str, ...]
+    partitions: tuple[str, ...] = ()
+    data_tags: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.topics:
+            raise UsageError("criteria must name at least one topic")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """What is allowed, or denied, on some domains; any one of the criteria suffices."""
+
+    allow: bool
+    domains: DomainSet
+    publish: tuple[Criteria, ...] = ()
+    subscribe: tuple[Criteria, ...] = ()
+    relay: tuple[Criteria, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grant:
+    """What one subject may do, and when; the first rule that matches decides.
+
+    Times are aware and kept in UTC, in whole seconds, which is what a document holds;
+    a fraction is dropped. White space around the subject name is dropped too: Fast DDS
+    finds no match with it. UsageError for a time without a zone.
+    """
+
+    name: str
+    subject_name: str
+    not_before: datetime
+    not_after: datetime
+    rules: tuple[Rule, ...] = ()
+    default: DefaultAction = DefaultAction.DENY
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "subject_name", self.subject_name.strip(" \t\r\n"))
+        object.__setattr__(self, "not_before", _whole_seconds(self.not_before))
+        object.__setattr__(self, "not_after", _whole_seconds(self.not_after))
+
+    @classmethod
+    def least(  # noqa: PLR0913 - one argument for each thing a grant must say, all by name
+        cls,
+        *,
+        subject_name: str,
+        not_before: datetime,
+        not_after: datetime,
+        domains: DomainSet,
+        publish: Iterable[str] = (),
+        subscribe: Iterable[str] = (),
+        name: str | None = None,
+    ) -> Self:
+        """Leave to publish and subscribe to these topics on these domains, no more.
+
+        Without any topic the grant denies all of them, and the subject cannot join a
+        domain with join access control. `name` is the subject name unless given. For a
+        second spelling of the subject: dataclasses.replace(grant, subject_name=...).
+        UsageError for an empty subject, topic or time span.
+        """
+        if not subject_name.strip():
+            raise UsageError("a grant needs the subject name of a certificate")
+        grant = cls(
+            name=subject_name.strip() if name is None else name,
+            subject_name=subject_name,
+            not_before=not_before,
+            not_after=not_after,
+            rules=(_least_rule(domains, _criteria_of(publish), _criteria_of(subscribe)),),
+        )
+        if grant.not_before >= grant.not_after:
+            raise UsageError(f"a grant from {not_before} to {not_after} is never in force")
+        return grant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Permissions:
+    """A permissions document (DDS-Security 1.1, 9.4.1.3)."""
+
+    grants: tuple[Grant, ...]
+
+    def __post_init__(self) -> None:
+        if not self.grants:
+            raise UsageError("a permissions document must have at least one grant")
+
+    @classmethod
+    def from_xml(cls, xml: bytes) -> Self:
+        """What the document says.
+
+        MalformedError if it is not XML; InvalidDocumentError if it breaks its schema,
+        or holds a year outside 1 to 9999, the hour 24 or a domain id of more than 31
+        bits.
+        """
+        [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
+        return cls(grants=tuple(map(_grant, grants)))
+
+    def to_xml(self) -> bytes:
+        """The document in the one form every stack takes, schema-valid UTF-8.
+
+        UsageError for a time after the year 2261 and for a character XML cannot carry.
+        """
+        return _render.render(_schema.Kind.PERMISSIONS, grants=self.grants)
+
+
+def _whole_seconds(time: datetime) -> datetime:
+    if time.utcoffset() is None:
+        raise UsageError(f"the time {time} has no time zone")
+    try:
+        return time.astimezone(UTC).replace(microsecond=0)
+    except OverflowError:
+        raise UsageError(f"the time {time} is outside the years 1 to 9999 in UTC") from None
+
+
+def _criteria_of(topics: Iterable[str]) -> tuple[Criteria, ...]:
+    each_once = tuple(dict.fromkeys(topics))
+    if "" in each_once:
+        raise UsageError("a topic name is empty, which crashes Cyclone DDS")
+    return (Criteria(topics=each_once),) if each_once else ()
+
+
+def _least_rule(
+    domains: DomainSet, publish: tuple[Criteria, ...], subscribe: tuple[Criteria, ...]
+) -> Rule:
+    if publish or subscribe:
+        return Rule(allow=True, domains=domains, publish=publish, subscribe=subscribe)
+    everything = (Criteria(topics=("*",)),)
+    return Rule(allow=False, domains=domains, publish=everything, subscribe=everything)
+
+
+# The schema has fixed the number and order of the children: they are told by their place.
+
+
+def _grant(element: "_Element") -> Grant:
+    subject_name, validity, *rules, default = element
+    not_before, not_after = validity
+    return Grant(
+        name=element.get("name", ""),
+        subject_name=_reading.text(subject_name),
+        not_before=_reading.instant(not_before),
+        not_after=_reading.instant(not_after),
+        rules=tuple(map(_rule, rules)),
+        default=DefaultAction(_reading.text(default)),
+    )
+
+
+def _rule(element: "_Element") -> Rule:
+    domains, *actions = element
+
+    def all_criteria(action: str) -> tuple[Criteria, ...]:
+        return tuple(_criteria(child) for child in actions if child.tag == action)
+
+    return Rule(
+        allow=element.tag == "allow_rule",
+        domains=_reading.domains(domains),
+        publish=all_criteria("publish"),
+        subscribe=all_criteria("subscribe"),
+        relay=all_criteria("relay"),
+    )
+
+
+def _criteria(element: "_Element") -> Criteria:
+    parts = {child.tag: child for child in element}  # in any order, each once at most
+    return Criteria(
+        topics=_reading.texts(parts["topics"]),
+        partitions=_reading.texts(parts["partitions"]) if "partitions" in parts else (),
+        data_tags=_data_tags(parts["data_tags"]) if "data_tags" in parts else (),
+    )
+
+
+def _data_tags(element: "_Element") -> tuple[tuple[str, str], ...]:
+    """Its (name, value) pairs; a tag may hold several, which means the same as several tags."""
+    pairs: list[tuple[str, str]] = []
+    for tag in element:
+        words = _reading.texts(tag)
+        pairs.extend(zip(words[::2], words[1::2], strict=True))
+    return tuple(pairs)

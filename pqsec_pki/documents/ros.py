@@ -1,0 +1,113 @@
+"""ROS 2 names as DDS topics, and what a node needs to live.
+
+ROS 2 names here are fully qualified: `/chatter`, `/ns/node`. UsageError for any that
+ROS 2 would not take, with the reason.
+"""
+
+import re
+from typing import NamedTuple
+
+from pqsec_pki.errors import UsageError
+
+DISCOVERY = "ros_discovery_info"
+"""Where the nodes of a participant are announced; every participant needs both sides."""
+
+MAX_NAME = 247
+"""rmw: 255 less the eight characters that the DDS form may add."""
+
+_NODE_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "get_type_description",  # since Iron; sros2's own sample policy lacks it, and Jazzy nodes die
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+_NODE_TOPICS = ("/parameter_events", "/rosout")
+_ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
+_ACTION_TOPICS = ("feedback", "status")
+
+# The rules of rmw_validate_full_topic_name, in its order.
+_FAULTS = (
+    (re.compile(r"\A(?!/)"), "it does not start with '/'"),
+    (re.compile(r"/\Z"), "it ends with '/'"),
+    (re.compile(r"[^A-Za-z0-9_/]"), "only letters, digits, '_' and '/' are allowed"),
+    (re.compile(r"//"), "it has '//' in it"),
+    (re.compile(r"/[0-9]"), "a part of it starts with a digit"),
+    (re.compile(rf"\A.{{{MAX_NAME + 1}}}"), f"it is longer than {MAX_NAME} characters"),
+)
+
+
+class Endpoints(NamedTuple):
+    """DDS topics to publish and to subscribe to."""
+
+    publish: tuple[str, ...]
+    subscribe: tuple[str, ...]
+
+
+def topic(name: str) -> str:
+    """The DDS topic of a ROS topic."""
+    return f"rt{_checked(name)}"
+
+
+def service_request(name: str) -> str:
+    """The DDS topic on which clients send requests."""
+    return f"rq{_checked(name)}Request"
+
+
+def service_reply(name: str) -> str:
+    """The DDS topic on which the server replies."""
+    return f"rr{_checked(name)}Reply"
+
+
+def service_server(name: str) -> Endpoints:
+    """What the node that offers the service needs."""
+    return Endpoints(publish=(service_reply(name),), subscribe=(service_request(name),))
+
+
+def service_client(name: str) -> Endpoints:
+    """What a node that calls the service needs."""
+    return Endpoints(publish=(service_request(name),), subscribe=(service_reply(name),))
+
+
+def action_server(name: str) -> Endpoints:
+    """What the node that offers the action needs."""
+    requests, replies, topics = _action(name)
+    return Endpoints(publish=(*replies, *topics), subscribe=requests)
+
+
+def action_client(name: str) -> Endpoints:
+    """What a node that uses the action needs."""
+    requests, replies, topics = _action(name)
+    return Endpoints(publish=requests, subscribe=(*replies, *topics))
+
+
+def node_minimum(node_name: str) -> Endpoints:
+    """What a Jazzy node needs before any topic of its own; without one of them it dies.
+
+    Measured with rclpy 7.1 on Cyclone DDS. Clients of its own services are not needed,
+    nor is `/clock` unless it uses simulated time.
+    """
+    services = [f"{_checked(node_name)}/{service}" for service in _NODE_SERVICES]
+    return Endpoints(
+        publish=(DISCOVERY, *map(topic, _NODE_TOPICS), *map(service_reply, services)),
+        subscribe=(DISCOVERY, *map(service_request, services)),
+    )
+
+
+def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    inside = f"{_checked(name)}/_action/"
+    services = [inside + service for service in _ACTION_SERVICES]
+    return (
+        tuple(map(service_request, services)),
+        tuple(map(service_reply, services)),
+        tuple(topic(inside + part) for part in _ACTION_TOPICS),
+    )
+
+
+def _checked(name: str) -> str:
+    for pattern, reason in _FAULTS:
+        if pattern.search(name):
+            raise UsageError(f"{name!r} is no full ROS 2 name: {reason}")
+    return name

@@ -1,0 +1,104 @@
+"""Certificate subjects as text: telling whether two spellings are one name.
+
+A permissions document names its participant by the subject of the identity certificate,
+in a text form the standard leaves open (9.4.1.3.2.1). Four are in use: RFC 2253
+(`CN=x,O=Lab,C=ES`, last part first), the order of the certificate, either of them with
+spaces after the commas, and OpenSSL's `/C=ES/O=Lab/CN=x`.
+"""
+
+import re
+from collections.abc import Iterable
+from typing import TypeAlias
+
+from pqsec_pki.documents._xml import shown
+from pqsec_pki.errors import MalformedError
+
+Subject: TypeAlias = tuple[frozenset[tuple[str, str]], ...]
+"""The parts (RDNs) as written; each a set, mostly of one, of (type, value)."""
+
+MAX_SUBJECT = 4096
+"""Characters. No certificate in use comes near this."""
+
+_SPACE = " \t\r\n"
+_TYPE = r"(?P<type>[A-Za-z][A-Za-z0-9-]*+|\d++(?:\.\d++)++)\s*+=\s*+"
+_COMMA_PART = re.compile(
+    rf'\s*+{_TYPE}(?:"(?P<quoted>(?:[^"\\]|\\.)*+)"\s*+|(?P<plain>(?:[^,+"\\]|\\.)*+))(?P<end>[,+]|\Z)',
+    re.DOTALL | re.ASCII,
+)
+_SLASH_PART = re.compile(rf"\s*+{_TYPE}(?P<value>.*)", re.DOTALL | re.ASCII)
+# A slash starts a part only where a type and "=" follow: CN=/ns/node is one part.
+_SLASH = re.compile(r"(?<!\\)/(?=\s*+[A-Za-z0-9][A-Za-z0-9.-]*+\s*+=)", re.ASCII)
+_COMMA_FORM = re.compile(r"\\(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>.)|(?P<raw>.)", re.DOTALL)
+_SLASH_FORM = re.compile(r"\\x(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>/)|(?P<raw>.)", re.DOTALL)
+
+
+def parse_subject(text: str) -> Subject:
+    """The parts of the name, in the order of the text. MalformedError if it is none.
+
+    Types keep their case and spelling: no stack takes `cn=` or `2.5.4.3=` for `CN=`.
+    """
+    if len(text) > MAX_SUBJECT:
+        raise MalformedError(f"longer than {MAX_SUBJECT} characters, so not a subject name")
+    try:
+        return _slash_form(text) if text.lstrip(_SPACE).startswith("/") else _comma_form(text)
+    except UnicodeError:
+        raise _no_subject(text) from None
+
+
+def same_subject(one: Subject, other: Subject) -> bool:
+    """Whether these are one name, in the same order or the one in reverse of the other.
+
+    All parts count, exactly: a name with fewer parts, as Cyclone DDS would accept, is
+    another name.
+    """
+    return bool(one) and (one == other or one == other[::-1])
+
+
+def _comma_form(text: str) -> Subject:
+    parts: list[frozenset[tuple[str, str]]] = []
+    joined: set[tuple[str, str]] = set()
+    place, end = 0, ","
+    while end:
+        found = _COMMA_PART.match(text, place)
+        if not found or (found["plain"] or "").startswith("#"):
+            raise _no_subject(text)
+        joined.add((found["type"], _comma_value(found)))
+        place, end = found.end(), found["end"]
+        if end != "+":
+            parts.append(frozenset(joined))
+            joined = set()
+    return tuple(parts)
+
+
+def _comma_value(found: re.Match[str]) -> str:
+    if found["quoted"] is not None:
+        return _unescaped(_COMMA_FORM.finditer(found["quoted"]))
+    characters = list(_COMMA_FORM.finditer(found["plain"]))
+    while characters and characters[-1][0] in _SPACE:  # an escaped space is part of the value
+        characters.pop()
+    return _unescaped(characters)
+
+
+def _slash_form(text: str) -> Subject:
+    before, *parts = _SLASH.split(text.strip(_SPACE))
+    found = [_SLASH_PART.fullmatch(part) for part in parts]
+    if before or not found or None in found:
+        raise _no_subject(text)
+    return tuple(
+        frozenset({(part["type"], _unescaped(_SLASH_FORM.finditer(part["value"].rstrip(_SPACE))))})
+        for part in found
+        if part
+    )
+
+
+def _unescaped(characters: Iterable[re.Match[str]]) -> str:
+    return b"".join(
+        bytes.fromhex(found["byte"]) if found["byte"] else (found["char"] or found["raw"]).encode()
+        for found in characters
+    ).decode()
+
+
+def _no_subject(text: str) -> MalformedError:
+    return MalformedError(
+        f"'{shown(text)}' is no subject name", hint="write it as in CN=x,O=Lab,C=ES"
+    )
