@@ -67,6 +67,10 @@ class DomainSet:
         """
         return cls.of(*(_part(part) for part in text.split(",")))
 
+    def ids(self) -> list[int]:
+        """The domains a stack can join (0 to 230) that are in the set, ascending."""
+        return [domain for domain in range(MAX_DOMAIN + 1) if domain in self]
+
     def __contains__(self, domain: int) -> bool:
         return any(
             domain in part if isinstance(part, DomainRange) else domain == part

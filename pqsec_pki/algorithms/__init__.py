@@ -1,0 +1,51 @@
+"""The algorithms: signatures, key agreements, profiles; keys to bytes and back.
+
+The only room that touches raw primitives. To add an algorithm, write its row in
+signature.py or key_agreement.py; nothing else in the package names one.
+"""
+
+from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
+from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
+from pqsec_pki.algorithms._table import Family
+from pqsec_pki.algorithms.digest import Digest, digest_of
+from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS
+from pqsec_pki.algorithms.keys import (
+    is_encrypted,
+    load_private_key,
+    load_public_key,
+    pem,
+    private_key_pem,
+    unpem,
+)
+from pqsec_pki.algorithms.profile import (
+    DEFAULT_PROFILE,
+    PROFILES,
+    STOCK_AGREEMENT,
+    Profile,
+    profile_named,
+)
+from pqsec_pki.algorithms.signature import SIGNATURES
+
+__all__ = [
+    "DEFAULT_PROFILE",
+    "KEY_AGREEMENTS",
+    "PROFILES",
+    "SIGNATURES",
+    "STOCK_AGREEMENT",
+    "Digest",
+    "Family",
+    "KeyAgreement",
+    "KeyPair",
+    "PrivateKey",
+    "Profile",
+    "PublicKey",
+    "SignatureAlgorithm",
+    "digest_of",
+    "is_encrypted",
+    "load_private_key",
+    "load_public_key",
+    "pem",
+    "private_key_pem",
+    "profile_named",
+    "unpem",
+]

@@ -1,0 +1,211 @@
+"""ECDSA, RSA and Ed25519: what today's stacks run, and halves of composites."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_der_private_key,
+    load_der_public_key,
+)
+
+from pqsec_pki._asn1 import ECPrivateKey, Oid, algorithm, encode
+from pqsec_pki.algorithms._row import SignatureAlgorithm
+from pqsec_pki.algorithms.digest import Digest
+
+Hash = hashes.SHA256 | hashes.SHA384 | hashes.SHA512
+_HASHES: dict[str, Hash] = {
+    "sha256": hashes.SHA256(),
+    "sha384": hashes.SHA384(),
+    "sha512": hashes.SHA512(),
+}
+
+
+def _identifiers(oids: dict[str, str], *, null: bool) -> dict[bytes, Hash]:
+    return {encode(algorithm(oid, null=null)): _HASHES[name] for name, oid in oids.items()}
+
+
+# RFC 5758 3.2: parameters absent. RFC 4055 5: parameters NULL.
+ECDSA_WITH = {f"sha{n}": f"1.2.840.10045.4.3.{arc}" for n, arc in ((256, 2), (384, 3), (512, 4))}
+RSA_WITH = {
+    f"sha{n}": f"1.2.840.113549.1.1.{n_arc}" for n, n_arc in ((256, 11), (384, 12), (512, 13))
+}
+_ECDSA_HASH = _identifiers(ECDSA_WITH, null=False)
+_RSA_HASH = _identifiers(RSA_WITH, null=True)
+_RSA_ENCRYPTION = encode(algorithm("1.2.840.113549.1.1.1", null=True))
+_EC_PUBLIC_KEY = "1.2.840.10045.2.1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ecdsa(SignatureAlgorithm):
+    """ECDSA on one curve, with the hash of the curve's strength (FIPS 186-5)."""
+
+    curve: ec.EllipticCurve = field(repr=False)
+    curve_oid: str
+
+    def matches(self, handle: Any) -> bool:
+        return (
+            isinstance(handle, ec.EllipticCurvePublicKey) and handle.curve.name == self.curve.name
+        )
+
+    def raw_public(self, handle: Any) -> bytes:
+        point: bytes = handle.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
+        return point
+
+    def load_raw_public(self, data: bytes) -> Any:
+        if len(data) != self.public_key_size or data[0] != 4:  # noqa: PLR2004 -- SEC1: uncompressed
+            raise ValueError("not an uncompressed point")
+        return ec.EllipticCurvePublicKey.from_encoded_point(self.curve, data)
+
+    def raw_private(self, handle: Any) -> bytes:
+        """RFC 5915 with namedCurve and without publicKey."""
+        number = handle.private_numbers().private_value
+        size = (self.curve.key_size + 7) // 8
+        return encode(
+            ECPrivateKey(
+                version=1,
+                private_key=number.to_bytes(size, "big"),
+                parameters=Oid(self.curve_oid),
+                public_key=None,
+            )
+        )
+
+    def load_raw_private(self, data: bytes) -> Any:
+        key = load_der_private_key(data, None)
+        if not self.matches(key.public_key()):
+            raise ValueError("another curve")
+        return key
+
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        signature: bytes = handle.sign(data, ec.ECDSA(_HASHES[self.digest.name]))
+        return signature
+
+    def accepts(self, identifier: bytes) -> bool:
+        return identifier in _ECDSA_HASH
+
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        handle.verify(signature, data, ec.ECDSA(_ECDSA_HASH[identifier]))
+
+    def generate_handle(self) -> Any:
+        return ec.generate_private_key(self.curve)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rsa(SignatureAlgorithm):
+    """RSA of one size: PKCS#1 v1.5 in certificates and CMS, PSS in the handshake."""
+
+    bits: int
+
+    def matches(self, handle: Any) -> bool:
+        return isinstance(handle, rsa.RSAPublicKey) and handle.key_size == self.bits
+
+    def raw_public(self, handle: Any) -> bytes:
+        der: bytes = handle.public_bytes(Encoding.DER, PublicFormat.PKCS1)
+        return der
+
+    def load_raw_public(self, data: bytes) -> Any:
+        try:
+            key = load_der_public_key(data)
+        except UnsupportedAlgorithm:
+            key = None
+        # The library takes SubjectPublicKeyInfo too; here only PKCS#1 has a place.
+        if not self.matches(key) or self.raw_public(key) != data:
+            raise ValueError(f"not an RSA key of {self.bits} bits")
+        return key
+
+    def raw_private(self, handle: Any) -> bytes:
+        der: bytes = handle.private_bytes(
+            Encoding.DER, PrivateFormat.TraditionalOpenSSL, NoEncryption()
+        )
+        return der
+
+    def load_raw_private(self, data: bytes) -> Any:
+        key = load_der_private_key(data, None)
+        if not self.matches(key.public_key()):
+            raise ValueError(f"not an RSA key of {self.bits} bits")
+        return key
+
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        signature: bytes = handle.sign(data, padding.PKCS1v15(), _HASHES[self.digest.name])
+        return signature
+
+    def accepts(self, identifier: bytes) -> bool:
+        return identifier in _RSA_HASH
+
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        handle.verify(signature, data, padding.PKCS1v15(), _RSA_HASH[identifier])
+
+    def cms_identifier(self, identifier: bytes, digest: Digest) -> bytes:
+        """RFC 3370 3.2: rsaEncryption stands for RSA with the digest that was named."""
+        if identifier != _RSA_ENCRYPTION or digest.name not in RSA_WITH:
+            return identifier
+        return encode(algorithm(RSA_WITH[digest.name], null=True))
+
+    def sign_handshake(self, handle: Any, data: bytes) -> bytes:
+        return _pss_sign(handle, data, padding.PSS.MAX_LENGTH)
+
+    def check_handshake(self, handle: Any, signature: bytes, data: bytes) -> None:
+        # Cyclone DDS and OpenDDS sign with the longest salt, Fast DDS with 32 bytes.
+        scheme = padding.PSS(padding.MGF1(hashes.SHA256()), padding.PSS.AUTO)
+        handle.verify(signature, data, scheme, hashes.SHA256())
+
+    def generate_handle(self) -> Any:
+        return rsa.generate_private_key(65537, self.bits)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RsaPss(Rsa):
+    """RSASSA-PSS with a salt as long as the hash: half of a composite, no row of its own."""
+
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        return _pss_sign(handle, data, hashes.SHA256.digest_size)
+
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        del identifier
+        scheme = padding.PSS(padding.MGF1(hashes.SHA256()), hashes.SHA256.digest_size)
+        handle.verify(signature, data, scheme, hashes.SHA256())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ed25519(SignatureAlgorithm):
+    """Ed25519 (RFC 8032): half of a composite. No DDS stack takes it alone."""
+
+    def matches(self, handle: Any) -> bool:
+        return isinstance(handle, ed25519.Ed25519PublicKey)
+
+    def raw_public(self, handle: Any) -> bytes:
+        data: bytes = handle.public_bytes_raw()
+        return data
+
+    def load_raw_public(self, data: bytes) -> Any:
+        return ed25519.Ed25519PublicKey.from_public_bytes(data)
+
+    def raw_private(self, handle: Any) -> bytes:
+        data: bytes = handle.private_bytes_raw()
+        return data
+
+    def load_raw_private(self, data: bytes) -> Any:
+        return ed25519.Ed25519PrivateKey.from_private_bytes(data)
+
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        signature: bytes = handle.sign(data)
+        return signature
+
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        del identifier
+        handle.verify(signature, data)
+
+    def generate_handle(self) -> Any:
+        return ed25519.Ed25519PrivateKey.generate()
+
+
+def _pss_sign(handle: Any, data: bytes, salt: Any) -> bytes:
+    scheme = padding.PSS(padding.MGF1(hashes.SHA256()), salt)
+    signature: bytes = handle.sign(data, scheme, hashes.SHA256())
+    return signature

@@ -1,0 +1,183 @@
+"""Two algorithms as one: composite ML-DSA, and the pair of an alternative signature.
+
+Both are rows made from two rows. A composite is one key with one OID
+(draft-ietf-lamps-pq-composite-sigs-19, in the RFC Editor's queue). A pair is the two
+keys of a certificate with an alternative signature (X.509 (10/2019) 9.8), acting as
+one in the handshake between two pqsec peers.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any
+
+from cryptography.exceptions import InvalidSignature
+
+from pqsec_pki._asn1 import (
+    OneAsymmetricKey,
+    SubjectPublicKeyInfo,
+    algorithm,
+    bits,
+    encode,
+    whole_bytes,
+)
+from pqsec_pki.algorithms._ml_dsa import MLDSA, SEED_SIZE
+from pqsec_pki.algorithms._row import SignatureAlgorithm
+from pqsec_pki.algorithms._table import Family
+from pqsec_pki.errors import MalformedError
+
+_PREFIX = b"CompositeAlgorithmSignatures2025"
+_MAX_CONTEXT = 255
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Composite(SignatureAlgorithm):
+    """ML-DSA and a traditional algorithm under one OID; a signature needs both halves.
+
+    Keys and signatures are the plain concatenation of the halves, ML-DSA first.
+    """
+
+    ml_dsa: MLDSA = field(repr=False)
+    traditional: SignatureAlgorithm = field(repr=False)
+    prehash: Callable[[bytes], bytes] = field(repr=False)
+    label: bytes = field(repr=False)
+
+    def matches(self, handle: Any) -> bool:
+        return (
+            isinstance(handle, tuple)
+            and self.ml_dsa.matches(handle[0])
+            and self.traditional.matches(handle[1])
+        )
+
+    def raw_public(self, handle: Any) -> bytes:
+        return self.ml_dsa.raw_public(handle[0]) + self.traditional.raw_public(handle[1])
+
+    def load_raw_public(self, data: bytes) -> Any:
+        cut = self.ml_dsa.public_key_size
+        return (
+            self.ml_dsa.load_raw_public(data[:cut]),
+            self.traditional.load_raw_public(data[cut:]),
+        )
+
+    def raw_private(self, handle: Any) -> bytes:
+        return self.ml_dsa.raw_private(handle[0]) + self.traditional.raw_private(handle[1])
+
+    def load_raw_private(self, data: bytes) -> Any:
+        return (
+            self.ml_dsa.load_raw_private(data[:SEED_SIZE]),
+            self.traditional.load_raw_private(data[SEED_SIZE:]),
+        )
+
+    def load_spki(self, info: SubjectPublicKeyInfo) -> Any:
+        """The handle of a composite SubjectPublicKeyInfo; MalformedError if it is none."""
+        if info.algorithm.parameters is not None:
+            raise MalformedError("composite keys have no parameters")
+        try:
+            return self.load_raw_public(whole_bytes(info.subject_public_key, "the public key"))
+        except ValueError as error:
+            raise MalformedError(f"not a {self.name} public key: {error}") from error
+
+    def sign(self, handle: Any, data: bytes, context: bytes = b"") -> bytes:
+        message = self._message(data, context)
+        return self.ml_dsa.sign(handle[0], message, self.label) + self.traditional.sign(
+            handle[1], message
+        )
+
+    def check(
+        self, handle: Any, signature: bytes, data: bytes, identifier: bytes, context: bytes = b""
+    ) -> None:
+        del identifier
+        cut = self.ml_dsa.signature_size
+        message = self._message(data, context)
+        self.ml_dsa.check(handle[0], signature[:cut], message, b"", self.label)
+        rest = signature[cut:]
+        self.traditional.check(handle[1], rest, message, self.traditional.identifier)
+
+    def pkcs8(self, handle: Any) -> bytes:
+        return encode(
+            OneAsymmetricKey(
+                version=0,
+                algorithm=algorithm(self.key_oid),
+                private_key=self.raw_private(handle),
+                attributes=None,
+                public_key=None,
+            )
+        )
+
+    def _message(self, data: bytes, context: bytes) -> bytes:
+        """M' of the draft, section 3.2; ValueError if the context is over 255 bytes."""
+        if len(context) > _MAX_CONTEXT:
+            raise ValueError("context too long")
+        return _PREFIX + self.label + bytes([len(context)]) + context + self.prehash(data)
+
+    def generate_handle(self) -> Any:
+        return self.ml_dsa.generate_handle(), self.traditional.generate_handle()
+
+    def _public(self, handle: Any) -> Any:
+        return handle[0].public_key(), handle[1].public_key()
+
+    def _spki(self, handle: Any) -> bytes:
+        return encode(
+            SubjectPublicKeyInfo(
+                algorithm=algorithm(self.key_oid), subject_public_key=bits(self.raw_public(handle))
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair(SignatureAlgorithm):
+    """A key and its alternative key: both sign the same octets, both must hold.
+
+    The signature is ML-DSA's, of fixed size, followed by the plain key's. It exists in
+    handshakes only: in certificates the two signatures stand apart.
+    """
+
+    plain: SignatureAlgorithm = field(repr=False)
+    alternative: SignatureAlgorithm = field(repr=False)
+
+    @classmethod
+    @cache
+    def of(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "Pair":
+        """The row for these two."""
+        kept = {field.name: getattr(plain, field.name) for field in fields(SignatureAlgorithm)}
+        kept |= {
+            "name": f"{plain.name} + {alternative.name}",
+            "aliases": (),
+            "family": Family.HYBRID,
+            "level": alternative.level,
+            "wire_name": f"{plain.wire_name}+{alternative.wire_name}",
+            "signature_size": plain.signature_size + alternative.signature_size,
+        }
+        return cls(**kept, plain=plain, alternative=alternative)
+
+    def matches(self, handle: Any) -> bool:
+        del handle
+        return False  # no single public key is a pair: `paired` makes them
+
+    def raw_public(self, handle: Any) -> bytes:
+        return self.plain.raw_public(handle[0])
+
+    def raw_private(self, handle: Any) -> bytes:
+        return self.plain.raw_private(handle[0])
+
+    def load_raw_public(self, data: bytes) -> Any:
+        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
+
+    def load_raw_private(self, data: bytes) -> Any:
+        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
+
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        plain, alternative = handle
+        return self.alternative.sign(alternative, data) + self.plain.sign_handshake(plain, data)
+
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        del identifier
+        plain, alternative = handle
+        cut = self.alternative.signature_size
+        if len(signature) <= cut:
+            raise InvalidSignature
+        self.alternative.check_handshake(alternative, signature[:cut], data)
+        self.plain.check_handshake(plain, signature[cut:], data)
+
+    def generate_handle(self) -> Any:
+        return self.plain.generate_handle(), self.alternative.generate_handle()

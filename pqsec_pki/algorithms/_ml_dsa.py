@@ -1,0 +1,95 @@
+"""ML-DSA (FIPS 204), pure mode with an empty context, as RFC 9881 wants it."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from cryptography.hazmat.primitives.asymmetric import mldsa
+
+from pqsec_pki._asn1 import SeedAndExpandedKey, decode
+from pqsec_pki.algorithms._row import PrivateKey, SignatureAlgorithm
+from pqsec_pki.errors import MalformedError
+
+_PRIVATE = {
+    "ml-dsa-44": mldsa.MLDSA44PrivateKey,
+    "ml-dsa-65": mldsa.MLDSA65PrivateKey,
+    "ml-dsa-87": mldsa.MLDSA87PrivateKey,
+}
+_PUBLIC = {
+    "ml-dsa-44": mldsa.MLDSA44PublicKey,
+    "ml-dsa-65": mldsa.MLDSA65PublicKey,
+    "ml-dsa-87": mldsa.MLDSA87PublicKey,
+}
+SEED_SIZE = 32
+_RHO_SIZE = 32
+"""The first bytes of an expanded private key and of the public key are the same rho."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MLDSA(SignatureAlgorithm):
+    """ML-DSA of one parameter set."""
+
+    private: Any = field(init=False, repr=False)
+    public: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "private", _PRIVATE[self.name])
+        object.__setattr__(self, "public", _PUBLIC[self.name])
+
+    def matches(self, handle: Any) -> bool:
+        return isinstance(handle, self.public)
+
+    def raw_public(self, handle: Any) -> bytes:
+        data: bytes = handle.public_bytes_raw()
+        return data
+
+    def load_raw_public(self, data: bytes) -> Any:
+        return self.public.from_public_bytes(data)
+
+    def raw_private(self, handle: Any) -> bytes:
+        """The seed: 32 bytes."""
+        seed: bytes = handle.private_bytes_raw()
+        return seed
+
+    def load_raw_private(self, data: bytes) -> Any:
+        return self.private.from_seed_bytes(data)
+
+    def sign(self, handle: Any, data: bytes, context: bytes = b"") -> bytes:
+        signature: bytes = handle.sign(data, context)
+        return signature
+
+    def check(
+        self, handle: Any, signature: bytes, data: bytes, identifier: bytes, context: bytes = b""
+    ) -> None:
+        del identifier
+        handle.verify(signature, data, context)
+
+    def load_pkcs8_octets(self, octets: bytes) -> PrivateKey:
+        """The key in PKCS#8's privateKey octets: seed, both, or bare seed (RFC 9881 6).
+
+        MalformedError for anything else; an expanded key alone is told apart, because
+        a seed cannot be computed from it.
+        """
+        if octets[:1] == b"\x30":
+            return self._load_both(octets)
+        if octets[:2] == bytes([0x80, SEED_SIZE]):
+            octets = octets[2:]
+        if len(octets) == SEED_SIZE:
+            return self.private_key(self.load_raw_private(octets))
+        if octets[:1] == b"\x04":
+            raise MalformedError(
+                f"this {self.name} key has only its expanded form",
+                hint="export it again with its seed (OpenSSL: ml-dsa.output_formats=seed-only)",
+            )
+        raise MalformedError(f"not a private {self.name} key")
+
+    def _load_both(self, octets: bytes) -> PrivateKey:
+        both = decode(SeedAndExpandedKey, octets, f"private {self.name} key")
+        if len(both.seed) != SEED_SIZE:
+            raise MalformedError(f"the seed of this {self.name} key is not 32 bytes")
+        key = self.private_key(self.load_raw_private(both.seed))
+        if both.expanded_key[:_RHO_SIZE] != key.public_key.raw[:_RHO_SIZE]:
+            raise MalformedError(f"the seed and the expanded form of this {self.name} key differ")
+        return key
+
+    def generate_handle(self) -> Any:
+        return self.private.generate()

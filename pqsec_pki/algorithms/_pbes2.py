@@ -1,0 +1,132 @@
+"""Encrypted PKCS#8: PBES2 with PBKDF2-HMAC and AES-256-CBC (RFC 8018).
+
+cryptography writes 2048 iterations and cannot encrypt composite keys, so the container
+is built here; the arithmetic is cryptography's.
+"""
+
+import os
+from typing import TypeVar
+
+from cryptography.hazmat.primitives import hashes, padding
+from cryptography.hazmat.primitives.ciphers import Cipher, modes
+from cryptography.hazmat.primitives.ciphers.algorithms import AES
+from cryptography.hazmat.primitives.kdf.pbkdf2 import PBKDF2HMAC
+
+from pqsec_pki._asn1 import (
+    AlgorithmIdentifier,
+    EncryptedPrivateKeyInfo,
+    Oid,
+    OneAsymmetricKey,
+    PBES2Params,
+    PBKDF2Params,
+    algorithm,
+    decode,
+    encode,
+    raw,
+)
+from pqsec_pki.errors import MalformedError, PassphraseError
+
+T = TypeVar("T")
+
+ITERATIONS = 600_000
+"""OWASP's floor for PBKDF2-HMAC-SHA256."""
+MAX_ITERATIONS = 10_000_000
+"""A second or so of work; a file that asks for more is not one of ours or of OpenSSL's."""
+
+_PBES2, _PBKDF2, _AES_256_CBC = (
+    "1.2.840.113549.1.5.13",
+    "1.2.840.113549.1.5.12",
+    "2.16.840.1.101.3.4.1.42",
+)
+_HMAC_SHA256 = "1.2.840.113549.2.9"
+_PRFS: dict[str, hashes.HashAlgorithm] = {
+    _HMAC_SHA256: hashes.SHA256(),
+    "1.2.840.113549.2.10": hashes.SHA384(),
+    "1.2.840.113549.2.11": hashes.SHA512(),
+}
+
+
+def encrypt(pkcs8: bytes, passphrase: bytes) -> bytes:
+    """DER EncryptedPrivateKeyInfo of `pkcs8`: 600,000 iterations, 16-byte salt."""
+    salt, iv = os.urandom(16), os.urandom(16)
+    cipher = Cipher(AES(_derive(passphrase, salt, ITERATIONS, _HMAC_SHA256)), modes.CBC(iv))
+    padder, encryptor = padding.PKCS7(AES.block_size).padder(), cipher.encryptor()
+    padded = padder.update(pkcs8) + padder.finalize()
+    derivation = PBKDF2Params(
+        salt=salt,
+        iteration_count=ITERATIONS,
+        key_length=None,
+        prf=algorithm(_HMAC_SHA256, null=True),
+    )
+    parameters = PBES2Params(
+        key_derivation=_with(_PBKDF2, encode(derivation)),
+        encryption=_with(_AES_256_CBC, encode(iv)),
+    )
+    return encode(
+        EncryptedPrivateKeyInfo(
+            algorithm=_with(_PBES2, encode(parameters)),
+            encrypted_data=encryptor.update(padded) + encryptor.finalize(),
+        )
+    )
+
+
+def is_one(data: bytes) -> bool:
+    """Whether `data` is a DER EncryptedPrivateKeyInfo, of any scheme."""
+    try:
+        decode(EncryptedPrivateKeyInfo, data, "encrypted private key")
+    except MalformedError:
+        return False
+    return True
+
+
+def decrypt(der: bytes, passphrase: bytes) -> bytes:
+    """The PrivateKeyInfo inside; PassphraseError if the passphrase is wrong.
+
+    MalformedError for another scheme than the one above or a senseless iteration count.
+    """
+    info = decode(EncryptedPrivateKeyInfo, der, "encrypted private key")
+    derivation, iv = _parameters(info.algorithm)
+    prf = _HMAC_SHA1 if derivation.prf is None else derivation.prf.algorithm.dotted_string
+    if prf not in _PRFS or not 1 <= derivation.iteration_count <= MAX_ITERATIONS:
+        raise MalformedError("the private key is encrypted in a way that is not supported")
+    key = _derive(passphrase, derivation.salt, derivation.iteration_count, prf)
+    try:
+        decryptor = Cipher(AES(key), modes.CBC(iv)).decryptor()
+        padded = decryptor.update(info.encrypted_data) + decryptor.finalize()
+        unpadder = padding.PKCS7(AES.block_size).unpadder()
+        plain = unpadder.update(padded) + unpadder.finalize()
+        decode(OneAsymmetricKey, plain, "private key")  # one wrong key in 256 pads rightly
+    except (ValueError, MalformedError):
+        raise PassphraseError("wrong passphrase for the private key") from None
+    return plain
+
+
+_HMAC_SHA1 = "1.2.840.113549.2.7"
+"""PBKDF2's default, which no tool of this century writes; not in the table above."""
+
+
+def _parameters(identifier: AlgorithmIdentifier) -> tuple[PBKDF2Params, bytes]:
+    if identifier.algorithm.dotted_string != _PBES2:
+        raise MalformedError("the private key is not encrypted with PBES2")
+    parameters = _inside(identifier, PBES2Params, "PBES2 parameters")
+    scheme = parameters.encryption.algorithm.dotted_string
+    if parameters.key_derivation.algorithm.dotted_string != _PBKDF2 or scheme != _AES_256_CBC:
+        raise MalformedError("the private key is not encrypted with PBKDF2 and AES-256-CBC")
+    return (
+        _inside(parameters.key_derivation, PBKDF2Params, "PBKDF2 parameters"),
+        _inside(parameters.encryption, bytes, "initialisation vector"),
+    )
+
+
+def _inside(identifier: AlgorithmIdentifier, kind: type[T], what: str) -> T:
+    if identifier.parameters is None:
+        raise MalformedError(f"the encrypted private key has no {what}")
+    return decode(kind, encode(identifier.parameters), what)
+
+
+def _derive(passphrase: bytes, salt: bytes, iterations: int, prf: str) -> bytes:
+    return PBKDF2HMAC(_PRFS[prf], 32, salt, iterations).derive(passphrase)
+
+
+def _with(oid: str, parameters: bytes) -> AlgorithmIdentifier:
+    return AlgorithmIdentifier(algorithm=Oid(oid), parameters=raw(parameters))

@@ -1,0 +1,201 @@
+"""What a signature algorithm is: a row that acts, and the keys that belong to it.
+
+A handle is the key object of `cryptography` (or a pair of such); only rows touch it.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+)
+
+from pqsec_pki.algorithms._table import Family
+from pqsec_pki.algorithms.digest import Digest
+from pqsec_pki.errors import VerificationError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignatureAlgorithm(ABC):
+    """One signature algorithm: its names, its sizes, and everything it can do."""
+
+    name: str
+    """What a user types and the keystore records."""
+    aliases: tuple[str, ...] = ()
+    family: Family
+    level: int
+    """NIST security category; 0 where a quantum computer breaks it."""
+    standard: str
+    runs_in: str
+    """Which stock DDS stacks take identities of this kind."""
+    wire_name: str
+    """What the handshake carries in c.dsign_algo (DDS-Security 1.1, 9.3.2.5)."""
+    token_name: str
+    """What an IdentityToken carries in dds.cert.algo and dds.ca.algo."""
+    key_oid: str
+    """The OID of its keys in SubjectPublicKeyInfo and PKCS#8."""
+    identifier: bytes = field(repr=False)
+    """DER AlgorithmIdentifier that signatures are marked with."""
+    digest: Digest
+    """What a CMS signer hashes the content with."""
+    cms_digests: frozenset[Digest] = field(repr=False)
+    """What a CMS signer of this kind may hash with; all others are refused."""
+    public_key_size: int
+    """Bytes in the BIT STRING of SubjectPublicKeyInfo."""
+    signature_size: int
+    """Bytes, at most."""
+
+    def generate(self) -> "PrivateKey":
+        """A fresh key."""
+        return self.private_key(self.generate_handle())
+
+    def private_key(self, handle: Any) -> "PrivateKey":
+        """`handle`, a private key of this kind, as a value."""
+        return PrivateKey(self, self.public_key(self._public(handle)), handle)
+
+    def public_key(self, handle: Any) -> "PublicKey":
+        """`handle`, a public key of this kind, as a value."""
+        return PublicKey(self, self._spki(handle), handle)
+
+    @abstractmethod
+    def matches(self, handle: Any) -> bool:
+        """Whether `handle` is a public key of this kind."""
+
+    @abstractmethod
+    def raw_public(self, handle: Any) -> bytes:
+        """The public key as it stands in a BIT STRING: `public_key_size` bytes."""
+
+    @abstractmethod
+    def raw_private(self, handle: Any) -> bytes:
+        """The private key as a composite key holds it (composite draft, section 4)."""
+
+    @abstractmethod
+    def load_raw_public(self, data: bytes) -> Any:
+        """The inverse of raw_public; ValueError if `data` is no such key."""
+
+    @abstractmethod
+    def load_raw_private(self, data: bytes) -> Any:
+        """The inverse of raw_private; ValueError if `data` is no such key."""
+
+    @abstractmethod
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        """A signature as certificates and CMS carry it."""
+
+    @abstractmethod
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        """InvalidSignature or ValueError unless `signature` holds under `identifier`."""
+
+    def accepts(self, identifier: bytes) -> bool:
+        """Whether a signature marked with DER `identifier` can be of such a key."""
+        return identifier == self.identifier
+
+    def cms_identifier(self, identifier: bytes, digest: Digest) -> bytes:
+        """The full identifier that a CMS signer's `identifier` and `digest` stand for."""
+        del digest
+        return identifier
+
+    def sign_handshake(self, handle: Any, data: bytes) -> bytes:
+        """A signature as handshake messages carry it."""
+        return self.sign(handle, data)
+
+    def check_handshake(self, handle: Any, signature: bytes, data: bytes) -> None:
+        """InvalidSignature or ValueError unless the handshake signature holds."""
+        self.check(handle, signature, data, self.identifier)
+
+    @abstractmethod
+    def generate_handle(self) -> Any: ...
+
+    def _public(self, handle: Any) -> Any:
+        return handle.public_key()
+
+    def _spki(self, handle: Any) -> bytes:
+        spki: bytes = handle.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+        return spki
+
+    def pkcs8(self, handle: Any) -> bytes:
+        """DER PrivateKeyInfo, unencrypted; post-quantum keys as their seed (RFC 9881 6)."""
+        der: bytes = handle.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
+        return der
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PublicKey:
+    """A public key and the algorithm that it is for."""
+
+    algorithm: SignatureAlgorithm
+    spki: bytes
+    """DER SubjectPublicKeyInfo."""
+    handle: Any = field(repr=False)
+
+    @property
+    def raw(self) -> bytes:
+        """The bytes inside the BIT STRING of `spki`."""
+        return self.algorithm.raw_public(self.handle)
+
+    def verify(self, signature: bytes, data: bytes, identifier: bytes | None = None) -> None:
+        """Return if `signature` over `data` is this key's; VerificationError if not.
+
+        `identifier` is the DER AlgorithmIdentifier the signature is marked with, where
+        it is marked: one that does not fit the key is refused before any arithmetic.
+        """
+        marked = self.algorithm.identifier if identifier is None else identifier
+        if not self.algorithm.accepts(marked):
+            raise VerificationError(
+                f"the signature is marked with an algorithm that does not fit"
+                f" the signer's {self.algorithm.name} key"
+            )
+        try:
+            self.algorithm.check(self.handle, signature, data, marked)
+        except (InvalidSignature, ValueError) as error:
+            raise VerificationError(f"bad {self.algorithm.name} signature") from error
+
+    def verify_handshake(self, signature: bytes, data: bytes) -> None:
+        """The same for a signature in a handshake message (DDS-Security 1.1, 9.3.2.5)."""
+        try:
+            self.algorithm.check_handshake(self.handle, signature, data)
+        except (InvalidSignature, ValueError) as error:
+            raise VerificationError(f"bad {self.algorithm.wire_name} signature") from error
+
+    def paired(self, alternative: "PublicKey") -> "PublicKey":
+        """This key and `alternative` as one key whose signatures need both."""
+        from pqsec_pki.algorithms._composite import Pair  # noqa: PLC0415 -- Pair is a row
+
+        pair = Pair.of(self.algorithm, alternative.algorithm)
+        return PublicKey(pair, self.spki, (self.handle, alternative.handle))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrivateKey:
+    """A private key and the algorithm that it is for. It prints nothing of itself."""
+
+    algorithm: SignatureAlgorithm
+    public_key: PublicKey
+    handle: Any = field(repr=False)
+
+    @property
+    def raw(self) -> bytes:
+        """The key as a composite private key holds it."""
+        return self.algorithm.raw_private(self.handle)
+
+    @property
+    def pkcs8(self) -> bytes:
+        """DER PrivateKeyInfo, unencrypted."""
+        return self.algorithm.pkcs8(self.handle)
+
+    def sign(self, data: bytes) -> bytes:
+        """A signature over `data` as certificates and CMS carry it."""
+        return self.algorithm.sign(self.handle, data)
+
+    def sign_handshake(self, data: bytes) -> bytes:
+        """A signature over `data` as handshake messages carry it."""
+        return self.algorithm.sign_handshake(self.handle, data)
+
+    def paired(self, alternative: "PrivateKey") -> "PrivateKey":
+        """This key and `alternative` as one key that signs with both."""
+        public = self.public_key.paired(alternative.public_key)
+        return PrivateKey(public.algorithm, public, (self.handle, alternative.handle))

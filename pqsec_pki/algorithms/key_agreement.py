@@ -1,0 +1,137 @@
+"""The table of key agreements: how two participants come to share a secret.
+
+To add one, write its row. Nothing else in the package names a key agreement; the
+command line, the self-check and the tests follow the table.
+"""
+
+from cryptography.hazmat.primitives.asymmetric import ec, mlkem
+
+from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement, KeyPair
+from pqsec_pki.algorithms._diffie_hellman import ECDH, MODP, X25519
+from pqsec_pki.algorithms._ml_kem import MLKEM
+from pqsec_pki.algorithms._table import Family, Table
+
+__all__ = ["KEY_AGREEMENTS", "KeyAgreement", "KeyPair"]
+
+_PQSEC_ONLY = "pqsec plugin only"
+
+ECDH_P256 = ECDH(
+    name="ecdh-p256",
+    aliases=("p256", "ecdhe-p256"),
+    wire_name="ECDH+prime256v1-CEUM",
+    family=Family.CLASSICAL,
+    level=0,
+    standard="NIST SP 800-56A",
+    runs_in="all stock stacks",
+    public_size=65,
+    ciphertext_size=65,
+    secret_size=32,
+    curve=ec.SECP256R1(),
+)
+ECDH_P384 = ECDH(
+    name="ecdh-p384",
+    aliases=("p384", "ecdhe-p384"),
+    # DDS-Security 1.1 has no name for it. This is 1.2's, as RTI's manual writes it.
+    wire_name="ECDHE-CEUM+P384",
+    family=Family.CLASSICAL,
+    level=0,
+    standard="NIST SP 800-56A",
+    runs_in="no open stack; DDS-Security 1.2",
+    public_size=97,
+    ciphertext_size=97,
+    secret_size=48,
+    curve=ec.SECP384R1(),
+)
+DH_MODP_2048_256 = MODP(
+    name="dh-modp-2048-256",
+    aliases=("modp", "dh-modp", "ffdhe-rfc5114"),
+    wire_name="DH+MODP-2048-256",
+    family=Family.CLASSICAL,
+    level=0,
+    standard="RFC 5114 2.3",
+    runs_in="all stock stacks, but Cyclone DDS with itself only",
+    public_size=261,
+    ciphertext_size=261,
+    secret_size=256,
+)
+_X25519 = X25519(
+    name="x25519",
+    wire_name="X25519",
+    family=Family.CLASSICAL,
+    level=0,
+    standard="RFC 7748",
+    runs_in="nowhere alone: half of a hybrid",
+    public_size=32,
+    ciphertext_size=32,
+    secret_size=32,
+)
+ML_KEM_768 = MLKEM(
+    name="mlkem768",
+    aliases=("ml-kem-768", "mlkem-768"),
+    wire_name="MLKEM768",
+    family=Family.PQ,
+    level=3,
+    standard="FIPS 203",
+    runs_in=_PQSEC_ONLY,
+    public_size=1184,
+    ciphertext_size=1088,
+    secret_size=32,
+    private=mlkem.MLKEM768PrivateKey,
+    encapsulation_key=mlkem.MLKEM768PublicKey,
+)
+ML_KEM_1024 = MLKEM(
+    name="mlkem1024",
+    aliases=("ml-kem-1024", "mlkem-1024"),
+    wire_name="MLKEM1024",
+    family=Family.PQ,
+    level=5,
+    standard="FIPS 203",
+    runs_in=_PQSEC_ONLY,
+    public_size=1568,
+    ciphertext_size=1568,
+    secret_size=32,
+    private=mlkem.MLKEM1024PrivateKey,
+    encapsulation_key=mlkem.MLKEM1024PublicKey,
+)
+
+
+def _hybrid(
+    wire_name: str, first: KeyAgreement, second: KeyAgreement, *aliases: str
+) -> KeyAgreement:
+    """`first` and `second` side by side, called what TLS calls it (RFC 10024)."""
+    return Hybrid(
+        name=wire_name.lower(),
+        aliases=aliases,
+        wire_name=wire_name,
+        family=Family.HYBRID,
+        level=max(first.level, second.level),
+        standard="RFC 10024",
+        runs_in=_PQSEC_ONLY,
+        public_size=first.public_size + second.public_size,
+        ciphertext_size=first.ciphertext_size + second.ciphertext_size,
+        secret_size=first.secret_size + second.secret_size,
+        first=first,
+        second=second,
+    )
+
+
+# RFC 10024: with X25519 ML-KEM comes first, with the NIST curves it comes second.
+X25519_ML_KEM_768 = _hybrid(
+    "X25519MLKEM768", ML_KEM_768, _X25519, "x25519-ml-kem-768", "x25519-mlkem768"
+)
+P256_ML_KEM_768 = _hybrid("SecP256r1MLKEM768", ECDH_P256, ML_KEM_768, "p256-ml-kem-768")
+P384_ML_KEM_1024 = _hybrid("SecP384r1MLKEM1024", ECDH_P384, ML_KEM_1024, "p384-ml-kem-1024")
+
+KEY_AGREEMENTS = Table[KeyAgreement](
+    "key agreement",
+    [
+        ECDH_P256,
+        ECDH_P384,
+        DH_MODP_2048_256,
+        ML_KEM_768,
+        ML_KEM_1024,
+        X25519_ML_KEM_768,
+        P256_ML_KEM_768,
+        P384_ML_KEM_1024,
+    ],
+)

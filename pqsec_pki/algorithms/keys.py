@@ -1,0 +1,171 @@
+"""Keys to bytes and back: SubjectPublicKeyInfo, PKCS#8, PEM, with a passphrase or not."""
+
+import base64
+import binascii
+import re
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.serialization import (
+    load_der_private_key,
+    load_der_public_key,
+    load_pem_private_key,
+)
+
+from pqsec_pki._asn1 import OneAsymmetricKey, SubjectPublicKeyInfo, decode
+from pqsec_pki.algorithms import _pbes2
+from pqsec_pki.algorithms._composite import Composite
+from pqsec_pki.algorithms._ml_dsa import MLDSA
+from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
+from pqsec_pki.algorithms.signature import SIGNATURES
+from pqsec_pki.errors import MalformedError, PassphraseError, UnknownAlgorithmError
+
+_ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
+"""Rows that a key's OID alone decides; the others need the key's curve or size."""
+
+_PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----[ \t]*\r?\n([^-]*)-----END \1-----")
+"""The text has no hyphen, so that a block without an end costs no more than its length."""
+
+
+def pem(label: str, der: bytes) -> bytes:
+    """`der` as PEM with lines of 64 characters (RFC 7468)."""
+    text = base64.b64encode(der)
+    lines = [text[start : start + 64] for start in range(0, len(text), 64)]
+    return b"\n".join(
+        [f"-----BEGIN {label}-----".encode(), *lines, f"-----END {label}-----".encode(), b""]
+    )
+
+
+def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
+    """(label, DER) of each PEM block in `data`; MalformedError if a block is broken."""
+    try:
+        return [
+            (label.decode(), base64.b64decode(b"".join(body.split()), validate=True))
+            for label, body in _PEM.findall(data)
+            if b":" not in body  # RFC 1421 headers: a traditional encrypted key
+        ]
+    except binascii.Error as error:
+        raise MalformedError(f"{what}: broken base64 in PEM") from error
+
+
+@lru_cache(maxsize=256)
+def load_public_key(spki: bytes) -> PublicKey:
+    """The key in DER SubjectPublicKeyInfo `spki`.
+
+    MalformedError if it is none, UnknownAlgorithmError if no row of SIGNATURES is for it.
+    """
+    info = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
+    oid = info.algorithm.algorithm.dotted_string
+    row = _ROWS_BY_OID.get(oid)
+    if isinstance(row, Composite):
+        return PublicKey(row, spki, row.load_spki(info))
+    try:
+        handle = load_der_public_key(spki)
+    except UnsupportedAlgorithm:
+        raise UnknownAlgorithmError(f"keys of algorithm {oid} are not known here") from None
+    except ValueError as error:
+        raise MalformedError(f"not a public key: {error}") from error
+    return PublicKey(_row_of(handle), spki, handle)
+
+
+def load_private_key(data: bytes, passphrase: bytes | None = None) -> PrivateKey:
+    """The key in `data`: PKCS#8 in PEM or DER, plain or encrypted, or a traditional PEM.
+
+    ML-DSA keys may be seed, both, or bare seed. MalformedError if it is no key,
+    PassphraseError if the passphrase is missing or wrong, UnknownAlgorithmError if no
+    row of SIGNATURES is for it. No message holds any part of the key.
+    """
+    blocks = unpem(data, "private key") if data.lstrip().startswith(b"-----") else []
+    for label, der in blocks:
+        if label == "PRIVATE KEY":
+            return _load_pkcs8(der)
+        if label == "ENCRYPTED PRIVATE KEY":
+            return _load_encrypted(der, passphrase)
+    if b"PRIVATE KEY-----" in data:
+        return _load_traditional(data, passphrase)
+    if data.startswith(b"\x30"):
+        return _load_encrypted(data, passphrase) if _pbes2.is_one(data) else _load_pkcs8(data)
+    raise MalformedError("not a private key in PEM or DER")
+
+
+def is_encrypted(data: bytes) -> bool:
+    """Whether private key `data` needs a passphrase."""
+    return (
+        b"BEGIN ENCRYPTED PRIVATE KEY-----" in data
+        or b"Proc-Type: 4,ENCRYPTED" in data
+        or _pbes2.is_one(data)
+    )
+
+
+def private_key_pem(key: PrivateKey, passphrase: bytes | None = None) -> bytes:
+    """PKCS#8 PEM of `key`, encrypted (PBES2, 600,000 iterations) if a passphrase is given."""
+    if passphrase is None:
+        return pem("PRIVATE KEY", key.pkcs8)
+    return pem("ENCRYPTED PRIVATE KEY", _pbes2.encrypt(key.pkcs8, passphrase))
+
+
+def _load_encrypted(der: bytes, passphrase: bytes | None) -> PrivateKey:
+    if passphrase is None:
+        raise PassphraseError("the private key is encrypted and no passphrase was given")
+    return _load_pkcs8(_pbes2.decrypt(der, passphrase))
+
+
+def _load_pkcs8(der: bytes) -> PrivateKey:
+    try:
+        info = decode(OneAsymmetricKey, der, "PKCS#8 private key")
+    except MalformedError:
+        # The decoder's own words could quote bytes of the key.
+        raise MalformedError("not a PKCS#8 private key") from None
+    row = _ROWS_BY_OID.get(info.algorithm.algorithm.dotted_string)
+    if row is None:
+        return _wrap(_native(lambda: load_der_private_key(der, None)))
+    if info.algorithm.parameters is not None:
+        raise MalformedError(f"{row.name} keys have no parameters")
+    if isinstance(row, MLDSA):
+        return row.load_pkcs8_octets(info.private_key)
+    return row.private_key(_native(lambda: row.load_raw_private(info.private_key)))
+
+
+def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:
+    if is_encrypted(data) and passphrase is None:
+        raise PassphraseError("the private key is encrypted and no passphrase was given")
+    if not is_encrypted(data):
+        return _wrap(_native(lambda: load_pem_private_key(data, None)))
+    try:
+        return _wrap(_native(lambda: load_pem_private_key(data, passphrase)))
+    except MalformedError:
+        raise PassphraseError("wrong passphrase for the private key") from None
+
+
+def _native(load: Callable[[], Any]) -> Any:
+    """What `load` gives; errors reworded, because the library's may quote the key."""
+    try:
+        return load()
+    except UnsupportedAlgorithm:
+        raise UnknownAlgorithmError("private keys of this algorithm are not known here") from None
+    except (ValueError, TypeError):
+        raise MalformedError("not a private key") from None
+
+
+def _wrap(handle: Any) -> PrivateKey:
+    return _row_of(handle.public_key()).private_key(handle)
+
+
+def _row_of(handle: Any) -> SignatureAlgorithm:
+    for row in SIGNATURES:
+        if row.matches(handle):
+            return row
+    raise UnknownAlgorithmError(
+        f"no signature algorithm here is for a {_describe(handle)}",
+        hint="`pqsec algorithms` lists those that are",
+    )
+
+
+def _describe(handle: Any) -> str:
+    curve = getattr(handle, "curve", None)
+    size = getattr(handle, "key_size", None)
+    kind = type(handle).__name__.removeprefix("_").removesuffix("PublicKey")
+    detail = curve.name if curve is not None else f"{size} bits" if size is not None else ""
+    return f"{kind} key {detail}".strip()

@@ -1,0 +1,184 @@
+"""The table of signature algorithms: for CAs, participants and signed documents.
+
+To add one, write its row. Nothing else in the package names an algorithm; the command
+line, the self-check and the tests follow the table.
+"""
+
+import hashlib
+from collections.abc import Callable
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from pqsec_pki._asn1 import algorithm, encode
+from pqsec_pki.algorithms._classical import ECDSA_WITH, RSA_WITH, Ecdsa, Ed25519, Rsa, RsaPss
+from pqsec_pki.algorithms._composite import Composite
+from pqsec_pki.algorithms._ml_dsa import MLDSA
+from pqsec_pki.algorithms._row import SignatureAlgorithm
+from pqsec_pki.algorithms._table import Family, Table
+from pqsec_pki.algorithms.digest import (
+    SHA3_256,
+    SHA3_384,
+    SHA3_512,
+    SHA256,
+    SHA384,
+    SHA512,
+    SHAKE128,
+    SHAKE256,
+    Digest,
+)
+
+_SHA2 = frozenset({SHA256, SHA384, SHA512})
+EVERYWHERE = "all stock stacks"
+FAST_ONLY = "Fast DDS, OpenDDS"
+NOWHERE = "pqsec plugin only"
+
+
+def _ecdsa(bits: int, curve: ec.EllipticCurve, oid: str, digest: Digest, runs_in: str) -> Ecdsa:
+    return Ecdsa(
+        name=f"ecdsa-p{bits}",
+        aliases=(f"p{bits}", f"ec-p{bits}"),
+        family=Family.CLASSICAL,
+        level=0,
+        standard="FIPS 186-5",
+        runs_in=runs_in,
+        # DDS-Security 1.1 names P-256 only; for P-384 this is 1.2's word.
+        wire_name="ECDSA-SHA256" if bits == 256 else f"ECDSA+P{bits}+SHA{bits}",  # noqa: PLR2004 -- the curve's size
+        token_name="EC-prime256v1" if bits == 256 else f"EC-secp{bits}r1",  # noqa: PLR2004 -- no password
+        key_oid="1.2.840.10045.2.1",
+        identifier=encode(algorithm(ECDSA_WITH[digest.name])),
+        digest=digest,
+        cms_digests=_SHA2,
+        public_key_size=1 + bits // 4,
+        signature_size=8 + bits // 4,
+        curve=curve,
+        curve_oid=oid,
+    )
+
+
+def _rsa(bits: int, kind: type[Rsa] = Rsa) -> Rsa:
+    return kind(
+        name=f"rsa-{bits}",
+        aliases=(f"rsa{bits}",),
+        family=Family.CLASSICAL,
+        level=0,
+        standard="RFC 8017",
+        runs_in=EVERYWHERE if bits == 2048 else FAST_ONLY,  # noqa: PLR2004 -- the modulus' size
+        wire_name="RSASSA-PSS-SHA256",
+        token_name=f"RSA-{bits}",
+        key_oid="1.2.840.113549.1.1.1",
+        identifier=encode(algorithm(RSA_WITH["sha256"], null=True)),
+        digest=SHA256,
+        cms_digests=_SHA2,
+        public_key_size=bits // 8 + 14,
+        signature_size=bits // 8,
+        bits=bits,
+    )
+
+
+def _ml_dsa(
+    size: int, level: int, public_key: int, signature: int, digests: frozenset[Digest]
+) -> MLDSA:
+    arc = {44: 17, 65: 18, 87: 19}[size]
+    oid = f"2.16.840.1.101.3.4.3.{arc}"
+    return MLDSA(
+        name=f"ml-dsa-{size}",
+        aliases=(f"mldsa{size}", f"mldsa-{size}"),
+        family=Family.PQ,
+        level=level,
+        standard="FIPS 204, RFC 9881",
+        runs_in=NOWHERE,
+        wire_name=f"ML-DSA-{size}",
+        token_name=f"ML-DSA-{size}",
+        key_oid=oid,
+        identifier=encode(algorithm(oid)),
+        digest=SHA512,  # RFC 9882 3.3: every verifier must have it
+        cms_digests=digests,
+        public_key_size=public_key,
+        signature_size=signature,
+    )
+
+
+# RFC 9882 3.3, table 1: digests at least as strong as the key.
+_DIGESTS_87 = frozenset({SHA512, SHA3_512, SHAKE256})
+_DIGESTS_65 = _DIGESTS_87 | {SHA384, SHA3_384}
+_DIGESTS_44 = _DIGESTS_65 | {SHA256, SHA3_256, SHAKE128}
+
+ECDSA_P256 = _ecdsa(256, ec.SECP256R1(), "1.2.840.10045.3.1.7", SHA256, EVERYWHERE)
+ECDSA_P384 = _ecdsa(384, ec.SECP384R1(), "1.3.132.0.34", SHA384, FAST_ONLY)
+RSA_2048, RSA_3072, RSA_4096 = _rsa(2048), _rsa(3072), _rsa(4096)
+ML_DSA_44 = _ml_dsa(44, 2, 1312, 2420, _DIGESTS_44)
+ML_DSA_65 = _ml_dsa(65, 3, 1952, 3309, _DIGESTS_65)
+ML_DSA_87 = _ml_dsa(87, 5, 2592, 4627, _DIGESTS_87)
+_ED25519 = Ed25519(
+    name="ed25519",
+    family=Family.CLASSICAL,
+    level=0,
+    standard="RFC 8032",
+    runs_in=NOWHERE,
+    wire_name="Ed25519",
+    token_name="Ed25519",  # noqa: S106 -- no password
+    key_oid="1.3.101.112",
+    identifier=encode(algorithm("1.3.101.112")),
+    digest=SHA512,
+    cms_digests=frozenset({SHA512}),
+    public_key_size=32,
+    signature_size=64,
+)
+_PREHASHES: dict[Digest, Callable[[bytes], bytes]] = {
+    SHA256: lambda data: hashlib.sha256(data).digest(),
+    SHA512: lambda data: hashlib.sha512(data).digest(),
+}
+
+
+def _composite(
+    arc: int, draft_name: str, short: str, ml_dsa: MLDSA, traditional: SignatureAlgorithm
+) -> Composite:
+    oid = f"1.3.6.1.5.5.7.6.{arc}"
+    prehash = SHA256 if draft_name.endswith("SHA256") else SHA512
+    return Composite(
+        name=draft_name.lower(),
+        aliases=(short,),
+        family=Family.HYBRID,
+        level=ml_dsa.level,
+        standard="draft-ietf-lamps-pq-composite-sigs-19 (RFC to be, OID final)",
+        runs_in=NOWHERE,
+        wire_name=draft_name,
+        token_name=draft_name,
+        key_oid=oid,
+        identifier=encode(algorithm(oid)),
+        digest=prehash,  # draft-ietf-lamps-cms-composite-sigs: equal to the pre-hash
+        cms_digests=frozenset({prehash}),
+        public_key_size=ml_dsa.public_key_size + traditional.public_key_size,
+        signature_size=ml_dsa.signature_size + traditional.signature_size,
+        ml_dsa=ml_dsa,
+        traditional=traditional,
+        prehash=_PREHASHES[prehash],
+        label=b"COMPSIG-" + draft_name.encode(),
+    )
+
+
+_RSA_3072_PSS = _rsa(3072, RsaPss)
+COMPOSITES = (
+    _composite(39, "MLDSA44-Ed25519-SHA512", "mldsa44+ed25519", ML_DSA_44, _ED25519),
+    _composite(40, "MLDSA44-ECDSA-P256-SHA256", "mldsa44+p256", ML_DSA_44, ECDSA_P256),
+    _composite(41, "MLDSA65-RSA3072-PSS-SHA512", "mldsa65+rsa3072", ML_DSA_65, _RSA_3072_PSS),
+    _composite(45, "MLDSA65-ECDSA-P256-SHA512", "mldsa65+p256", ML_DSA_65, ECDSA_P256),
+    _composite(46, "MLDSA65-ECDSA-P384-SHA512", "mldsa65+p384", ML_DSA_65, ECDSA_P384),
+    _composite(48, "MLDSA65-Ed25519-SHA512", "mldsa65+ed25519", ML_DSA_65, _ED25519),
+    _composite(49, "MLDSA87-ECDSA-P384-SHA512", "mldsa87+p384", ML_DSA_87, ECDSA_P384),
+)
+
+SIGNATURES = Table[SignatureAlgorithm](
+    "signature algorithm",
+    [
+        ECDSA_P256,
+        ECDSA_P384,
+        RSA_2048,
+        RSA_3072,
+        RSA_4096,
+        ML_DSA_44,
+        ML_DSA_65,
+        ML_DSA_87,
+        *COMPOSITES,
+    ],
+)

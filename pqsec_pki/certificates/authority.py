@@ -1,0 +1,225 @@
+"""Authorities: a certificate that vouches for itself, and the certificates it issues.
+
+The profile is the one that every measured stack takes: version 3, self-signed
+authorities without intermediates, participants with digitalSignature only.
+"""
+
+import hashlib
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from typing import Self
+
+from cryptography import x509
+from cryptography.x509.oid import NameOID
+
+from pqsec_pki._asn1 import (
+    AlgorithmIdentifier,
+    Extension,
+    Oid,
+    Signed,
+    SubjectPublicKeyInfo,
+    TBSCertificate,
+    Validity,
+    bits,
+    decode,
+    encode,
+    raw,
+    time_of,
+)
+from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
+from pqsec_pki.certificates import _alternative
+from pqsec_pki.certificates.certificate import Certificate
+from pqsec_pki.errors import UsageError
+
+BACKDATE = timedelta(days=1)
+"""Certificates start a day early: robots' clocks, and Fast DDS reads times as local."""
+LAST_YEAR = 2261
+"""Cyclone DDS takes later years for expired, and Fast DDS (master) crashes on them."""
+MAX_COMMON_NAME = 64
+"""Characters; ub-common-name of RFC 5280, appendix A.1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Authority:
+    """A certificate authority: its certificate and the keys that sign for it."""
+
+    certificate: Certificate
+    key: PrivateKey = field(repr=False)
+    alternative_key: PrivateKey | None = field(default=None, repr=False)
+
+    @classmethod
+    def create(
+        cls,
+        name: str,
+        algorithm: SignatureAlgorithm,
+        *,
+        alternative: SignatureAlgorithm | None = None,
+        now: datetime,
+        validity: timedelta,
+    ) -> Self:
+        """A new self-signed authority called CN=`name`, valid from a day before `now`.
+
+        With `alternative`, it has a second key of that kind, and everything it issues
+        is signed by both. UsageError if the name or the validity cannot be used.
+        """
+        key = algorithm.generate()
+        second = alternative.generate() if alternative else None
+        subject = common_name(name)
+        tbs = _tbs(
+            subject=subject,
+            issuer=subject,
+            key=key.public_key,
+            window=(now - BACKDATE, end_of(now, validity)),
+            extensions=_authority_extensions(key.public_key),
+        )
+        if second:
+            _alternative.add_key(tbs, second.public_key)
+        return cls(_sign(tbs, key, second), key, second)
+
+    def issue(
+        self,
+        name: str,
+        key: PublicKey,
+        *,
+        alternative: PublicKey | None = None,
+        now: datetime,
+        validity: timedelta,
+    ) -> Certificate:
+        """A participant's certificate for CN=`name` and `key`, and its alternative key.
+
+        It never outlives this authority: a longer `validity` is cut. UsageError if the
+        name cannot be used, or the authority has expired.
+        """
+        end = min(end_of(now, validity), self.certificate.not_after)
+        if end <= now:
+            raise UsageError(
+                f"the identity CA expired on {end:%Y-%m-%d}",
+                hint="make a new keystore, or set the clock right",
+            )
+        tbs = _tbs(
+            subject=common_name(name),
+            issuer=self.certificate.subject_der,
+            key=key,
+            window=(max(now - BACKDATE, self.certificate.not_before), end),
+            extensions=_participant_extensions(key, self.key.public_key),
+        )
+        if alternative:
+            _alternative.add_key(tbs, alternative)
+        return _sign(tbs, self.key, self.alternative_key)
+
+
+def common_name(name: str) -> bytes:
+    """DER Name of CN=`name`; UsageError if it is empty, too long or not plain ASCII.
+
+    One CN and nothing else is the only form that every stack spells alike.
+    """
+    if not name or len(name) > MAX_COMMON_NAME:
+        raise UsageError(
+            f"a common name has 1 to {MAX_COMMON_NAME} characters,"
+            f" {name!r} has {len(name)} (RFC 5280, ub-common-name)"
+        )
+    if not (name.isascii() and all(char.isalnum() or char in "_./ -" for char in name)):
+        raise UsageError(
+            f"{name!r} has characters that DDS stacks read differently",
+            hint="use letters, digits, and _ . / - or spaces",
+        )
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]).public_bytes()
+
+
+def end_of(now: datetime, validity: timedelta) -> datetime:
+    """`now` + `validity`, whole seconds; UsageError beyond the year 2261 or not ahead."""
+    try:
+        end = (now + validity).replace(microsecond=0)
+    except OverflowError:
+        end = None
+    if end is None or end.year > LAST_YEAR:
+        raise UsageError(
+            f"the validity reaches beyond {LAST_YEAR}, which DDS stacks cannot represent",
+            hint="choose a shorter --validity",
+        )
+    if validity <= timedelta():
+        raise UsageError("the validity must be longer than nothing")
+    return end
+
+
+def _tbs(
+    *,
+    subject: bytes,
+    issuer: bytes,
+    key: PublicKey,
+    window: tuple[datetime, datetime],
+    extensions: list[Extension],
+) -> TBSCertificate:
+    not_before, not_after = window
+    return TBSCertificate(
+        version=2,
+        serial_number=x509.random_serial_number(),
+        signature=AlgorithmIdentifier(algorithm=Oid("1.1"), parameters=None),  # set by _sign
+        issuer=raw(issuer),
+        validity=raw(
+            encode(Validity(not_before=time_of(not_before), not_after=time_of(not_after)))
+        ),
+        subject=raw(subject),
+        subject_public_key_info=raw(key.spki),
+        issuer_unique_id=None,
+        subject_unique_id=None,
+        extensions=extensions,
+    )
+
+
+def _sign(tbs: TBSCertificate, key: PrivateKey, alternative_key: PrivateKey | None) -> Certificate:
+    identifier = decode(AlgorithmIdentifier, key.algorithm.identifier, "AlgorithmIdentifier")
+    tbs.signature = identifier
+    if alternative_key:
+        _alternative.add_signature(tbs, alternative_key)
+    content = encode(tbs)
+    signature = bits(key.sign(content))
+    der = encode(Signed(tbs=raw(content), signature_algorithm=identifier, signature=signature))
+    return Certificate.from_der(der)
+
+
+def _authority_extensions(key: PublicKey) -> list[Extension]:
+    return [_CA, _CA_USAGE, _extension(x509.SubjectKeyIdentifier(key_identifier(key)))]
+
+
+def _participant_extensions(key: PublicKey, issuer: PublicKey) -> list[Extension]:
+    authority_key = x509.AuthorityKeyIdentifier(key_identifier(issuer), None, None)
+    return [
+        _NOT_CA,
+        _PARTICIPANT_USAGE,
+        _extension(x509.SubjectKeyIdentifier(key_identifier(key))),
+        _extension(authority_key),
+    ]
+
+
+def key_identifier(key: PublicKey) -> bytes:
+    """The first 160 bits of SHA-256 of the public key (RFC 7093 2, method 1)."""
+    info = decode(SubjectPublicKeyInfo, key.spki, "SubjectPublicKeyInfo")
+    return hashlib.sha256(info.subject_public_key.as_bytes()).digest()[:20]
+
+
+def _extension(value: x509.ExtensionType, *, critical: bool = False) -> Extension:
+    oid = Oid(value.oid.dotted_string)
+    return Extension(extn_id=oid, critical=critical, extn_value=value.public_bytes())
+
+
+def _usage(*, authority: bool) -> Extension:
+    # digitalSignature for the authority too: Cyclone DDS 0.10 and Fast DDS 2.9 check the
+    # S/MIME purpose of the permissions CA.
+    usage = x509.KeyUsage(
+        digital_signature=True,
+        key_cert_sign=authority,
+        crl_sign=authority,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    return _extension(usage, critical=True)
+
+
+_CA = _extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+_NOT_CA = _extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+_CA_USAGE, _PARTICIPANT_USAGE = _usage(authority=True), _usage(authority=False)

@@ -1,0 +1,173 @@
+"""A certificate, parsed once and completely, whatever algorithm signed it.
+
+cryptography parses lazily and does not know composite keys or alternative signatures;
+here everything is read at the door, so nothing can fail later.
+"""
+
+import hashlib
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Self
+
+from cryptography import x509
+
+from pqsec_pki._asn1 import (
+    AlgorithmIdentifier,
+    Signed,
+    TBSCertificate,
+    Validity,
+    decode,
+    encode,
+    moment_of,
+    whole_bytes,
+)
+from pqsec_pki.algorithms import PublicKey, load_public_key, pem, unpem
+from pqsec_pki.certificates._alternative import Alternative
+from pqsec_pki.errors import MalformedError
+
+MAX_CERTIFICATE = 256 << 10
+"""Bytes of PEM or DER. The largest of ours (ML-DSA-87) is 10 kB."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certificate:
+    """An X.509 certificate (RFC 5280 4.1). Its text is nowhere trusted: see verify_chain."""
+
+    der: bytes = field(repr=False)
+    tbs: bytes = field(repr=False)
+    """DER TBSCertificate: what the signature covers."""
+    subject: x509.Name
+    issuer: x509.Name
+    subject_der: bytes = field(repr=False)
+    issuer_der: bytes = field(repr=False)
+    serial_number: int
+    version: int
+    not_before: datetime
+    not_after: datetime
+    spki: bytes = field(repr=False)
+    extensions: x509.Extensions = field(repr=False)
+    identifier: bytes = field(repr=False)
+    """DER AlgorithmIdentifier of the signature, the same inside and outside."""
+    signature: bytes = field(repr=False)
+    alternative: Alternative | None = field(repr=False)
+
+    @classmethod
+    def from_der(cls, der: bytes) -> Self:
+        """MalformedError if `der` is not exactly one well-formed certificate."""
+        if len(der) > MAX_CERTIFICATE:
+            raise MalformedError(f"a certificate larger than {MAX_CERTIFICATE} bytes")
+        signed = decode(Signed, der, "certificate")
+        tbs_der = encode(signed.tbs)
+        tbs = decode(TBSCertificate, tbs_der, "certificate")
+        if encode(tbs.signature) != encode(signed.signature_algorithm):
+            raise MalformedError("the certificate names two different signature algorithms")
+        if tbs.serial_number <= 0:
+            raise MalformedError("the certificate's serial number is not positive")
+        subject, issuer, extensions = _library_view(der)
+        not_before, not_after = _validity(encode(tbs.validity))
+        return cls(
+            der=der,
+            tbs=tbs_der,
+            subject=subject,
+            issuer=issuer,
+            subject_der=encode(tbs.subject),
+            issuer_der=encode(tbs.issuer),
+            serial_number=tbs.serial_number,
+            version=tbs.version + 1,
+            not_before=not_before,
+            not_after=not_after,
+            spki=encode(tbs.subject_public_key_info),
+            extensions=extensions,
+            identifier=encode(tbs.signature),
+            signature=whole_bytes(signed.signature, "the certificate's signature"),
+            alternative=Alternative.of(tbs),
+        )
+
+    @classmethod
+    def from_pem(cls, data: bytes) -> Self:
+        """The first certificate in PEM `data`; MalformedError if there is none."""
+        if len(data) > MAX_CERTIFICATE:
+            raise MalformedError(f"a certificate larger than {MAX_CERTIFICATE} bytes")
+        for label, der in unpem(data, "certificate"):
+            if label == "CERTIFICATE":
+                return cls.from_der(der)
+        raise MalformedError("no certificate in PEM")
+
+    @property
+    def pem(self) -> bytes:
+        """The certificate in PEM."""
+        return pem("CERTIFICATE", self.der)
+
+    @property
+    def public_key(self) -> PublicKey:
+        """The subject's key; UnknownAlgorithmError if no row is for it."""
+        return load_public_key(self.spki)
+
+    @property
+    def alternative_key(self) -> PublicKey | None:
+        """The subject's alternative key (extension 2.5.29.72), if it has one."""
+        if self.alternative is None or self.alternative.spki is None:
+            return None
+        return load_public_key(self.alternative.spki)
+
+    @property
+    def handshake_keys(self) -> tuple[PublicKey, ...]:
+        """The keys its holder may sign a handshake with, the stronger first."""
+        plain, alternative = self.public_key, self.alternative_key
+        if alternative is None:
+            return (plain,)
+        return (plain.paired(alternative), plain)
+
+    @property
+    def subject_key_identifier(self) -> bytes | None:
+        """The subjectKeyIdentifier extension's value, if there is one."""
+        try:
+            found = self.extensions.get_extension_for_class(x509.SubjectKeyIdentifier)
+        except x509.ExtensionNotFound:
+            return None
+        return found.value.digest
+
+    @property
+    def signature_algorithm(self) -> str:
+        """Dotted OID of the algorithm that signed it."""
+        identifier = decode(AlgorithmIdentifier, self.identifier, "AlgorithmIdentifier")
+        return identifier.algorithm.dotted_string
+
+    @property
+    def subject_name(self) -> str:
+        """The subject as permissions documents name it: RFC 2253, OpenSSL's words."""
+        return self.subject.rfc4514_string()
+
+    @property
+    def subject_text(self) -> str:
+        """The subject as identity tokens carry it: /O=x/CN=y, in DER order."""
+        parts = (f"{each.rfc4514_attribute_name}={each.value!s}" for each in self.subject)
+        return "".join(f"/{part}" for part in parts)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the DER, in hex."""
+        return hashlib.sha256(self.der).hexdigest()
+
+    @property
+    def is_self_issued(self) -> bool:
+        """Whether subject and issuer are the same name (RFC 5280 3.2)."""
+        return self.subject_der == self.issuer_der
+
+
+def _library_view(der: bytes) -> tuple[x509.Name, x509.Name, x509.Extensions]:
+    try:
+        parsed = x509.load_der_x509_certificate(der)
+        return parsed.subject, parsed.issuer, parsed.extensions
+    except (
+        ValueError,
+        x509.InvalidVersion,
+        x509.DuplicateExtension,
+        x509.UnsupportedGeneralNameType,
+    ) as error:
+        raise MalformedError(f"not a certificate: {error}") from error
+
+
+def _validity(der: bytes) -> tuple[datetime, datetime]:
+    validity = decode(Validity, der, "validity")
+    return moment_of(validity.not_before), moment_of(validity.not_after)

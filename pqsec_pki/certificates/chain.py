@@ -1,0 +1,137 @@
+"""Is this certificate the authority's, and good now? (RFC 5280 6.1, for one step.)
+
+DDS-Security uses self-signed authorities that issue participants directly, so a chain
+is two certificates. cryptography's verifier cannot be used: it refuses composite and
+Ed25519 authorities and does not know alternative signatures (docs/adr/0002).
+"""
+
+from collections.abc import Iterator
+from datetime import datetime
+from typing import TypeVar
+
+from cryptography import x509
+
+from pqsec_pki.certificates.certificate import Certificate
+from pqsec_pki.errors import PqsecError, VerificationError
+
+Value = TypeVar("Value", bound=x509.ExtensionType)
+
+_UNDERSTOOD = {"2.5.29.19", "2.5.29.15", "2.5.29.37"}
+"""basicConstraints, keyUsage, extKeyUsage: what may be critical without being refused."""
+
+
+def verify_chain(
+    leaf: Certificate,
+    authority: Certificate,
+    *,
+    now: datetime,
+    require_alternative: bool = False,
+) -> None:
+    """Return if `authority` issued `leaf` and both are good at `now`.
+
+    An alternative signature that can be checked is checked; with `require_alternative`
+    it must also be there. Revocation is not looked at here. VerificationError lists
+    everything that is wrong.
+    """
+    problems = [
+        *_authority_problems(authority, now),
+        *_leaf_problems(leaf, authority, now),
+        *_alternative_problems(leaf, authority, required=require_alternative),
+    ]
+    if problems:
+        raise VerificationError(*problems)
+
+
+def verify_authority(authority: Certificate, *, now: datetime) -> None:
+    """Return if `authority` may issue, at `now`; VerificationError lists what is wrong."""
+    problems = list(_authority_problems(authority, now))
+    if problems:
+        raise VerificationError(*problems)
+
+
+def verify_validity(certificate: Certificate, *, now: datetime) -> None:
+    """Return if `now` lies in the certificate's validity; VerificationError if not."""
+    problems = list(_validity_problems(certificate, f"{certificate.subject_name}", now))
+    if problems:
+        raise VerificationError(*problems)
+
+
+def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
+    who = "the CA certificate"
+    # 6.1.4 (k): basicConstraints present, cA true
+    constraints = _value(authority, x509.BasicConstraints)
+    if constraints is None or not constraints.ca:
+        yield f"{who} is not marked as a CA (basicConstraints)"
+    # 6.1.4 (n): keyCertSign, if keyUsage is there
+    usage = _value(authority, x509.KeyUsage)
+    if usage is not None and not usage.key_cert_sign:
+        yield f"{who} may not sign certificates (keyUsage lacks keyCertSign)"
+    # DDS stacks take self-signed authorities only; the signature must be its own
+    if not authority.is_self_issued:
+        yield f"{who} is not self-signed"
+    elif not _signed_by(authority, authority):
+        yield f"the signature of {who} is not its own"
+    yield from _validity_problems(authority, who, now)
+
+
+def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> Iterator[str]:
+    who = f"the certificate of {leaf.subject_name}"
+    # 6.1.3 (a)(4): the issuer's name, byte for byte
+    if leaf.issuer_der != authority.subject_der:
+        issuer, expected = leaf.issuer.rfc4514_string(), authority.subject_name
+        yield f"{who} was issued by {issuer}, not by {expected}"
+    # 6.1.3 (a)(1): the signature
+    elif not _signed_by(leaf, authority):
+        yield f"{who} is not signed by this CA (same name, another key, or altered)"
+    # 6.1.3 (a)(2): validity
+    yield from _validity_problems(leaf, who, now)
+    # 6.1.5 (f): critical extensions that are not understood
+    for extension in leaf.extensions:
+        if extension.critical and extension.oid.dotted_string not in _UNDERSTOOD:
+            yield f"{who} has an unknown critical extension {extension.oid.dotted_string}"
+    # 4.2.1.3: it signs handshakes
+    usage = _value(leaf, x509.KeyUsage)
+    if usage is not None and not usage.digital_signature:
+        yield f"{who} may not sign (keyUsage lacks digitalSignature)"
+
+
+def _alternative_problems(
+    leaf: Certificate, authority: Certificate, *, required: bool
+) -> Iterator[str]:
+    who = f"the certificate of {leaf.subject_name}"
+    key = authority.alternative_key
+    signed = leaf.alternative is not None and leaf.alternative.signature is not None
+    if required and key is None:
+        yield "the CA certificate has no alternative key"
+    if required and not signed:
+        yield f"{who} has no alternative signature"
+    if required and leaf.alternative_key is None:
+        yield f"{who} has no alternative key"
+    if key is None or not signed or leaf.alternative is None:
+        return
+    try:
+        leaf.alternative.verify(key)
+    except PqsecError as error:
+        yield f"the alternative signature of {who}: {error}"
+
+
+def _validity_problems(certificate: Certificate, who: str, now: datetime) -> Iterator[str]:
+    if now < certificate.not_before:
+        yield f"{who} is not valid before {certificate.not_before:%Y-%m-%d %H:%M:%S} UTC"
+    if now > certificate.not_after:
+        yield f"{who} expired on {certificate.not_after:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _signed_by(certificate: Certificate, issuer: Certificate) -> bool:
+    try:
+        issuer.public_key.verify(certificate.signature, certificate.tbs, certificate.identifier)
+    except PqsecError:
+        return False
+    return True
+
+
+def _value(certificate: Certificate, kind: type[Value]) -> Value | None:
+    try:
+        return certificate.extensions.get_extension_for_class(kind).value
+    except x509.ExtensionNotFound:
+        return None

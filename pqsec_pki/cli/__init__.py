@@ -1,0 +1,84 @@
+"""The pqsec command. Each command reads its options, calls one room, prints.
+
+Commands are loaded when they run: `pqsec --help` costs no cryptography.
+"""
+
+import sys
+from importlib import import_module
+
+import click
+
+from pqsec_pki import __version__
+from pqsec_pki.cli._common import command_options
+from pqsec_pki.errors import PqsecError
+
+COMMANDS = {
+    "demo": ("demo", "Make a secured domain of two participants and prove that it works."),
+    "ca": ("ca", "Make and show the identity CA and the permissions CA."),
+    "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
+    "sign-governance": ("sign", "Check a governance document against its schema and sign it."),
+    "sign-permissions": ("sign", "Check a permissions document against its schema and sign it."),
+    "validate": ("validate", "Check governance and permissions documents against their schemas."),
+    "verify": ("verify", "Check who signed a governance or permissions document."),
+    "verify-handshake": ("handshake", "Run the authentication handshake between two participants."),
+    "inspect": ("inspect", "Tell in words what a certificate, key or document is."),
+    "profiles": ("algorithms", "List the profiles: algorithms that are used together."),
+    "algorithms": ("algorithms", "List the algorithms, their sizes and which stacks run them."),
+}
+"""Command -> (module of this room, the help that `pqsec --help` shows)."""
+
+
+class _Lazy(click.Group):
+    """A group whose commands are imported when they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        del ctx
+        if name not in COMMANDS:
+            return None
+        module = import_module(f"pqsec_pki.cli.{COMMANDS[name][0]}")
+        command: click.Command = getattr(module, name.replace("-", "_"))
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, help_) for name, (_, help_) in COMMANDS.items()])
+
+
+@click.group(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="pqsec")
+@command_options
+def pqsec() -> None:
+    """Keys, certificates and signed policy for post-quantum DDS Security.
+
+    Start with `pqsec demo`, or with `pqsec -k my-domain ca init`.
+    """
+
+
+def main() -> None:
+    """Run the command line and exit: 0 done or yes, 1 no, 2 usage, 3 could not be done."""
+    try:
+        result = pqsec.main(prog_name="pqsec", standalone_mode=False)
+    except PqsecError as error:
+        _complain(str(error), error.hint)
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.Abort:
+        _complain("interrupted", None)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(141)
+    sys.exit(result if isinstance(result, int) else 0)
+
+
+def _complain(message: str, hint: str | None) -> None:
+    click.echo(f"pqsec: error: {message}", err=True)
+    if hint:
+        click.echo(f"pqsec: hint: {hint}", err=True)

@@ -1,0 +1,185 @@
+"""What every command shares: -k and --json, where results go, and reading passphrases."""
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from pqsec_pki.errors import PassphraseError, UsageError
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore import Authorities, Keystore
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+KEYSTORE_VARIABLES = ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE")
+PASSPHRASE_VARIABLE = "PQSEC_PASSPHRASE_FILE"  # noqa: S105 -- a variable's name
+MAX_PASSPHRASE = 4096
+"""Bytes."""
+
+
+@dataclass(slots=True)
+class Settings:
+    """The options that are taken before or after the command."""
+
+    keystore: Path | None = None
+    json: bool = False
+
+
+def settings() -> Settings:
+    """The settings of the command that runs."""
+    return click.get_current_context().find_root().ensure_object(Settings)
+
+
+def command_options(command: Command) -> Command:
+    """Add -k and --json to a command or group."""
+
+    def remember(context: click.Context, parameter: click.Parameter, value: object) -> None:
+        if value:
+            setattr(context.find_root().ensure_object(Settings), str(parameter.name), value)
+
+    keystore = click.option(
+        "-k",
+        "--keystore",
+        metavar="DIR",
+        type=click.Path(path_type=Path, file_okay=False),
+        expose_value=False,
+        callback=remember,
+        help=f"The keystore; else ${' or $'.join(KEYSTORE_VARIABLES)}.",
+    )
+    as_json = click.option(
+        "--json",
+        is_flag=True,
+        expose_value=False,
+        callback=remember,
+        help="Print the result as JSON.",
+    )
+    return keystore(as_json(command))
+
+
+def keystore_path() -> Path:
+    """The keystore the user means; UsageError if none is named."""
+    named = settings().keystore
+    if named:
+        return named
+    for variable in KEYSTORE_VARIABLES:
+        if found := os.environ.get(variable):
+            return Path(found)
+    raise UsageError("no keystore is named", hint="say which: -k DIR, or set PQSEC_KEYSTORE")
+
+
+def open_keystore() -> "Keystore":
+    """The keystore the user means, open."""
+    from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- lxml and more hang on it
+
+    return Keystore.open(keystore_path())
+
+
+def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
+    """The keystore's CAs; the passphrase from the file, or asked for at a terminal."""
+    if not keystore.is_locked:
+        return keystore.unlock(None)
+    if passphrase_file:
+        return keystore.unlock(read_passphrase(passphrase_file))
+    if not sys.stdin.isatty():
+        raise UsageError(
+            "the CA keys are encrypted, and there is no terminal to ask for the passphrase",
+            hint=f"use --passphrase-file FILE, or set {PASSPHRASE_VARIABLE}",
+        )
+    return keystore.unlock(click.prompt("CA passphrase", hide_input=True, err=True).encode())
+
+
+def new_passphrase(passphrase_file: Path | None, *, none: bool) -> bytes | None:
+    """The passphrase for new CA keys; None only if the user says so."""
+    if none and passphrase_file:
+        raise UsageError("--passphrase-file and --no-passphrase exclude each other")
+    if none:
+        return None
+    if passphrase_file:
+        return read_passphrase(passphrase_file)
+    if not sys.stdin.isatty():
+        raise UsageError(
+            "the CA keys need a passphrase, and there is no terminal to ask for one",
+            hint="use --passphrase-file FILE, or --no-passphrase to leave them unencrypted",
+        )
+    answer: str = click.prompt(
+        "New CA passphrase", hide_input=True, confirmation_prompt=True, err=True
+    )
+    return answer.encode()
+
+
+def read_passphrase(path: Path) -> bytes:
+    """The first line of the file, without its line end; PassphraseError if it is empty."""
+    from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
+
+    passphrase = read(path, limit=MAX_PASSPHRASE).split(b"\n", 1)[0].rstrip(b"\r")
+    if not passphrase:
+        raise PassphraseError(f"{path}: no passphrase in its first line")
+    return passphrase
+
+
+def passphrase_option(command: Command) -> Command:
+    """Add --passphrase-file to a command that uses CA keys."""
+    option = click.option(
+        "--passphrase-file",
+        type=click.Path(path_type=Path, dir_okay=False),
+        envvar=PASSPHRASE_VARIABLE,
+        help="A file whose first line is the CA passphrase.",
+    )
+    return option(command)
+
+
+def emit(value: object, lines: Iterable[str]) -> None:
+    """Print the result: `value` as JSON, or `lines` for a person."""
+    if settings().json:
+        click.echo(json.dumps(value, indent=2))
+    else:
+        for line in lines:
+            click.echo(line)
+
+
+def note(text: str) -> None:
+    """Tell the user something that is not the result."""
+    click.echo(f"pqsec: note: {text}", err=True)
+
+
+def now() -> datetime:
+    """The time, in UTC. Rooms have no clock of their own."""
+    return datetime.now(UTC)
+
+
+_UNITS = {"y": timedelta(365), "w": timedelta(7), "d": timedelta(1), "h": timedelta(hours=1)}
+
+
+class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
+    """A validity such as 10y, 90d or 12h. A year has 365 days."""
+
+    name = "duration"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> timedelta:
+        """The duration; click's own error for anything else."""
+        if isinstance(value, timedelta):
+            return value
+        found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", str(value))
+        if not found:
+            self.fail(f"{value!r} is not a duration; write 10y, 26w, 90d or 12h", param, ctx)
+        return int(found[1]) * _UNITS[found[2]]
+
+
+def table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
+    """The lines of a table with columns as wide as they must be."""
+    grid = [heads, *rows]
+    widths = [max(len(row[column]) for row in grid) for column in range(len(heads))]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in grid
+    ]

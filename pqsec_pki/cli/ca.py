@@ -1,0 +1,143 @@
+"""pqsec ca: make and show the two CAs."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.cli import _common
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.keystore import Keystore
+
+
+@click.group()
+@_common.command_options
+def ca() -> None:
+    """Make and show the identity CA and the permissions CA."""
+
+
+profile_option = click.option(
+    "--profile",
+    "profile_name",
+    type=click.Choice([profile.name for profile in PROFILES], case_sensitive=False),
+    default=DEFAULT_PROFILE.name,
+    show_default=True,
+    help="What is used together; `pqsec profiles` explains.",
+)
+
+
+@ca.command()
+@profile_option
+@click.option("--identity-key", metavar="NAME", help="Another identity CA key.")
+@click.option("--permissions-key", metavar="NAME", help="Another permissions CA key.")
+@click.option("--participant-key", metavar="NAME", help="Another kind of participant key.")
+@click.option("--alt-key", metavar="NAME", help="Another alternative key.")
+@click.option("--kem", metavar="NAME", help="Another key agreement.")
+@click.option("--name", default="", help="Whose CAs these are; the start of their names.")
+@click.option("--validity", type=_common.Duration(), default="10y", show_default=True)
+@click.option(
+    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+)
+@_common.passphrase_option
+@click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
+@_common.command_options
+def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
+    profile_name: str,
+    identity_key: str | None,
+    permissions_key: str | None,
+    participant_key: str | None,
+    alt_key: str | None,
+    kem: str | None,
+    name: str,
+    validity: timedelta,
+    domains: str,
+    passphrase_file: Path | None,
+    *,
+    no_passphrase: bool,
+) -> None:
+    """Make a keystore: two distinct CAs and a signed governance document.
+
+    Everything on the domains is authenticated and encrypted; edit
+    enclaves/governance.xml and `pqsec sign-governance` it for something else.
+    """
+    profile = profile_named(profile_name).changed(
+        {
+            "identity_key": identity_key,
+            "permissions_key": permissions_key,
+            "participant_key": participant_key,
+            "alternative_key": alt_key,
+            "key_agreement": kem,
+        }
+    )
+    domain_set = DomainSet.parse(domains)
+    path = _common.keystore_path()
+    Keystore.refuse_occupied(path)
+    keystore = Keystore.create(
+        path,
+        profile,
+        name=name,
+        domains=domain_set,
+        validity=validity,
+        passphrase=_common.new_passphrase(passphrase_file, none=no_passphrase),
+        now=_common.now(),
+    )
+    if no_passphrase:
+        _common.note(f"the CA keys in {path / 'private'} are not encrypted; guard that folder")
+    _show(keystore)
+
+
+@ca.command()
+@_common.command_options
+def show() -> None:
+    """Show the CAs, the profile and the participants of a keystore."""
+    _show(_common.open_keystore())
+
+
+def _show(keystore: Keystore) -> None:
+    cas = [
+        ("identity CA", keystore.identity_ca),
+        ("permissions CA", keystore.permissions_ca),
+    ]
+    if keystore.permissions_alt_ca:
+        cas.append(("countersigner", keystore.permissions_alt_ca))
+    names = keystore.names()
+    value = {
+        "keystore": str(keystore.root),
+        **keystore.profile.to_names(),
+        "domains": str(keystore.domains),
+        "locked": keystore.is_locked,
+        "cas": [{"role": role, **_certificate(each)} for role, each in cas],
+        "participants": names,
+    }
+    lines = [f"keystore       {keystore.root} ({_described(keystore.profile)})"]
+    for role, each in cas:
+        lines.append(f"{role:<14} {each.subject_name}, {_algorithms(each)}")
+        lines.append(f"{'':<14} until {each.not_after:%Y-%m-%d}, SHA-256 {each.fingerprint}")
+    lines.append(f"domains        {keystore.domains}")
+    lines.append(f"CA keys        {'encrypted' if keystore.is_locked else 'not encrypted'}")
+    lines.append(f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}")
+    _common.emit(value, lines)
+
+
+def _described(profile: Profile) -> str:
+    stock = "runs in stock stacks" if profile.runs_in_stock else "needs the pqsec plugin"
+    return f"profile {profile.name}, {stock}"
+
+
+def _certificate(certificate: Certificate) -> dict[str, str | None]:
+    second = certificate.alternative_key
+    return {
+        "subject": certificate.subject_name,
+        "algorithm": certificate.public_key.algorithm.name,
+        "alternative": second.algorithm.name if second else None,
+        "not_after": certificate.not_after.isoformat(),
+        "sha256": certificate.fingerprint,
+    }
+
+
+def _algorithms(certificate: Certificate) -> str:
+    second = certificate.alternative_key
+    main = certificate.public_key.algorithm.name
+    return f"{main} and {second.algorithm.name}" if second else main

@@ -1,0 +1,96 @@
+"""pqsec demo: a whole secured domain, made and proved in one command."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.cli import _common
+from pqsec_pki.cli.ca import profile_option
+from pqsec_pki.cli.handshake import lines_of
+from pqsec_pki.documents import DomainSet, ros
+from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.selfcheck import meet
+
+_YEAR = timedelta(days=365)
+
+
+@click.command()
+@click.argument("folder", default="pqsec-demo", type=click.Path(path_type=Path, file_okay=False))
+@profile_option
+@_common.command_options
+def demo(folder: Path, profile_name: str) -> None:
+    """Make a secured domain in FOLDER with a talker and a listener, and prove that it works.
+
+    The CA keys of a demo are not encrypted. Each step is a command of its own; they
+    are printed.
+    """
+    profile = profile_named(profile_name)
+    now = _common.now()
+    domains = DomainSet.of(0)
+    keystore = Keystore.create(
+        folder,
+        profile,
+        name="Demo",
+        domains=domains,
+        validity=10 * _YEAR,
+        passphrase=None,
+        now=now,
+    )
+    wishes = [
+        _wish("/talker", domains, publish=(ros.topic("/chatter"),)),
+        _wish("/listener", domains, subscribe=(ros.topic("/chatter"),)),
+    ]
+    issue(keystore, keystore.unlock(None), wishes, now=now)
+    report = meet(
+        keystore, "/talker", "/listener", agreement=profile.key_agreement, domain=0, now=now
+    )
+    value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
+    _common.emit(value, [*_story(keystore), *lines_of(report), "", *_next(keystore)])
+    if not report.ok:
+        click.get_current_context().exit(1)
+
+
+def _wish(
+    name: str, domains: DomainSet, publish: tuple[str, ...] = (), subscribe: tuple[str, ...] = ()
+) -> Wish:
+    """A ROS 2 node called `name` with these topics."""
+    needs = ros.node_minimum(name)
+    return Wish(
+        name=name,
+        domains=domains,
+        publish=publish + needs.publish,
+        subscribe=subscribe + needs.subscribe,
+        validity=_YEAR,
+    )
+
+
+def _story(keystore: Keystore) -> list[str]:
+    root, profile = keystore.root, keystore.profile
+    second = f" and {profile.alternative_key.name}" if profile.alternative_key else ""
+    keys = f"{profile.identity_key.name}{second}"
+    return [
+        f"Made a secured domain in {root}, profile {profile.name}: {profile.summary}.",
+        "",
+        f"  {root}/public             identity and permissions CA ({keys})",
+        f"  {root}/private            their keys (not encrypted: this is a demo)",
+        f"  {root}/enclaves           governance: all authenticated and encrypted on domain 0",
+        f"  {root}/enclaves/talker    may publish rt/chatter, and nothing else of its own",
+        f"  {root}/enclaves/listener  may subscribe to rt/chatter, likewise",
+        "",
+        "Ran the handshake between them, and one encrypted message each way:",
+        "",
+    ]
+
+
+def _next(keystore: Keystore) -> list[str]:
+    root = keystore.root
+    return [
+        "The same, step by step:",
+        f"  pqsec -k my-domain ca init --profile {keystore.profile.name}",
+        "  pqsec -k my-domain issue /talker --ros-node /talker --ros-publish /chatter",
+        "  pqsec -k my-domain issue /listener --ros-node /listener --ros-subscribe /chatter",
+        "  pqsec -k my-domain verify-handshake /talker /listener",
+        f"See also: pqsec inspect {root}/enclaves/talker/cert.pem",
+    ]

@@ -1,0 +1,54 @@
+"""pqsec validate: do documents keep to their schemas?"""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pqsec_pki._files import read
+from pqsec_pki.cli import _common
+from pqsec_pki.documents import validate as validate_xml
+from pqsec_pki.errors import InvalidDocumentError, MalformedError
+from pqsec_pki.smime import document_in, is_signed
+
+
+@click.command()
+@click.argument(
+    "files",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE...",
+)
+@_common.command_options
+def validate(files: tuple[Path, ...]) -> None:
+    """Check governance and permissions documents against their schemas.
+
+    FILE is XML, or a signed file with XML inside; which of the two documents it is, is
+    found out. Signatures are not looked at: that is `pqsec verify`.
+    """
+    results = [_validated(file) for file in files]
+    lines = []
+    for result in results:
+        if result["valid"]:
+            lines.append(f"{result['file']}: valid {result['kind']} document")
+        lines += [f"{result['file']}: {problem['text']}" for problem in result["problems"]]
+    _common.emit(results, lines)
+    if not all(result["valid"] for result in results):
+        click.get_current_context().exit(1)
+
+
+def _validated(file: Path) -> dict[str, Any]:
+    data = read(file)
+    try:
+        kind = validate_xml(document_in(data) if is_signed(data) else data)
+    except InvalidDocumentError as error:
+        problems = [
+            {"line": each.line, "element": each.element, "rule": each.message, "text": str(each)}
+            for each in error.problems
+        ]
+        return {"file": str(file), "valid": False, "kind": None, "problems": problems}
+    except MalformedError as error:
+        problem = {"line": None, "element": None, "rule": str(error), "text": str(error)}
+        return {"file": str(file), "valid": False, "kind": None, "problems": [problem]}
+    return {"file": str(file), "valid": True, "kind": kind.value, "problems": []}

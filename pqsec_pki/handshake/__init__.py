@@ -1,0 +1,68 @@
+"""The DDS:Auth:PKI-DH handshake: three messages, one secret, one protected message.
+
+The pure protocol, for whoever has a way to carry messages: no files, no sockets, no
+clock. It speaks DDS-Security 1.1 with stock stacks, and post-quantum suites with itself.
+"""
+
+from pqsec_pki.handshake._cdr import ByteOrder
+from pqsec_pki.handshake.guid import (
+    adjusted_guid,
+    belongs_to,
+    initiates,
+    participant_data,
+    participant_guid,
+)
+from pqsec_pki.handshake.key_exchange import (
+    KeyMaterial,
+    TransformationKind,
+    key_exchange_material,
+    protect,
+    unprotect,
+)
+from pqsec_pki.handshake.messages import (
+    AuthRequest,
+    Final,
+    Introduction,
+    Reply,
+    Request,
+    Transcript,
+)
+from pqsec_pki.handshake.participants import Discovered, Identity, Peer, Policy, Terms
+from pqsec_pki.handshake.states import Done, ReplySent, RequestSent, begin, reply_to
+from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
+from pqsec_pki.handshake.wire import DataHolder, GenericMessage, MessageClass
+
+__all__ = [
+    "AuthRequest",
+    "ByteOrder",
+    "DataHolder",
+    "Discovered",
+    "Done",
+    "Final",
+    "GenericMessage",
+    "Identity",
+    "IdentityToken",
+    "Introduction",
+    "KeyMaterial",
+    "MessageClass",
+    "Peer",
+    "PermissionsToken",
+    "Policy",
+    "Reply",
+    "ReplySent",
+    "Request",
+    "RequestSent",
+    "Terms",
+    "Transcript",
+    "TransformationKind",
+    "adjusted_guid",
+    "begin",
+    "belongs_to",
+    "initiates",
+    "key_exchange_material",
+    "participant_data",
+    "participant_guid",
+    "protect",
+    "reply_to",
+    "unprotect",
+]

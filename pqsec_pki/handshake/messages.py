@@ -1,0 +1,218 @@
+"""The messages of a handshake as values; to data holders and back.
+
+Reading takes properties by name and refuses what is missing, doubled or of a wrong size.
+Values keep the octets as they came, because the hashes cover those.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
+
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.handshake.wire import BinaryProperty, DataHolder, encode_properties
+
+AUTHENTICATION = "DDS:Auth:PKI-DH:1.0"
+HASH_SIZE = 32
+CHALLENGE_SIZE = 32
+_OWN_PREFIX = "c."
+_SIZES = {
+    "hash_c1": HASH_SIZE,
+    "hash_c2": HASH_SIZE,
+    "challenge1": CHALLENGE_SIZE,
+    "challenge2": CHALLENGE_SIZE,
+    "future_challenge": CHALLENGE_SIZE,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Introduction:
+    """What a side says of itself in Request or Reply (9.3.2.5.1, table 49)."""
+
+    NAMES: ClassVar[tuple[str, ...]] = (
+        "c.id",
+        "c.perm",
+        "c.pdata",
+        "c.dsign_algo",
+        "c.kagree_algo",
+    )
+
+    certificate: bytes
+    """PEM, with or without a NUL."""
+    permissions: bytes
+    """The signed permissions document, with or without a NUL."""
+    participant_data: bytes
+    """A big-endian parameter list that has the GUID."""
+    signature_algorithm: bytes
+    key_agreement: bytes
+
+    @property
+    def properties(self) -> tuple[BinaryProperty, ...]:
+        return tuple(zip(self.NAMES, _values(self), strict=True))
+
+    @property
+    def signature_algorithm_name(self) -> str:
+        return _name(self.signature_algorithm)
+
+    @property
+    def key_agreement_name(self) -> str:
+        return _name(self.key_agreement)
+
+    @property
+    def ends_names_in_nul(self) -> bool:
+        return self.key_agreement.endswith(b"\0")
+
+    def digest(self) -> bytes:
+        """hash_c1 of a Request, hash_c2 of a Reply: 32 bytes."""
+        return hashlib.sha256(encode_properties(self.properties)).digest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transcript:
+    """What both signatures cover: the same six values, each side's own first."""
+
+    hash_c1: bytes
+    hash_c2: bytes
+    challenge1: bytes
+    challenge2: bytes
+    dh1: bytes
+    dh2: bytes
+
+    def values(self) -> dict[str, bytes]:
+        """The six by name, as Reply and Final repeat them."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def reply_octets(self) -> bytes:
+        """What the Reply's signature covers (9.3.2.5.2, table 50)."""
+        return self._octets("hash_c2", "challenge2", "dh2", "challenge1", "dh1", "hash_c1")
+
+    def final_octets(self) -> bytes:
+        """What the Final's signature covers (9.3.2.5.3, table 51)."""
+        return self._octets("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c2")
+
+    def differences(self, message: "Reply | Final") -> list[str]:
+        """One problem for each value that `message` repeats, but not as it was."""
+        return [
+            f"{name} is not what it was"
+            for name, value in self.values().items()
+            if getattr(message, name) not in (None, value)
+        ]
+
+    def _octets(self, *names: str) -> bytes:
+        return encode_properties((name, getattr(self, name)) for name in names)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Message:
+    """Fields are binary properties of the same name, in the order they are sent."""
+
+    CLASS_ID: ClassVar[str]
+
+    def to_holder(self) -> DataHolder:
+        items: list[BinaryProperty] = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Introduction):
+                items += value.properties
+            elif value is not None:
+                items.append((field.name, value))
+        return DataHolder(self.CLASS_ID, (), tuple(items))
+
+    @classmethod
+    def from_holder(cls, holder: DataHolder) -> Self:
+        """VerificationError, with all that is wrong, if `holder` is no such message."""
+        found = dict(holder.binary_properties)
+        values: dict[str, Any] = {field.name: found.get(field.name) for field in fields(cls)}
+        wanted = [field.name for field in fields(cls) if field.default is not None]
+        if "introduction" in values:
+            values["introduction"] = Introduction(*(found.get(n, b"") for n in Introduction.NAMES))
+            wanted = [*Introduction.NAMES, *wanted[1:]]
+        problems = [*_class_problems(holder, cls.CLASS_ID), *_problems(holder, found, wanted)]
+        if problems:
+            raise VerificationError(*problems)
+        return cls(**values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request(_Message):
+    """HandshakeRequestMessageToken (9.3.2.5.1)."""
+
+    CLASS_ID: ClassVar[str] = AUTHENTICATION + "+Req"
+
+    introduction: Introduction
+    hash_c1: bytes | None = None
+    dh1: bytes
+    challenge1: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply(_Message):
+    """HandshakeReplyMessageToken (9.3.2.5.2). Fast DDS refuses it without the optional ones."""
+
+    CLASS_ID: ClassVar[str] = AUTHENTICATION + "+Reply"
+
+    introduction: Introduction
+    dh2: bytes
+    challenge1: bytes
+    challenge2: bytes
+    dh1: bytes | None = None
+    hash_c2: bytes | None = None
+    hash_c1: bytes | None = None
+    signature: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Final(_Message):
+    """HandshakeFinalMessageToken (9.3.2.5.3)."""
+
+    CLASS_ID: ClassVar[str] = AUTHENTICATION + "+Final"
+
+    challenge1: bytes
+    challenge2: bytes
+    dh1: bytes | None = None
+    dh2: bytes | None = None
+    hash_c2: bytes | None = None
+    hash_c1: bytes | None = None
+    signature: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuthRequest(_Message):
+    """AuthRequestMessageToken (9.3.2.4): the challenge its sender will use later."""
+
+    CLASS_ID: ClassVar[str] = AUTHENTICATION + "+AuthReq"
+
+    future_challenge: bytes
+
+
+def _values(value: Introduction) -> tuple[bytes, ...]:
+    return tuple(getattr(value, field.name) for field in fields(value))
+
+
+def _name(octets: bytes) -> str:
+    # Cyclone DDS and OpenDDS end algorithm names in NUL, Fast DDS does not.
+    return octets.removesuffix(b"\0").decode("ascii", "backslashreplace")
+
+
+def _class_problems(holder: DataHolder, class_id: str) -> list[str]:
+    # Cyclone DDS compares a prefix only.
+    if holder.class_id == class_id:
+        return []
+    return [f"a {holder.class_id!r} where a {class_id!r} is due"]
+
+
+def _problems(holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]) -> Iterable[str]:
+    for name in wanted:
+        if name not in found:
+            yield f"{name} is missing"
+    # Cyclone DDS takes the first of a doubled property, others may take the last.
+    for name, count in Counter(name for name, _ in holder.binary_properties).items():
+        if count > 1:
+            yield f"{name!r} is there {count} times"
+    for name, value in found.items():
+        if len(value) != _SIZES.get(name, len(value)):
+            yield f"{name} has {len(value)} bytes, not {_SIZES[name]}"
+        # Fast DDS hashes every property of this prefix, the others hash five.
+        if name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
+            yield f"{name!r} is not covered by every stack's hash"

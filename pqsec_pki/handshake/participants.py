@@ -1,0 +1,154 @@
+"""Who takes part in a handshake: ourselves, what we insist on, and the peer."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Self
+
+from pqsec_pki.algorithms import KeyAgreement, PrivateKey, PublicKey
+from pqsec_pki.certificates import Certificate, verify_chain
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
+from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """Our side: what we show and what we sign with."""
+
+    certificate: Certificate
+    key: PrivateKey = field(repr=False)
+    """The certificate's key, alone or paired with its alternative key."""
+    ca: Certificate
+    """The identity CA, ours and the peer's."""
+    guid: bytes
+    """16 bytes; see adjusted_guid."""
+    permissions: bytes = field(repr=False)
+    """The signed permissions document."""
+
+    def introduction(self, agreement: KeyAgreement, *, nul: bool) -> Introduction:
+        """What we say of ourselves; with `nul`, names end in NUL."""
+        end = b"\0" if nul else b""
+        return Introduction(
+            certificate=self.certificate.pem,
+            permissions=self.permissions,
+            participant_data=participant_data(self.guid),
+            signature_algorithm=self.key.algorithm.wire_name.encode() + end,
+            key_agreement=agreement.wire_name.encode() + end,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Policy:
+    """What we insist on, whatever the peer would rather have."""
+
+    agreements: tuple[KeyAgreement, ...]
+    """Those a Request may ask for; anything else is taken for a downgrade."""
+    require_alternative: bool = False
+    """Whether the peer must prove its alternative key too, and its CA have signed twice."""
+
+    def agreement(self, name: str) -> KeyAgreement:
+        """The one that c.kagree_algo `name` stands for; VerificationError if not allowed."""
+        for row in self.agreements:
+            if row.wire_name == name:
+                return row
+        allowed = ", ".join(row.wire_name for row in self.agreements)
+        raise VerificationError(f"the peer asks for {name!r}; allowed here: {allowed}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Discovered:
+    """What discovery said of the peer, not yet proved; None where it said nothing."""
+
+    guid: bytes | None = None
+    future_challenge: bytes | None = None
+    """From the peer's AuthRequest."""
+
+
+NOTHING = Discovered()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peer:
+    """The other side, as its Introduction has it. What is here was read, not judged."""
+
+    certificate: Certificate
+    guid: bytes
+    """16 bytes."""
+    permissions: bytes = field(repr=False)
+    """The signed permissions document; whose it is, the handshake does not ask."""
+    keys: tuple[PublicKey, ...] = field(repr=False)
+    """Those its certificate lets it sign with, the strongest first."""
+
+    @classmethod
+    def read(cls, introduction: Introduction) -> Self:
+        """VerificationError if certificate, its keys, or c.pdata cannot be read."""
+        try:
+            # OpenDDS sends the file and a NUL.
+            certificate = Certificate.from_pem(introduction.certificate.rstrip(b"\0"))
+            return cls(
+                certificate=certificate,
+                guid=participant_guid(introduction.participant_data),
+                permissions=introduction.permissions.rstrip(b"\0"),
+                keys=certificate.handshake_keys,
+            )
+        except VerificationError:
+            raise
+        except PqsecError as error:
+            raise VerificationError(f"the peer's introduction: {error}") from error
+
+    def key_for(self, name: str, policy: Policy) -> PublicKey | None:
+        """The key that signs under c.dsign_algo `name`, if it has one and `policy` lets it."""
+        keys = self.keys[:1] if policy.require_alternative else self.keys
+        return next((key for key in keys if key.algorithm.wire_name == name), None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """On what terms we meet one peer."""
+
+    own: Identity
+    policy: Policy
+    discovered: Discovered = NOTHING
+    announced: bytes | None = None
+    """The future_challenge (32 bytes) in our own AuthRequest, if we sent one."""
+
+    def challenge(self) -> bytes:
+        """Our challenge for one handshake: the announced one, or 32 fresh bytes."""
+        return self.announced or os.urandom(CHALLENGE_SIZE)
+
+    def admit(
+        self, introduction: Introduction, now: datetime, *, others: Iterable[str]
+    ) -> tuple[Peer, PublicKey]:
+        """The peer and the key it must sign with.
+
+        VerificationError lists what speaks against it, and the problems in `others`.
+        """
+        peer = Peer.read(introduction)
+        name = introduction.signature_algorithm_name
+        key = peer.key_for(name, self.policy)
+        problems = [*self._problems(peer, now), *others]
+        if key is None:
+            # Not in the specification: Cyclone DDS does not compare it with the certificate.
+            problems.append(f"c.dsign_algo {name!r} is not how the certificate's key signs here")
+        if problems or key is None:
+            raise VerificationError(*problems)
+        return peer, key
+
+    def _problems(self, peer: Peer, now: datetime) -> Iterator[str]:
+        """In the order of DDS-Security 1.1, 9.3.3, table 52."""
+        # c.id: issued by our identity CA, and in force
+        required = self.policy.require_alternative
+        try:
+            verify_chain(peer.certificate, self.own.ca, now=now, require_alternative=required)
+        except VerificationError as error:
+            yield from error.problems
+        # c.pdata: the GUID is made from the certificate's subject name
+        if not belongs_to(peer.guid, peer.certificate.subject_der):
+            yield "the GUID in c.pdata does not belong to the certificate's subject"
+        # Not in the specification: it must also be the one that was discovered.
+        if self.discovered.guid not in (None, peer.guid):
+            yield "the GUID in c.pdata is not the one that was discovered"
+        if peer.guid == self.own.guid:
+            yield "the GUID in c.pdata is our own: the message was reflected"

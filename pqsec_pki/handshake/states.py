@@ -1,0 +1,173 @@
+"""Where a handshake stands: one class a state, one method a step.
+
+A state is a value. Its method takes the message it waits for and gives what comes next;
+there is no other way on, so no step can be skipped or taken out of turn. Nothing here
+reads a file, a socket or a clock.
+
+    initiator                                     replier
+    begin() -> Request, RequestSent
+                                                  reply_to(request) -> Reply, ReplySent
+    RequestSent.receive(reply) -> Final, Done
+                                                  ReplySent.receive(final) -> Done
+
+Nobody confirms the key: only the first protected message shows that both have the same.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.handshake.messages import Final, Reply, Request, Transcript
+from pqsec_pki.handshake.participants import Discovered, Peer, Terms
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Done:
+    """The end: the peer holds its certificate's key. Both should have one secret now."""
+
+    peer: Peer
+    agreement: KeyAgreement
+    challenge1: bytes
+    challenge2: bytes
+    shared_secret: bytes = field(repr=False)
+    """32 bytes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RequestSent:
+    """The initiator, waiting for a Reply."""
+
+    terms: Terms
+    request: Request
+    hash_c1: bytes
+    key_pair: KeyPair = field(repr=False)
+
+    def receive(self, reply: Reply, *, now: datetime) -> tuple[Final, Done]:
+        """The Final and the end; VerificationError lists what is wrong with `reply`.
+
+        Steps of DDS-Security 1.1, 9.3.3, table 52, process_handshake.
+        """
+        transcript = self._transcript(reply)
+        # c.id and c.pdata, then what is repeated
+        others = self._problems(reply, transcript)
+        peer, key = self.terms.admit(reply.introduction, now, others=others)
+        # the signature
+        signed = transcript.reply_octets()
+        key.verify_handshake(reply.signature, signed)
+        # dh2, and with it the secret
+        secret = self.key_pair.decapsulate(reply.dh2)
+        signature = self.terms.own.key.sign_handshake(transcript.final_octets())
+        final = Final(signature=signature, **transcript.values())
+        return final, _done(peer, self.key_pair.agreement, transcript, secret, signed)
+
+    def _transcript(self, reply: Reply) -> Transcript:
+        return Transcript(
+            hash_c1=self.hash_c1,
+            hash_c2=reply.introduction.digest(),
+            challenge1=self.request.challenge1,
+            challenge2=reply.challenge2,
+            dh1=self.request.dh1,
+            dh2=reply.dh2,
+        )
+
+    def _problems(self, reply: Reply, transcript: Transcript) -> Iterator[str]:
+        # Not in the specification: Cyclone DDS lets the replier choose another one.
+        if reply.introduction.key_agreement_name != self.key_pair.agreement.wire_name:
+            yield "c.kagree_algo is not what was asked for"
+        # challenge1 must be there, and hash_c1, hash_c2 and dh1 right if they are
+        yield from transcript.differences(reply)
+        # challenge2 is the announced one
+        if self.terms.discovered.future_challenge not in (None, reply.challenge2):
+            yield "challenge2 is not the one that the peer announced"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplySent:
+    """The replier, waiting for a Final."""
+
+    transcript: Transcript
+    peer_key: PublicKey = field(repr=False)
+    """What the Final must be signed with."""
+    _outcome: Done = field(repr=False)
+    """What is true once it is."""
+
+    def receive(self, final: Final) -> Done:
+        """The end; VerificationError lists what is wrong with `final`.
+
+        Steps of DDS-Security 1.1, 9.3.3, table 52, process_handshake.
+        """
+        # the challenges must be there, and what else is repeated right
+        if problems := self.transcript.differences(final):
+            raise VerificationError(*problems)
+        # the signature
+        self.peer_key.verify_handshake(final.signature, self.transcript.final_octets())
+        return self._outcome
+
+
+def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
+    """The Request, and the state that waits for its Reply."""
+    # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS insists on it; all accept it.
+    introduction = terms.own.introduction(agreement, nul=True)
+    hash_c1 = introduction.digest()
+    pair = agreement.generate()
+    request = Request(
+        introduction=introduction,
+        hash_c1=hash_c1,
+        dh1=pair.public,
+        challenge1=terms.challenge(),
+    )
+    return request, RequestSent(terms=terms, request=request, hash_c1=hash_c1, key_pair=pair)
+
+
+def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, ReplySent]:
+    """The Reply, and the state that waits for its Final.
+
+    VerificationError lists what is wrong with `request`. Steps of DDS-Security 1.1,
+    9.3.3, table 52, begin_handshake_reply.
+    """
+    # Not in the specification: c.kagree_algo is one of ours, or it ends here.
+    agreement = terms.policy.agreement(request.introduction.key_agreement_name)
+    # c.id and c.pdata, then what is repeated
+    hash_c1 = request.introduction.digest()
+    others = _request_problems(request, hash_c1, terms.discovered)
+    peer, key = terms.admit(request.introduction, now, others=others)
+    # dh1, and with it the secret
+    dh2, secret = agreement.encapsulate(request.dh1)
+    # Fast DDS refuses names with NUL as initiator, OpenDDS refuses them without.
+    introduction = terms.own.introduction(agreement, nul=request.introduction.ends_names_in_nul)
+    transcript = Transcript(
+        hash_c1=hash_c1,
+        hash_c2=introduction.digest(),
+        challenge1=request.challenge1,
+        challenge2=terms.challenge(),
+        dh1=request.dh1,
+        dh2=dh2,
+    )
+    signed = transcript.reply_octets()
+    signature = terms.own.key.sign_handshake(signed)
+    reply = Reply(introduction=introduction, signature=signature, **transcript.values())
+    outcome = _done(peer, agreement, transcript, secret, signed)
+    return reply, ReplySent(transcript=transcript, peer_key=key, _outcome=outcome)
+
+
+def _request_problems(request: Request, hash_c1: bytes, discovered: Discovered) -> Iterator[str]:
+    # challenge1 is the announced one
+    if discovered.future_challenge not in (None, request.challenge1):
+        yield "challenge1 is not the one that the peer announced"
+    # hash_c1, if sent; Fast DDS only warns
+    if request.hash_c1 not in (None, hash_c1):
+        yield "hash_c1 is not what it was"
+
+
+def _done(
+    peer: Peer, agreement: KeyAgreement, transcript: Transcript, secret: bytes, signed: bytes
+) -> Done:
+    return Done(
+        peer=peer,
+        agreement=agreement,
+        challenge1=transcript.challenge1,
+        challenge2=transcript.challenge2,
+        shared_secret=agreement.shared_secret(secret, signed),
+    )

@@ -1,0 +1,206 @@
+"""Changes to a keystore that happen wholly or not at all.
+
+A change is drafted in a folder of its own inside the keystore: every byte is made, and
+made durable, before anything else happens. Renaming that folder to `.journal` is the
+commitment. Then the drafted folders are moved into place and the ledger is written.
+Killed before the commitment, the draft is swept away; killed after it, whoever opens
+the keystore next finishes the moves. A new participant's folder moves in one rename.
+"""
+
+import fcntl
+import json
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create, sync_filesystem, sync_folder
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._ledger import Entry, Ledger
+
+JOURNAL = ".journal"
+DRAFT = ".draft-"
+_MOVES = "moves.json"
+PATIENCE = 30.0
+"""Seconds to wait for another command to finish with the keystore."""
+
+
+@dataclass(frozen=True, slots=True)
+class DraftedFolder:
+    """Files that will stand in one folder of the keystore."""
+
+    path: Path
+
+    def public(self, name: str, data: bytes) -> None:
+        """A file anyone may read."""
+        create(self.path / name, data, mode=PUBLIC_MODE)
+
+    def private(self, name: str, data: bytes) -> None:
+        """A file for its owner only."""
+        create(self.path / name, data, mode=PRIVATE_MODE)
+
+    def link(self, name: str, target: str) -> None:
+        """A symbolic link, relative to where it will stand."""
+        (self.path / name).symlink_to(target)
+
+
+@dataclass(slots=True)
+class Draft:
+    """A change in the making. Folders are added by one thread; each may be filled by any."""
+
+    root: Path
+    path: Path
+    targets: list[str] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)
+
+    def folder(self, target: str, *, private: bool) -> DraftedFolder:
+        """An empty folder that will stand at, or be merged into, `target`."""
+        _refuse_detours(self.root, target)
+        path = self.path / str(len(self.targets))
+        path.mkdir()
+        path.chmod(0o700 if private else 0o755)
+        self.targets.append(target)
+        return DraftedFolder(path)
+
+    def record(self, *entries: Entry) -> None:
+        """Lines for the ledger, written when the change is."""
+        self.entries += entries
+
+
+@contextmanager
+def change(root: Path) -> Iterator[Draft]:
+    """Draft a change to the keystore at `root`; committed when the block ends well.
+
+    Only one process changes a keystore at a time. KeystoreError if another holds it for
+    half a minute, FileError if the disk refuses.
+    """
+    with disk_errors(root):
+        root.mkdir(mode=0o755, parents=True, exist_ok=True)
+        with _locked(root):
+            _finish(root)
+            _sweep(root)
+            draft = Draft(root, root / f"{DRAFT}{secrets.token_hex(8)}")
+            draft.path.mkdir(mode=0o700)
+            try:
+                yield draft
+                _commit(draft)
+            except BaseException:
+                shutil.rmtree(draft.path, ignore_errors=True)
+                raise
+            _finish(root)
+
+
+def recover(root: Path) -> None:
+    """Finish a change that was committed but not completed, if there is one."""
+    with disk_errors(root):
+        unfinished = (root / JOURNAL).exists()
+    if unfinished:
+        with change(root):
+            pass
+
+
+@contextmanager
+def disk_errors(root: Path) -> Iterator[None]:
+    """Say what the disk refuses as a FileError."""
+    try:
+        yield
+    except OSError as error:
+        raise FileError(f"{error.filename or root}: {(error.strerror or '').lower()}") from error
+
+
+def _commit(draft: Draft) -> None:
+    moves = {"targets": draft.targets, "entries": [entry.to_json() for entry in draft.entries]}
+    create(draft.path / _MOVES, json.dumps(moves).encode(), mode=PRIVATE_MODE)
+    sync_filesystem(draft.path)
+    draft.path.rename(draft.root / JOURNAL)
+    sync_folder(draft.root)
+
+
+def _finish(root: Path) -> None:
+    """Do what the journal says; each step may have been done before."""
+    journal = root / JOURNAL
+    if not journal.is_dir():
+        return
+    targets, entries = _read_moves(journal / _MOVES)
+    for number, target in enumerate(targets):
+        _refuse_detours(root, target)
+        _move(journal / str(number), root / target)
+    if entries:
+        with Ledger(root / _layout.PRIVATE / _layout.LEDGER) as ledger:
+            ledger.add(entries)
+    sync_filesystem(root)
+    spent = journal.rename(root / f"{DRAFT}{secrets.token_hex(8)}")
+    shutil.rmtree(spent)
+
+
+def _read_moves(path: Path) -> tuple[list[str], list[Entry]]:
+    try:
+        moves = json.loads(path.read_bytes())
+        return moves["targets"], [Entry.from_json(entry) for entry in moves["entries"]]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise KeystoreError(f"{path}: this unfinished change cannot be read") from None
+
+
+def _move(drafted: Path, goal: Path) -> None:
+    if not drafted.is_dir():
+        return
+    _make_parents(goal)
+    if not goal.exists() or not any(goal.iterdir()):
+        drafted.rename(goal)
+        return
+    # Never wider than it was: the user may have closed it.
+    goal.chmod(goal.stat().st_mode & drafted.stat().st_mode & 0o777)
+    # The certificate last: with it, a folder is a participant.
+    for file in sorted(drafted.iterdir(), key=lambda f: (f.name == _layout.CERTIFICATE, f)):
+        file.replace(goal / file.name)
+    drafted.rmdir()
+
+
+def _make_parents(path: Path) -> None:
+    """The folders above `path`, for anyone to enter, whatever the umask."""
+    for folder in reversed(path.parents):
+        if not folder.exists():
+            folder.mkdir()
+            folder.chmod(0o755)
+
+
+def _sweep(root: Path) -> None:
+    for leftover in root.glob(f"{DRAFT}*"):
+        shutil.rmtree(leftover)
+
+
+def _refuse_detours(root: Path, target: str) -> None:
+    """Nothing is written through a link, or where a file stands."""
+    place = root
+    for part in Path(target).parts:
+        place /= part
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            raise KeystoreError(f"{place} should be a folder, and is not")
+
+
+@contextmanager
+def _locked(root: Path) -> Iterator[None]:
+    handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        _lock(handle, root)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int, root: Path) -> None:
+    give_up = time.monotonic() + PATIENCE
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > give_up:
+                raise KeystoreError(f"{root}: another pqsec command is at work here") from None
+            time.sleep(0.05)
+        else:
+            return

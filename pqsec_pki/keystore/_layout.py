@@ -1,0 +1,66 @@
+"""What lies where in a keystore: SROS2's layout, and what post-quantum keys add to it.
+
+pqsec.json                          profile and default domains
+public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
+private/  identity_ca.key.pem permissions_ca.key.pem [*.alt.key.pem] ledger.sqlite3
+enclaves/ governance.xml governance.p7s
+enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
+                  and links to the governance and the CA certificates
+"""
+
+import re
+from pathlib import Path, PurePosixPath
+
+from pqsec_pki.errors import UsageError
+
+SETTINGS = "pqsec.json"
+PUBLIC, PRIVATE, ENCLAVES = "public", "private", "enclaves"
+LEDGER = "ledger.sqlite3"
+
+IDENTITY_CA, PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem"
+PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
+IDENTITY_KEY, IDENTITY_ALT_KEY = "identity_ca.key.pem", "identity_ca.alt.key.pem"
+PERMISSIONS_KEY, PERMISSIONS_ALT_KEY = "permissions_ca.key.pem", "permissions_ca.alt.key.pem"
+
+CERTIFICATE, KEY, ALT_KEY = "cert.pem", "key.pem", "alt.key.pem"
+PERMISSIONS_XML, PERMISSIONS = "permissions.xml", "permissions.p7s"
+GOVERNANCE_XML, GOVERNANCE = "governance.xml", "governance.p7s"
+
+_SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")
+"""Endings of files in enclave folders: a folder of that name could hide one."""
+
+
+def enclave_name(text: str) -> str:
+    """`text` as an enclave path: absolute, one slash between names.
+
+    UsageError for what cannot be a folder, a CN and a ROS 2 enclave alike.
+    """
+    segments = [segment for segment in text.split("/") if segment]
+    for segment in segments:
+        if not _SEGMENT.fullmatch(segment) or _RESERVED.fullmatch(segment):
+            raise UsageError(
+                f"{text!r} cannot be a participant's name: {segment!r} is not allowed in it",
+                hint="write names like /talker or /fleet/robot1: letters, digits, _ - and .",
+            )
+    if not segments:
+        raise UsageError(f"{text!r} cannot be a participant's name", hint="write /talker")
+    return "/" + "/".join(segments)
+
+
+def enclave_folder(name: str) -> str:
+    """The folder of the enclave `name`, relative to the keystore."""
+    return f"{ENCLAVES}{name}"
+
+
+def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
+    """For each link in `name`'s folder, the relative path of what it shows."""
+    up = "../" * len(PurePosixPath(enclave_folder(name)).parts)
+    return {link: up + target for link, target in shared.items()}
+
+
+def names_in(root: Path) -> list[str]:
+    """The enclaves under `root` that hold a certificate, sorted."""
+    enclaves = root / ENCLAVES
+    found = enclaves.rglob(CERTIFICATE)
+    return sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in found)

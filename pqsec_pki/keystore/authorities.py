@@ -1,0 +1,193 @@
+"""The CAs of a keystore, unlocked: what issuing and signing need."""
+
+import hashlib
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import (
+    PrivateKey,
+    Profile,
+    PublicKey,
+    load_private_key,
+    private_key_pem,
+)
+from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.errors import KeystoreError, PassphraseError, located
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._journal import DraftedFolder
+from pqsec_pki.keystore._ledger import Entry
+from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.smime import Signer, sign
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Authorities:
+    """The identity CA, the permissions CA, and the permissions CA's countersigner.
+
+    They are distinct, always: with one CA for both, a participant's key could sign
+    permissions (CVE-2023-24010).
+    """
+
+    identity: Authority
+    permissions: Authority
+    countersigner: Authority | None
+    """The ML-DSA half of the permissions CA, in a certificate of its own: documents
+    travel in every handshake, and need not carry it."""
+    embed_certificate: bool
+
+    @classmethod
+    def create(cls, profile: Profile, name: str, *, now: datetime, validity: timedelta) -> Self:
+        """New CAs as the profile wants them, called `name` Identity CA and Permissions CA."""
+        second = profile.alternative_key
+        signing = f"{name} Permissions CA".strip()
+        return cls(
+            identity=Authority.create(
+                f"{name} Identity CA".strip(),
+                profile.identity_key,
+                alternative=second,
+                now=now,
+                validity=validity,
+            ),
+            permissions=Authority.create(
+                signing, profile.permissions_key, now=now, validity=validity
+            ),
+            countersigner=Authority.create(
+                f"{signing} {second.name}",
+                second,
+                now=now,
+                validity=validity,
+            )
+            if second
+            else None,
+            embed_certificate=profile.runs_in_stock,
+        )
+
+    def sign(self, document: bytes, *, now: datetime, embed_certificate: bool = False) -> bytes:
+        """The S/MIME file of a governance or permissions document."""
+        counter = self.countersigner
+        return sign(
+            document,
+            Signer(self.permissions.certificate, self.permissions.key),
+            countersigner=Signer(counter.certificate, counter.key) if counter else None,
+            embed_certificate=self.embed_certificate or embed_certificate,
+            now=now,
+        )
+
+    def write(
+        self, public: DraftedFolder, private: DraftedFolder, passphrase: bytes | None
+    ) -> None:
+        """Draft the certificates and, encrypted under `passphrase`, the keys."""
+        for name, certificate in _certificates(self):
+            public.public(name, certificate.pem)
+        keys = list(_keys(self))
+        # Each encryption costs 600,000 hashes, and does not hold the interpreter.
+        with ThreadPoolExecutor() as pool:
+            pems = pool.map(lambda item: private_key_pem(item[1], passphrase), keys)
+            for (name, _), pem in zip(keys, pems, strict=True):
+                private.private(name, pem)
+
+    def entries(self, now: datetime) -> Iterator[Entry]:
+        """The lines for the ledger."""
+        for name, certificate in _certificates(self):
+            kind = "identity-ca" if name == _layout.IDENTITY_CA else "permissions-ca"
+            yield certificate_entry(kind, certificate.subject_name, certificate, now)
+
+
+def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authorities:
+    """The CAs of the keystore at `root`.
+
+    KeystoreError if a file is missing or a key does not fit its certificate,
+    PassphraseError if the keys are encrypted and `passphrase` is missing or wrong.
+    """
+    names = [_layout.IDENTITY_KEY, _layout.PERMISSIONS_KEY]
+    if profile.alternative_key:
+        names += [_layout.IDENTITY_ALT_KEY, _layout.PERMISSIONS_ALT_KEY]
+    with ThreadPoolExecutor() as pool:
+        loaded = pool.map(lambda n: _load_key(root / _layout.PRIVATE / n, passphrase), names)
+        keys = dict(zip(names, loaded, strict=True))
+    public = root / _layout.PUBLIC
+    counter_key = keys.get(_layout.PERMISSIONS_ALT_KEY)
+    authorities = Authorities(
+        identity=Authority(
+            load_certificate(public / _layout.IDENTITY_CA),
+            keys[_layout.IDENTITY_KEY],
+            keys.get(_layout.IDENTITY_ALT_KEY),
+        ),
+        permissions=Authority(
+            load_certificate(public / _layout.PERMISSIONS_CA), keys[_layout.PERMISSIONS_KEY]
+        ),
+        countersigner=Authority(load_certificate(public / _layout.PERMISSIONS_ALT_CA), counter_key)
+        if counter_key
+        else None,
+        embed_certificate=profile.runs_in_stock,
+    )
+    _check_pairs(authorities)
+    return authorities
+
+
+def certificate_entry(kind: str, name: str, certificate: Certificate, now: datetime) -> Entry:
+    """The ledger's line on a certificate."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind=kind,
+        name=name,
+        serial=f"{certificate.serial_number:x}",
+        sha256=certificate.fingerprint,
+        not_after=certificate.not_after.isoformat(),
+    )
+
+
+def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
+    """The ledger's line on a signed document."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind=kind,
+        name=name,
+        serial=None,
+        sha256=hashlib.sha256(signed).hexdigest(),
+        not_after=None,
+    )
+
+
+def _certificates(authorities: Authorities) -> Iterator[tuple[str, Certificate]]:
+    yield _layout.IDENTITY_CA, authorities.identity.certificate
+    yield _layout.PERMISSIONS_CA, authorities.permissions.certificate
+    if authorities.countersigner:
+        yield _layout.PERMISSIONS_ALT_CA, authorities.countersigner.certificate
+
+
+def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
+    yield _layout.IDENTITY_KEY, authorities.identity.key
+    yield _layout.PERMISSIONS_KEY, authorities.permissions.key
+    if authorities.identity.alternative_key:
+        yield _layout.IDENTITY_ALT_KEY, authorities.identity.alternative_key
+    if authorities.countersigner:
+        yield _layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
+
+
+def _load_key(path: Path, passphrase: bytes | None) -> PrivateKey:
+    try:
+        with located(path):
+            return load_private_key(read(path), passphrase)
+    except PassphraseError as error:
+        error.hint = "give the CA passphrase: --passphrase-file, or at the prompt"
+        raise
+
+
+def _check_pairs(authorities: Authorities) -> None:
+    """A key that is not its certificate's would sign what nobody can verify."""
+    for authority in (authorities.identity, authorities.permissions, authorities.countersigner):
+        if authority is None:
+            continue
+        certificate = authority.certificate
+        held: list[tuple[PrivateKey, PublicKey | None]] = [(authority.key, certificate.public_key)]
+        if authority.alternative_key:
+            held.append((authority.alternative_key, certificate.alternative_key))
+        for key, known in held:
+            if known is None or key.public_key.spki != known.spki:
+                raise KeystoreError(f"{certificate.subject_name}: a private key is not its own")

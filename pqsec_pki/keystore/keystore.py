@@ -1,0 +1,153 @@
+"""A keystore: made once, opened by every command after."""
+
+import json
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import Profile, is_encrypted
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
+from pqsec_pki.keystore import _journal, _layout
+from pqsec_pki.keystore._ledger import Entry, Ledger
+from pqsec_pki.keystore.authorities import Authorities, document_entry, unlock
+from pqsec_pki.keystore.participant import Participant, load_certificate, load_participant
+
+FORMAT = 1
+_NOT_SETTINGS = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+
+
+@dataclass(frozen=True, slots=True)
+class Keystore:
+    """The folder `root`, and the profile everything in it was made with."""
+
+    root: Path
+    profile: Profile
+    domains: DomainSet
+    """Where participants may join unless they are issued for other domains."""
+
+    @classmethod
+    def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
+        cls,
+        root: Path,
+        profile: Profile,
+        *,
+        name: str,
+        domains: DomainSet,
+        validity: timedelta,
+        passphrase: bytes | None,
+        now: datetime,
+    ) -> Self:
+        """Two new CAs and a signed default governance in the folder `root`.
+
+        ExistsError if a keystore is there already; CA keys are never overwritten.
+        """
+        cls.refuse_occupied(root)
+        authorities = Authorities.create(profile, name, now=now, validity=validity)
+        governance = Governance.protected(domains).to_xml()
+        signed = authorities.sign(governance, now=now)
+        with _journal.change(root) as draft:
+            cls.refuse_occupied(root)
+            public = draft.folder(_layout.PUBLIC, private=False)
+            private = draft.folder(_layout.PRIVATE, private=True)
+            authorities.write(public, private, passphrase)
+            enclaves = draft.folder(_layout.ENCLAVES, private=False)
+            enclaves.public(_layout.GOVERNANCE_XML, governance)
+            enclaves.public(_layout.GOVERNANCE, signed)
+            settings = draft.folder(".", private=False)
+            settings.public(_layout.SETTINGS, _settings(profile, domains))
+            draft.record(*authorities.entries(now), document_entry("governance", "", signed, now))
+        return cls(root, profile, domains)
+
+    @classmethod
+    def open(cls, root: Path) -> Self:
+        """The keystore at `root`; KeystoreError if there is none."""
+        _journal.recover(root)
+        path = root / _layout.SETTINGS
+        with _journal.disk_errors(path):
+            there = path.is_file()
+        if not there:
+            raise KeystoreError(
+                f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}",
+                hint="make one with `pqsec ca init`, or name another with -k",
+            )
+        try:
+            settings = json.loads(read(path))
+            if settings["format"] != FORMAT:
+                raise KeystoreError(f"{path}: made by another version of pqsec")
+            profile = Profile.from_names(settings["algorithms"])
+            return cls(root, profile, DomainSet.parse(settings["domains"]))
+        except (*_NOT_SETTINGS, MalformedError, UsageError) as error:
+            raise KeystoreError(f"{path}: not settings of pqsec ({error})") from error
+
+    @staticmethod
+    def refuse_occupied(root: Path) -> None:
+        """ExistsError if anything of a keystore is in the folder `root` already."""
+        parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
+        taken = [name for name in parts if (root / name).exists()]
+        if taken:
+            raise ExistsError(
+                f"{root} already has {', '.join(taken)}",
+                hint="CA keys are never overwritten: choose another folder with -k",
+            )
+
+    @property
+    def identity_ca(self) -> Certificate:
+        """The identity CA's certificate."""
+        return load_certificate(self.root / _layout.PUBLIC / _layout.IDENTITY_CA)
+
+    @property
+    def permissions_ca_path(self) -> Path:
+        """Where the permissions CA's certificate is."""
+        return self.root / _layout.PUBLIC / _layout.PERMISSIONS_CA
+
+    @property
+    def permissions_ca(self) -> Certificate:
+        """The permissions CA's certificate."""
+        return load_certificate(self.permissions_ca_path)
+
+    @property
+    def permissions_alt_ca(self) -> Certificate | None:
+        """The certificate of the permissions CA's countersigner, if the profile has one."""
+        path = self.root / _layout.PUBLIC / _layout.PERMISSIONS_ALT_CA
+        return load_certificate(path) if path.exists() else None
+
+    @property
+    def governance(self) -> bytes:
+        """The signed governance document."""
+        return read(self.root / _layout.ENCLAVES / _layout.GOVERNANCE)
+
+    def unlock(self, passphrase: bytes | None) -> Authorities:
+        """The CAs with their private keys; PassphraseError if `passphrase` is not theirs."""
+        return unlock(self.root, self.profile, passphrase)
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether the CA keys need a passphrase."""
+        return is_encrypted(read(self.root / _layout.PRIVATE / _layout.IDENTITY_KEY))
+
+    def names(self) -> list[str]:
+        """The participants' names, sorted."""
+        return _layout.names_in(self.root)
+
+    def participant(self, name: str, passphrase: bytes | None = None) -> Participant:
+        """The participant called `name`; KeystoreError if there is none."""
+        return load_participant(self.root, _layout.enclave_name(name), passphrase)
+
+    def record(self, kind: str, name: str, signed: bytes, now: datetime) -> None:
+        """Enter a signed document in the ledger."""
+        with _journal.change(self.root) as draft:
+            draft.record(document_entry(kind, name, signed, now))
+
+    def ledger(self) -> list[Entry]:
+        """Everything that was ever issued here, oldest first."""
+        with Ledger(self.root / _layout.PRIVATE / _layout.LEDGER) as ledger:
+            return ledger.entries()
+
+
+def _settings(profile: Profile, domains: DomainSet) -> bytes:
+    settings = {"format": FORMAT, "algorithms": profile.to_names(), "domains": str(domains)}
+    return json.dumps(settings, indent=2).encode() + b"\n"

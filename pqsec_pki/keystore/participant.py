@@ -1,0 +1,87 @@
+"""A participant as it lies in its enclave: keys, certificate, documents, and whom it trusts."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import PrivateKey, load_private_key
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._journal import disk_errors
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Participant:
+    """Everything one participant runs with, as read: nothing of it is verified here."""
+
+    name: str
+    certificate: Certificate
+    key: PrivateKey = field(repr=False)
+    alternative_key: PrivateKey | None = field(repr=False)
+    permissions: bytes = field(repr=False)
+    """The signed permissions document, S/MIME."""
+    governance: bytes = field(repr=False)
+    """The signed governance document, S/MIME."""
+    identity_ca: Certificate
+    permissions_ca: Certificate
+    permissions_alt_ca: Certificate | None
+    """Signer of countersignatures, where the profile has them."""
+
+
+def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> Participant:
+    """The participant called `name` in the keystore at `root`.
+
+    KeystoreError if there is none or a file is missing, MalformedError for a file that
+    cannot be read, PassphraseError for an encrypted key without `passphrase`.
+    """
+    folder = root / _layout.enclave_folder(name)
+    with disk_errors(folder):
+        return _load(root, folder, name, passphrase)
+
+
+def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Participant:
+    if not (folder / _layout.CERTIFICATE).exists():
+        raise KeystoreError(
+            f"there is no participant {name} in {root}",
+            hint=f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are",
+        )
+    _check_complete(folder)
+    alternative = folder / _layout.ALT_KEY
+    alt_ca = folder / _layout.PERMISSIONS_ALT_CA
+    return Participant(
+        name=name,
+        certificate=load_certificate(folder / _layout.CERTIFICATE),
+        key=_key(folder / _layout.KEY, passphrase),
+        alternative_key=_key(alternative, passphrase) if alternative.exists() else None,
+        permissions=read(folder / _layout.PERMISSIONS),
+        governance=read(folder / _layout.GOVERNANCE),
+        identity_ca=load_certificate(folder / _layout.IDENTITY_CA),
+        permissions_ca=load_certificate(folder / _layout.PERMISSIONS_CA),
+        permissions_alt_ca=load_certificate(alt_ca) if alt_ca.exists() else None,
+    )
+
+
+def load_certificate(path: Path) -> Certificate:
+    """The certificate in PEM file `path`; errors name the file."""
+    with located(path):
+        return Certificate.from_pem(read(path))
+
+
+def _check_complete(folder: Path) -> None:
+    """The six files that every stack reads; ROS 2 does not say which one it misses."""
+    needed = (
+        _layout.KEY,
+        _layout.PERMISSIONS,
+        _layout.GOVERNANCE,
+        _layout.IDENTITY_CA,
+        _layout.PERMISSIONS_CA,
+    )
+    missing = [name for name in needed if not (folder / name).exists()]
+    if missing:
+        raise KeystoreError(f"{folder} lacks {', '.join(missing)}")
+
+
+def _key(path: Path, passphrase: bytes | None) -> PrivateKey:
+    with located(path):
+        return load_private_key(read(path), passphrase)

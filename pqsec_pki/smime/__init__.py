@@ -1,0 +1,27 @@
+"""S/MIME: a document and its signature in one file, as DDS-Security wants them.
+
+For whoever signs governance and permissions, and whoever must know that the permissions
+CA, and nobody else, signed them.
+"""
+
+from pqsec_pki.smime._mime import is_signed
+from pqsec_pki.smime._signer_info import Signer
+from pqsec_pki.smime.document import (
+    FoundSignature,
+    Require,
+    Verified,
+    document_in,
+    sign,
+    verify,
+)
+
+__all__ = [
+    "FoundSignature",
+    "Require",
+    "Signer",
+    "Verified",
+    "document_in",
+    "is_signed",
+    "sign",
+    "verify",
+]

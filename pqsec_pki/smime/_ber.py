@@ -1,0 +1,91 @@
+"""BER to DER for CMS wrappers: indefinite lengths and constructed strings, bounded.
+
+OpenSSL in streaming mode and BouncyCastle write CMS that way; hazmat.asn1 reads DER
+only. Signed attributes are re-encoded by the verifier, so nothing signed is lost.
+"""
+
+from pqsec_pki.errors import MalformedError
+
+MAX_DEPTH = 24
+"""CMS with certificates nests about 12 deep."""
+MAX_CHILDREN = 4096
+_CONSTRUCTED, _LONG_TAG, _SET, _OCTET_STRING = 0x20, 0x1F, 0x31, 0x04
+
+
+def to_der(data: bytes) -> bytes:
+    """`data` with definite, shortest lengths; MalformedError if it is not one BER value."""
+    der, end = _convert(data, 0, len(data), 0)
+    if end != len(data):
+        raise MalformedError("bytes after the end of the CMS structure")
+    return der
+
+
+def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]:
+    """(DER of the value at `start`, where it ended)."""
+    if depth > MAX_DEPTH:
+        raise MalformedError("the CMS structure nests too deeply")
+    tag, length, start = _header(data, start, end)
+    if length is not None and start + length > end:
+        raise MalformedError("a length in the CMS structure runs past its end")
+    if not tag & _CONSTRUCTED:
+        stop = start + (length or 0)
+        return _value(tag, data[start:stop]), stop
+    children, stop = _children(
+        data, start, end if length is None else start + length, depth, length
+    )
+    if tag == _OCTET_STRING | _CONSTRUCTED:
+        return _value(_OCTET_STRING, b"".join(map(_octets, children))), stop
+    if tag == _SET:
+        children.sort()
+    return _value(tag, b"".join(children)), stop
+
+
+def _children(
+    data: bytes, start: int, end: int, depth: int, length: int | None
+) -> tuple[list[bytes], int]:
+    children: list[bytes] = []
+    while start < end:
+        if length is None and data[start : start + 2] == b"\0\0":
+            return children, start + 2
+        child, start = _convert(data, start, end, depth + 1)
+        children.append(child)
+        if len(children) > MAX_CHILDREN:
+            raise MalformedError("the CMS structure has too many parts")
+    if length is None:
+        raise MalformedError("the CMS structure does not end")
+    return children, start
+
+
+def _header(data: bytes, start: int, end: int) -> tuple[int, int | None, int]:
+    """(tag, length or None for indefinite, where the content starts)."""
+    if start + 2 > end:
+        raise MalformedError("the CMS structure is cut short")
+    tag, first = data[start], data[start + 1]
+    if tag & _LONG_TAG == _LONG_TAG:
+        raise MalformedError("a tag that CMS does not have")
+    start += 2
+    if first < 0x80:  # noqa: PLR2004 -- X.690 8.1.3.4: short form
+        return tag, first, start
+    if first == 0x80:  # noqa: PLR2004 -- X.690 8.1.3.6: indefinite form
+        if not tag & _CONSTRUCTED:
+            raise MalformedError("an indefinite length where none can be")
+        return tag, None, start
+    size = first & 0x7F
+    if size > 4 or start + size > end:  # noqa: PLR2004 -- 4 GiB is past every limit here
+        raise MalformedError("a length in the CMS structure is senseless")
+    return tag, int.from_bytes(data[start : start + size], "big"), start + size
+
+
+def _value(tag: int, content: bytes) -> bytes:
+    size = len(content)
+    if size < 0x80:  # noqa: PLR2004 -- short form
+        return bytes([tag, size]) + content
+    octets = size.to_bytes((size.bit_length() + 7) // 8, "big")
+    return bytes([tag, 0x80 | len(octets)]) + octets + content
+
+
+def _octets(der: bytes) -> bytes:
+    tag, length, start = _header(der, 0, len(der))
+    if tag != _OCTET_STRING or length is None:
+        raise MalformedError("a broken octet string in the CMS structure")
+    return der[start : start + length]

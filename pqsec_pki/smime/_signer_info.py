@@ -1,0 +1,173 @@
+"""SignerInfo: one signature in a CMS structure, made and checked (RFC 5652 5.3-5.6).
+
+A countersignature (11.4) is a SignerInfo too: it signs another signature's value.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from pqsec_pki._asn1 import (
+    AlgorithmIdentifier,
+    Attribute,
+    CMSAlgorithmProtection,
+    IssuerAndSerialNumber,
+    Oid,
+    SetOf,
+    SignerInfo,
+    algorithm,
+    attribute,
+    decode,
+    encode,
+    raw,
+    read_time,
+    time_of,
+)
+from pqsec_pki.algorithms import Digest, PrivateKey, PublicKey, digest_of
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+
+DATA = "1.2.840.113549.1.7.1"
+_CONTENT_TYPE = "1.2.840.113549.1.9.3"
+_MESSAGE_DIGEST = "1.2.840.113549.1.9.4"
+_SIGNING_TIME = "1.2.840.113549.1.9.5"
+COUNTERSIGNATURE = "1.2.840.113549.1.9.6"
+_ALGORITHM_PROTECTION = "1.2.840.113549.1.9.52"
+
+
+@dataclass(frozen=True, slots=True)
+class Signer:
+    """Who signs: a certificate and its key."""
+
+    certificate: Certificate
+    key: PrivateKey = field(repr=False)
+
+
+def make(signer: Signer, content: bytes, *, now: datetime, counter: bool = False) -> SignerInfo:
+    """The SignerInfo over `content`; with `counter`, a countersignature over a signature."""
+    row = signer.key.algorithm
+    digest = algorithm(row.digest.oid)
+    identifier = decode(AlgorithmIdentifier, row.identifier, "AlgorithmIdentifier")
+    protection = CMSAlgorithmProtection(digest_algorithm=digest, signature_algorithm=identifier)
+    attributes = [
+        attribute(_MESSAGE_DIGEST, encode(row.digest.of(content))),
+        attribute(_SIGNING_TIME, encode(time_of(now))),
+        attribute(_ALGORITHM_PROTECTION, encode(protection)),
+    ]
+    if not counter:
+        attributes.append(attribute(_CONTENT_TYPE, encode(Oid(DATA))))
+    return SignerInfo(
+        version=1,
+        sid=IssuerAndSerialNumber(
+            issuer=raw(signer.certificate.issuer_der),
+            serial_number=signer.certificate.serial_number,
+        ),
+        digest_algorithm=digest,
+        signed_attributes=sorted(attributes, key=encode),
+        signature_algorithm=identifier,
+        signature=signer.key.sign(encode(SetOf(attributes))),
+        unsigned_attributes=None,
+    )
+
+
+def names(info: SignerInfo, certificate: Certificate) -> bool:
+    """Whether `info` says that `certificate` is its signer. Anyone can write that."""
+    if isinstance(info.sid, IssuerAndSerialNumber):
+        return (
+            info.sid.serial_number == certificate.serial_number
+            and encode(info.sid.issuer) == certificate.issuer_der
+        )
+    return info.sid == certificate.subject_key_identifier
+
+
+def problems(
+    info: SignerInfo, content: bytes, signer: Certificate, *, counter: bool = False
+) -> Iterator[str]:
+    """Everything that is wrong with `info` as `signer`'s signature over `content`."""
+    try:
+        attributes = _attributes(info)
+        key = signer.public_key
+        digest = _digest(info, key)
+        yield from _attribute_problems(attributes, info, counter=counter)
+        # RFC 5652 5.4, 5.6: the digest of the content is a signed attribute
+        if decode(bytes, attributes[_MESSAGE_DIGEST], "message-digest") != digest.of(content):
+            yield "the content was changed after it was signed"
+        # and the signature covers the attributes, re-encoded as an explicit SET OF
+        identifier = key.algorithm.cms_identifier(encode(info.signature_algorithm), digest)
+        covered = encode(SetOf(list(info.signed_attributes or [])))
+        key.verify(info.signature, covered, identifier)
+    except VerificationError as error:
+        yield from error.problems
+    except PqsecError as error:
+        yield str(error)
+
+
+def signing_time(info: SignerInfo) -> datetime | None:
+    """When the signer says it signed; None where it says nothing."""
+    for each in info.signed_attributes or []:
+        if each.type.dotted_string == _SIGNING_TIME and len(each.values.as_list()) == 1:
+            return read_time(encode(each.values.as_list()[0]), "signing time")
+    return None
+
+
+def countersignatures(info: SignerInfo) -> Iterator[SignerInfo]:
+    """The countersignatures on `info`; MalformedError if one cannot be read."""
+    for each in info.unsigned_attributes or []:
+        if each.type.dotted_string == COUNTERSIGNATURE:
+            for value in each.values.as_list():
+                yield decode(SignerInfo, encode(value), "countersignature")
+
+
+def _attributes(info: SignerInfo) -> dict[str, bytes]:
+    """The signed attributes by OID; each once, with one value (RFC 5652 5.3, 11)."""
+    if not info.signed_attributes:
+        raise MalformedError("the signature has no signed attributes")
+    found: dict[str, bytes] = {}
+    for each in info.signed_attributes:
+        oid, values = each.type.dotted_string, each.values.as_list()
+        if oid in found or len(values) != 1:
+            raise MalformedError(f"signed attribute {oid} does not stand there exactly once")
+        found[oid] = encode(values[0])
+    if _MESSAGE_DIGEST not in found:
+        raise MalformedError("the signature does not name the content's digest")
+    return found
+
+
+def _digest(info: SignerInfo, key: PublicKey) -> Digest:
+    digest = digest_of(info.digest_algorithm.algorithm.dotted_string)
+    if digest not in key.algorithm.cms_digests:
+        raise VerificationError(
+            f"digest {digest.name} is too weak for {key.algorithm.name} (RFC 9882 3.3)"
+        )
+    return digest
+
+
+def _attribute_problems(
+    attributes: dict[str, bytes], info: SignerInfo, *, counter: bool
+) -> Iterator[str]:
+    content_type = attributes.get(_CONTENT_TYPE)
+    # 11.1: content-type must be there, and be the content's; 11.4: never in a countersignature
+    if counter and content_type is not None:
+        yield "the countersignature has a content-type, so it is a signature taken from elsewhere"
+    if not counter and content_type != encode(Oid(DATA)):
+        yield "the signature does not say that it covers plain data"
+    # RFC 6211 3: what protects against swapped algorithms must repeat them
+    protection = attributes.get(_ALGORITHM_PROTECTION)
+    repeated = CMSAlgorithmProtection(
+        digest_algorithm=info.digest_algorithm, signature_algorithm=info.signature_algorithm
+    )
+    if protection is not None and protection != encode(repeated):
+        yield "the signature's algorithms were exchanged"
+
+
+def with_unsigned(info: SignerInfo, attributes: list[Attribute]) -> SignerInfo:
+    """`info` with those unsigned attributes."""
+    return SignerInfo(
+        version=info.version,
+        sid=info.sid,
+        digest_algorithm=info.digest_algorithm,
+        signed_attributes=info.signed_attributes,
+        signature_algorithm=info.signature_algorithm,
+        signature=info.signature,
+        unsigned_attributes=attributes,
+    )

@@ -1,0 +1,184 @@
+"""Signed governance and permissions: sign() and verify().
+
+The signer is known before the file is read: the permissions CA, pinned by its
+certificate. Certificates inside the file are for stock stacks and are never looked at.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from pqsec_pki._asn1 import (
+    ContentInfo,
+    EncapsulatedContentInfo,
+    Oid,
+    SetOf,
+    SignedData,
+    SignerInfo,
+    attribute,
+    decode,
+    encode,
+    raw,
+)
+from pqsec_pki.algorithms import Family, SignatureAlgorithm
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.smime import _ber, _mime, _signer_info
+from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, DATA, Signer
+
+_SIGNED_DATA = "1.2.840.113549.1.7.2"
+_CLASSICAL = {Family.CLASSICAL, Family.HYBRID}
+_PQ = {Family.PQ, Family.HYBRID}
+
+
+class Require(StrEnum):
+    """Which signatures a file must have; those it has must hold in any case."""
+
+    ANY = "any"
+    CLASSICAL = "classical"
+    PQ = "pq"
+    BOTH = "both"
+
+
+@dataclass(frozen=True, slots=True)
+class FoundSignature:
+    """A signature that was checked and holds."""
+
+    algorithm: SignatureAlgorithm
+    countersignature: bool
+    signed_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True)
+class Verified:
+    """A signed document whose signatures hold."""
+
+    document: bytes
+    """The XML, with CRLF line ends as it was signed."""
+    signatures: tuple[FoundSignature, ...]
+    unchecked: int
+    """Countersignatures that could not be checked, for want of a certificate."""
+
+
+def sign(
+    document: bytes,
+    signer: Signer,
+    *,
+    countersigner: Signer | None = None,
+    embed_certificate: bool = True,
+    now: datetime,
+) -> bytes:
+    """The S/MIME file of `document` (LF line ends on disk).
+
+    `countersigner` signs the signature, in an unsigned attribute that stock stacks
+    skip. Stock stacks (Cyclone DDS 0.10, Fast DDS 2.9) need the signer's certificate
+    embedded; peers that pin it do not.
+    """
+    info = _signer_info.make(signer, _mime.content_of(document), now=now)
+    if countersigner:
+        counter = _signer_info.make(countersigner, info.signature, now=now, counter=True)
+        info = _signer_info.with_unsigned(info, [attribute(COUNTERSIGNATURE, encode(counter))])
+    certificates = [raw(signer.certificate.der)] if embed_certificate else None
+    data = SignedData(
+        version=1,
+        digest_algorithms=SetOf([info.digest_algorithm]),
+        encapsulated_content=EncapsulatedContentInfo(content_type=Oid(DATA), content=None),
+        certificates=certificates,
+        crls=None,
+        signer_infos=SetOf([info]),
+    )
+    der = encode(ContentInfo(content_type=Oid(_SIGNED_DATA), content=data))
+    return _mime.join(document, der, signer.key.algorithm.digest.micalg)
+
+
+def verify(
+    message: bytes,
+    ca: Certificate,
+    *,
+    alternative_ca: Certificate | None = None,
+    require: Require = Require.ANY,
+) -> Verified:
+    """The document in `message` if `ca` itself signed it; VerificationError otherwise.
+
+    A countersignature by `alternative_ca` is checked if it is there. `require` refuses
+    a file that lacks a classical or post-quantum signature, so that neither can be
+    stripped. Whether `ca` is good now is verify_authority's to say.
+    """
+    try:
+        parts = _mime.split(message)
+        info = _signer(_parse(parts.signature))
+        document = parts.document
+        problems = list(_problems(info, parts.content, ca))
+        counters = list(_signer_info.countersignatures(info))
+        signatures, refused = _check_counters(counters, info, alternative_ca)
+        main = FoundSignature(ca.public_key.algorithm, False, _signer_info.signing_time(info))  # noqa: FBT003 -- field
+    except VerificationError:
+        raise
+    except PqsecError as error:
+        raise VerificationError(str(error), hint=error.hint) from error
+    problems += refused
+    found = (main, *signatures)
+    problems += _missing(found, require)
+    if problems:
+        raise VerificationError(*problems)
+    return Verified(document, found, unchecked=len(counters) - len(signatures))
+
+
+def document_in(message: bytes) -> bytes:
+    """The document in `message`, unverified: for looking at. MalformedError if none."""
+    return _mime.split(message).document
+
+
+def _parse(der: bytes) -> SignedData:
+    try:
+        info = decode(ContentInfo, der, "CMS structure")
+    except MalformedError:
+        info = decode(ContentInfo, _ber.to_der(der), "CMS structure")
+    if info.content_type.dotted_string != _SIGNED_DATA:
+        raise MalformedError("not a CMS SignedData structure")
+    return info.content
+
+
+def _signer(data: SignedData) -> SignerInfo:
+    """The one signer. Two were measured to be refused by every stack, in any order."""
+    infos = data.signer_infos.as_list()
+    if len(infos) != 1:
+        raise MalformedError(f"{len(infos)} signers; DDS stacks take exactly one")
+    if data.encapsulated_content.content is not None:
+        raise MalformedError("the CMS structure has content of its own")
+    if data.encapsulated_content.content_type.dotted_string != DATA:
+        raise MalformedError("the CMS structure is not about plain data")
+    return infos[0]
+
+
+def _problems(info: SignerInfo, content: bytes, ca: Certificate) -> Iterator[str]:
+    if not _signer_info.names(info, ca):
+        yield f"not signed by {ca.subject_name} but by another certificate"
+        return
+    yield from _signer_info.problems(info, content, ca)
+
+
+def _check_counters(
+    counters: list[SignerInfo], info: SignerInfo, ca: Certificate | None
+) -> tuple[list[FoundSignature], list[str]]:
+    """The countersignatures by `ca` that hold, and what is wrong with those that do not."""
+    good: list[FoundSignature] = []
+    bad: list[str] = []
+    for counter in counters:
+        if ca is None or not _signer_info.names(counter, ca):
+            continue
+        problems = list(_signer_info.problems(counter, info.signature, ca, counter=True))
+        bad += [f"the countersignature: {problem}" for problem in problems]
+        if not problems:
+            when = _signer_info.signing_time(counter)
+            good.append(FoundSignature(ca.public_key.algorithm, True, when))  # noqa: FBT003 -- field
+    return good, bad
+
+
+def _missing(found: tuple[FoundSignature, ...], require: Require) -> Iterator[str]:
+    families = {each.algorithm.family for each in found}
+    if require in {Require.CLASSICAL, Require.BOTH} and not families & _CLASSICAL:
+        yield "there is no classical signature, and one is required"
+    if require in {Require.PQ, Require.BOTH} and not families & _PQ:
+        yield "there is no post-quantum signature that could be checked, and one is required"
