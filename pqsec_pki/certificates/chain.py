@@ -7,6 +7,7 @@ Ed25519 authorities and does not know alternative signatures (docs/adr/0002).
 
 from collections.abc import Iterator
 from datetime import datetime
+from functools import lru_cache
 from typing import TypeVar
 
 from cryptography import x509
@@ -69,7 +70,7 @@ def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
     # DDS stacks take self-signed authorities only; the signature must be its own
     if not authority.is_self_issued:
         yield f"{who} is not self-signed"
-    elif not _signed_by(authority, authority):
+    elif not _signed_itself(authority):
         yield f"the signature of {who} is not its own"
     yield from _validity_problems(authority, who, now)
 
@@ -128,6 +129,12 @@ def _signed_by(certificate: Certificate, issuer: Certificate) -> bool:
     except PqsecError:
         return False
     return True
+
+
+@lru_cache(maxsize=16)
+def _signed_itself(authority: Certificate) -> bool:
+    """Once for each authority that is loaded: a handshake asks it for every peer."""
+    return _signed_by(authority, authority)
 
 
 def _value(certificate: Certificate, kind: type[Value]) -> Value | None:

@@ -85,16 +85,14 @@ class Peer:
     def read(cls, introduction: Introduction) -> Self:
         """VerificationError if certificate, its keys, or c.pdata cannot be read."""
         try:
-            # OpenDDS sends the file and a NUL.
-            certificate = Certificate.from_pem(introduction.certificate.rstrip(b"\0"))
+            certificate = Certificate.from_pem(introduction.certificate)
             return cls(
                 certificate=certificate,
                 guid=participant_guid(introduction.participant_data),
+                # OpenDDS sends the file and a NUL.
                 permissions=introduction.permissions.rstrip(b"\0"),
                 keys=certificate.handshake_keys,
             )
-        except VerificationError:
-            raise
         except PqsecError as error:
             raise VerificationError(f"the peer's introduction: {error}") from error
 
