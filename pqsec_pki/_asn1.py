@@ -31,6 +31,7 @@ __all__ = [
     "Attribute",
     "BitString",
     "CMSAlgorithmProtection",
+    "CertificationRequestInfo",
     "ContentInfo",
     "ECPrivateKey",
     "EncapsulatedContentInfo",
@@ -41,6 +42,7 @@ __all__ = [
     "OneAsymmetricKey",
     "PBES2Params",
     "PBKDF2Params",
+    "PreTBSCertList",
     "PreTBSCertificate",
     "SeedAndExpandedKey",
     "SetOf",
@@ -48,6 +50,7 @@ __all__ = [
     "SignedData",
     "SignerInfo",
     "SubjectPublicKeyInfo",
+    "TBSCertList",
     "TBSCertificate",
     "Time",
     "Validity",
@@ -285,6 +288,40 @@ class ContentInfo:
 class CMSAlgorithmProtection:
     digest_algorithm: AlgorithmIdentifier
     signature_algorithm: Annotated[AlgorithmIdentifier, Implicit(1)]
+
+
+# RFC 2986 (PKCS#10), RFC 5280 5.1 (revocation lists)
+
+
+@sequence
+class CertificationRequestInfo:
+    version: int
+    subject: TLV
+    subject_public_key_info: TLV
+    attributes: Annotated[list[Attribute], Implicit(0)]
+
+
+@sequence
+class TBSCertList:
+    version: int | None
+    signature: AlgorithmIdentifier
+    issuer: TLV
+    this_update: Time
+    next_update: Time | None
+    revoked_certificates: list[TLV] | None
+    crl_extensions: Annotated[list[Extension] | None, Explicit(0)]
+
+
+@sequence
+class PreTBSCertList:
+    """What an alternative signature covers: no `signature`, no altSignatureValue (9.8)."""
+
+    version: int | None
+    issuer: TLV
+    this_update: Time
+    next_update: Time | None
+    revoked_certificates: list[TLV] | None
+    crl_extensions: Annotated[list[Extension] | None, Explicit(0)]
 
 
 def algorithm(oid: str, *, null: bool = False) -> AlgorithmIdentifier:

@@ -22,11 +22,17 @@ def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
     try:
         with path.open("rb") as file:
             data = file.read(limit + 1)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _refused(path, error) from error
     if len(data) > limit:
         raise FileError(f"{path}: larger than {limit} bytes, so not what is expected here")
     return data
+
+
+def refuse_existing(path: Path) -> None:
+    """ExistsError if anything is at `path`, were it a link that leads nowhere."""
+    if os.path.lexists(path):
+        raise ExistsError(f"{path} exists", hint="choose another place, or --force to replace it")
 
 
 def write(path: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
@@ -35,10 +41,10 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
     Without `force` an existing file stays and ExistsError is raised. A symbolic link
     at `path` is itself replaced, never followed. FileError if the folder refuses.
     """
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
-        create(draft, data, mode=PRIVATE_MODE if private else PUBLIC_MODE, sync=True)
+        draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         try:
+            create(draft, data, mode=PRIVATE_MODE if private else PUBLIC_MODE, sync=True)
             if force:
                 draft.replace(path)
             else:
@@ -50,11 +56,11 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
         raise ExistsError(
             f"{path} exists", hint="choose another place, or --force to replace it"
         ) from error
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _refused(path, error) from error
 
 
-def create(path: Path, data: bytes, *, mode: int, sync: bool = False) -> None:
+def create(path: Path | str, data: bytes, *, mode: int, sync: bool = False) -> None:
     """Make the new file `path` with exactly `mode`; OSError as the system gives it."""
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_MODE)
     try:
@@ -93,5 +99,9 @@ def sync_filesystem(folder: Path) -> None:
     finally:
         os.close(handle)
 
-def _refused(path: Path, error: OSError) -> FileError:
-    return FileError(f"{path}: {(error.strerror or str(error)).lower()}")
+
+def _refused(path: Path, error: OSError | ValueError) -> FileError:
+    reason = error.strerror if isinstance(error, OSError) else None
+    refusal = FileError((reason or str(error)).lower())
+    refusal.where = str(path)
+    return refusal

@@ -26,7 +26,14 @@ class PqsecError(Exception):
         self.where: str | None = None
 
     def __str__(self) -> str:
-        message = super().__str__()
+        return self._placed(super().__str__())
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The message, a line for each thing that is wrong."""
+        return (str(self),)
+
+    def _placed(self, message: str) -> str:
         return f"{self.where}: {message}" if self.where else message
 
 
@@ -83,6 +90,11 @@ class InvalidDocumentError(PqsecError):
         self.problems = tuple(problems)
         super().__init__("; ".join(map(str, self.problems)), hint=hint)
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One for each problem."""
+        return tuple(self._placed(str(problem)) for problem in self.problems)
+
 
 class VerificationError(PqsecError):
     """A signature, chain, document or handshake message was checked and refused.
@@ -95,6 +107,11 @@ class VerificationError(PqsecError):
     def __init__(self, *problems: str, hint: str | None = None) -> None:
         self.problems = problems
         super().__init__("; ".join(problems), hint=hint)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One for each problem."""
+        return tuple(self._placed(problem) for problem in self.problems)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ signature.py or key_agreement.py; nothing else in the package names one.
 """
 
 from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
+from pqsec_pki.algorithms._pair import pair_private, pair_public
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms._table import Family
 from pqsec_pki.algorithms.digest import Digest, digest_of
@@ -44,6 +45,8 @@ __all__ = [
     "is_encrypted",
     "load_private_key",
     "load_public_key",
+    "pair_private",
+    "pair_public",
     "pem",
     "private_key_pem",
     "profile_named",

@@ -1,17 +1,12 @@
-"""Two algorithms as one: composite ML-DSA, and the pair of an alternative signature.
+"""Composite ML-DSA: two algorithms as one, with one key and one OID.
 
-Both are rows made from two rows. A composite is one key with one OID
-(draft-ietf-lamps-pq-composite-sigs-19, in the RFC Editor's queue). A pair is the two
-keys of a certificate with an alternative signature (X.509 (10/2019) 9.8), acting as
-one in the handshake between two pqsec peers.
+draft-ietf-lamps-pq-composite-sigs-19, in the RFC Editor's queue. A row made from two
+rows.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from functools import cache
+from dataclasses import dataclass, field
 from typing import Any
-
-from cryptography.exceptions import InvalidSignature
 
 from pqsec_pki._asn1 import (
     OneAsymmetricKey,
@@ -23,7 +18,6 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki.algorithms._ml_dsa import MLDSA, SEED_SIZE
 from pqsec_pki.algorithms._row import SignatureAlgorithm
-from pqsec_pki.algorithms._table import Family
 from pqsec_pki.errors import MalformedError
 
 _PREFIX = b"CompositeAlgorithmSignatures2025"
@@ -122,62 +116,3 @@ class Composite(SignatureAlgorithm):
                 algorithm=algorithm(self.key_oid), subject_public_key=bits(self.raw_public(handle))
             )
         )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pair(SignatureAlgorithm):
-    """A key and its alternative key: both sign the same octets, both must hold.
-
-    The signature is ML-DSA's, of fixed size, followed by the plain key's. It exists in
-    handshakes only: in certificates the two signatures stand apart.
-    """
-
-    plain: SignatureAlgorithm = field(repr=False)
-    alternative: SignatureAlgorithm = field(repr=False)
-
-    @classmethod
-    @cache
-    def of(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "Pair":
-        """The row for these two."""
-        kept = {field.name: getattr(plain, field.name) for field in fields(SignatureAlgorithm)}
-        kept |= {
-            "name": f"{plain.name} + {alternative.name}",
-            "aliases": (),
-            "family": Family.HYBRID,
-            "level": alternative.level,
-            "wire_name": f"{plain.wire_name}+{alternative.wire_name}",
-            "signature_size": plain.signature_size + alternative.signature_size,
-        }
-        return cls(**kept, plain=plain, alternative=alternative)
-
-    def matches(self, handle: Any) -> bool:
-        del handle
-        return False  # no single public key is a pair: `paired` makes them
-
-    def raw_public(self, handle: Any) -> bytes:
-        return self.plain.raw_public(handle[0])
-
-    def raw_private(self, handle: Any) -> bytes:
-        return self.plain.raw_private(handle[0])
-
-    def load_raw_public(self, data: bytes) -> Any:
-        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
-
-    def load_raw_private(self, data: bytes) -> Any:
-        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
-
-    def sign(self, handle: Any, data: bytes) -> bytes:
-        plain, alternative = handle
-        return self.alternative.sign(alternative, data) + self.plain.sign_handshake(plain, data)
-
-    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
-        del identifier
-        plain, alternative = handle
-        cut = self.alternative.signature_size
-        if len(signature) <= cut:
-            raise InvalidSignature
-        self.alternative.check_handshake(alternative, signature[:cut], data)
-        self.plain.check_handshake(plain, signature[cut:], data)
-
-    def generate_handle(self) -> Any:
-        return self.plain.generate_handle(), self.alternative.generate_handle()

@@ -69,12 +69,12 @@ class MLDSA(SignatureAlgorithm):
         MalformedError for anything else; an expanded key alone is told apart, because
         a seed cannot be computed from it.
         """
-        if octets[:1] == b"\x30":
-            return self._load_both(octets)
-        if octets[:2] == bytes([0x80, SEED_SIZE]):
+        if len(octets) == 2 + SEED_SIZE and octets[:2] == bytes([0x80, SEED_SIZE]):
             octets = octets[2:]
         if len(octets) == SEED_SIZE:
             return self.private_key(self.load_raw_private(octets))
+        if octets[:1] == b"\x30":
+            return self._load_both(octets)
         if octets[:1] == b"\x04":
             raise MalformedError(
                 f"this {self.name} key has only its expanded form",
@@ -83,7 +83,11 @@ class MLDSA(SignatureAlgorithm):
         raise MalformedError(f"not a private {self.name} key")
 
     def _load_both(self, octets: bytes) -> PrivateKey:
-        both = decode(SeedAndExpandedKey, octets, f"private {self.name} key")
+        try:
+            both = decode(SeedAndExpandedKey, octets, f"private {self.name} key")
+        except MalformedError:
+            # The decoder's own words could quote bytes of the key.
+            raise MalformedError(f"not a private {self.name} key") from None
         if len(both.seed) != SEED_SIZE:
             raise MalformedError(f"the seed of this {self.name} key is not 32 bytes")
         key = self.private_key(self.load_raw_private(both.seed))

@@ -33,23 +33,24 @@ ITERATIONS = 600_000
 MAX_ITERATIONS = 10_000_000
 """A second or so of work; a file that asks for more is not one of ours or of OpenSSL's."""
 
-_PBES2, _PBKDF2, _AES_256_CBC = (
-    "1.2.840.113549.1.5.13",
-    "1.2.840.113549.1.5.12",
-    "2.16.840.1.101.3.4.1.42",
-)
-_HMAC_SHA256 = "1.2.840.113549.2.9"
+_PBES2, _PBKDF2 = "1.2.840.113549.1.5.13", "1.2.840.113549.1.5.12"
+_AES_256_CBC = "2.16.840.1.101.3.4.1.42"
+_KEY_SIZES = {"2.16.840.1.101.3.4.1.2": 16, "2.16.840.1.101.3.4.1.22": 24, _AES_256_CBC: 32}
+"""AES in CBC mode by OID: what may be read. What is written is AES-256."""
+_HMAC_SHA1, _HMAC_SHA256 = "1.2.840.113549.2.7", "1.2.840.113549.2.9"
 _PRFS: dict[str, hashes.HashAlgorithm] = {
+    _HMAC_SHA1: hashes.SHA1(),  # noqa: S303 -- PBKDF2's default: old files are read, none is written
     _HMAC_SHA256: hashes.SHA256(),
     "1.2.840.113549.2.10": hashes.SHA384(),
     "1.2.840.113549.2.11": hashes.SHA512(),
 }
+_OTHERWISE = "encrypt it again: openssl pkcs8 -topk8 -v2 aes-256-cbc -in KEY -out NEW"
 
 
 def encrypt(pkcs8: bytes, passphrase: bytes) -> bytes:
     """DER EncryptedPrivateKeyInfo of `pkcs8`: 600,000 iterations, 16-byte salt."""
     salt, iv = os.urandom(16), os.urandom(16)
-    cipher = Cipher(AES(_derive(passphrase, salt, ITERATIONS, _HMAC_SHA256)), modes.CBC(iv))
+    cipher = Cipher(AES(_derive(passphrase, salt, ITERATIONS, _HMAC_SHA256, 32)), modes.CBC(iv))
     padder, encryptor = padding.PKCS7(AES.block_size).padder(), cipher.encryptor()
     padded = padder.update(pkcs8) + padder.finalize()
     derivation = PBKDF2Params(
@@ -85,11 +86,13 @@ def decrypt(der: bytes, passphrase: bytes) -> bytes:
     MalformedError for another scheme than the one above or a senseless iteration count.
     """
     info = decode(EncryptedPrivateKeyInfo, der, "encrypted private key")
-    derivation, iv = _parameters(info.algorithm)
+    derivation, key_size, iv = _parameters(info.algorithm)
     prf = _HMAC_SHA1 if derivation.prf is None else derivation.prf.algorithm.dotted_string
     if prf not in _PRFS or not 1 <= derivation.iteration_count <= MAX_ITERATIONS:
-        raise MalformedError("the private key is encrypted in a way that is not supported")
-    key = _derive(passphrase, derivation.salt, derivation.iteration_count, prf)
+        raise MalformedError(
+            "the private key's encryption has a senseless parameter", hint=_OTHERWISE
+        )
+    key = _derive(passphrase, derivation.salt, derivation.iteration_count, prf, key_size)
     try:
         decryptor = Cipher(AES(key), modes.CBC(iv)).decryptor()
         padded = decryptor.update(info.encrypted_data) + decryptor.finalize()
@@ -101,19 +104,19 @@ def decrypt(der: bytes, passphrase: bytes) -> bytes:
     return plain
 
 
-_HMAC_SHA1 = "1.2.840.113549.2.7"
-"""PBKDF2's default, which no tool of this century writes; not in the table above."""
-
-
-def _parameters(identifier: AlgorithmIdentifier) -> tuple[PBKDF2Params, bytes]:
+def _parameters(identifier: AlgorithmIdentifier) -> tuple[PBKDF2Params, int, bytes]:
+    """(derivation, key size in bytes, initialisation vector)."""
     if identifier.algorithm.dotted_string != _PBES2:
-        raise MalformedError("the private key is not encrypted with PBES2")
+        raise MalformedError("the private key is not encrypted with PBES2", hint=_OTHERWISE)
     parameters = _inside(identifier, PBES2Params, "PBES2 parameters")
-    scheme = parameters.encryption.algorithm.dotted_string
-    if parameters.key_derivation.algorithm.dotted_string != _PBKDF2 or scheme != _AES_256_CBC:
-        raise MalformedError("the private key is not encrypted with PBKDF2 and AES-256-CBC")
+    key_size = _KEY_SIZES.get(parameters.encryption.algorithm.dotted_string)
+    if parameters.key_derivation.algorithm.dotted_string != _PBKDF2 or key_size is None:
+        raise MalformedError(
+            "the private key is not encrypted with PBKDF2 and AES in CBC mode", hint=_OTHERWISE
+        )
     return (
         _inside(parameters.key_derivation, PBKDF2Params, "PBKDF2 parameters"),
+        key_size,
         _inside(parameters.encryption, bytes, "initialisation vector"),
     )
 
@@ -124,8 +127,8 @@ def _inside(identifier: AlgorithmIdentifier, kind: type[T], what: str) -> T:
     return decode(kind, encode(identifier.parameters), what)
 
 
-def _derive(passphrase: bytes, salt: bytes, iterations: int, prf: str) -> bytes:
-    return PBKDF2HMAC(_PRFS[prf], 32, salt, iterations).derive(passphrase)
+def _derive(passphrase: bytes, salt: bytes, iterations: int, prf: str, size: int) -> bytes:
+    return PBKDF2HMAC(_PRFS[prf], size, salt, iterations).derive(passphrase)
 
 
 def _with(oid: str, parameters: bytes) -> AlgorithmIdentifier:

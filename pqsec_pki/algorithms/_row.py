@@ -161,13 +161,6 @@ class PublicKey:
         except (InvalidSignature, ValueError) as error:
             raise VerificationError(f"bad {self.algorithm.wire_name} signature") from error
 
-    def paired(self, alternative: "PublicKey") -> "PublicKey":
-        """This key and `alternative` as one key whose signatures need both."""
-        from pqsec_pki.algorithms._composite import Pair  # noqa: PLC0415 -- Pair is a row
-
-        pair = Pair.of(self.algorithm, alternative.algorithm)
-        return PublicKey(pair, self.spki, (self.handle, alternative.handle))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrivateKey:
@@ -194,8 +187,3 @@ class PrivateKey:
     def sign_handshake(self, data: bytes) -> bytes:
         """A signature over `data` as handshake messages carry it."""
         return self.algorithm.sign_handshake(self.handle, data)
-
-    def paired(self, alternative: "PrivateKey") -> "PrivateKey":
-        """This key and `alternative` as one key that signs with both."""
-        public = self.public_key.paired(alternative.public_key)
-        return PrivateKey(public.algorithm, public, (self.handle, alternative.handle))

@@ -13,7 +13,7 @@ from pqsec_pki.algorithms._table import Family, Table
 
 __all__ = ["KEY_AGREEMENTS", "KeyAgreement", "KeyPair"]
 
-_PQSEC_ONLY = "pqsec plugin only"
+_PQSEC_ONLY = "no stock stack today"
 
 ECDH_P256 = ECDH(
     name="ecdh-p256",

@@ -54,6 +54,23 @@ class Profile:
         return _stock(self)
 
     @property
+    def runs_in(self) -> str:
+        """Which stock stacks run it, in words."""
+        if not self.runs_in_stock:
+            return "no stock stack today"
+        if self.alternative_key:  # its handshake messages are larger than that
+            return "all stock stacks but Fast DDS 2.14.4 and 3.0.2 to 3.2.2 (8192-byte limit)"
+        return "all stock stacks"
+
+    @property
+    def level(self) -> int:
+        """NIST security category against a quantum computer, of the weakest part; 0 is none."""
+        weakest = min(row.level for row in self.signature_keys)
+        if self.alternative_key:
+            weakest = self.alternative_key.level
+        return min(weakest, self.key_agreement.level)
+
+    @property
     def signature_keys(self) -> tuple[SignatureAlgorithm, ...]:
         """The kinds of the CAs' and participants' main keys."""
         return (self.identity_key, self.permissions_key, self.participant_key)
@@ -63,7 +80,9 @@ class Profile:
 
         UsageError if a promise is broken, UnknownAlgorithmError for an unknown name.
         """
-        rows: dict[str, Any] = {key: _row(key, name) for key, name in choices.items() if name}
+        rows: dict[str, Any] = {
+            key: _row(key, name) for key, name in choices.items() if name is not None
+        }
         return replace(self, **rows) if rows else self
 
     def to_names(self) -> dict[str, str | None]:
@@ -80,7 +99,7 @@ class Profile:
         try:
             chosen = profile_named(str(names["profile"]))
             return chosen.changed({key: names[key] for key in _CHOICES})
-        except (KeyError, AttributeError, UsageError) as error:
+        except (KeyError, TypeError, AttributeError, UsageError) as error:
             raise MalformedError(f"not a profile that was written down here: {error}") from None
 
 

@@ -3,17 +3,25 @@
 ITU-T X.509 (10/2019) 9.8. Three extensions, never critical (stock stacks refuse
 unknown critical ones): the subject's alternative key, the algorithm of the alternative
 signature, and its value over everything but itself and the `signature` field.
+
+Revocation lists carry the last two as extensions. Requests carry all three as
+attributes with the same OIDs, as BouncyCastle does.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Self
 
 from pqsec_pki._asn1 import (
+    Attribute,
     BitString,
+    CertificationRequestInfo,
     Extension,
     Oid,
     PreTBSCertificate,
+    PreTBSCertList,
     TBSCertificate,
+    TBSCertList,
     bits,
     decode,
     encode,
@@ -25,32 +33,43 @@ from pqsec_pki.errors import MalformedError
 SUBJECT_ALT_PUBLIC_KEY_INFO = "2.5.29.72"
 ALT_SIGNATURE_ALGORITHM = "2.5.29.73"
 ALT_SIGNATURE_VALUE = "2.5.29.74"
+_ALL = (SUBJECT_ALT_PUBLIC_KEY_INFO, ALT_SIGNATURE_ALGORITHM, ALT_SIGNATURE_VALUE)
 
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """What a certificate says of alternative keys; any part may be absent."""
+    """What a certificate, request or list says of alternative keys; any part may be absent."""
 
     spki: bytes | None
     identifier: bytes | None
     signature: bytes | None
     covered: bytes
-    """DER PreTBSCertificate: what the alternative signature covers."""
+    """DER of what the alternative signature covers."""
 
     @classmethod
     def of(cls, tbs: TBSCertificate) -> Self | None:
         """The alternative parts of `tbs`; None if it has none of the three extensions."""
-        found = {each.extn_id.dotted_string: each.extn_value for each in tbs.extensions or []}
-        parts = [
-            found.get(oid)
-            for oid in (SUBJECT_ALT_PUBLIC_KEY_INFO, ALT_SIGNATURE_ALGORITHM, ALT_SIGNATURE_VALUE)
-        ]
-        spki, identifier, value = parts
-        if parts == [None, None, None]:
+        return cls._from(_values(tbs.extensions), lambda: covered_by(tbs))
+
+    @classmethod
+    def of_request(cls, info: CertificationRequestInfo) -> Self | None:
+        """The alternative parts of a request; None if it has none of the three attributes."""
+        found = _attribute_values(info.attributes)
+        return cls._from(found, lambda: _covered_by_request(info))
+
+    @classmethod
+    def of_list(cls, tbs: TBSCertList) -> Self | None:
+        """The alternative parts of a revocation list; None if it has none."""
+        return cls._from(_values(tbs.crl_extensions), lambda: _covered_by_list(tbs))
+
+    @classmethod
+    def _from(cls, found: Mapping[str, bytes], covered: Callable[[], bytes]) -> Self | None:
+        spki, identifier, value = (found.get(oid) for oid in _ALL)
+        if spki is identifier is value is None:
             return None
         if (identifier is None) != (value is None):
             raise MalformedError("half an alternative signature")
-        return cls(spki, identifier, None if value is None else _unbits(value), covered_by(tbs))
+        return cls(spki, identifier, None if value is None else _unbits(value), covered())
 
     def verify(self, issuer: PublicKey) -> None:
         """VerificationError unless `issuer` made the alternative signature."""
@@ -61,7 +80,6 @@ class Alternative:
 
 def covered_by(tbs: TBSCertificate) -> bytes:
     """The DER that an alternative signature over `tbs` covers."""
-    kept = [e for e in tbs.extensions or [] if e.extn_id.dotted_string != ALT_SIGNATURE_VALUE]
     return encode(
         PreTBSCertificate(
             version=tbs.version,
@@ -72,7 +90,7 @@ def covered_by(tbs: TBSCertificate) -> bytes:
             subject_public_key_info=tbs.subject_public_key_info,
             issuer_unique_id=tbs.issuer_unique_id,
             subject_unique_id=tbs.subject_unique_id,
-            extensions=kept or None,
+            extensions=_without_value(tbs.extensions),
         )
     )
 
@@ -91,6 +109,52 @@ def add_signature(tbs: TBSCertificate, issuer: PrivateKey) -> None:
 def _add(tbs: TBSCertificate, oid: str, value: bytes) -> None:
     extension = Extension(extn_id=Oid(oid), critical=False, extn_value=value)
     tbs.extensions = [*(tbs.extensions or []), extension]
+
+
+def _covered_by_request(info: CertificationRequestInfo) -> bytes:
+    kept = [each for each in info.attributes if each.type.dotted_string != ALT_SIGNATURE_VALUE]
+    return encode(
+        CertificationRequestInfo(
+            version=info.version,
+            subject=info.subject,
+            subject_public_key_info=info.subject_public_key_info,
+            attributes=kept,
+        )
+    )
+
+
+def _covered_by_list(tbs: TBSCertList) -> bytes:
+    return encode(
+        PreTBSCertList(
+            version=tbs.version,
+            issuer=tbs.issuer,
+            this_update=tbs.this_update,
+            next_update=tbs.next_update,
+            revoked_certificates=tbs.revoked_certificates,
+            crl_extensions=_without_value(tbs.crl_extensions),
+        )
+    )
+
+
+def _without_value(extensions: list[Extension] | None) -> list[Extension] | None:
+    return [e for e in extensions or [] if e.extn_id.dotted_string != ALT_SIGNATURE_VALUE] or None
+
+
+def _values(extensions: list[Extension] | None) -> dict[str, bytes]:
+    return {each.extn_id.dotted_string: each.extn_value for each in extensions or []}
+
+
+def _attribute_values(attributes: list[Attribute]) -> dict[str, bytes]:
+    """The three attributes by OID, each there once and with one value."""
+    found: dict[str, bytes] = {}
+    for each in attributes:
+        oid, values = each.type.dotted_string, each.values.as_list()
+        if oid not in _ALL:
+            continue
+        if oid in found or len(values) != 1:
+            raise MalformedError(f"attribute {oid} does not stand there exactly once")
+        found[oid] = encode(values[0])
+    return found
 
 
 def _unbits(der: bytes) -> bytes:

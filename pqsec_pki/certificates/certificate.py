@@ -21,8 +21,9 @@ from pqsec_pki._asn1 import (
     moment_of,
     whole_bytes,
 )
-from pqsec_pki.algorithms import PublicKey, load_public_key, pem, unpem
+from pqsec_pki.algorithms import PublicKey, load_public_key, pair_public, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
+from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.errors import MalformedError
 
 MAX_CERTIFICATE = 256 << 10
@@ -116,7 +117,7 @@ class Certificate:
         plain, alternative = self.public_key, self.alternative_key
         if alternative is None:
             return (plain,)
-        return (plain.paired(alternative), plain)
+        return (pair_public(plain, alternative), plain)
 
     @property
     def subject_key_identifier(self) -> bytes | None:
@@ -136,13 +137,12 @@ class Certificate:
     @property
     def subject_name(self) -> str:
         """The subject as permissions documents name it: RFC 2253, OpenSSL's words."""
-        return self.subject.rfc4514_string()
+        return name_text(self.subject)
 
     @property
     def subject_text(self) -> str:
         """The subject as identity tokens carry it: /O=x/CN=y, in DER order."""
-        parts = (f"{each.rfc4514_attribute_name}={each.value!s}" for each in self.subject)
-        return "".join(f"/{part}" for part in parts)
+        return name_line(self.subject)
 
     @property
     def fingerprint(self) -> str:

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from cryptography import x509
 
+from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
 
@@ -79,7 +80,7 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
     who = f"the certificate of {leaf.subject_name}"
     # 6.1.3 (a)(4): the issuer's name, byte for byte
     if leaf.issuer_der != authority.subject_der:
-        issuer, expected = leaf.issuer.rfc4514_string(), authority.subject_name
+        issuer, expected = name_text(leaf.issuer), authority.subject_name
         yield f"{who} was issued by {issuer}, not by {expected}"
     # 6.1.3 (a)(1): the signature
     elif not _signed_by(leaf, authority):

@@ -3,6 +3,8 @@
 Commands are loaded when they run: `pqsec --help` costs no cryptography.
 """
 
+import io
+import signal
 import sys
 from importlib import import_module
 
@@ -11,6 +13,8 @@ import click
 from pqsec_pki import __version__
 from pqsec_pki.cli._common import command_options
 from pqsec_pki.errors import PqsecError
+
+__all__ = ["main", "pqsec"]
 
 COMMANDS = {
     "demo": ("demo", "Make a secured domain of two participants and prove that it works."),
@@ -61,24 +65,35 @@ def pqsec() -> None:
 
 def main() -> None:
     """Run the command line and exit: 0 done or yes, 1 no, 2 usage, 3 could not be done."""
+    # A reader that has seen enough, as `head` has, ends pqsec quietly, as it ends any filter.
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a path may hold what the terminal cannot show
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         result = pqsec.main(prog_name="pqsec", standalone_mode=False)
     except PqsecError as error:
-        _complain(str(error), error.hint)
+        _complain(*error.lines, hint=error.hint)
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        error.show()
+        _complain_of_usage(error)
         sys.exit(error.exit_code)
     except click.Abort:
-        _complain("interrupted", None)
+        _complain("interrupted")
         sys.exit(130)
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(141)
     sys.exit(result if isinstance(result, int) else 0)
 
 
-def _complain(message: str, hint: str | None) -> None:
-    click.echo(f"pqsec: error: {message}", err=True)
+def _complain_of_usage(error: click.ClickException) -> None:
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        error.show()
+        return
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    command = context.command_path if context else "pqsec"
+    _complain(error.format_message(), hint=f"`{command} --help` tells what it takes")
+
+
+def _complain(*messages: str, hint: str | None = None) -> None:
+    for message in messages:
+        click.echo(f"pqsec: error: {message}", err=True)
     if hint:
         click.echo(f"pqsec: hint: {hint}", err=True)

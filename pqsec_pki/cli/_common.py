@@ -5,6 +5,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pqsec_pki.errors import PassphraseError, UsageError
+from pqsec_pki.errors import FileError, PassphraseError, UsageError
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore import Authorities, Keystore
@@ -23,6 +24,20 @@ KEYSTORE_VARIABLES = ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE")
 PASSPHRASE_VARIABLE = "PQSEC_PASSPHRASE_FILE"  # noqa: S105 -- a variable's name
 MAX_PASSPHRASE = 4096
 """Bytes."""
+
+
+class _Path(click.Path):
+    """A path; click takes the empty one, as of a variable that is not set, for `.`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; click's own error for an empty one."""
+        if value == "":
+            self.fail("it is empty", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = _Path(path_type=Path, dir_okay=False)
+FOLDER = _Path(path_type=Path, file_okay=False)
 
 
 @dataclass(slots=True)
@@ -49,7 +64,7 @@ def command_options(command: Command) -> Command:
         "-k",
         "--keystore",
         metavar="DIR",
-        type=click.Path(path_type=Path, file_okay=False),
+        type=FOLDER,
         expose_value=False,
         callback=remember,
         help=f"The keystore; else ${' or $'.join(KEYSTORE_VARIABLES)}.",
@@ -119,6 +134,9 @@ def read_passphrase(path: Path) -> bytes:
     """The first line of the file, without its line end; PassphraseError if it is empty."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
 
+    with suppress(OSError):  # what is wrong with the path, reading it tells
+        if path.stat().st_mode & 0o077:
+            note(f"{path} can be read by others: chmod 600 it")
     passphrase = read(path, limit=MAX_PASSPHRASE).split(b"\n", 1)[0].rstrip(b"\r")
     if not passphrase:
         raise PassphraseError(f"{path}: no passphrase in its first line")
@@ -129,7 +147,7 @@ def passphrase_option(command: Command) -> Command:
     """Add --passphrase-file to a command that uses CA keys."""
     option = click.option(
         "--passphrase-file",
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=FILE,
         envvar=PASSPHRASE_VARIABLE,
         help="A file whose first line is the CA passphrase.",
     )
@@ -137,12 +155,15 @@ def passphrase_option(command: Command) -> Command:
 
 
 def emit(value: object, lines: Iterable[str]) -> None:
-    """Print the result: `value` as JSON, or `lines` for a person."""
-    if settings().json:
-        click.echo(json.dumps(value, indent=2))
-    else:
-        for line in lines:
+    """Print the result: `value` as JSON, or `lines` for a person. FileError on a full disk."""
+    try:
+        for line in [json.dumps(value, indent=2)] if settings().json else lines:
             click.echo(line)
+    except OSError as error:
+        # Python flushes again as it ends; what is left of the result goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        reason = (error.strerror or str(error)).lower()
+        raise FileError(f"the result cannot be printed: {reason}") from error
 
 
 def note(text: str) -> None:

@@ -11,13 +11,15 @@ from pqsec_pki.cli import _common
 @click.command()
 @_common.command_options
 def profiles() -> None:
-    """List the profiles: algorithms that are used together, and what they promise."""
+    """List the profiles: algorithms that are used together."""
     value = [
         profile.to_names()
         | {
             "summary": profile.summary,
             "promises": [promise.text for promise in profile.promises],
+            "level": profile.level,
             "runs_in_stock_stacks": profile.runs_in_stock,
+            "runs_in": profile.runs_in,
             "default": profile is DEFAULT_PROFILE,
         }
         for profile in PROFILES
@@ -27,14 +29,12 @@ def profiles() -> None:
         default = " (default)" if profile is DEFAULT_PROFILE else ""
         second = profile.alternative_key
         keys = profile.identity_key.name + (f" and {second.name}" if second else "")
-        stock = (
-            "yes, unchanged" if profile.runs_in_stock else "no: both sides need the pqsec plugin"
-        )
         lines += [
             f"{profile.name}{default}: {profile.summary}",
             f"  keys and documents    {keys}",
             f"  key agreement         {profile.key_agreement.name}",
-            f"  runs in stock stacks  {stock}",
+            f"  NIST level            {profile.level or '0: broken by a quantum computer'}",
+            f"  runs in               {profile.runs_in}",
             *(f"  promises              {promise.text}" for promise in profile.promises),
             "",
         ]
@@ -44,7 +44,7 @@ def profiles() -> None:
 @click.command()
 @_common.command_options
 def algorithms() -> None:
-    """List signature algorithms and key agreements: sizes, levels, standards, stacks.
+    """List the algorithms, their sizes and which stacks run them.
 
     Level is NIST's security category; 0 is broken by a quantum computer. Sizes are in
     bytes, at most.

@@ -9,6 +9,7 @@ from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_nam
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _common
 from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import FileError
 from pqsec_pki.keystore import Keystore
 
 
@@ -107,7 +108,7 @@ def _show(keystore: Keystore) -> None:
         "keystore": str(keystore.root),
         **keystore.profile.to_names(),
         "domains": str(keystore.domains),
-        "locked": keystore.is_locked,
+        "keys": _keys(keystore),
         "cas": [{"role": role, **_certificate(each)} for role, each in cas],
         "participants": names,
     }
@@ -116,14 +117,21 @@ def _show(keystore: Keystore) -> None:
         lines.append(f"{role:<14} {each.subject_name}, {_algorithms(each)}")
         lines.append(f"{'':<14} until {each.not_after:%Y-%m-%d}, SHA-256 {each.fingerprint}")
     lines.append(f"domains        {keystore.domains}")
-    lines.append(f"CA keys        {'encrypted' if keystore.is_locked else 'not encrypted'}")
+    lines.append(f"CA keys        {_keys(keystore)}")
     lines.append(f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}")
     _common.emit(value, lines)
 
 
+def _keys(keystore: Keystore) -> str:
+    """How the CA keys lie there; who only looks may not be let in to see."""
+    try:
+        return "encrypted" if keystore.is_locked else "not encrypted"
+    except FileError:
+        return "not readable from here"
+
+
 def _described(profile: Profile) -> str:
-    stock = "runs in stock stacks" if profile.runs_in_stock else "needs the pqsec plugin"
-    return f"profile {profile.name}, {stock}"
+    return f"profile {profile.name}: {profile.summary}"
 
 
 def _certificate(certificate: Certificate) -> dict[str, str | None]:

@@ -17,15 +17,16 @@ _YEAR = timedelta(days=365)
 
 
 @click.command()
-@click.argument("folder", default="pqsec-demo", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("folder", required=False, type=_common.FOLDER)
 @profile_option
 @_common.command_options
-def demo(folder: Path, profile_name: str) -> None:
-    """Make a secured domain in FOLDER with a talker and a listener, and prove that it works.
+def demo(folder: Path | None, profile_name: str) -> None:
+    """Make a secured domain of two participants and prove that it works.
 
-    The CA keys of a demo are not encrypted. Each step is a command of its own; they
-    are printed.
+    A talker and a listener, in FOLDER (else -k, else pqsec-demo). The CA keys of a demo
+    are not encrypted. Each step is a command of its own; they are printed.
     """
+    folder = folder or _common.settings().keystore or Path("pqsec-demo")
     profile = profile_named(profile_name)
     now = _common.now()
     domains = DomainSet.of(0)

@@ -52,11 +52,11 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     force: bool,
     **ros_names: tuple[str, ...],
 ) -> None:
-    """Issue a key, a certificate and signed permissions for each NAME.
+    """Issue participants: key, certificate and signed permissions.
 
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
-    expressions as they stand on the wire (rt/chatter); --ros-... takes ROS names. A
-    participant may do what is named here and nothing else.
+    expressions as they stand on the wire (rt/chatter); --ros-... takes ROS names. Each
+    NAME may do what is named here, and nothing else.
     """
     keystore = _common.open_keystore()
     publish += tuple(map(ros.topic, ros_publish))
@@ -65,7 +65,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         for name in given:
             also = _ROS[option](name)
             publish, subscribe = publish + also.publish, subscribe + also.subscribe
-    domain_set = DomainSet.parse(domains) if domains else keystore.domains
+    domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
     wishes = [
         Wish(
             name=name,

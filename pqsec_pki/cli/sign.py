@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki._files import read, write
+from pqsec_pki._files import read, refuse_existing, write
 from pqsec_pki.cli import _common
 from pqsec_pki.documents import Governance, Kind, Permissions
 from pqsec_pki.errors import located
@@ -21,10 +21,10 @@ def _options(command: _common.Command) -> _common.Command:
         click.option(
             "-o",
             "--output",
-            type=click.Path(path_type=Path, dir_okay=False),
+            type=_common.FILE,
             help="Where to write. [default: FILE with .p7s]",
         ),
-        click.argument("file", type=click.Path(path_type=Path, dir_okay=False)),
+        click.argument("file", type=_common.FILE),
     ):
         command = option(command)
     return command
@@ -42,16 +42,15 @@ def sign_governance(
     embed_certificate: bool,
     force: bool,
 ) -> None:
-    """Check the governance document FILE against its schema and sign it.
+    """Check a governance document against its schema and sign it.
 
     The keystore's permissions CA signs. Nothing is written if FILE breaks the schema.
     """
+    document = read(file)
     with located(file):
-        document = read(file)
         Governance.from_xml(document)
-    goal = output or file.with_suffix(".p7s")
-    signed = _signed(document, passphrase_file, embed=embed_certificate)
-    _finish(Kind.GOVERNANCE, goal, signed, force=force)
+    goal = _goal(file, output, force=force)
+    _sign(Kind.GOVERNANCE, document, goal, passphrase_file, embed=embed_certificate)
 
 
 @click.command("sign-permissions")
@@ -66,24 +65,31 @@ def sign_permissions(
     embed_certificate: bool,
     force: bool,
 ) -> None:
-    """Check the permissions document FILE against its schema and sign it.
+    """Check a permissions document against its schema and sign it.
 
     The keystore's permissions CA signs. Nothing is written if FILE breaks the schema.
     """
+    document = read(file)
     with located(file):
-        document = read(file)
         Permissions.from_xml(document)
+    goal = _goal(file, output, force=force)
+    _sign(Kind.PERMISSIONS, document, goal, passphrase_file, embed=embed_certificate)
+
+
+def _goal(file: Path, output: Path | None, *, force: bool) -> Path:
+    """Where to write; what is there already goes only with `force`."""
     goal = output or file.with_suffix(".p7s")
-    signed = _signed(document, passphrase_file, embed=embed_certificate)
-    _finish(Kind.PERMISSIONS, goal, signed, force=force)
+    if not force:
+        refuse_existing(goal)
+    return goal
 
 
-def _signed(document: bytes, passphrase_file: Path | None, *, embed: bool) -> bytes:
-    authorities = _common.unlock(_common.open_keystore(), passphrase_file)
-    return authorities.sign(document, now=_common.now(), embed_certificate=embed)
-
-
-def _finish(kind: Kind, goal: Path, signed: bytes, *, force: bool) -> None:
-    write(goal, signed, force=force)
-    _common.open_keystore().record(kind.value, str(goal), signed, _common.now())
+def _sign(
+    kind: Kind, document: bytes, goal: Path, passphrase_file: Path | None, *, embed: bool
+) -> None:
+    keystore, now = _common.open_keystore(), _common.now()
+    authorities = _common.unlock(keystore, passphrase_file)
+    signed = authorities.sign(document, now=now, embed_certificate=embed)
+    write(goal, signed, force=True)
+    keystore.record(kind.value, str(goal), signed, now)
     _common.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])

@@ -17,7 +17,7 @@ from pqsec_pki.smime import document_in, is_signed
     "files",
     nargs=-1,
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_common.FILE,
     metavar="FILE...",
 )
 @_common.command_options

@@ -1,5 +1,6 @@
 """pqsec verify: who signed this document?"""
 
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -7,51 +8,65 @@ import click
 from pqsec_pki._files import read
 from pqsec_pki.certificates import Certificate, verify_validity
 from pqsec_pki.cli import _common
-from pqsec_pki.errors import located
+from pqsec_pki.errors import VerificationError, located
 from pqsec_pki.keystore import load_certificate
+from pqsec_pki.selfcheck import required_signatures
 from pqsec_pki.smime import Require, Verified
 from pqsec_pki.smime import verify as verify_signed
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("file", type=_common.FILE)
 @click.option(
     "--ca",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_common.FILE,
     help="The permissions CA's certificate. [default: the keystore's]",
 )
 @click.option(
     "--alt-ca",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_common.FILE,
     help="The countersigner's certificate. [default: *.alt.cert.pem beside the CA's]",
 )
 @click.option(
     "--require",
-    type=click.Choice(["classical", "pq", "both"]),
-    help="Refuse a file without such a signature.",
+    type=click.Choice([each.value for each in Require]),
+    help="Refuse a file without such a signature. [default: what the keystore's profile"
+    " promises; any with --ca]",
 )
 @_common.command_options
 def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
-    """Check that the permissions CA signed FILE.
+    """Check who signed a governance or permissions document.
 
-    The CA itself must be the signer; certificates inside the file are not trusted. A
-    post-quantum countersignature is checked if it is there. It can be stripped without
-    a trace, so say --require both (or pq) where you expect one.
+    The permissions CA itself must be the signer; certificates inside the file are not
+    trusted. A post-quantum countersignature is checked if it is there. It can be
+    stripped without a trace, so with --ca say --require both (or pq) where you expect
+    one.
     """
-    ca = ca or _common.open_keystore().permissions_ca_path
-    beside = ca.with_name(ca.name.replace(".cert.pem", ".alt.cert.pem"))
-    if alt_ca is None and beside != ca and beside.exists():
-        alt_ca = beside
+    required = Require(require or Require.ANY)
+    if ca is None:
+        keystore = _common.open_keystore()
+        ca = keystore.permissions_ca_path
+        required = Require(require or required_signatures(keystore.profile))
     certificate = _current(ca)
+    alt_ca = alt_ca or _beside(ca)
     second = _current(alt_ca) if alt_ca else None
-    with located(file):
-        verified = verify_signed(
-            read(file),
-            certificate,
-            alternative_ca=second,
-            require=Require(require) if require else Require.ANY,
-        )
+    message = read(file)
+    try:
+        with located(file):
+            verified = verify_signed(message, certificate, alternative_ca=second, require=required)
+    except VerificationError as error:
+        if _common.settings().json:
+            _common.emit({"ok": False, "file": str(file), "problems": error.problems}, [])
+        raise
     _tell(file, verified, certificate, second)
+
+
+def _beside(ca: Path) -> Path | None:
+    """The countersigner's certificate, where a keystore has it."""
+    beside = ca.with_name(ca.name.replace(".cert.pem", ".alt.cert.pem"))
+    with suppress(OSError):  # its name may be too long to be one
+        return beside if beside != ca and beside.exists() else None
+    return None
 
 
 def _current(path: Path) -> Certificate:

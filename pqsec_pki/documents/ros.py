@@ -109,5 +109,7 @@ def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...
 def _checked(name: str) -> str:
     for pattern, reason in _FAULTS:
         if pattern.search(name):
-            raise UsageError(f"{name!r} is no full ROS 2 name: {reason}")
+            raise UsageError(
+                f"{name!r} is no full ROS 2 name: {reason}", hint="write it in full, as /chatter"
+            )
     return name

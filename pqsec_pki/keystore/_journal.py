@@ -7,15 +7,17 @@ Killed before the commitment, the draft is swept away; killed after it, whoever 
 the keystore next finishes the moves. A new participant's folder moves in one rename.
 """
 
+import errno
 import fcntl
 import json
 import os
 import secrets
 import shutil
+import stat
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create, sync_filesystem, sync_folder
@@ -34,19 +36,19 @@ PATIENCE = 30.0
 class DraftedFolder:
     """Files that will stand in one folder of the keystore."""
 
-    path: Path
+    path: str
 
     def public(self, name: str, data: bytes) -> None:
         """A file anyone may read."""
-        create(self.path / name, data, mode=PUBLIC_MODE)
+        create(f"{self.path}/{name}", data, mode=PUBLIC_MODE)
 
     def private(self, name: str, data: bytes) -> None:
         """A file for its owner only."""
-        create(self.path / name, data, mode=PRIVATE_MODE)
+        create(f"{self.path}/{name}", data, mode=PRIVATE_MODE)
 
     def link(self, name: str, target: str) -> None:
         """A symbolic link, relative to where it will stand."""
-        (self.path / name).symlink_to(target)
+        os.symlink(target, f"{self.path}/{name}")
 
 
 @dataclass(slots=True)
@@ -60,10 +62,10 @@ class Draft:
 
     def folder(self, target: str, *, private: bool) -> DraftedFolder:
         """An empty folder that will stand at, or be merged into, `target`."""
-        _refuse_detours(self.root, target)
-        path = self.path / str(len(self.targets))
-        path.mkdir()
-        path.chmod(0o700 if private else 0o755)
+        _refuse_detours(self.root, [target])
+        path = f"{self.path}/{len(self.targets)}"
+        os.mkdir(path)
+        os.chmod(path, 0o700 if private else 0o755)
         self.targets.append(target)
         return DraftedFolder(path)
 
@@ -114,7 +116,7 @@ def disk_errors(root: Path) -> Iterator[None]:
 
 
 def _commit(draft: Draft) -> None:
-    moves = {"targets": draft.targets, "entries": [entry.to_json() for entry in draft.entries]}
+    moves = {"targets": draft.targets, "entries": [astuple(entry) for entry in draft.entries]}
     create(draft.path / _MOVES, json.dumps(moves).encode(), mode=PRIVATE_MODE)
     sync_filesystem(draft.path)
     draft.path.rename(draft.root / JOURNAL)
@@ -127,9 +129,11 @@ def _finish(root: Path) -> None:
     if not journal.is_dir():
         return
     targets, entries = _read_moves(journal / _MOVES)
+    _refuse_detours(root, targets)
+    for parent in {os.path.dirname(f"{root}/{target}") for target in targets}:
+        _make_folders(Path(parent))
     for number, target in enumerate(targets):
-        _refuse_detours(root, target)
-        _move(journal / str(number), root / target)
+        _move(f"{journal}/{number}", f"{root}/{target}")
     if entries:
         with Ledger(root / _layout.PRIVATE / _layout.LEDGER) as ledger:
             ledger.add(entries)
@@ -141,32 +145,36 @@ def _finish(root: Path) -> None:
 def _read_moves(path: Path) -> tuple[list[str], list[Entry]]:
     try:
         moves = json.loads(path.read_bytes())
-        return moves["targets"], [Entry.from_json(entry) for entry in moves["entries"]]
+        targets = [str(target) for target in moves["targets"]]
+        return targets, [Entry(*entry) for entry in moves["entries"]]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise KeystoreError(f"{path}: this unfinished change cannot be read") from None
 
 
-def _move(drafted: Path, goal: Path) -> None:
-    if not drafted.is_dir():
+def _move(drafted: str, goal: str) -> None:
+    if not os.path.isdir(drafted):
         return
-    _make_parents(goal)
-    if not goal.exists() or not any(goal.iterdir()):
-        drafted.rename(goal)
-        return
+    try:
+        os.rename(drafted, goal)  # where nothing is yet, or an empty folder
+    except OSError as error:
+        if error.errno not in {errno.ENOTEMPTY, errno.EEXIST, errno.EBUSY, errno.EINVAL}:
+            raise
+        _merge(drafted, goal)
+
+
+def _merge(drafted: str, goal: str) -> None:
     # Never wider than it was: the user may have closed it.
-    goal.chmod(goal.stat().st_mode & drafted.stat().st_mode & 0o777)
+    os.chmod(goal, os.stat(goal).st_mode & os.stat(drafted).st_mode & 0o777)
     # The certificate last: with it, a folder is a participant.
-    for file in sorted(drafted.iterdir(), key=lambda f: (f.name == _layout.CERTIFICATE, f)):
-        file.replace(goal / file.name)
-    drafted.rmdir()
+    for name in sorted(os.listdir(drafted), key=lambda name: (name == _layout.CERTIFICATE, name)):
+        os.replace(f"{drafted}/{name}", f"{goal}/{name}")
+    os.rmdir(drafted)
 
 
-def _make_parents(path: Path) -> None:
-    """The folders above `path`, for anyone to enter, whatever the umask."""
-    for folder in reversed(path.parents):
-        if not folder.exists():
-            folder.mkdir()
-            folder.chmod(0o755)
+def _make_folders(path: Path) -> None:
+    """`path` and the folders above; nobody else may write in them, whatever the umask."""
+    for folder in (*reversed(path.parents), path):
+        folder.mkdir(mode=0o755, exist_ok=True)
 
 
 def _sweep(root: Path) -> None:
@@ -174,13 +182,17 @@ def _sweep(root: Path) -> None:
         shutil.rmtree(leftover)
 
 
-def _refuse_detours(root: Path, target: str) -> None:
+def _refuse_detours(root: Path, targets: Iterable[str]) -> None:
     """Nothing is written through a link, or where a file stands."""
-    place = root
-    for part in Path(target).parts:
-        place /= part
-        if place.is_symlink() or (place.exists() and not place.is_dir()):
-            raise KeystoreError(f"{place} should be a folder, and is not")
+    places = set(targets)
+    for target in targets:
+        above = target
+        while (above := os.path.dirname(above)) and above not in places:
+            places.add(above)
+    for place in sorted(places):
+        with suppress(FileNotFoundError):
+            if not stat.S_ISDIR(os.lstat(f"{root}/{place}").st_mode):
+                raise KeystoreError(f"{root}/{place} should be a folder, and is not")
 
 
 @contextmanager

@@ -2,11 +2,13 @@
 
 import sqlite3
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from pqsec_pki._files import PRIVATE_MODE, create
 from pqsec_pki.errors import KeystoreError
 
 _SCHEMA = """
@@ -23,7 +25,7 @@ CREATE INDEX IF NOT EXISTS issued_name ON issued (name);
 """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Entry:
     """One thing that was made: when, what, for whom, and its SHA-256."""
 
@@ -38,15 +40,6 @@ class Entry:
     """Of a certificate's DER, or of a signed document's file."""
     not_after: str | None
 
-    def to_json(self) -> dict[str, str | None]:
-        """For the journal."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, entry: dict[str, str]) -> Self:
-        """The inverse of to_json."""
-        return cls(**entry)
-
 
 class Ledger:
     """The database, open. Lines are only ever added."""
@@ -54,11 +47,17 @@ class Ledger:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
+            with suppress(FileExistsError):
+                create(path, b"", mode=PRIVATE_MODE)
             self._database = sqlite3.connect(path)
+        except (sqlite3.Error, OSError) as error:
+            raise KeystoreError(f"{path}: {error}") from error
+        try:
             self._database.execute("PRAGMA journal_mode = WAL")
             self._database.execute("PRAGMA synchronous = FULL")
             self._database.executescript(_SCHEMA)
         except sqlite3.Error as error:
+            self._database.close()
             raise KeystoreError(f"{path}: not a ledger: {error}") from error
 
     def __enter__(self) -> Self:
@@ -74,13 +73,12 @@ class Ledger:
 
     def add(self, entries: Iterable[Entry]) -> None:
         """Add lines, all or none; those that are there already stay as they are."""
-        rows = [(e.at, e.kind, e.name, e.serial, e.sha256, e.not_after) for e in entries]
         try:
             with self._database:
                 self._database.executemany(
                     "INSERT INTO issued (at, kind, name, serial, sha256, not_after)"
                     " VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
-                    rows,
+                    map(astuple, entries),
                 )
         except sqlite3.Error as error:
             raise KeystoreError(f"{self._path}: {error}") from error
@@ -93,5 +91,4 @@ class Ledger:
             ).fetchall()
         except sqlite3.Error as error:
             raise KeystoreError(f"{self._path}: {error}") from error
-        keys = ("at", "kind", "name", "serial", "sha256", "not_after")
-        return [Entry(**dict(zip(keys, row, strict=True))) for row in found]
+        return [Entry(*row) for row in found]

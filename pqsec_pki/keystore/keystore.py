@@ -14,7 +14,12 @@ from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageEr
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._ledger import Entry, Ledger
 from pqsec_pki.keystore.authorities import Authorities, document_entry, unlock
-from pqsec_pki.keystore.participant import Participant, load_certificate, load_participant
+from pqsec_pki.keystore.participant import (
+    Participant,
+    load_certificate,
+    load_participant,
+    refuse_unknown,
+)
 
 FORMAT = 1
 _NOT_SETTINGS = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -87,11 +92,12 @@ class Keystore:
     def refuse_occupied(root: Path) -> None:
         """ExistsError if anything of a keystore is in the folder `root` already."""
         parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
-        taken = [name for name in parts if (root / name).exists()]
+        with _journal.disk_errors(root):
+            taken = [name for name in parts if (root / name).exists()]
         if taken:
             raise ExistsError(
                 f"{root} already has {', '.join(taken)}",
-                hint="CA keys are never overwritten: choose another folder with -k",
+                hint="CA keys are never overwritten: choose another folder",
             )
 
     @property
@@ -132,6 +138,10 @@ class Keystore:
     def names(self) -> list[str]:
         """The participants' names, sorted."""
         return _layout.names_in(self.root)
+
+    def refuse_unknown(self, name: str) -> None:
+        """KeystoreError if there is no participant called `name`."""
+        refuse_unknown(self.root, _layout.enclave_name(name))
 
     def participant(self, name: str, passphrase: bytes | None = None) -> Participant:
         """The participant called `name`; KeystoreError if there is none."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.errors import FileError, KeystoreError, located
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._journal import disk_errors
 
@@ -41,11 +41,7 @@ def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> 
 
 
 def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Participant:
-    if not (folder / _layout.CERTIFICATE).exists():
-        raise KeystoreError(
-            f"there is no participant {name} in {root}",
-            hint=f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are",
-        )
+    refuse_unknown(root, name)
     _check_complete(folder)
     alternative = folder / _layout.ALT_KEY
     alt_ca = folder / _layout.PERMISSIONS_ALT_CA
@@ -60,6 +56,19 @@ def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Part
         permissions_ca=load_certificate(folder / _layout.PERMISSIONS_CA),
         permissions_alt_ca=load_certificate(alt_ca) if alt_ca.exists() else None,
     )
+
+
+def refuse_unknown(root: Path, name: str) -> None:
+    """KeystoreError if the keystore at `root` has nothing of a participant called `name`."""
+    try:
+        (root / _layout.enclave_folder(name) / _layout.CERTIFICATE).lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise KeystoreError(
+            f"there is no participant {name} in {root}",
+            hint=f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are",
+        ) from None
+    except OSError as error:
+        raise FileError(f"{error.filename}: {(error.strerror or '').lower()}") from error
 
 
 def load_certificate(path: Path) -> Certificate:

@@ -67,7 +67,9 @@ def check_permissions(
     if not decision.allowed:
         raise VerificationError(
             f"{subject.name} may not join domain {domain}: {decision.reason}",
-            hint=f"issue it with topics on that domain: pqsec issue {subject.name}"
+            hint="add the domain to enclaves/governance.xml and run `pqsec sign-governance`"
+            if governance.rule_for(domain) is None
+            else f"issue it with topics on that domain: pqsec issue {subject.name}"
             f" --domain {domain} --publish TOPIC --force",
         )
     return f"permissions signed by {_signers(verified)}; {decision.reason}"

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from pqsec_pki.algorithms import KeyAgreement, Profile
+from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import (
     DataHolder,
@@ -88,12 +88,13 @@ def meet(  # noqa: PLR0913 -- each is a choice of the user's
     """The handshake between participants `first` and `second`, and what it showed.
 
     A step that fails ends it, and is the last in the report. KeystoreError if a
-    participant is not there.
+    participant is not there at all.
     """
+    for name in (first, second):
+        keystore.refuse_unknown(name)
     meeting = _Meeting(keystore, agreement, domain, now)
-    participants = [keystore.participant(name) for name in (first, second)]
     with suppress(_Stopped):
-        meeting.run(*participants)
+        meeting.run(first, second)
     return meeting.report()
 
 
@@ -108,10 +109,8 @@ class _Meeting:
     sizes: dict[str, int] = field(default_factory=dict)
     seconds: float = 0.0
 
-    def run(self, first: Participant, second: Participant) -> None:
-        for each in (first, second):
-            self._check_own(each)
-        initiator, replier = self._cast(first, second)
+    def run(self, first: str, second: str) -> None:
+        initiator, replier = self._cast(self._load(first), self._load(second))
         started = time.perf_counter()
         done_initiator, done_replier = self._shake_hands(initiator, replier)
         self._exchange(initiator, done_initiator, replier, done_replier)
@@ -136,20 +135,30 @@ class _Meeting:
     def _profile(self) -> Profile:
         return self.keystore.profile
 
-    def _check_own(self, participant: Participant) -> None:
+    def _load(self, name: str) -> Participant:
+        """The participant, if it can be read and its own credentials are sound."""
+        name = "/" + "/".join(part for part in name.split("/") if part)
+        with self.steps.step(f"files of {name}") as detail:
+            try:
+                participant = self.keystore.participant(name)
+            except PqsecError as error:
+                error.hint = error.hint or f"issue it again: pqsec issue {name} --force"
+                raise
+            detail.append("keys, certificates, permissions and governance read")
         with self.steps.step(f"identity of {participant.name}") as detail:
             detail.append(check_identity(participant, self._profile, self.now))
         with self.steps.step(f"documents of {participant.name}") as detail:
             detail.append(check_documents(participant, self._profile, self.domain, self.now))
+        return participant
 
     def _cast(self, first: Participant, second: Participant) -> tuple[_Side, _Side]:
         """(initiator, replier); the smaller GUID speaks first."""
         sides = [self._side(each) for each in (first, second)]
         with self.steps.step("who speaks first") as detail:
             one, other = sides
-            if one.guid == other.guid:
+            if one.name == other.name:
                 raise VerificationError(
-                    "both have the same GUID: a participant cannot meet itself",
+                    f"both are {one.name}: a participant cannot meet itself",
                     hint="name two different participants",
                 )
             self.sides = (one, other) if initiates(one.guid, other.guid) else (other, one)
@@ -161,7 +170,7 @@ class _Meeting:
         candidate = os.urandom(12) + _ENTITY_ID
         identity = Identity(
             certificate=participant.certificate,
-            key=participant.key.paired(second) if second else participant.key,
+            key=pair_private(participant.key, second) if second else participant.key,
             ca=participant.identity_ca,
             guid=adjusted_guid(participant.certificate.subject_der, candidate),
             permissions=participant.permissions,

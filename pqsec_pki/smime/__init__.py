@@ -14,14 +14,18 @@ from pqsec_pki.smime.document import (
     sign,
     verify,
 )
+from pqsec_pki.smime.listing import Listed, ListedSigner, signers_in
 
 __all__ = [
     "FoundSignature",
+    "Listed",
+    "ListedSigner",
     "Require",
     "Signer",
     "Verified",
     "document_in",
     "is_signed",
     "sign",
+    "signers_in",
     "verify",
 ]

@@ -17,17 +17,15 @@ from pqsec_pki._asn1 import (
     SignedData,
     SignerInfo,
     attribute,
-    decode,
     encode,
     raw,
 )
 from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
-from pqsec_pki.smime import _ber, _mime, _signer_info
+from pqsec_pki.smime import _cms, _mime, _signer_info
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, DATA, Signer
 
-_SIGNED_DATA = "1.2.840.113549.1.7.2"
 _CLASSICAL = {Family.CLASSICAL, Family.HYBRID}
 _PQ = {Family.PQ, Family.HYBRID}
 
@@ -88,7 +86,7 @@ def sign(
         crls=None,
         signer_infos=SetOf([info]),
     )
-    der = encode(ContentInfo(content_type=Oid(_SIGNED_DATA), content=data))
+    der = encode(ContentInfo(content_type=Oid(_cms.SIGNED_DATA), content=data))
     return _mime.join(document, der, signer.key.algorithm.digest.micalg)
 
 
@@ -107,7 +105,7 @@ def verify(
     """
     try:
         parts = _mime.split(message)
-        info = _signer(_parse(parts.signature))
+        info = _signer(_cms.parse(parts.signature))
         document = parts.document
         problems = list(_problems(info, parts.content, ca))
         counters = list(_signer_info.countersignatures(info))
@@ -128,16 +126,6 @@ def verify(
 def document_in(message: bytes) -> bytes:
     """The document in `message`, unverified: for looking at. MalformedError if none."""
     return _mime.split(message).document
-
-
-def _parse(der: bytes) -> SignedData:
-    try:
-        info = decode(ContentInfo, der, "CMS structure")
-    except MalformedError:
-        info = decode(ContentInfo, _ber.to_der(der), "CMS structure")
-    if info.content_type.dotted_string != _SIGNED_DATA:
-        raise MalformedError("not a CMS SignedData structure")
-    return info.content
 
 
 def _signer(data: SignedData) -> SignerInfo:

@@ -8,7 +8,7 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, Family
+from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, Family, pair_private
 from pqsec_pki.certificates import Authority
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import (
@@ -73,7 +73,7 @@ def enrolled(kind, name, now, label="ours"):
     )
     return Identity(
         certificate=certificate,
-        key=key.paired(second) if second else key,
+        key=pair_private(key, second) if second else key,
         ca=ca.certificate,
         guid=adjusted_guid(certificate.subject_der, name.encode().ljust(12) + ENTITY),
         permissions=b"permissions of " + name.encode(),

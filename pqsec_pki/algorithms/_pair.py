@@ -1,0 +1,85 @@
+"""The two keys of a certificate with an alternative signature, acting as one.
+
+X.509 (10/2019) 9.8 says how such a certificate is signed, and nothing of how its holder
+signs. Between two pqsec peers the holder signs handshakes with both keys.
+"""
+
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any
+
+from cryptography.exceptions import InvalidSignature
+
+from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
+from pqsec_pki.algorithms._table import Family
+
+
+def pair_public(key: PublicKey, alternative: PublicKey) -> PublicKey:
+    """`key` and `alternative` as one key whose signatures need both."""
+    pair = Pair.of(key.algorithm, alternative.algorithm)
+    return PublicKey(pair, key.spki, (key.handle, alternative.handle))
+
+
+def pair_private(key: PrivateKey, alternative: PrivateKey) -> PrivateKey:
+    """`key` and `alternative` as one key that signs with both."""
+    public = pair_public(key.public_key, alternative.public_key)
+    return PrivateKey(public.algorithm, public, (key.handle, alternative.handle))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair(SignatureAlgorithm):
+    """A key and its alternative key: both sign the same octets, both must hold.
+
+    The signature is ML-DSA's, of fixed size, followed by the plain key's. It exists in
+    handshakes only: in certificates the two signatures stand apart.
+    """
+
+    plain: SignatureAlgorithm = field(repr=False)
+    alternative: SignatureAlgorithm = field(repr=False)
+
+    @classmethod
+    @cache
+    def of(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "Pair":
+        """The row for these two."""
+        kept = {field.name: getattr(plain, field.name) for field in fields(SignatureAlgorithm)}
+        kept |= {
+            "name": f"{plain.name} + {alternative.name}",
+            "aliases": (),
+            "family": Family.HYBRID,
+            "level": alternative.level,
+            "wire_name": f"{plain.wire_name}+{alternative.wire_name}",
+            "signature_size": plain.signature_size + alternative.signature_size,
+        }
+        return cls(**kept, plain=plain, alternative=alternative)
+
+    def matches(self, handle: Any) -> bool:
+        del handle
+        return False  # no single public key is a pair: `paired` makes them
+
+    def raw_public(self, handle: Any) -> bytes:
+        return self.plain.raw_public(handle[0])
+
+    def raw_private(self, handle: Any) -> bytes:
+        return self.plain.raw_private(handle[0])
+
+    def load_raw_public(self, data: bytes) -> Any:
+        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
+
+    def load_raw_private(self, data: bytes) -> Any:
+        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
+
+    def sign(self, handle: Any, data: bytes) -> bytes:
+        plain, alternative = handle
+        return self.alternative.sign(alternative, data) + self.plain.sign_handshake(plain, data)
+
+    def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
+        del identifier
+        plain, alternative = handle
+        cut = self.alternative.signature_size
+        if len(signature) <= cut:
+            raise InvalidSignature
+        self.alternative.check_handshake(alternative, signature[:cut], data)
+        self.plain.check_handshake(plain, signature[cut:], data)
+
+    def generate_handle(self) -> Any:
+        return self.plain.generate_handle(), self.alternative.generate_handle()

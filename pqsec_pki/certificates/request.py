@@ -1,0 +1,129 @@
+"""Requests for a certificate (PKCS#10, RFC 2986): what is asked for, and with what proof.
+
+A request is signed with the key it asks a certificate for, which proves that whoever
+asks has that key. With an alternative key it carries a second proof (see _alternative).
+"""
+
+from dataclasses import dataclass, field
+from typing import Self
+
+from cryptography import x509
+
+from pqsec_pki._asn1 import CertificationRequestInfo, Signed, decode, encode, whole_bytes
+from pqsec_pki.algorithms import PublicKey, load_public_key, pem, unpem
+from pqsec_pki.certificates._alternative import Alternative
+from pqsec_pki.certificates._names import name_text
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+
+MAX_REQUEST = 256 << 10
+"""Bytes of PEM or DER, as for a certificate."""
+_LABELS = {"CERTIFICATE REQUEST", "NEW CERTIFICATE REQUEST"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CertificateRequest:
+    """A certification request. What it asks for is a wish: an authority decides."""
+
+    der: bytes = field(repr=False)
+    info: bytes = field(repr=False)
+    """DER CertificationRequestInfo: what the signature covers."""
+    subject: x509.Name
+    subject_der: bytes = field(repr=False)
+    spki: bytes = field(repr=False)
+    extensions: x509.Extensions = field(repr=False)
+    """What the certificate should say, if the authority agrees."""
+    identifier: bytes = field(repr=False)
+    """DER AlgorithmIdentifier of the signature."""
+    signature: bytes = field(repr=False)
+    alternative: Alternative | None = field(repr=False)
+
+    @classmethod
+    def from_der(cls, der: bytes) -> Self:
+        """MalformedError if `der` is not exactly one well-formed request."""
+        if len(der) > MAX_REQUEST:
+            raise MalformedError(f"a certificate request larger than {MAX_REQUEST} bytes")
+        signed = decode(Signed, der, "certificate request")
+        info_der = encode(signed.tbs)
+        info = decode(CertificationRequestInfo, info_der, "certificate request")
+        subject, extensions = _library_view(der)
+        return cls(
+            der=der,
+            info=info_der,
+            subject=subject,
+            subject_der=encode(info.subject),
+            spki=encode(info.subject_public_key_info),
+            extensions=extensions,
+            identifier=encode(signed.signature_algorithm),
+            signature=whole_bytes(signed.signature, "the request's signature"),
+            alternative=Alternative.of_request(info),
+        )
+
+    @classmethod
+    def from_pem(cls, data: bytes) -> Self:
+        """The first request in PEM `data`; MalformedError if there is none."""
+        if len(data) > MAX_REQUEST:
+            raise MalformedError(f"a certificate request larger than {MAX_REQUEST} bytes")
+        for label, der in unpem(data, "certificate request"):
+            if label in _LABELS:
+                return cls.from_der(der)
+        raise MalformedError("no certificate request in PEM")
+
+    @property
+    def pem(self) -> bytes:
+        """The request in PEM."""
+        return pem("CERTIFICATE REQUEST", self.der)
+
+    @property
+    def public_key(self) -> PublicKey:
+        """The key to be certified; UnknownAlgorithmError if no row is for it."""
+        return load_public_key(self.spki)
+
+    @property
+    def alternative_key(self) -> PublicKey | None:
+        """The alternative key to be certified, if one is asked for."""
+        if self.alternative is None or self.alternative.spki is None:
+            return None
+        return load_public_key(self.alternative.spki)
+
+    @property
+    def subject_name(self) -> str:
+        """The subject as permissions documents name it: RFC 2253, OpenSSL's words."""
+        return name_text(self.subject)
+
+    def verify(self) -> None:
+        """Return if whoever made the request has its key, and its alternative key if any.
+
+        VerificationError lists everything that is wrong.
+        """
+        problems = []
+        try:
+            self.public_key.verify(self.signature, self.info, self.identifier)
+        except PqsecError as error:
+            problems.append(f"no proof that whoever asks has the key: {error}")
+        try:
+            self._verify_alternative()
+        except PqsecError as error:
+            problems.append(f"no proof that whoever asks has the alternative key: {error}")
+        if problems:
+            raise VerificationError(*problems)
+
+    def _verify_alternative(self) -> None:
+        if self.alternative is None:
+            return
+        key = self.alternative_key
+        if key is None:
+            raise MalformedError("there is a signature and no alternative key")
+        self.alternative.verify(key)
+
+
+def _library_view(der: bytes) -> tuple[x509.Name, x509.Extensions]:
+    try:
+        parsed = x509.load_der_x509_csr(der)
+        return parsed.subject, parsed.extensions
+    except (
+        ValueError,
+        x509.DuplicateExtension,
+        x509.InvalidVersion,
+        x509.UnsupportedGeneralNameType,
+    ) as error:
+        raise MalformedError(f"not a certificate request: {error}") from error

@@ -1,0 +1,196 @@
+"""Revocation lists (RFC 5280 5): which certificates an authority has taken back.
+
+Read and checked here. Only plain lists are: one that speaks for other issuers or for
+some certificates only says so in a critical extension, and is refused.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Self
+
+from cryptography import x509
+
+from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, moment_of, whole_bytes
+from pqsec_pki.algorithms import pem, unpem
+from pqsec_pki.certificates._alternative import Alternative
+from pqsec_pki.certificates._names import name_text
+from pqsec_pki.certificates.certificate import Certificate
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+
+MAX_LIST = 8 << 20
+"""Bytes of PEM or DER: some 200,000 certificates."""
+
+
+@dataclass(frozen=True, slots=True)
+class RevokedCertificate:
+    """One certificate that is no longer good."""
+
+    serial_number: int
+    revoked_at: datetime
+    reason: str | None
+    """RFC 5280 5.3.1's word, such as keyCompromise; None where the list has none."""
+    critical: tuple[str, ...] = ()
+    """Critical extensions of the entry, dotted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RevocationList:
+    """A certificate revocation list. Its text is nowhere trusted: see verify."""
+
+    der: bytes = field(repr=False)
+    tbs: bytes = field(repr=False)
+    """DER TBSCertList: what the signature covers."""
+    issuer: x509.Name
+    issuer_der: bytes = field(repr=False)
+    this_update: datetime
+    next_update: datetime | None
+    number: int | None
+    """How many lists came before, where the list says it (5.2.3)."""
+    revoked: tuple[RevokedCertificate, ...] = field(repr=False)
+    extensions: x509.Extensions = field(repr=False)
+    identifier: bytes = field(repr=False)
+    """DER AlgorithmIdentifier of the signature, the same inside and outside."""
+    signature: bytes = field(repr=False)
+    alternative: Alternative | None = field(repr=False)
+
+    @classmethod
+    def from_der(cls, der: bytes) -> Self:
+        """MalformedError if `der` is not exactly one well-formed revocation list."""
+        if len(der) > MAX_LIST:
+            raise MalformedError(f"a revocation list larger than {MAX_LIST} bytes")
+        signed = decode(Signed, der, "revocation list")
+        tbs_der = encode(signed.tbs)
+        tbs = decode(TBSCertList, tbs_der, "revocation list")
+        if encode(tbs.signature) != encode(signed.signature_algorithm):
+            raise MalformedError("the revocation list names two different signature algorithms")
+        issuer, extensions, revoked = _library_view(der)
+        return cls(
+            der=der,
+            tbs=tbs_der,
+            issuer=issuer,
+            issuer_der=encode(tbs.issuer),
+            this_update=moment_of(tbs.this_update),
+            next_update=moment_of(tbs.next_update) if tbs.next_update else None,
+            number=_number(extensions),
+            revoked=revoked,
+            extensions=extensions,
+            identifier=encode(tbs.signature),
+            signature=whole_bytes(signed.signature, "the revocation list's signature"),
+            alternative=Alternative.of_list(tbs),
+        )
+
+    @classmethod
+    def from_pem(cls, data: bytes) -> Self:
+        """The first revocation list in PEM `data`; MalformedError if there is none."""
+        if len(data) > MAX_LIST:
+            raise MalformedError(f"a revocation list larger than {MAX_LIST} bytes")
+        for label, der in unpem(data, "revocation list"):
+            if label == "X509 CRL":
+                return cls.from_der(der)
+        raise MalformedError("no revocation list in PEM")
+
+    @property
+    def pem(self) -> bytes:
+        """The revocation list in PEM."""
+        return pem("X509 CRL", self.der)
+
+    def revocation_of(self, certificate: Certificate) -> RevokedCertificate | None:
+        """The entry that takes `certificate` back, if its issuer's list has one."""
+        if certificate.issuer_der != self.issuer_der:
+            return None
+        serial = certificate.serial_number
+        return next((each for each in self.revoked if each.serial_number == serial), None)
+
+    def verify(self, ca: Certificate, *, require_alternative: bool = False) -> None:
+        """Return if `ca` issued this list and it can be understood.
+
+        An alternative signature that can be checked is checked; with
+        `require_alternative` it must also be there. Whether the list is still current,
+        and `ca` good, is not looked at. VerificationError lists everything that is wrong.
+        """
+        problems = [
+            *_issuer_problems(self, ca),
+            *_alternative_problems(self, ca, required=require_alternative),
+            *_critical_problems(self),
+        ]
+        if problems:
+            raise VerificationError(*problems)
+
+
+def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[str]:
+    # RFC 5280 6.3.3 (b): the issuer's name, byte for byte
+    if crl.issuer_der != ca.subject_der:
+        issuer = name_text(crl.issuer)
+        yield f"the revocation list was issued by {issuer}, not by {ca.subject_name}"
+        return
+    # (f): cRLSign, if keyUsage is there
+    try:
+        usage = ca.extensions.get_extension_for_class(x509.KeyUsage).value
+    except x509.ExtensionNotFound:
+        usage = None
+    if usage is not None and not usage.crl_sign:
+        yield "the CA certificate may not sign revocation lists (keyUsage lacks cRLSign)"
+    # (g): the signature
+    try:
+        ca.public_key.verify(crl.signature, crl.tbs, crl.identifier)
+    except PqsecError:
+        yield "the revocation list is not signed by this CA (same name, another key, or altered)"
+
+
+def _alternative_problems(crl: RevocationList, ca: Certificate, *, required: bool) -> Iterator[str]:
+    try:
+        key = ca.alternative_key
+        signed = crl.alternative is not None and crl.alternative.signature is not None
+        if required and key is None:
+            yield "the CA certificate has no alternative key"
+        if required and not signed:
+            yield "the revocation list has no alternative signature"
+        if key is not None and signed and crl.alternative is not None:
+            crl.alternative.verify(key)
+    except PqsecError as error:
+        yield f"the alternative signature of the revocation list: {error}"
+
+
+def _critical_problems(crl: RevocationList) -> Iterator[str]:
+    # RFC 5280 5.2, 5.3: a list with critical extensions that are not understood says nothing
+    for extension in crl.extensions:
+        if extension.critical:
+            oid = extension.oid.dotted_string
+            yield f"the revocation list has an unknown critical extension {oid}"
+    for oid in sorted({oid for each in crl.revoked for oid in each.critical}):
+        yield f"the revocation list has entries with an unknown critical extension {oid}"
+
+
+_View = tuple[x509.Name, x509.Extensions, tuple[RevokedCertificate, ...]]
+
+
+def _library_view(der: bytes) -> _View:
+    try:
+        parsed = x509.load_der_x509_crl(der)
+        return parsed.issuer, parsed.extensions, tuple(map(_revoked, parsed))
+    except (
+        ValueError,
+        x509.DuplicateExtension,
+        x509.InvalidVersion,
+        x509.UnsupportedGeneralNameType,
+    ) as error:
+        raise MalformedError(f"not a revocation list: {error}") from error
+
+
+def _revoked(entry: x509.RevokedCertificate) -> RevokedCertificate:
+    reason, critical = None, []
+    for extension in entry.extensions:
+        if isinstance(extension.value, x509.CRLReason):
+            reason = extension.value.reason.value
+        elif extension.critical:
+            critical.append(extension.oid.dotted_string)
+    when = entry.revocation_date_utc
+    return RevokedCertificate(entry.serial_number, when, reason, tuple(critical))
+
+
+def _number(extensions: x509.Extensions) -> int | None:
+    try:
+        return extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
+    except x509.ExtensionNotFound:
+        return None

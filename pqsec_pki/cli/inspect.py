@@ -1,0 +1,40 @@
+"""pqsec inspect: what is this file?"""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki._files import read
+from pqsec_pki.cli import _common
+from pqsec_pki.errors import located
+from pqsec_pki.inspection import Description, describe
+
+
+@click.command()
+@click.argument(
+    "files",
+    nargs=-1,
+    required=True,
+    type=_common.FILE,
+    metavar="FILE...",
+)
+@_common.command_options
+def inspect(files: tuple[Path, ...]) -> None:
+    """Tell in words what a certificate, key or document is.
+
+    FILE is a certificate, a private or public key, a request or a revocation list, in
+    PEM or DER; or a governance or permissions document, bare or signed. Nothing is
+    verified: that is `pqsec verify`. Of a private key, nothing private is shown.
+    """
+    described = [(file, _described(file)) for file in files]
+    lines: list[str] = []
+    for file, description in described:
+        first, *rest = description.to_text()
+        lines += [f"{file}: {first}", *rest]
+    _common.emit([{"file": str(file), **each.to_json()} for file, each in described], lines)
+
+
+def _described(file: Path) -> Description:
+    data = read(file)
+    with located(file):
+        return describe(data, now=_common.now())

@@ -1,0 +1,38 @@
+"""A certification request in words. It carries its own proof, so that is checked."""
+
+from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.inspection import _algorithms, _extensions
+from pqsec_pki.inspection.description import Description, Fact
+
+
+def describe_request(der: bytes) -> Description:
+    """What is asked for in `der`; MalformedError if it is no request."""
+    request = CertificateRequest.from_der(der)
+    signature = _algorithms.algorithm_name(_algorithms.oid_of(request.identifier))
+    facts = (
+        Fact.of("subject", request.subject_name),
+        _algorithms.key_fact("key", request.spki),
+        *_alternative_key(request),
+        Fact.of("signature", signature),
+        _proof(request),
+        _extensions.extensions_fact("asks for", request.extensions),
+        _algorithms.spki_digest(request.spki),
+    )
+    return Description("certificate request", f"Request for {request.subject_name}", facts)
+
+
+def _alternative_key(request: CertificateRequest) -> tuple[Fact, ...]:
+    if request.alternative is None or request.alternative.spki is None:
+        return (Fact.of("alternative key", None, "none"),)
+    return (_algorithms.key_fact("alternative key", request.alternative.spki),)
+
+
+def _proof(request: CertificateRequest) -> Fact:
+    try:
+        request.verify()
+    except VerificationError as error:
+        return Fact.of("proof", {"holds": False, "problems": error.problems}, *error.problems)
+    both = " and the alternative key" if request.alternative else ""
+    words = f"checked: whoever asks has the key{both}"
+    return Fact.of("proof", {"holds": True, "problems": ()}, words)

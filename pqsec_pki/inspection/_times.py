@@ -1,0 +1,57 @@
+"""Times in words: when something is valid, and how long it still is."""
+
+from datetime import datetime, timedelta
+
+from pqsec_pki.inspection.description import Fact, Value
+
+_UNITS = (
+    ("day", timedelta(days=1)),
+    ("hour", timedelta(hours=1)),
+    ("minute", timedelta(minutes=1)),
+)
+
+
+def moment(when: datetime) -> str:
+    """`when`, in UTC, as people write it."""
+    return f"{when:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def span(length: timedelta) -> str:
+    """A length of time in its largest whole unit: 3 days, 1 hour."""
+    for unit, size in _UNITS:
+        if count := length // size:
+            return f"{count} {unit}" if count == 1 else f"{count} {unit}s"
+    return "less than a minute"
+
+
+def standing(not_before: datetime, not_after: datetime, now: datetime) -> str:
+    """Where `now` lies in that validity: 364 days left, expired 3 days ago."""
+    if not_before > not_after:
+        return "never valid: it ends before it starts"
+    if now < not_before:
+        return f"not valid yet: starts in {span(not_before - now)}"
+    if now > not_after:
+        return f"expired {span(now - not_after)} ago"
+    return f"{span(not_after - now)} left"
+
+
+def window(not_before: datetime, not_after: datetime, now: datetime) -> str:
+    """That validity in one line."""
+    where = standing(not_before, not_after, now)
+    return f"{moment(not_before)} to {moment(not_after)} ({where})"
+
+
+def window_value(not_before: datetime, not_after: datetime, now: datetime) -> dict[str, Value]:
+    """The same for programs."""
+    return {
+        "not_before": not_before.isoformat(),
+        "not_after": not_after.isoformat(),
+        "valid_now": not_before <= now <= not_after,
+        "standing": standing(not_before, not_after, now),
+    }
+
+
+def validity(not_before: datetime, not_after: datetime, now: datetime) -> Fact:
+    """The validity as a fact."""
+    value = window_value(not_before, not_after, now)
+    return Fact.of("validity", value, window(not_before, not_after, now))

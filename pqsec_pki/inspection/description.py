@@ -1,0 +1,61 @@
+"""What is told of a file: facts, each in words for people and as a value for programs."""
+
+from dataclasses import dataclass
+from typing import Any, Self, TypeAlias
+
+Value: TypeAlias = "str | int | tuple[Value, ...] | dict[str, Value] | None"
+"""What JSON can hold. A bool is an int."""
+Row: TypeAlias = tuple[str, str]
+"""A label and a line of words; the label is empty where the line goes on."""
+
+MAX_LABEL = 24
+"""Columns; longer labels push their words to the right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """One thing that is known of a file."""
+
+    key: str
+    """Its name in JSON."""
+    value: Value
+    rows: tuple[Row, ...]
+
+    @classmethod
+    def of(cls, label: str, value: Value, *words: str, key: str | None = None) -> Self:
+        """A fact with one label; its words are the value, and its key the label, unless given."""
+        lines = words or (str(value),)
+        rows = tuple((label if line == 0 else "", text) for line, text in enumerate(lines))
+        return cls(label.replace(" ", "_") if key is None else key, value, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a file is: a kind, a title, facts; and parts, where it holds several things."""
+
+    kind: str
+    title: str
+    facts: tuple[Fact, ...] = ()
+    parts: "tuple[Description, ...]" = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The description for json.dumps."""
+        value: dict[str, Any] = {"kind": self.kind, "title": self.title}
+        value |= {fact.key: fact.value for fact in self.facts}
+        if self.parts:
+            value["parts"] = [part.to_json() for part in self.parts]
+        return value
+
+    def to_text(self) -> list[str]:
+        """The description in lines. Control characters from the file are shown escaped."""
+        rows = [row for fact in self.facts for row in fact.rows]
+        width = min(MAX_LABEL, max((len(label) for label, _ in rows), default=0))
+        lines = [_shown(self.title)]
+        lines += [_shown(f"  {label:<{width}}  {words}") for label, words in rows]
+        for part in self.parts:
+            lines += ["", *part.to_text()]
+        return lines
+
+
+def _shown(text: str) -> str:
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text).rstrip()

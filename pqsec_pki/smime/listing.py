@@ -1,0 +1,102 @@
+"""Which signatures a signed document carries, as it says itself: for looking at.
+
+Nothing here is checked. Anyone can write any signer's name into a file; only verify()
+tells whether the signature is that signer's.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+
+from cryptography import x509
+
+from pqsec_pki._asn1 import IssuerAndSerialNumber, SignerInfo, encode
+from pqsec_pki.algorithms import digest_of
+from pqsec_pki.certificates import name_text
+from pqsec_pki.errors import MalformedError, UnknownAlgorithmError
+from pqsec_pki.smime import _cms, _mime, _signer_info
+
+MAX_SIGNATURES = 64
+"""Signatures and countersignatures; DDS stacks take one of the former."""
+
+
+@dataclass(frozen=True, slots=True)
+class ListedSigner:
+    """One signature, unverified."""
+
+    issuer: str | None
+    """Who issued the signer's certificate, RFC 4514; None where a key identifier is given."""
+    serial_number: int | None
+    key_identifier: bytes | None
+    """The signer's subjectKeyIdentifier, where it is named by that."""
+    identifier: bytes
+    """DER AlgorithmIdentifier of the signature."""
+    digest: str
+    """Name of the digest, or its dotted OID where it is none that is used here."""
+    signed_at: datetime | None
+    countersigners: "tuple[ListedSigner, ...]" = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """Everything in a document's CMS structure, unverified."""
+
+    signers: tuple[ListedSigner, ...]
+    certificates: tuple[bytes, ...]
+    """Embedded certificates, DER, or whatever stands in their place."""
+
+
+def signers_in(message: bytes) -> Listed:
+    """The signatures and certificates in S/MIME `message`; MalformedError if it is none."""
+    data = _cms.parse(_mime.split(message).signature)
+    listed = _Lister()
+    return Listed(
+        signers=tuple(listed.signers(data.signer_infos.as_list())),
+        certificates=tuple(encode(each) for each in data.certificates or []),
+    )
+
+
+class _Lister:
+    """Counts as it goes down, so that a hostile file comes to an end."""
+
+    def __init__(self) -> None:
+        self._left = MAX_SIGNATURES
+
+    def signers(self, infos: list[SignerInfo]) -> Iterator[ListedSigner]:
+        for info in infos:
+            self._left -= 1
+            if self._left < 0:
+                raise MalformedError(f"more than {MAX_SIGNATURES} signatures in the document")
+            yield self._signer(info)
+
+    def _signer(self, info: SignerInfo) -> ListedSigner:
+        issuer, serial_number, key_identifier = _sid(info)
+        return ListedSigner(
+            issuer=issuer,
+            serial_number=serial_number,
+            key_identifier=key_identifier,
+            identifier=encode(info.signature_algorithm),
+            digest=_digest(info.digest_algorithm.algorithm.dotted_string),
+            signed_at=_signer_info.signing_time(info),
+            countersigners=tuple(self.signers(list(_signer_info.countersignatures(info)))),
+        )
+
+
+def _sid(info: SignerInfo) -> tuple[str | None, int | None, bytes | None]:
+    if isinstance(info.sid, IssuerAndSerialNumber):
+        return _name(encode(info.sid.issuer)), info.sid.serial_number, None
+    return None, None, info.sid
+
+
+def _digest(oid: str) -> str:
+    try:
+        return digest_of(oid).name
+    except UnknownAlgorithmError:
+        return oid
+
+
+def _name(der: bytes) -> str:
+    try:
+        return name_text(x509.Name.from_bytes(der))
+    except ValueError as error:
+        raise MalformedError("the signer's name cannot be read") from error

@@ -1,0 +1,224 @@
+"""The documents tell the truth: their commands run, and print what they say.
+
+Every ```console block of README.md, docs/ and examples/ is run, in order, in one empty
+folder per file. In a block, a line
+
+    $ command           is a command for bash; the same folder and variables as the last one
+    > more              goes on with it
+    $ command  # exit 1 is to end with that code; without the mark, with 0
+    anything else       is what it prints, both streams; `...` stands for any text
+
+A command without output below it may print what it likes. The blocks marked ```sh set
+things up (they install packages), or are for other machines, and are not run here.
+"""
+
+import doctest
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+import pytest
+
+import pqsec_pki
+from pqsec_pki.cli import COMMANDS, pqsec
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+DOCUMENTS = [README, *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("examples/*/README.md"))]
+RUN = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/pqsec demo"
+TEST = (
+    "python3 -m venv .venv-test && .venv-test/bin/pip install '.[test]'"
+    " && .venv-test/bin/python -m pytest"
+)
+PATIENCE = 60
+"""Seconds for one command."""
+
+
+@dataclass(slots=True)
+class Command:
+    """One command of a block, and what the block says of it."""
+
+    line: int
+    text: str
+    output: list[str] = field(default_factory=list)
+
+    @property
+    def exit_code(self) -> int:
+        found = re.search(r"# exit ([0-9]+)$", self.text)
+        return int(found[1]) if found else 0
+
+
+def blocks(path: Path, language: str) -> list[tuple[int, list[str]]]:
+    """(number of the first line, lines) of each block of that language."""
+    found: list[tuple[int, list[str]]] = []
+    inside = None
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        if inside is None and line.startswith("```"):
+            inside = line.removeprefix("```")
+            found += [(number + 1, [])] if inside == language else []
+        elif line == "```":
+            inside = None
+        elif inside == language:
+            found[-1][1].append(line)
+    return found
+
+
+def commands_in(path: Path) -> list[Command]:
+    """The commands of the file's console blocks."""
+    found: list[Command] = []
+    for start, lines in blocks(path, "console"):
+        assert lines[0].startswith("$ "), f"{path}:{start}: a console block starts with a command"
+        for number, line in enumerate(lines, start=start):
+            if line.startswith("$ "):
+                found.append(Command(number, line.removeprefix("$ ")))
+            elif line.startswith("> "):
+                found[-1].text += "\n" + line.removeprefix("> ")
+            else:
+                found[-1].output.append(line)
+    return found
+
+
+class Session:
+    """A folder, and bash processes that hand their variables on."""
+
+    def __init__(self, folder: Path) -> None:
+        self.work = folder / "work"
+        self.work.mkdir()
+        self._variables = folder / "variables"
+        self._variables.touch()
+        programs = folder / "bin"
+        programs.mkdir()
+        program = programs / "pqsec"
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m pqsec_pki "$@"\n')
+        program.chmod(0o755)
+        ours = re.compile("PQSEC_|ROS_|COV_|PYTHON")
+        kept = {name: value for name, value in os.environ.items() if not ours.match(name)}
+        checkout = Path(pqsec_pki.__file__).parents[1]
+        self._environment = kept | {
+            "PATH": f"{programs}:{os.environ['PATH']}",
+            "PYTHONPATH": str(checkout),
+        }
+
+    def run(self, command: str) -> tuple[int, str]:
+        """(exit code, output of both streams)."""
+        script = (
+            f'. "{self._variables}"\n{command}\n'
+            f'code=$?\nexport -p > "{self._variables}"\nexit $code'
+        )
+        done = subprocess.run(
+            ["bash", "-c", script],
+            cwd=self.work,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+        return done.returncode, done.stdout
+
+
+def same(expected: list[str], printed: str) -> bool:
+    """Whether `printed` is what is expected, up to `...` and blank lines at the end."""
+    want, got = ("\n".join(expected).rstrip() + "\n", printed.rstrip() + "\n")
+    return doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS)
+
+
+def _parameter(path: Path) -> object:
+    others = any(re.search(r"\bopenssl ", command.text) for command in commands_in(path))
+    marks = [pytest.mark.interop] if others else []
+    return pytest.param(path, marks=marks, id=str(path.relative_to(ROOT)))
+
+
+WITH_COMMANDS = [_parameter(path) for path in DOCUMENTS if blocks(path, "console")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", WITH_COMMANDS)
+def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, requires):
+    session = Session(tmp_path)
+    for command in commands_in(path):
+        place = f"{path.relative_to(ROOT)}:{command.line}"
+        if "openssl " in command.text:
+            requires(shutil.which("openssl"), "openssl", "apt-get install openssl")
+        code, printed = session.run(command.text)
+        assert code == command.exit_code, f"{place}: {command.text}\nexit {code}\n{printed}"
+        if command.output:
+            wanted = "\n".join(command.output)
+            message = f"{place}: {command.text}\nprinted:\n{printed}\nand not:\n{wanted}"
+            assert same(command.output, printed), message
+
+
+def test_the_documents_are_all_here():
+    names = {str(path.relative_to(ROOT)) for path in DOCUMENTS}
+    assert {"README.md", "docs/house.md", "examples/quickstart/README.md"} <= names
+    assert len(WITH_COMMANDS) >= 4
+
+
+def test_the_readme_sets_things_up_in_two_lines_that_come_first():
+    """The gate runs them: they install from a package index."""
+    lines = [lines for _, lines in blocks(README, "sh")]
+    assert lines[:2] == [[RUN], [TEST]]
+    text = README.read_text()
+    assert text.index(TEST) < text.index("```console")
+
+
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    (_, lines), *others = blocks(README, "python")
+    assert not others
+    assert len([line for line in lines if line.strip()]) <= 25
+    monkeypatch.chdir(tmp_path)
+    exec(compile("\n".join(lines), str(README), "exec"), {})  # noqa: S102 -- it is ours
+    (said, *_) = re.findall(r"(?m)^# prints: (.*)$", "\n".join(lines))
+    assert said in capsys.readouterr().out
+
+
+def _all_commands() -> list[str]:
+    """Every command, with those of groups: `ca init`."""
+    context = click.Context(pqsec)
+    found = []
+    for name in COMMANDS:
+        command = pqsec.get_command(context, name)
+        inner = list(command.commands) if isinstance(command, click.Group) else [""]
+        found += [f"{name} {each}".strip() for each in inner]
+    return found
+
+
+def test_the_overview_of_commands_in_the_readme_is_complete():
+    overview = README.read_text().partition("## Commands")[2].partition("\n## ")[0]
+    assert sorted(re.findall(r"(?m)^\| `pqsec ([a-z -]+)`", overview)) == sorted(_all_commands())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_short_help_of_a_command_is_its_own_first_line(name):
+    command = pqsec.get_command(click.Context(pqsec), name)
+    own = " ".join((command.help or "").partition("\n\n")[0].split())
+    assert COMMANDS[name][1] == own
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_between_documents_lead_somewhere(path):
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text())
+    assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+def test_output_is_compared_with_gaps():
+    assert same(["a", "...", "c ...d"], "a\nb\nb\nc xyz d\n")
+    assert same(["one", ""], "one\n\n\n")
+    assert not same(["a", "c"], "a\nb\nc\n")
+    assert not same(["a ... b"], "a b c\n")
+
+
+def test_a_failing_command_is_seen(tmp_path):
+    session = Session(tmp_path)
+    assert session.run("export A=b; pqsec --version; false")[0] == 1
+    assert session.run("exit 3  # exit 3") == (3, "")
+    code, printed = session.run('echo "$A" >&2')
+    assert (code, printed) == (0, "b\n")
+    assert Command(1, "pqsec verify x  # exit 1").exit_code == 1

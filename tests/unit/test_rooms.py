@@ -1,0 +1,141 @@
+"""Which room may import which: the map of the package, kept true."""
+
+import ast
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import pqsec_pki
+
+ROOT = Path(pqsec_pki.__file__).parent
+GROUND = {"errors", "_assets", "_files", "_asn1"}
+ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))
+
+# A room may import the rooms named here, and the ground.
+MAY_IMPORT: dict[str, set[str]] = {
+    "algorithms": set(),
+    "documents": set(),
+    "certificates": {"algorithms"},
+    "smime": {"algorithms", "certificates"},
+    "access": {"documents"},
+    "handshake": {"algorithms", "certificates"},
+    "keystore": {"algorithms", "certificates", "smime", "documents"},
+    "vendors": {"keystore"},
+    "domain": {"keystore", "documents", "access", "certificates"},
+    "report": {"keystore", "documents", "access", "certificates"},
+    "inspection": {"documents", "smime", "certificates", "algorithms"},
+    "plugin": {"handshake", "access", "documents", "smime", "certificates", "algorithms"},
+    "selfcheck": {
+        *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
+        "keystore",
+    },
+}
+MAY_IMPORT["cli"] = set(MAY_IMPORT)
+
+# Outside packages that only these rooms, or modules of the ground, may touch.
+ONLY_IN = {
+    "cryptography.hazmat.asn1": {"_asn1"},
+    "cryptography.hazmat.primitives.asymmetric": {"algorithms"},
+    "click": {"cli"},
+    "lxml": {"documents"},
+    "jinja2": {"documents", "vendors", "report"},
+}
+
+
+def imports(source: str) -> Iterator[str]:
+    """The full name of everything imported, at the top or inside functions."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            prefix = "." * node.level + (node.module or "")
+            yield from (f"{prefix}.{alias.name}" for alias in node.names)
+
+
+def broken_rules(place: str, source: str) -> Iterator[str]:
+    """What `source`, of the room or ground module `place`, imports against the map."""
+    allowed = {place} | GROUND | MAY_IMPORT.get(place, set())
+    for name in imports(source):
+        if name.startswith("."):
+            yield f"{name} is not written in full"
+        if name.startswith("pqsec_pki.") and name != "pqsec_pki.__version__":
+            other, *inside = name.split(".")[1:]
+            if other not in allowed:
+                yield f"{name} is not for {place}"
+            if other != place and any(part.startswith("_") for part in inside):
+                yield f"{name} is private"
+        for outside, places in ONLY_IN.items():
+            if f"{name}.".startswith(f"{outside}.") and place not in places:
+                yield f"{name} is not for {place}"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_what_the_map_allows(room):
+    assert room in MAY_IMPORT, "a new room: say on the map what it may import"
+    for file in (ROOT / room).rglob("*.py"):
+        assert list(broken_rules(room, file.read_text())) == [], file.name
+
+
+@pytest.mark.parametrize("module", sorted(GROUND))
+def test_the_ground_stands_on_nothing(module):
+    assert list(broken_rules(module, (ROOT / f"{module}.py").read_text())) == []
+
+
+def test_no_module_stands_outside_the_rooms_and_the_ground():
+    modules = {path.stem for path in ROOT.glob("*.py")}
+    assert modules == GROUND | {"__init__", "__main__"}
+
+
+@pytest.mark.parametrize(
+    ("place", "source"),
+    [
+        ("documents", "from pqsec_pki.algorithms import PROFILES"),
+        ("algorithms", "def f():\n    from pqsec_pki.certificates import Certificate"),
+        ("smime", "import pqsec_pki.keystore"),
+        ("_files", "from pqsec_pki.algorithms import pem"),
+        ("keystore", "from pqsec_pki.smime._mime import split"),
+        ("keystore", "from pqsec_pki.smime import _mime"),
+        ("keystore", "from pqsec_pki.algorithms.keys import _native"),
+        ("keystore", "from ..smime import verify"),
+        ("certificates", "from cryptography.hazmat import asn1"),
+        ("certificates", "from cryptography.hazmat.primitives.asymmetric import ec"),
+        ("keystore", "import click"),
+        ("keystore", "from lxml import etree"),
+        ("access", "import jinja2.sandbox"),
+    ],
+)
+def test_a_forbidden_import_is_seen(place, source):
+    assert list(broken_rules(place, source))
+
+
+@pytest.mark.parametrize(
+    ("place", "source"),
+    [
+        ("keystore", "from pqsec_pki.keystore._ledger import Entry"),
+        ("cli", "import click\nfrom pqsec_pki.keystore import Keystore"),
+        ("smime", "from pqsec_pki._asn1 import decode"),
+        ("documents", "from lxml import etree\nimport jinja2"),
+        ("cli", "from pqsec_pki import __version__"),
+    ],
+)
+def test_an_allowed_import_is_not_complained_of(place, source):
+    assert list(broken_rules(place, source)) == []
+
+
+def test_the_map_has_no_circles():
+    done: set[str] = set()
+    while len(done) < len(MAY_IMPORT):
+        ready = {room for room, needs in MAY_IMPORT.items() if needs - {room} <= done} - done
+        assert ready, f"a circle among {set(MAY_IMPORT) - done}"
+        done |= ready
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_says_what_it_is_and_what_it_offers(room):
+    module = importlib.import_module(f"pqsec_pki.{room}")
+    assert module.__doc__
+    assert module.__all__
+    assert len(set(module.__all__)) == len(module.__all__)
+    assert [name for name in module.__all__ if not hasattr(module, name)] == []
