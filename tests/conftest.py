@@ -1,0 +1,45 @@
+"""What all tests share: the time, and how a test says that it needs something else here.
+
+A test of another implementation is marked `interop` and asks for it through `requires`.
+Where it is missing the test is skipped, with the way to get it in the reason. With
+PQSEC_REQUIRE_INTEROP=1, as in .ci/run, such a skip is a failure.
+"""
+
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import TypeVar
+
+import pytest
+
+Found = TypeVar("Found")
+
+ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
+
+
+@pytest.fixture(scope="session")
+def requires() -> Callable[[Found | None, str, str], Found]:
+    """requires(found, "what it is", "how to get it") gives `found`, or skips on None."""
+
+    def check(found: Found | None, what: str, remedy: str) -> Found:
+        if found is None:
+            pytest.skip(f"{what} is not on this machine: {remedy}")
+        return found
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def now() -> datetime:
+    """When this run began."""
+    return datetime.now(UTC)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    skipped = report.skipped and not hasattr(report, "wasxfail")
+    if ALL_MUST_RUN and skipped and item.get_closest_marker("interop"):
+        report.outcome = "failed"
+        report.longrepr = f"PQSEC_REQUIRE_INTEROP=1 allows no skips. {report.longrepr[2]}"
+    return report

@@ -1,0 +1,184 @@
+"""Credentials made by this project, for other implementations to judge, and their tools.
+
+A lab is a keystore with two participants, /lab/alice and /lab/bob: in the folder of each
+are the six files that a DDS stack reads.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.algorithms import PROFILES, Family, Profile, profile_named
+from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
+from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
+from tests.interop.cyclone import find_plugins
+
+YEAR = timedelta(days=365)
+DOMAINS = DomainSet.of(DomainRange(first=0, last=10))
+TOPIC = "rt/chatter"
+
+
+def _with_rsa() -> Profile:
+    keys = ("identity_key", "permissions_key", "participant_key")
+    return profile_named("classical").changed(dict.fromkeys(keys, "rsa-2048"))
+
+
+LAB_PROFILES = {profile.name: profile for profile in PROFILES} | {"classical rsa": _with_rsa()}
+STOCK = [name for name, profile in LAB_PROFILES.items() if profile.runs_in_stock]
+"""Profiles that stock stacks must take."""
+NOT_STOCK = [name for name in LAB_PROFILES if name not in STOCK]
+ML_DSA_ONLY = [name for name in NOT_STOCK if LAB_PROFILES[name].identity_key.family is Family.PQ]
+
+
+def permissions_of(subject: str, now: datetime, *, domains: DomainSet = DOMAINS) -> bytes:
+    """A permissions document for CN=`subject`, from a day before `now`, for 30 days."""
+    grant = Grant.least(
+        subject_name=f"CN={subject}",
+        not_before=now - timedelta(days=1),
+        not_after=now + timedelta(days=30),
+        domains=domains,
+        publish=[TOPIC],
+        subscribe=[TOPIC],
+    )
+    return Permissions(grants=(grant,)).to_xml()
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A keystore with two participants, and its CAs unlocked."""
+
+    keystore: Keystore
+    authorities: Authorities
+    now: datetime
+
+    @classmethod
+    def create(cls, root: Path, profile: Profile, now: datetime) -> "Lab":
+        options = {"domains": DOMAINS, "validity": 10 * YEAR, "now": now}
+        keystore = Keystore.create(root, profile, name="Lab", passphrase=None, **options)
+        lab = cls(keystore, keystore.unlock(None), now)
+        may = {"publish": (TOPIC,), "subscribe": (TOPIC,), "domains": DOMAINS, "validity": YEAR}
+        wishes = [Wish(name=name, **may) for name in ("/lab/alice", "/lab/bob")]
+        issue(keystore, lab.authorities, wishes, now=now)
+        return lab
+
+    @property
+    def alice(self) -> Path:
+        return self.keystore.root / "enclaves" / "lab" / "alice"
+
+    @property
+    def bob(self) -> Path:
+        return self.keystore.root / "enclaves" / "lab" / "bob"
+
+    def sign(self, document: bytes) -> bytes:
+        """`document`, signed as the keystore's own documents are."""
+        return self.authorities.sign(document, now=self.now)
+
+
+@pytest.fixture(scope="session")
+def labs(tmp_path_factory, now) -> Callable[[str], Lab]:
+    """labs("transition") is that profile's lab, made once."""
+    folder = tmp_path_factory.mktemp("labs")
+    return cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now))
+
+
+@pytest.fixture(scope="session")
+def other_labs(tmp_path_factory, now) -> Callable[[str], Lab]:
+    """Labs of somebody else: same names, same algorithms, other keys."""
+    folder = tmp_path_factory.mktemp("other-labs")
+    return cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now))
+
+
+@pytest.fixture
+def enclave(tmp_path) -> Callable[..., Path]:
+    """enclave(folder, **{"key.pem": bytes}) is a copy of the folder with files replaced."""
+    count = iter(range(100))
+
+    def copy(original: Path, replaced: dict[str, bytes]) -> Path:
+        folder = tmp_path / f"enclave{next(count)}"
+        shutil.copytree(original, folder)
+        for name, content in replaced.items():
+            (folder / name).write_bytes(content)
+        return folder
+
+    return copy
+
+
+@pytest.fixture
+def put(tmp_path) -> Callable[[str, bytes], Path]:
+    """put(name, content) is the path of a file with that content."""
+
+    def write(name: str, content: bytes) -> Path:
+        path = tmp_path / name
+        path.write_bytes(content)
+        return path
+
+    return write
+
+
+@dataclass(frozen=True)
+class OpenSSL:
+    """An openssl command."""
+
+    path: str
+    version: tuple[int, int]
+
+    @classmethod
+    def at(cls, path: str) -> "OpenSSL | None":
+        text = subprocess.run([path, "version"], capture_output=True, text=True, check=True).stdout
+        found = re.match(r"OpenSSL (\d+)\.(\d+)", text)
+        return cls(path, (int(found[1]), int(found[2]))) if found else None
+
+    def __call__(self, *arguments: str | Path, stdin: bytes = b"") -> bytes:
+        """Its output; AssertionError with its words if it fails."""
+        done = self._run(arguments, stdin)
+        assert done.returncode == 0, f"{arguments}: {done.stderr.decode()}"
+        return done.stdout
+
+    def refuses(self, *arguments: str | Path) -> str:
+        """Its words on refusing; AssertionError if it does not."""
+        done = self._run(arguments, b"")
+        assert done.returncode != 0, f"{arguments}: accepted"
+        return done.stderr.decode()
+
+    def _run(self, arguments, stdin: bytes) -> subprocess.CompletedProcess[bytes]:
+        command = [self.path, *map(str, arguments)]
+        return subprocess.run(command, input=stdin, capture_output=True, timeout=60, check=False)
+
+
+@pytest.fixture(scope="session")
+def plugins(requires) -> Path:
+    """The folder of Cyclone DDS's security plugins."""
+    remedy = "apt-get install libddsc0debian"
+    return requires(find_plugins(), "Cyclone DDS's security plugins", remedy)
+
+
+@pytest.fixture(scope="session")
+def openssl(requires) -> OpenSSL:
+    """The system's OpenSSL, which the system's DDS stacks use too."""
+    path = requires(shutil.which("openssl"), "openssl", "apt-get install openssl")
+    return requires(OpenSSL.at(path), "openssl", "what is installed is something else")
+
+
+@pytest.fixture(scope="session")
+def openssl35(requires) -> OpenSSL:
+    """An OpenSSL that knows ML-DSA."""
+    cached = Path.home() / ".cache" / "pqsec-ci" / "openssl35" / "openssl"
+    places = [os.environ.get("PQSEC_OPENSSL35"), shutil.which(cached), shutil.which("openssl")]
+    tools = [OpenSSL.at(place) for place in places if place]
+    good = [tool for tool in tools if tool and tool.version >= (3, 5)]
+    remedy = "run .ci/openssl35, or set PQSEC_OPENSSL35 to the command"
+    return requires(good[0] if good else None, "OpenSSL 3.5", remedy)
+
+
+@pytest.fixture
+def any_openssl(request, openssl, openssl35) -> OpenSSL:
+    """The one or the other: parametrise it, indirectly, with "system" and "3.5"."""
+    return {"system": openssl, "3.5": openssl35}[request.param]
