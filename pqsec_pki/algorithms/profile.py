@@ -59,7 +59,10 @@ class Profile:
         if not self.runs_in_stock:
             return "no stock stack today"
         if self.alternative_key:  # its handshake messages are larger than that
-            return "all stock stacks but Fast DDS 2.14.4 and 3.0.2 to 3.2.2 (8192-byte limit)"
+            return (
+                "all stock stacks but Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2"
+                " (8192-byte limit)"
+            )
         return "all stock stacks"
 
     @property

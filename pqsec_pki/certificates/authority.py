@@ -123,6 +123,8 @@ def common_name(name: str) -> bytes:
             f"{name!r} has characters that DDS stacks read differently",
             hint="use letters, digits, and _ . / - or spaces",
         )
+    if name != " ".join(name.split()):
+        raise UsageError(f"{name!r} has spaces where DDS stacks read them differently")
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]).public_bytes()
 
 

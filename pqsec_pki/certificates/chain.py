@@ -101,13 +101,17 @@ def _alternative_problems(
     leaf: Certificate, authority: Certificate, *, required: bool
 ) -> Iterator[str]:
     who = f"the certificate of {leaf.subject_name}"
-    key = authority.alternative_key
+    try:
+        key, own = authority.alternative_key, leaf.alternative_key
+    except PqsecError as error:
+        yield f"an alternative key cannot be read: {error}"
+        return
     signed = leaf.alternative is not None and leaf.alternative.signature is not None
     if required and key is None:
         yield "the CA certificate has no alternative key"
     if required and not signed:
         yield f"{who} has no alternative signature"
-    if required and leaf.alternative_key is None:
+    if required and own is None:
         yield f"{who} has no alternative key"
     if key is None or not signed or leaf.alternative is None:
         return

@@ -146,9 +146,16 @@ def _read_moves(path: Path) -> tuple[list[str], list[Entry]]:
     try:
         moves = json.loads(path.read_bytes())
         targets = [str(target) for target in moves["targets"]]
-        return targets, [Entry(*entry) for entry in moves["entries"]]
+        entries = [Entry(*entry) for entry in moves["entries"]]
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise KeystoreError(f"{path}: this unfinished change cannot be read") from None
+        raise _unreadable(path) from None
+    if any("\0" in each or each.startswith("/") or ".." in each.split("/") for each in targets):
+        raise _unreadable(path)
+    return targets, entries
+
+
+def _unreadable(path: Path) -> KeystoreError:
+    return KeystoreError(f"{path}: this unfinished change cannot be read")
 
 
 def _move(drafted: str, goal: str) -> None:

@@ -9,11 +9,15 @@ from pqsec_pki.errors import MalformedError
 MAX_DEPTH = 24
 """CMS with certificates nests about 12 deep."""
 MAX_CHILDREN = 4096
+MAX_SIZE = 1 << 20
+"""Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
 _CONSTRUCTED, _LONG_TAG, _SET, _OCTET_STRING = 0x20, 0x1F, 0x31, 0x04
 
 
 def to_der(data: bytes) -> bytes:
     """`data` with definite, shortest lengths; MalformedError if it is not one BER value."""
+    if len(data) > MAX_SIZE:
+        raise MalformedError(f"a signature larger than {MAX_SIZE} bytes")
     der, end = _convert(data, 0, len(data), 0)
     if end != len(data):
         raise MalformedError("bytes after the end of the CMS structure")

@@ -29,7 +29,13 @@ from pqsec_pki.cli import COMMANDS, pqsec
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-DOCUMENTS = [README, *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("examples/*/README.md"))]
+ABOUT = [ROOT / f"{name}.md" for name in ("CHANGELOG", "CONTRIBUTING", "SECURITY")]
+DOCUMENTS = [
+    README,
+    *ABOUT,
+    *sorted(ROOT.glob("docs/**/*.md")),
+    *sorted(ROOT.glob("examples/*/README.md")),
+]
 RUN = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/pqsec demo"
 TEST = (
     "python3 -m venv .venv-test && .venv-test/bin/pip install '.[test]'"
@@ -157,8 +163,8 @@ def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, requires):
 
 def test_the_documents_are_all_here():
     names = {str(path.relative_to(ROOT)) for path in DOCUMENTS}
-    assert {"README.md", "docs/house.md", "examples/quickstart/README.md"} <= names
-    assert len(WITH_COMMANDS) >= 4
+    assert {"README.md", "docs/commands.md", "examples/quickstart/README.md"} <= names
+    assert len(WITH_COMMANDS) >= 7
 
 
 def test_the_readme_sets_things_up_in_two_lines_that_come_first():

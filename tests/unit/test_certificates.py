@@ -215,6 +215,12 @@ def test_a_name_that_stacks_read_differently_is_refused(name):
 # Validity
 
 
+@pytest.mark.parametrize("name", [" a", "a ", "a  b", " "])
+def test_a_name_with_spaces_that_stacks_read_differently_is_refused(name):
+    with pytest.raises(UsageError, match="spaces where DDS stacks read them differently"):
+        common_name(name)
+
+
 def test_certificates_start_a_day_early(ca):
     assert ca.certificate.not_before == NOW - DAY
     assert issue(ca, now=NOW + 2 * DAY).not_before == NOW + DAY
@@ -490,6 +496,14 @@ def test_an_exchanged_alternative_key_is_refused(double_ca):
     altered = rebuilt(leaf, double_ca.key, drop=ALTERNATIVES, add=order)
     [problem] = problems(altered, double_ca.certificate)
     assert "bad ml-dsa-65 signature" in problem
+
+
+def test_an_alternative_key_that_cannot_be_read_is_refused(double_ca):
+    leaf = issue(double_ca, alternative="ml-dsa-65")
+    order = [extension("2.5.29.72", b"\x30\x00"), *_extensions(leaf)[-2:]]
+    altered = rebuilt(leaf, double_ca.key, drop=ALTERNATIVES, add=order)
+    [problem] = problems(altered, double_ca.certificate)
+    assert problem.startswith("an alternative key cannot be read: ")
 
 
 def _extensions(certificate):

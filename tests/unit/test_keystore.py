@@ -473,6 +473,16 @@ def test_a_journal_that_cannot_be_read_is_refused(keystore, root, moves):
         issue_to(keystore, "/talker")
 
 
+@pytest.mark.parametrize("target", ["../outside", "enclaves/../../outside", "/outside", "a\0b"])
+def test_a_journal_that_leads_out_of_the_keystore_is_refused(root, keystore, target):
+    (root / ".journal/0").mkdir(parents=True)
+    moves = {"targets": [target], "entries": []}
+    (root / ".journal/moves.json").write_text(json.dumps(moves))
+    with pytest.raises(KeystoreError, match="this unfinished change cannot be read"):
+        Keystore.open(root)
+    assert (root / ".journal/0").is_dir()
+
+
 def test_a_folder_that_is_no_keystore_is_refused_with_the_way_out(tmp_path):
     for root in (tmp_path, tmp_path / "missing"):
         with pytest.raises(KeystoreError, match="is not a pqsec keystore") as caught:

@@ -28,7 +28,7 @@ from pqsec_pki.certificates import Authority
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.smime import Require, Signer, document_in, is_signed, sign, verify
-from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, to_der
+from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE, to_der
 from pqsec_pki.smime._mime import MAX_MESSAGE, content_of
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, make, with_unsigned
 
@@ -703,6 +703,12 @@ def test_ber_that_nests_without_end_is_refused():
     for depth in (MAX_DEPTH + 2, 100_000):
         with pytest.raises(MalformedError, match="nests too deeply"):
             to_der(b"\x30\x80" * depth + b"\0\0" * depth)
+
+
+def test_ber_that_is_very_large_is_refused_before_any_work():
+    assert to_der(b"\4\x83\x0f\xff\xfb" + bytes(MAX_SIZE - 5))
+    with pytest.raises(MalformedError, match=f"larger than {MAX_SIZE} bytes"):
+        to_der(b"\4\x83\x0f\xff\xfc" + bytes(MAX_SIZE - 4))
 
 
 def test_ber_with_very_many_parts_is_refused():

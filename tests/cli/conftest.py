@@ -1,0 +1,211 @@
+"""Running pqsec as its users do: commands in a folder, an exit code, two streams.
+
+`pqsec` runs a command line in this process, through the same `main` as the shell does;
+`process` starts Python for it, where the process itself is what is tested. Both run in
+the test's own folder, without a terminal.
+"""
+
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pqsec_pki.algorithms import PROFILES
+from pqsec_pki.cli import main
+
+NAMES = [profile.name for profile in PROFILES]
+PARTICIPANTS = ("/talker", "/listener")
+
+Run = Callable[..., "Result"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command left: its exit code and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+    @property
+    def errors(self) -> list[str]:
+        """The problems on stderr, which must be all there is but for one hint at the end."""
+        *lines, last = self.err.splitlines()
+        if not last.startswith("pqsec: hint: "):
+            lines.append(last)
+        assert lines
+        assert all(line.startswith("pqsec: error: ") for line in lines), self.err
+        return [line.removeprefix("pqsec: error: ") for line in lines]
+
+    def done(self) -> "Result":
+        """This, which must be a success that complains of nothing."""
+        assert self.code == 0, self.err
+        assert "error:" not in self.err
+        return self
+
+    def refused(
+        self, code: int, *words: str, hint: str | None = None, problems: int = 1
+    ) -> "Result":
+        """This, which must be a refusal in the house's form that holds all the words."""
+        assert self.code == code, self
+        assert self.out == ""
+        assert len(self.errors) == problems, self.err
+        assert not [word for word in words if word not in "\n".join(self.errors)], self.err
+        last = self.err.splitlines()[-1]
+        assert hint is None or (last.startswith("pqsec: hint: ") and hint in last), self.err
+        return self
+
+
+def clean_environment(**extra: str) -> dict[str, str]:
+    """The environment, less what pqsec listens to; streams are buffered, as Python does it."""
+    dropped = ("PQSEC_", "ROS_SECURITY_", "PYTHONUNBUFFERED")
+    return {k: v for k, v in os.environ.items() if not k.startswith(dropped)} | extra
+
+
+@pytest.fixture(scope="session")
+def run_in() -> Run:
+    """run_in(folder, "ca show", ...) runs the command there, in this process."""
+
+    def run(folder: Path, line: str, *more: object, **environment: str) -> Result:
+        out, err = BytesIO(), BytesIO()
+        with pytest.MonkeyPatch.context() as patch, Path(os.devnull).open() as nothing:
+            patch.chdir(folder)
+            for name in set(os.environ) - set(clean_environment()):
+                patch.delenv(name)
+            for name, value in environment.items():
+                patch.setenv(name, value)
+            patch.setattr(sys, "argv", ["pqsec", *shlex.split(line), *map(str, more)])
+            patch.setattr(sys, "warnoptions", ["error"])  # else main hides warnings from us
+            patch.setattr(sys, "stdin", nothing)
+            patch.setattr(sys, "stdout", TextIOWrapper(out, "utf-8", write_through=True))
+            patch.setattr(sys, "stderr", TextIOWrapper(err, "utf-8", write_through=True))
+            before = signal.getsignal(signal.SIGPIPE)
+            try:
+                with pytest.raises(SystemExit) as end:
+                    main()
+            finally:
+                signal.signal(signal.SIGPIPE, before)
+            return Result(end.value.code, out.getvalue().decode(), err.getvalue().decode())
+
+    return run
+
+
+@pytest.fixture
+def pqsec(run_in, tmp_path) -> Run:
+    """pqsec("-k k ca show", ...) runs the command in the test's folder, in this process."""
+
+    def run(line: str, *more: object, **environment: str) -> Result:
+        return run_in(tmp_path, line, *more, **environment)
+
+    return run
+
+
+@pytest.fixture
+def process(tmp_path) -> Run:
+    """process("-k k ca show", ...) runs the command in the test's folder, in a new process."""
+
+    def run(line: str, *more: object, **environment: str) -> Result:
+        done = subprocess.run(
+            [sys.executable, "-m", "pqsec_pki", *shlex.split(line), *map(str, more)],
+            cwd=tmp_path,
+            env=clean_environment(**environment),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        return Result(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def make_domain(run_in) -> Callable[[Path, str], Path]:
+    """make_domain(folder, options of `ca init`) makes a keystore with two participants."""
+
+    def make(folder: Path, options: str) -> Path:
+        run_in(folder, f"-k k ca init {options}").done()
+        both = " ".join(PARTICIPANTS)
+        topics = "--publish rt/chatter --subscribe rt/chatter"
+        run_in(folder, f"-k k issue {both} {topics}").done()
+        return folder / "k"
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def domains(make_domain, tmp_path_factory) -> Callable[..., Path]:
+    """domains("pq") is a keystore of that profile, made once: to be copied, not changed.
+
+    domains("pq", "another") has the same names in it, and other keys.
+    """
+    made: dict[tuple[str, str], Path] = {}
+
+    def domain(profile: str, label: str = "one") -> Path:
+        if (profile, label) not in made:
+            folder = tmp_path_factory.mktemp(f"{profile}-{label}")
+            made[profile, label] = make_domain(folder, f"--no-passphrase --profile {profile}")
+        return made[profile, label]
+
+    return domain
+
+
+@pytest.fixture
+def keystore(domains, tmp_path) -> Callable[..., Path]:
+    """keystore("pq") is the test's own keystore `k` of that profile, with two participants."""
+
+    def copied(profile: str = "classical", name: str = "k", label: str = "one") -> Path:
+        return copy(domains(profile, label), tmp_path / name)
+
+    return copied
+
+
+@pytest.fixture(scope="session")
+def locked_domain(tmp_path_factory, make_domain, run_in) -> Path:
+    """A keystore without participants whose CA keys are encrypted under `open sesame`."""
+    folder = tmp_path_factory.mktemp("locked")
+    secret(folder / "passphrase", "open sesame\n")
+    run_in(folder, "-k k ca init --profile classical --passphrase-file passphrase").done()
+    return folder / "k"
+
+
+@pytest.fixture
+def locked(locked_domain, tmp_path) -> Path:
+    """The test's own keystore `k` with encrypted keys; `right` and `wrong` hold passphrases."""
+    secret(tmp_path / "right", "open sesame\n")
+    secret(tmp_path / "wrong", "open barley\n")
+    return copy(locked_domain, tmp_path / "k")
+
+
+def secret(path: Path, content: str | bytes) -> None:
+    """A file for its owner only, as a passphrase's should be."""
+    path.touch(mode=0o600)
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def copy(keystore: Path, goal: Path) -> Path:
+    return shutil.copytree(keystore, goal, symlinks=True)
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    """Every file under `folder`, links followed, but for the ledger's working files."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.name.endswith(("-wal", "-shm"))
+    }

@@ -1,0 +1,287 @@
+"""What a user does wrong: an exit code, one line that says what, one that says what to do.
+
+Each of these runs in a process of its own, as from a shell.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.cli import COMMANDS
+from tests.cli.conftest import clean_environment
+
+USAGE = [
+    "foo",
+    "--foo ca show",
+    "ca foo",
+    "ca show extra",
+    "-k",
+    "-k k ca init --profile",
+    "-k k ca init --profile no --no-passphrase",
+    "-k k issue",
+    "-k k issue /a --domain",
+    "-k k issue /a --validity soon",
+    "-k k issue '' --publish x",
+    "-k k/pqsec.json ca show",
+    "-k k sign-governance",
+    "-k k sign-permissions k",
+    "-k k verify-handshake /talker",
+    "-k k verify-handshake /talker /listener /third",
+    "-k k verify-handshake /talker /listener --kem no",
+    "-k k verify-handshake /talker /listener --domain 999",
+    "validate",
+    "verify",
+    "verify k/enclaves/governance.p7s",
+    "demo a b",
+    "demo --profile no",
+    "demo k/pqsec.json",
+    "issue /a",
+    # what a shell makes of "$VARIABLE" when it is not set
+    "-k '' ca init --no-passphrase",
+    "-k new ca init --passphrase-file ''",
+    "-k k issue /a --domain ''",
+    "-k k sign-governance k/enclaves/governance.xml -o '' --force",
+    "-k k verify-handshake /talker /listener --kem ''",
+    "-k k verify-handshake /talker ''",
+    "verify k/enclaves/governance.p7s --ca ''",
+    "verify k/enclaves/governance.p7s --require quantum",
+    "-k k ca init --no-passphrase --kem ''",
+    "inspect",
+    "inspect ''",
+    "inspect k",
+    "validate ''",
+    "demo ''",
+]
+NOT_DONE = [
+    "-k no ca show",
+    "-k no issue /a",
+    "-k k ca init --no-passphrase",
+    "-k k issue /talker",
+    "-k k verify-handshake /talker /no",
+    "-k k verify no",
+    "-k k verify k/enclaves/governance.p7s --ca no",
+    f"-k k verify k/enclaves/governance.p7s --ca {'x' * 300}.cert.pem",
+    "-k k sign-governance no",
+    "-k k sign-governance k/enclaves/governance.xml",
+    "-k k sign-governance k/enclaves/governance.xml -o no/no",
+    "-k new ca init --passphrase-file no",
+    "validate no",
+    "demo k",
+    "-k k demo",
+    "inspect no",
+    "inspect k/pqsec.json",
+    f"inspect {'x' * 300}",
+    f"-k {'x' * 300} ca show",
+    f"-k new ca init --passphrase-file {'x' * 300}",
+    f"-k {'x' * 300} ca init --no-passphrase",
+    f"demo {'x' * 300}",
+    f"validate {'x' * 5000}",
+]
+NO = [
+    "-k k sign-permissions k/enclaves/governance.xml",
+    "-k k verify k/enclaves/governance.xml",
+    "-k k verify k/enclaves/governance.p7s --require pq",
+]
+
+
+@pytest.mark.parametrize("line", USAGE)
+def test_what_makes_no_sense_ends_with_2(pqsec, keystore, line):
+    keystore()
+    said = pqsec(line).refused(2)
+    assert len(said.err.splitlines()) <= 2
+
+
+@pytest.mark.parametrize("line", NOT_DONE)
+def test_what_cannot_be_done_ends_with_3(pqsec, keystore, line):
+    keystore()
+    pqsec(line).refused(3)
+
+
+@pytest.mark.parametrize("line", NO)
+def test_what_is_checked_and_refused_ends_with_1(pqsec, keystore, line):
+    keystore()
+    pqsec(line).refused(1)
+
+
+@pytest.mark.parametrize("line", [USAGE[0], USAGE[10], NOT_DONE[0], NOT_DONE[5], NO[0], NO[2]])
+def test_a_process_ends_as_main_does(pqsec, process, keystore, line):
+    keystore()
+    one, other = pqsec(line), process(line)
+    assert (one.code, one.out, one.err) == (other.code, other.out, other.err)
+
+
+def test_json_on_error_leaves_stdout_to_results(pqsec, keystore):
+    keystore()
+    for line in ("--json foo", "--json issue", "--json -k no ca show", f"--json {NO[0]}"):
+        said = pqsec(line)
+        assert said.out == ""
+        assert said.err.startswith("pqsec: error: ")
+
+
+@pytest.mark.parametrize(
+    ("line", "missing"),
+    [
+        ("-k no ca show", "no is not a pqsec keystore: it has no pqsec.json"),
+        ("-k k verify no", "no: no such file or directory"),
+        ("verify --ca no k/enclaves/governance.p7s", "no: no such file or directory"),
+        ("-k k verify --alt-ca no k/enclaves/governance.p7s", "no: no such file or directory"),
+        ("-k k sign-governance no", "no: no such file or directory"),
+        ("-k k sign-permissions no", "no: no such file or directory"),
+        ("-k new ca init --passphrase-file no", "no: no such file or directory"),
+        ("validate no", "no: no such file or directory"),
+        ("inspect no", "no: no such file or directory"),
+    ],
+)
+def test_a_missing_file_is_named_once(pqsec, keystore, line, missing):
+    keystore()
+    assert pqsec(line).refused(3).errors == [missing]
+
+
+@pytest.mark.parametrize("line", ["", "ca"])
+def test_a_group_alone_shows_its_help_on_stderr(process, line):
+    said = process(line)
+    assert said.code == 2
+    assert said.out == ""
+    assert said.err.startswith("Usage: pqsec")
+    assert "Commands:" in said.err
+
+
+# Every command answers
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "profiles",
+        "algorithms",
+        "-k k ca show",
+        "-k k issue /a --publish x",
+        "-k k sign-governance k/enclaves/governance.xml -o out",
+        "-k k verify k/enclaves/governance.p7s",
+        "-k k verify-handshake /talker /listener",
+        "-k new ca init --no-passphrase --profile classical",
+        "validate k/enclaves/governance.xml",
+        "inspect k/enclaves/governance.xml",
+        "demo new",
+    ],
+)
+def test_json_is_one_value_and_nothing_else(pqsec, keystore, line):
+    keystore()
+    assert json.loads(pqsec(f"{line} --json").done().out)
+
+
+def test_help_lists_the_commands_with_the_help_each_gives(process):
+    said = process("--help")
+    assert said.code == 0
+    assert said.err == ""
+    assert [name for name in COMMANDS if f"\n  {name} " not in said.out] == []
+
+
+@pytest.mark.parametrize("option", ["-h", "--help"])
+@pytest.mark.parametrize("line", ["ca", "ca init", "issue", "verify", "demo", "inspect"])
+def test_help_needs_neither_arguments_nor_keystore(pqsec, line, option):
+    assert pqsec(f"{line} {option}").done().out.startswith(f"Usage: pqsec {line} [OPTIONS]")
+
+
+# What help costs
+
+HEAVY = ("cryptography", "jinja2", "lxml", "sqlite3", "yaml")
+LIST_HEAVY = f"""\
+import sys
+from pqsec_pki.cli import main
+try:
+    main()
+finally:
+    print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+
+
+def loaded_by(folder: Path, *arguments: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", LIST_HEAVY, *arguments],
+        cwd=folder,
+        env=clean_environment(PYTHONPATH=os.pathsep.join(sys.path)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    names: list[str] = json.loads(done.stderr.splitlines()[-1].replace("'", '"'))
+    return names
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["foo"], []])
+def test_help_and_version_load_no_heavy_module(tmp_path, arguments):
+    assert loaded_by(tmp_path, *arguments) == []
+
+
+def test_the_list_of_what_was_loaded_is_true(tmp_path):
+    assert "cryptography" in loaded_by(tmp_path, "profiles")
+
+
+def test_profiles_and_algorithms_load_no_more_than_cryptography(tmp_path):
+    for command in ("profiles", "algorithms"):
+        assert loaded_by(tmp_path, command) == ["cryptography"]
+
+
+# Streams and signals
+
+
+def start(folder, line, **streams):
+    command = [sys.executable, "-m", "pqsec_pki", *line.split()]
+    settings = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, cwd=folder, env=clean_environment(), **settings | streams)
+
+
+def test_a_reader_that_left_ends_it_quietly(tmp_path):
+    reading, writing = os.pipe()
+    with start(tmp_path, "algorithms", stdout=writing) as process:
+        os.close(writing)
+        os.close(reading)
+        assert process.stderr.read() == b""
+    assert process.returncode == -signal.SIGPIPE  # a shell calls it 141
+
+
+@pytest.mark.parametrize("option", ["", "--json"])
+def test_a_full_disk_below_the_result_is_an_error(tmp_path, option):
+    with (
+        Path("/dev/full").open("wb") as full,
+        start(tmp_path, f"profiles {option}", stdout=full) as process,
+    ):
+        err = process.stderr.read().decode()
+    assert process.returncode == 3
+    assert err == "pqsec: error: the result cannot be printed: no space left on device\n"
+
+
+def test_an_interrupt_ends_it_with_130_and_nothing_half_made(tmp_path, keystore):
+    """1000 participants take seconds; the interrupt comes while they are drafted."""
+    k = keystore("pq")
+    names = " ".join(f"/n{number}" for number in range(1000))
+    with start(tmp_path, f"-k k issue --publish x {names}") as process:
+        give_up = time.monotonic() + 30
+        while not list(k.glob(".draft-*")) and time.monotonic() < give_up:
+            time.sleep(0.005)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert process.returncode == 130
+    assert out == b""
+    assert err.decode().split("\n")[-2:] == ["pqsec: error: interrupted", ""]
+    assert b"Traceback" not in err
+    assert {path.name for path in (k / "enclaves").iterdir() if path.is_dir()} == {
+        "talker",
+        "listener",
+    }
+    assert not list(k.glob(".draft-*"))
+
+
+def test_a_path_that_is_no_text_is_shown_all_the_same(process, tmp_path):
+    name = os.fsdecode(b"k\xff")
+    said = process("-k", name, "ca", "init", "--no-passphrase", PYTHONIOENCODING="utf-8:strict")
+    assert said.code == 0
+    assert said.out.startswith("keystore       k\\udcff (profile transition")
+    assert (tmp_path / name / "pqsec.json").is_file()

@@ -1,0 +1,110 @@
+"""pqsec validate: documents against their schemas, whoever signed them."""
+
+import pytest
+
+from tests.cli.conftest import snapshot
+
+GOVERNANCE = "k/enclaves/governance"
+PERMISSIONS = "k/enclaves/talker/permissions"
+
+
+@pytest.mark.parametrize(
+    ("file", "kind"),
+    [
+        (f"{GOVERNANCE}.xml", "governance"),
+        (f"{GOVERNANCE}.p7s", "governance"),
+        (f"{PERMISSIONS}.xml", "permissions"),
+        (f"{PERMISSIONS}.p7s", "permissions"),
+    ],
+)
+def test_the_kind_is_found_signed_or_not(pqsec, keystore, file, kind):
+    keystore("transition")
+    assert pqsec("validate", file).done().out == f"{file}: valid {kind} document\n"
+    assert pqsec("validate --json", file).done().json == [
+        {"file": file, "valid": True, "kind": kind, "problems": []}
+    ]
+
+
+def test_no_keystore_is_needed_and_nothing_is_written(pqsec, keystore, tmp_path):
+    keystore()
+    before = snapshot(tmp_path)
+    pqsec(f"validate {GOVERNANCE}.xml", PQSEC_KEYSTORE="nowhere").done()
+    assert snapshot(tmp_path) == before
+
+
+def test_a_broken_document_is_told_with_file_line_element_and_rule(pqsec, keystore, tmp_path):
+    text = (keystore() / "enclaves/governance.xml").read_text()
+    (tmp_path / "broken.xml").write_text(text.replace(">SIGN<", ">SIGNED<"))
+    number = text[: text.index(">SIGN<")].count("\n") + 1
+    said = pqsec("validate broken.xml")
+    assert said.code == 1
+    start = f"broken.xml: line {number}: <rtps_protection_kind>: 'SIGNED' is none of "
+    assert said.out.startswith(start)
+    [result] = pqsec("validate broken.xml --json").json
+    assert result["valid"] is False
+    [problem] = result["problems"]
+    assert problem["line"] == number
+    assert problem["element"] == "rtps_protection_kind"
+    assert problem["rule"].startswith("'SIGNED' is none of")
+    assert problem["text"] == said.out.removeprefix("broken.xml: ").rstrip("\n")
+
+
+def test_the_xml_inside_a_signed_file_is_checked(pqsec, keystore, tmp_path):
+    signed = (keystore() / "enclaves/governance.p7s").read_text()
+    (tmp_path / "broken.p7s").write_text(signed.replace(">SIGN<", ">SIGNED<"))
+    said = pqsec("validate broken.p7s")
+    assert said.code == 1
+    assert "<rtps_protection_kind>: 'SIGNED' is none of" in said.out
+
+
+def test_all_files_are_told_and_one_that_is_broken_makes_it_a_no(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "broken.xml").write_text("<dds/>")
+    said = pqsec(f"validate broken.xml {GOVERNANCE}.xml {PERMISSIONS}.xml")
+    assert said.code == 1
+    lines = said.out.splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith("broken.xml: line 1: <dds>: ")
+    assert lines[1:] == [
+        f"{GOVERNANCE}.xml: valid governance document",
+        f"{PERMISSIONS}.xml: valid permissions document",
+    ]
+    results = pqsec(f"--json validate {GOVERNANCE}.xml broken.xml").json
+    assert [result["valid"] for result in results] == [True, False]
+
+
+SIGNED = b'Content-Type: multipart/signed; boundary="x"\n\n--x\n'
+NO_DOCUMENTS = {
+    "empty": b"",
+    "binary": b"\0\xff" * 99,
+    "cut": b"<dds>",
+    "text": b"hello",
+    "bare": b"<dds/>",
+    "namespace": b"<dds xmlns='urn:x'><permissions/></dds>",
+    "entity": b'<!DOCTYPE dds [<!ENTITY a "b">]><dds>&a;</dds>',
+    "deep": b"<a>" * 5000,
+    "no boundary": b"Content-Type: multipart/signed\n\n",
+    "no header": SIGNED + b"\n--x\n\n--x--\n",
+    "bare inside": SIGNED + b"Content-Type: text/plain\n\n<dds/>\n--x\n\nAAAA\n--x--\n",
+}
+
+
+@pytest.mark.parametrize("content", NO_DOCUMENTS.values(), ids=NO_DOCUMENTS)
+def test_what_is_no_document_is_a_no_with_a_reason(pqsec, tmp_path, content):
+    (tmp_path / "file").write_bytes(content)
+    said = pqsec("validate file")
+    assert said.code == 1
+    assert said.err == ""
+    assert said.out.startswith("file: ")
+    [result] = pqsec("validate file --json").json
+    assert result["valid"] is False
+    assert result["kind"] is None
+    assert result["problems"][0]["text"]
+
+
+def test_a_file_that_cannot_be_read_is_an_error_and_not_a_no(pqsec, tmp_path):
+    pqsec("validate nowhere.xml").refused(3, "nowhere.xml: no such file")
+    pqsec("validate .").refused(2, "is a directory")
+    (tmp_path / "huge.xml").write_bytes(b"<dds>" + b" " * (9 << 20))
+    pqsec("validate huge.xml").refused(3, "huge.xml: larger than")
+    pqsec("validate").refused(2, "FILE...")
