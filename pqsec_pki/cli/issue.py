@@ -76,19 +76,19 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         )
         for name in names
     ]
+    governance = Governance.from_xml(document_in(keystore.governance))
     authorities = _common.unlock(keystore, passphrase_file)
     issued = issue_participants(keystore, authorities, wishes, now=_common.now(), force=force)
-    _warn(keystore, issued, wishes[0])
+    _warn(governance, issued, wishes[0])
     _tell(keystore, issued)
 
 
-def _warn(keystore: Keystore, issued: list[Issued], wish: Wish) -> None:
+def _warn(governance: Governance, issued: list[Issued], wish: Wish) -> None:
     if not wish.publish and not wish.subscribe:
         _common.note("no topic was named: the permissions deny everything, even to join")
     if issued[0].shortened:
         end = issued[0].not_after
         _common.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
-    governance = Governance.from_xml(document_in(keystore.governance))
     ungoverned = [d for d in wish.domains.ids() if governance.rule_for(d) is None]
     if ungoverned:
         _common.note(

@@ -47,11 +47,11 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
         keystore = _common.open_keystore()
         ca = keystore.permissions_ca_path
         required = Require(require or required_signatures(keystore.profile))
-    certificate = _current(ca)
-    alt_ca = alt_ca or _beside(ca)
-    second = _current(alt_ca) if alt_ca else None
     message = read(file)
     try:
+        certificate = _current(ca)
+        alt_ca = alt_ca or _beside(ca)
+        second = _current(alt_ca) if alt_ca else None
         with located(file):
             verified = verify_signed(message, certificate, alternative_ca=second, require=required)
     except VerificationError as error:

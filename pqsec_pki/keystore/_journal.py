@@ -87,8 +87,8 @@ def change(root: Path) -> Iterator[Draft]:
             _finish(root)
             _sweep(root)
             draft = Draft(root, root / f"{DRAFT}{secrets.token_hex(8)}")
-            draft.path.mkdir(mode=0o700)
             try:
+                draft.path.mkdir(mode=0o700)
                 yield draft
                 _commit(draft)
             except BaseException:

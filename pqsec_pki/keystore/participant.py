@@ -87,8 +87,12 @@ def _check_complete(folder: Path) -> None:
         _layout.PERMISSIONS_CA,
     )
     missing = [name for name in needed if not (folder / name).exists()]
+    lost = [str((folder / name).readlink()) for name in missing if (folder / name).is_symlink()]
     if missing:
-        raise KeystoreError(f"{folder} lacks {', '.join(missing)}")
+        raise KeystoreError(
+            f"{folder} lacks {', '.join(missing)}",
+            hint=f"restore {', '.join(lost)}, which all participants share" if lost else None,
+        )
 
 
 def _key(path: Path, passphrase: bytes | None) -> PrivateKey:

@@ -465,7 +465,9 @@ def test_a_certificate_that_leads_nowhere_is_named(fails, keystore):
 
 def test_a_lost_ca_certificate_is_missed_behind_its_link(fails, keystore):
     (keystore() / "public/identity_ca.cert.pem").unlink()
-    fails("files of /talker", "k/enclaves/talker lacks identity_ca.cert.pem")
+    step = fails("files of /talker", "k/enclaves/talker lacks identity_ca.cert.pem")
+    shared = "../../public/identity_ca.cert.pem"
+    assert step["hint"] == f"restore {shared}, which all participants share"
 
 
 def test_a_participants_key_that_is_encrypted_is_named(fails, keystore):

@@ -473,3 +473,12 @@ def test_a_refused_command_leaves_the_ledger_as_it_was(pqsec, keystore):
     pqsec(f"-k k issue /talker {TOPIC}").refused(3)
     pqsec("-k k issue /a --publish", "").refused(2)
     assert ledger(k) == before
+
+
+def test_a_lost_governance_stops_the_issue_before_anything_is_replaced(pqsec, keystore):
+    k = keystore()
+    (k / "enclaves/governance.p7s").unlink()
+    before = snapshot(k)
+    said = pqsec(f"-k k issue /talker --force {TOPIC}")
+    said.refused(3, "k/enclaves/governance.p7s: no such file or directory")
+    assert snapshot(k) == before

@@ -249,6 +249,9 @@ def test_a_ca_out_of_its_time_is_refused(pqsec, tmp_path, days, words):
         now=datetime.now(UTC) + timedelta(days=days),
     )
     pqsec(f"-k k verify {GOVERNANCE}").refused(1, PERMISSIONS_CA, words)
+    said = pqsec(f"-k k --json verify {GOVERNANCE}").json
+    assert said["ok"] is False
+    assert words in said["problems"][0]
 
 
 # Changed on the way
