@@ -6,6 +6,7 @@ signature.py or key_agreement.py; nothing else in the package names one.
 
 from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
 from pqsec_pki.algorithms._pair import pair_private, pair_public
+from pqsec_pki.algorithms._pem import first_pem, pem, unpem
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms._table import Family
 from pqsec_pki.algorithms.digest import Digest, digest_of
@@ -14,9 +15,7 @@ from pqsec_pki.algorithms.keys import (
     is_encrypted,
     load_private_key,
     load_public_key,
-    pem,
     private_key_pem,
-    unpem,
 )
 from pqsec_pki.algorithms.profile import (
     DEFAULT_PROFILE,
@@ -42,6 +41,7 @@ __all__ = [
     "PublicKey",
     "SignatureAlgorithm",
     "digest_of",
+    "first_pem",
     "is_encrypted",
     "load_private_key",
     "load_public_key",

@@ -1,8 +1,5 @@
 """Keys to bytes and back: SubjectPublicKeyInfo, PKCS#8, PEM, with a passphrase or not."""
 
-import base64
-import binascii
-import re
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -18,36 +15,13 @@ from pqsec_pki._asn1 import OneAsymmetricKey, SubjectPublicKeyInfo, decode
 from pqsec_pki.algorithms import _pbes2
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA
+from pqsec_pki.algorithms._pem import pem, unpem
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms.signature import SIGNATURES
 from pqsec_pki.errors import MalformedError, PassphraseError, UnknownAlgorithmError
 
 _ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
 """Rows that a key's OID alone decides; the others need the key's curve or size."""
-
-_PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----[ \t]*\r?\n([^-]*)-----END \1-----")
-"""The text has no hyphen, so that a block without an end costs no more than its length."""
-
-
-def pem(label: str, der: bytes) -> bytes:
-    """`der` as PEM with lines of 64 characters (RFC 7468)."""
-    text = base64.b64encode(der)
-    lines = [text[start : start + 64] for start in range(0, len(text), 64)]
-    return b"\n".join(
-        [f"-----BEGIN {label}-----".encode(), *lines, f"-----END {label}-----".encode(), b""]
-    )
-
-
-def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
-    """(label, DER) of each PEM block in `data`; MalformedError if a block is broken."""
-    try:
-        return [
-            (label.decode(), base64.b64decode(b"".join(body.split()), validate=True))
-            for label, body in _PEM.findall(data)
-            if b":" not in body  # RFC 1421 headers: a traditional encrypted key
-        ]
-    except binascii.Error as error:
-        raise MalformedError(f"{what}: broken base64 in PEM") from error
 
 
 @lru_cache(maxsize=256)

@@ -21,7 +21,7 @@ from pqsec_pki._asn1 import (
     moment_of,
     whole_bytes,
 )
-from pqsec_pki.algorithms import PublicKey, load_public_key, pair_public, pem, unpem
+from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.errors import MalformedError
@@ -87,12 +87,7 @@ class Certificate:
     @classmethod
     def from_pem(cls, data: bytes) -> Self:
         """The first certificate in PEM `data`; MalformedError if there is none."""
-        if len(data) > MAX_CERTIFICATE:
-            raise MalformedError(f"a certificate larger than {MAX_CERTIFICATE} bytes")
-        for label, der in unpem(data, "certificate"):
-            if label == "CERTIFICATE":
-                return cls.from_der(der)
-        raise MalformedError("no certificate in PEM")
+        return cls.from_der(first_pem(data, {"CERTIFICATE"}, "certificate", limit=MAX_CERTIFICATE))
 
     @property
     def pem(self) -> bytes:

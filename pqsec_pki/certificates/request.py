@@ -10,7 +10,7 @@ from typing import Self
 from cryptography import x509
 
 from pqsec_pki._asn1 import CertificationRequestInfo, Signed, decode, encode, whole_bytes
-from pqsec_pki.algorithms import PublicKey, load_public_key, pem, unpem
+from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
@@ -61,12 +61,7 @@ class CertificateRequest:
     @classmethod
     def from_pem(cls, data: bytes) -> Self:
         """The first request in PEM `data`; MalformedError if there is none."""
-        if len(data) > MAX_REQUEST:
-            raise MalformedError(f"a certificate request larger than {MAX_REQUEST} bytes")
-        for label, der in unpem(data, "certificate request"):
-            if label in _LABELS:
-                return cls.from_der(der)
-        raise MalformedError("no certificate request in PEM")
+        return cls.from_der(first_pem(data, _LABELS, "certificate request", limit=MAX_REQUEST))
 
     @property
     def pem(self) -> bytes:

@@ -12,7 +12,7 @@ from typing import Self
 from cryptography import x509
 
 from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, moment_of, whole_bytes
-from pqsec_pki.algorithms import pem, unpem
+from pqsec_pki.algorithms import first_pem, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
@@ -83,12 +83,7 @@ class RevocationList:
     @classmethod
     def from_pem(cls, data: bytes) -> Self:
         """The first revocation list in PEM `data`; MalformedError if there is none."""
-        if len(data) > MAX_LIST:
-            raise MalformedError(f"a revocation list larger than {MAX_LIST} bytes")
-        for label, der in unpem(data, "revocation list"):
-            if label == "X509 CRL":
-                return cls.from_der(der)
-        raise MalformedError("no revocation list in PEM")
+        return cls.from_der(first_pem(data, {"X509 CRL"}, "revocation list", limit=MAX_LIST))
 
     @property
     def pem(self) -> bytes:
