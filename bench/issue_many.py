@@ -35,6 +35,7 @@ def main() -> None:
     if options.child:
         print(json.dumps(measure(options.profiles[0], options.count, Path(options.folder))))
         return
+    print(f"{len(os.sched_getaffinity(0))} cores; raw is what one of them takes")
     heads = ("profile", "wall s", "raw s", "x raw", "raw+files s", "x", "peak MiB")
     print("{:<12} {:>8} {:>8} {:>6} {:>12} {:>6} {:>9}".format(*heads))
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:

@@ -4,8 +4,11 @@ A file is written beside its place and then linked or renamed into it, so a read
 the old bytes or the new ones, never half. Private files are 0600 whatever the umask.
 """
 
+import errno
 import os
 import secrets
+import stat
+from contextlib import suppress
 from pathlib import Path
 
 from pqsec_pki.errors import ExistsError, FileError
@@ -46,6 +49,7 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
         try:
             create(draft, data, mode=PRIVATE_MODE if private else PUBLIC_MODE, sync=True)
             if force:
+                _refuse_devices(path)
                 draft.replace(path)
             else:
                 os.link(draft, path)
@@ -58,6 +62,14 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
         ) from error
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
+
+
+def _refuse_devices(path: Path) -> None:
+    """A file or a link is replaced; /dev/null and its like are not."""
+    with suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
+            raise OSError(errno.EPERM, "not a file", str(path))
 
 
 def create(path: Path | str, data: bytes, *, mode: int, sync: bool = False) -> None:

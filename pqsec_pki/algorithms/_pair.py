@@ -54,7 +54,7 @@ class Pair(SignatureAlgorithm):
 
     def matches(self, handle: Any) -> bool:
         del handle
-        return False  # no single public key is a pair: `paired` makes them
+        return False  # no single public key is a pair: pair_public makes them
 
     def raw_public(self, handle: Any) -> bytes:
         return self.plain.raw_public(handle[0])
@@ -70,7 +70,8 @@ class Pair(SignatureAlgorithm):
 
     def sign(self, handle: Any, data: bytes) -> bytes:
         plain, alternative = handle
-        return self.alternative.sign(alternative, data) + self.plain.sign_handshake(plain, data)
+        first = self.alternative.sign_handshake(alternative, data)
+        return first + self.plain.sign_handshake(plain, data)
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
         del identifier

@@ -29,7 +29,7 @@ from pqsec_pki._asn1 import (
 from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import _alternative
 from pqsec_pki.certificates.certificate import Certificate
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import PqsecError, UsageError
 
 BACKDATE = timedelta(days=1)
 """Certificates start a day early: robots' clocks, and Fast DDS reads times as local."""
@@ -88,11 +88,11 @@ class Authority:
         """A participant's certificate for CN=`name` and `key`, and its alternative key.
 
         It never outlives this authority: a longer `validity` is cut. UsageError if the
-        name cannot be used, or the authority has expired.
+        name cannot be used, PqsecError if the authority has expired.
         """
         end = min(end_of(now, validity), self.certificate.not_after)
         if end <= now:
-            raise UsageError(
+            raise PqsecError(
                 f"the identity CA expired on {end:%Y-%m-%d}",
                 hint="make a new keystore, or set the clock right",
             )

@@ -19,7 +19,11 @@ from pqsec_pki.errors import PqsecError, VerificationError
 Value = TypeVar("Value", bound=x509.ExtensionType)
 
 _UNDERSTOOD = {"2.5.29.19", "2.5.29.15", "2.5.29.37"}
-"""basicConstraints, keyUsage, extKeyUsage: what may be critical without being refused."""
+"""basicConstraints, keyUsage, extKeyUsage: what may be critical without being refused.
+
+No purpose is defined for DDS participants, so any extKeyUsage is taken, as every
+measured stack does.
+"""
 
 
 def verify_chain(
@@ -68,6 +72,8 @@ def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
     usage = _value(authority, x509.KeyUsage)
     if usage is not None and not usage.key_cert_sign:
         yield f"{who} may not sign certificates (keyUsage lacks keyCertSign)"
+    # 6.1.4 (o): critical extensions that are not understood
+    yield from _critical_problems(authority, who)
     # DDS stacks take self-signed authorities only; the signature must be its own
     if not authority.is_self_issued:
         yield f"{who} is not self-signed"
@@ -88,9 +94,11 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
     # 6.1.3 (a)(2): validity
     yield from _validity_problems(leaf, who, now)
     # 6.1.5 (f): critical extensions that are not understood
-    for extension in leaf.extensions:
-        if extension.critical and extension.oid.dotted_string not in _UNDERSTOOD:
-            yield f"{who} has an unknown critical extension {extension.oid.dotted_string}"
+    yield from _critical_problems(leaf, who)
+    # 4.2.1.9: a participant is no CA
+    constraints = _value(leaf, x509.BasicConstraints)
+    if constraints is not None and constraints.ca:
+        yield f"{who} is a CA's, not a participant's"
     # 4.2.1.3: it signs handshakes
     usage = _value(leaf, x509.KeyUsage)
     if usage is not None and not usage.digital_signature:
@@ -119,6 +127,12 @@ def _alternative_problems(
         leaf.alternative.verify(key)
     except PqsecError as error:
         yield f"the alternative signature of {who}: {error}"
+
+
+def _critical_problems(certificate: Certificate, who: str) -> Iterator[str]:
+    for extension in certificate.extensions:
+        if extension.critical and extension.oid.dotted_string not in _UNDERSTOOD:
+            yield f"{who} has an unknown critical extension {extension.oid.dotted_string}"
 
 
 def _validity_problems(certificate: Certificate, who: str, now: datetime) -> Iterator[str]:

@@ -68,6 +68,8 @@ def main() -> None:
     """Run the command line and exit: 0 done or yes, 1 no, 2 usage, 3 could not be done."""
     # A reader that has seen enough, as `head` has, ends pqsec quietly, as it ends any filter.
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    # A polite kill undoes what was begun, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     if not sys.warnoptions:  # cryptography's, on odd files: they are for developers
         warnings.simplefilter("ignore")
     if isinstance(sys.stdout, io.TextIOWrapper):  # a path may hold what the terminal cannot show

@@ -36,8 +36,8 @@ class _Path(click.Path):
         return super().convert(value, param, ctx)
 
 
-FILE = _Path(path_type=Path, dir_okay=False)
-FOLDER = _Path(path_type=Path, file_okay=False)
+FILE = _Path(path_type=Path, dir_okay=False, readable=False)
+FOLDER = _Path(path_type=Path, file_okay=False, readable=False)
 
 
 @dataclass(slots=True)
@@ -108,7 +108,7 @@ def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
             "the CA keys are encrypted, and there is no terminal to ask for the passphrase",
             hint=f"use --passphrase-file FILE, or set {PASSPHRASE_VARIABLE}",
         )
-    return keystore.unlock(click.prompt("CA passphrase", hide_input=True, err=True).encode())
+    return keystore.unlock(_asked("CA passphrase"))
 
 
 def new_passphrase(passphrase_file: Path | None, *, none: bool) -> bytes | None:
@@ -124,10 +124,15 @@ def new_passphrase(passphrase_file: Path | None, *, none: bool) -> bytes | None:
             "the CA keys need a passphrase, and there is no terminal to ask for one",
             hint="use --passphrase-file FILE, or --no-passphrase to leave them unencrypted",
         )
-    answer: str = click.prompt(
-        "New CA passphrase", hide_input=True, confirmation_prompt=True, err=True
-    )
-    return answer.encode()
+    return _asked("New CA passphrase", twice=True)
+
+
+def _asked(what: str, *, twice: bool = False) -> bytes:
+    try:
+        answer: str = click.prompt(what, hide_input=True, confirmation_prompt=twice, err=True)
+        return answer.encode()
+    except UnicodeError:
+        raise PassphraseError("the passphrase is not in the terminal's encoding") from None
 
 
 def read_passphrase(path: Path) -> bytes:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki._files import read, refuse_existing, write
+from pqsec_pki._files import read, refuse_existing
 from pqsec_pki.cli import _common
 from pqsec_pki.documents import Governance, Kind, Permissions
 from pqsec_pki.errors import located
@@ -50,7 +50,7 @@ def sign_governance(
     with located(file):
         Governance.from_xml(document)
     goal = _goal(file, output, force=force)
-    _sign(Kind.GOVERNANCE, document, goal, passphrase_file, embed=embed_certificate)
+    _sign(Kind.GOVERNANCE, document, goal, passphrase_file, embed=embed_certificate, force=force)
 
 
 @click.command("sign-permissions")
@@ -73,23 +73,34 @@ def sign_permissions(
     with located(file):
         Permissions.from_xml(document)
     goal = _goal(file, output, force=force)
-    _sign(Kind.PERMISSIONS, document, goal, passphrase_file, embed=embed_certificate)
+    _sign(Kind.PERMISSIONS, document, goal, passphrase_file, embed=embed_certificate, force=force)
 
 
 def _goal(file: Path, output: Path | None, *, force: bool) -> Path:
-    """Where to write; what is there already goes only with `force`."""
+    """Where to write; told before anyone types a passphrase if something is there."""
     goal = output or file.with_suffix(".p7s")
     if not force:
         refuse_existing(goal)
     return goal
 
 
-def _sign(
-    kind: Kind, document: bytes, goal: Path, passphrase_file: Path | None, *, embed: bool
+def _sign(  # noqa: PLR0913 -- one for each option
+    kind: Kind,
+    document: bytes,
+    goal: Path,
+    passphrase_file: Path | None,
+    *,
+    embed: bool,
+    force: bool,
 ) -> None:
-    keystore, now = _common.open_keystore(), _common.now()
-    authorities = _common.unlock(keystore, passphrase_file)
-    signed = authorities.sign(document, now=now, embed_certificate=embed)
-    write(goal, signed, force=True)
-    keystore.record(kind.value, str(goal), signed, now)
+    keystore = _common.open_keystore()
+    signed = keystore.sign_document(
+        kind,
+        document,
+        goal,
+        _common.unlock(keystore, passphrase_file),
+        now=_common.now(),
+        embed_certificate=embed,
+        force=force,
+    )
     _common.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])

@@ -6,9 +6,10 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.certificates import Certificate, verify_validity
+from pqsec_pki.certificates import Certificate, verify_authority
 from pqsec_pki.cli import _common
-from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.documents import validate
+from pqsec_pki.errors import PqsecError, VerificationError, located
 from pqsec_pki.keystore import load_certificate
 from pqsec_pki.selfcheck import required_signatures
 from pqsec_pki.smime import Require, Verified
@@ -31,7 +32,7 @@ from pqsec_pki.smime import verify as verify_signed
     "--require",
     type=click.Choice([each.value for each in Require]),
     help="Refuse a file without such a signature. [default: what the keystore's profile"
-    " promises; any with --ca]",
+    " promises; both with --alt-ca; any with --ca]",
 )
 @_common.command_options
 def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
@@ -42,7 +43,8 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
     stripped without a trace, so with --ca say --require both (or pq) where you expect
     one.
     """
-    required = Require(require or Require.ANY)
+    # Who names a countersigner expects its signature.
+    required = Require(require or (Require.BOTH if alt_ca else Require.ANY))
     if ca is None:
         keystore = _common.open_keystore()
         ca = keystore.permissions_ca_path
@@ -72,8 +74,16 @@ def _beside(ca: Path) -> Path | None:
 def _current(path: Path) -> Certificate:
     certificate = load_certificate(path)
     with located(path):
-        verify_validity(certificate, now=_common.now())
+        verify_authority(certificate, now=_common.now())
     return certificate
+
+
+def _kind(document: bytes) -> str | None:
+    """governance or permissions; None where the document is neither, or broken."""
+    try:
+        return validate(document).value
+    except PqsecError:
+        return None
 
 
 def _tell(
@@ -98,5 +108,11 @@ def _tell(
         _common.note("there is no countersignature: it was never made, or it was stripped")
     if verified.unchecked:
         _common.note("a countersignature was not checked: name its certificate with --alt-ca")
-    value = {"ok": True, "file": str(file), "signer": certificate.subject_name}
+    value = {
+        "ok": True,
+        "file": str(file),
+        "kind": _kind(verified.document),
+        "signer": certificate.subject_name,
+        "countersigned": countersigned,
+    }
     _common.emit(value | {"signatures": found, "unchecked": verified.unchecked}, lines)

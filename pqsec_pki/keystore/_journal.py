@@ -70,7 +70,12 @@ class Draft:
         return DraftedFolder(path)
 
     def record(self, *entries: Entry) -> None:
-        """Lines for the ledger, written when the change is."""
+        """Lines for the ledger, written when the change is.
+
+        KeystoreError if that will not be possible.
+        """
+        if not self.entries:
+            _check_ledger(self.root)
         self.entries += entries
 
 
@@ -112,7 +117,8 @@ def disk_errors(root: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise FileError(f"{error.filename or root}: {(error.strerror or '').lower()}") from error
+        reason = error.strerror or str(error)
+        raise FileError(f"{error.filename or root}: {reason.lower()}") from error
 
 
 def _commit(draft: Draft) -> None:
@@ -121,6 +127,17 @@ def _commit(draft: Draft) -> None:
     sync_filesystem(draft.path)
     draft.path.rename(draft.root / JOURNAL)
     sync_folder(draft.root)
+
+
+def _check_ledger(root: Path) -> None:
+    """Before the point of no return: the ledger can be written, and is where it should be."""
+    path = root / _layout.PRIVATE / _layout.LEDGER
+    _refuse_detours(root, [_layout.PRIVATE])
+    if path.is_symlink():
+        raise KeystoreError(f"{path} should be a file, and is not")
+    if path.parent.exists():
+        with Ledger(path) as ledger:
+            ledger.check()
 
 
 def _finish(root: Path) -> None:
@@ -186,7 +203,10 @@ def _make_folders(path: Path) -> None:
 
 def _sweep(root: Path) -> None:
     for leftover in root.glob(f"{DRAFT}*"):
-        shutil.rmtree(leftover)
+        if leftover.is_dir() and not leftover.is_symlink():
+            shutil.rmtree(leftover)
+        else:
+            leftover.unlink()
 
 
 def _refuse_detours(root: Path, targets: Iterable[str]) -> None:

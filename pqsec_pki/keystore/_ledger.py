@@ -22,6 +22,10 @@ CREATE TABLE IF NOT EXISTS issued (
     not_after TEXT
 ) STRICT;
 CREATE INDEX IF NOT EXISTS issued_name ON issued (name);
+CREATE TRIGGER IF NOT EXISTS issued_stays BEFORE UPDATE ON issued
+    BEGIN SELECT RAISE (ABORT, 'lines are only added'); END;
+CREATE TRIGGER IF NOT EXISTS issued_remains BEFORE DELETE ON issued
+    BEGIN SELECT RAISE (ABORT, 'lines are only added'); END;
 """
 
 
@@ -80,6 +84,14 @@ class Ledger:
                     " VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
                     map(astuple, entries),
                 )
+        except (sqlite3.Error, ValueError, OverflowError) as error:
+            raise KeystoreError(f"{self._path}: {error}") from error
+
+    def check(self) -> None:
+        """KeystoreError if lines could not be added now."""
+        try:
+            self._database.execute("BEGIN IMMEDIATE")
+            self._database.execute("ROLLBACK")
         except sqlite3.Error as error:
             raise KeystoreError(f"{self._path}: {error}") from error
 

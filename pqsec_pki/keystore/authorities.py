@@ -1,6 +1,7 @@
 """The CAs of a keystore, unlocked: what issuing and signing need."""
 
 import hashlib
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -68,8 +69,13 @@ class Authorities:
         )
 
     def sign(self, document: bytes, *, now: datetime, embed_certificate: bool = False) -> bytes:
-        """The S/MIME file of a governance or permissions document."""
+        """The S/MIME file of a document; KeystoreError if a signer is past its time."""
         counter = self.countersigner
+        for each in filter(None, (self.permissions, counter)):
+            end = each.certificate.not_after
+            if now > end:
+                name = each.certificate.subject_name
+                raise KeystoreError(f"{name} expired on {end:%Y-%m-%d}: it cannot sign any more")
         return sign(
             document,
             Signer(self.permissions.certificate, self.permissions.key),
@@ -143,11 +149,11 @@ def certificate_entry(kind: str, name: str, certificate: Certificate, now: datet
 
 
 def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
-    """The ledger's line on a signed document."""
+    """The ledger's line on a signed document; `name` may be a path of any bytes."""
     return Entry(
         at=now.isoformat(timespec="seconds"),
         kind=kind,
-        name=name,
+        name=os.fsencode(name).decode(errors="backslashreplace"),
         serial=None,
         sha256=hashlib.sha256(signed).hexdigest(),
         not_after=None,
@@ -181,6 +187,8 @@ def _load_key(path: Path, passphrase: bytes | None) -> PrivateKey:
 
 def _check_pairs(authorities: Authorities) -> None:
     """A key that is not its certificate's would sign what nobody can verify."""
+    if authorities.identity.certificate.spki == authorities.permissions.certificate.spki:
+        raise KeystoreError("one key is identity CA and permissions CA (CVE-2023-24010)")
     for authority in (authorities.identity, authorities.permissions, authorities.countersigner):
         if authority is None:
             continue

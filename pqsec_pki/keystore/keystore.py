@@ -6,10 +6,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import read
+from pqsec_pki._files import read, write
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.documents import DomainSet, Governance, Kind
 from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._ledger import Entry, Ledger
@@ -147,10 +147,26 @@ class Keystore:
         """The participant called `name`; KeystoreError if there is none."""
         return load_participant(self.root, _layout.enclave_name(name), passphrase)
 
-    def record(self, kind: str, name: str, signed: bytes, now: datetime) -> None:
-        """Enter a signed document in the ledger."""
+    def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by name
+        self,
+        kind: Kind,
+        document: bytes,
+        goal: Path,
+        authorities: Authorities,
+        *,
+        now: datetime,
+        embed_certificate: bool = False,
+        force: bool = False,
+    ) -> bytes:
+        """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
+
+        ExistsError if something is at `goal`, unless `force`; then nothing is entered.
+        """
+        signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
         with _journal.change(self.root) as draft:
-            draft.record(document_entry(kind, name, signed, now))
+            draft.record(document_entry(kind.value, str(goal), signed, now))
+            write(goal, signed, force=force)
+        return signed
 
     def ledger(self) -> list[Entry]:
         """Everything that was ever issued here, oldest first."""

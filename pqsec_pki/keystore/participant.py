@@ -86,7 +86,7 @@ def _check_complete(folder: Path) -> None:
         _layout.IDENTITY_CA,
         _layout.PERMISSIONS_CA,
     )
-    missing = [name for name in needed if not (folder / name).exists()]
+    missing = [name for name in needed if not (folder / name).is_file()]
     lost = [str((folder / name).readlink()) for name in missing if (folder / name).is_symlink()]
     if missing:
         raise KeystoreError(

@@ -33,7 +33,12 @@ from pqsec_pki.handshake import (
     unprotect,
 )
 from pqsec_pki.keystore import Keystore, Participant
-from pqsec_pki.selfcheck.credentials import check_documents, check_identity, check_permissions
+from pqsec_pki.selfcheck.credentials import (
+    Applicant,
+    check_documents,
+    check_identity,
+    check_permissions,
+)
 from pqsec_pki.selfcheck.report import Report, Step
 
 _ENTITY_ID = bytes.fromhex("000001c1")
@@ -221,9 +226,10 @@ class _Meeting:
         with self.steps.step(f"{judge.name} admits {subject.name}") as detail:
             if done.peer.permissions != subject.permissions:
                 raise VerificationError("other permissions arrived than were sent")
-            detail.append(
-                check_permissions(judge.participant, subject, self._profile, self.domain, self.now)
-            )
+            # What came with the handshake, not what lies on our disk.
+            applicant = Applicant(subject.name, done.peer.certificate, done.peer.permissions)
+            own = judge.participant
+            detail.append(check_permissions(own, applicant, self._profile, self.domain, self.now))
 
 
 def _meeting_terms(own: _Side, peer: _Side) -> Terms:

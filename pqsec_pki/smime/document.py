@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
+from itertools import islice
 
 from pqsec_pki._asn1 import (
     ContentInfo,
@@ -26,6 +27,8 @@ from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.smime import _cms, _mime, _signer_info
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, DATA, Signer
 
+MAX_COUNTERSIGNATURES = 16
+"""pqsec makes one; each costs a verification, and nothing signs their number."""
 _CLASSICAL = {Family.CLASSICAL, Family.HYBRID}
 _PQ = {Family.PQ, Family.HYBRID}
 
@@ -108,7 +111,7 @@ def verify(
         info = _signer(_cms.parse(parts.signature))
         document = parts.document
         problems = list(_problems(info, parts.content, ca))
-        counters = list(_signer_info.countersignatures(info))
+        counters = _counters(info)
         signatures, refused = _check_counters(counters, info, alternative_ca)
         main = FoundSignature(ca.public_key.algorithm, False, _signer_info.signing_time(info))  # noqa: FBT003 -- field
     except VerificationError:
@@ -138,6 +141,13 @@ def _signer(data: SignedData) -> SignerInfo:
     if data.encapsulated_content.content_type.dotted_string != DATA:
         raise MalformedError("the CMS structure is not about plain data")
     return infos[0]
+
+
+def _counters(info: SignerInfo) -> list[SignerInfo]:
+    counters = list(islice(_signer_info.countersignatures(info), MAX_COUNTERSIGNATURES + 1))
+    if len(counters) > MAX_COUNTERSIGNATURES:
+        raise MalformedError(f"more than {MAX_COUNTERSIGNATURES} countersignatures")
+    return counters
 
 
 def _problems(info: SignerInfo, content: bytes, ca: Certificate) -> Iterator[str]:

@@ -282,7 +282,7 @@ def test_a_validity_that_is_none_is_refused(pqsec, keystore, text):
 
 def test_an_expired_identity_ca_issues_nothing(pqsec, expired_ca):
     said = pqsec(f"-k k issue /a {TOPIC}")
-    said.refused(2, "the identity CA expired", hint="new keystore")
+    said.refused(3, "the identity CA expired", hint="new keystore")
     assert not (expired_ca / "enclaves/a").exists()
 
 

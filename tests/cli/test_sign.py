@@ -292,8 +292,17 @@ def test_the_ledger_tells_of_a_file_only_once_it_is_there(pqsec, keystore, tmp_p
         file.unlink()
     (k / "private/ledger.sqlite3").write_bytes(b"not a database" * 100)
     pqsec(line, "out").refused(3, "private/ledger.sqlite3")
-    pqsec("verify out --ca k/public/permissions_ca.cert.pem").done()
+    assert not (tmp_path / "out").exists()
     (k / "private/ledger.sqlite3").unlink()
-    pqsec("-k k ca show").done()  # finishes what was begun
+    pqsec(line, "out").done()
     signed = sha256((tmp_path / "out").read_bytes()).hexdigest()
     assert ledger(k) == [("permissions", "out", signed)]
+
+
+def test_a_device_is_not_replaced_even_when_forced(pqsec, keystore, tmp_path):
+    keystore()
+    os.mkfifo(tmp_path / "pipe")
+    pqsec(f"-k k sign-permissions k/{WHERE['permissions']} -o pipe --force").refused(
+        3, "pipe: not a file"
+    )
+    assert (tmp_path / "pipe").is_fifo()

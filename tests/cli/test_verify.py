@@ -83,7 +83,10 @@ def test_the_ca_is_the_keystores_or_the_one_named(pqsec, keystore, profile):
 def test_json_tells_the_signatures_that_hold(pqsec, keystore, profile, file):
     keystore(profile)
     said = pqsec(f"--json -k k verify {file}").done().json
-    assert set(said) == {"ok", "file", "signer", "signatures", "unchecked"}
+    wanted = {"ok", "file", "kind", "signer", "signatures", "countersigned", "unchecked"}
+    assert set(said) == wanted
+    assert said["kind"] == file.rpartition("/")[2].removesuffix(".p7s")
+    assert said["countersigned"] is (profile == "transition")
     assert said["ok"] is True
     assert said["unchecked"] == 0
     assert {each["family"] for each in said["signatures"]} == FAMILIES[profile]
@@ -224,7 +227,7 @@ def test_the_identity_ca_did_not_sign_it(pqsec, keystore, profile):
 def test_a_participant_is_no_permissions_ca(pqsec, keystore):
     keystore()
     said = pqsec(f"verify {GOVERNANCE} --ca k/enclaves/talker/cert.pem")
-    said.refused(1, "not signed by CN=/talker but by another certificate")
+    said.refused(1, "is not marked as a CA", problems=3)
 
 
 def test_a_countersignature_by_another_does_not_count(pqsec, keystore):
@@ -236,7 +239,7 @@ def test_a_countersignature_by_another_does_not_count(pqsec, keystore):
 
 
 @pytest.mark.parametrize(
-    ("days", "words"), [(-60, "CN=Permissions CA expired on"), (60, "is not valid before")]
+    ("days", "words"), [(-60, "the CA certificate expired on"), (60, "is not valid before")]
 )
 def test_a_ca_out_of_its_time_is_refused(pqsec, tmp_path, days, words):
     Keystore.create(
@@ -248,7 +251,7 @@ def test_a_ca_out_of_its_time_is_refused(pqsec, tmp_path, days, words):
         passphrase=None,
         now=datetime.now(UTC) + timedelta(days=days),
     )
-    pqsec(f"-k k verify {GOVERNANCE}").refused(1, PERMISSIONS_CA, words)
+    pqsec(f"-k k verify {GOVERNANCE}").refused(1, "permissions_ca.cert.pem", words)
     said = pqsec(f"-k k --json verify {GOVERNANCE}").json
     assert said["ok"] is False
     assert words in said["problems"][0]

@@ -240,8 +240,9 @@ def test_a_participant_that_would_outlive_its_authority_is_cut(ca):
 
 def test_an_expired_authority_issues_nothing(ca):
     for now in (ca.certificate.not_after, ca.certificate.not_after + DAY):
-        with pytest.raises(UsageError, match="the identity CA expired on 2036-11-18"):
+        with pytest.raises(PqsecError, match="the identity CA expired on 2036-11-18") as caught:
             issue(ca, now=now)
+        assert caught.value.exit_code == 3
 
 
 def test_fractions_of_seconds_are_left_out():
@@ -377,6 +378,22 @@ def test_an_intermediate_authority_is_refused(ca):
     certificate = rebuilt(leaf, ca.key, drop=["2.5.29.19", "2.5.29.15"], add=extensions)
     found = problems(issue(Authority(certificate, key)), certificate)
     assert found == ("the CA certificate is not self-signed",)
+
+
+def test_a_ca_as_a_participant_is_refused(ca):
+    leaf = issue(ca)
+    marked = x509.BasicConstraints(ca=True, path_length=None).public_bytes()
+    another = extension("2.5.29.19", marked, critical=True)
+    altered = rebuilt(leaf, ca.key, drop=["2.5.29.19"], add=[another])
+    [problem] = problems(altered, ca.certificate)
+    assert "is a CA's, not a participant's" in problem
+    assert any("is a CA's" in each for each in problems(ca.certificate, ca.certificate))
+
+
+def test_an_unknown_critical_extension_of_the_authority_is_refused(ca):
+    other = rebuilt(ca.certificate, ca.key, add=[extension("1.2.3", b"\5\0", critical=True)])
+    [problem] = problems(issue(ca), other)
+    assert problem == "the CA certificate has an unknown critical extension 1.2.3"
 
 
 def test_a_participant_that_may_not_sign_is_refused(ca):

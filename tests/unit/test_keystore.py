@@ -1,12 +1,14 @@
 """The keystore: what lies where, who may read it, and what it refuses."""
 
 import fcntl
+import hashlib
 import json
 import os
 import resource
 import sqlite3
 import stat
 import time
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -214,10 +216,89 @@ def test_the_ledger_has_everything_that_was_issued(root):
     assert entry.not_after == certificate.not_after.isoformat()
 
 
-def test_a_signed_document_can_be_recorded(keystore):
-    keystore.record("governance", "", b"signed", NOW)
-    keystore.record("governance", "", b"signed", NOW)  # the same again is no second line
-    assert [entry.kind for entry in keystore.ledger()].count("governance") == 2
+def signed_governance(keystore, goal, **options):
+    xml = Governance.protected(DomainSet.of(0)).to_xml()
+    unlocked = keystore.unlock(None)
+    given = {"now": NOW} | options
+    return keystore.sign_document(Kind.GOVERNANCE, xml, goal, unlocked, **given)
+
+
+def test_a_signed_document_is_entered_in_the_ledger(keystore, tmp_path):
+    signed = signed_governance(keystore, tmp_path / "g.p7s")
+    assert (tmp_path / "g.p7s").read_bytes() == signed
+    assert keystore.ledger()[-1].name == str(tmp_path / "g.p7s")
+    assert keystore.ledger()[-1].sha256 == hashlib.sha256(signed).hexdigest()
+
+
+def test_a_document_that_cannot_be_written_is_not_in_the_ledger(keystore, tmp_path):
+    before = keystore.ledger()
+    (tmp_path / "g.p7s").write_text("mine")
+    with pytest.raises(ExistsError):
+        signed_governance(keystore, tmp_path / "g.p7s")
+    with pytest.raises(FileError):
+        signed_governance(keystore, tmp_path / "no/folder/g.p7s")
+    assert keystore.ledger() == before
+    assert (tmp_path / "g.p7s").read_text() == "mine"
+
+
+def test_a_document_that_cannot_be_entered_is_not_written(keystore, root, tmp_path):
+    for file in (root / "private").glob("ledger.sqlite3*"):
+        file.unlink()
+    (root / "private/ledger.sqlite3").write_bytes(b"not a database" * 100)
+    with pytest.raises(KeystoreError, match="not a ledger"):
+        signed_governance(keystore, tmp_path / "g.p7s")
+    assert not (tmp_path / "g.p7s").exists()
+    assert not (root / ".journal").exists()
+
+
+def test_a_file_name_of_any_bytes_can_be_entered(keystore, tmp_path):
+    goal = tmp_path / os.fsdecode(b"g\xff.p7s")
+    signed_governance(keystore, goal)
+    assert keystore.ledger()[-1].name.endswith("g\\xff.p7s")
+
+
+def test_an_expired_permissions_ca_signs_nothing(keystore, tmp_path):
+    with pytest.raises(KeystoreError, match="CN=Lab Permissions CA expired on 2036-11-18"):
+        signed_governance(keystore, tmp_path / "g.p7s", now=NOW + 11 * YEAR)
+
+
+def test_lines_of_the_ledger_are_only_added(keystore, root):
+    with closing(sqlite3.connect(root / "private/ledger.sqlite3")) as database:
+        for statement in ("DELETE FROM issued", "UPDATE issued SET name = 'x'"):
+            with pytest.raises(sqlite3.IntegrityError, match="lines are only added"):
+                database.execute(statement)
+
+
+@pytest.mark.parametrize("place", ["private/ledger.sqlite3", "private"])
+def test_a_ledger_behind_a_link_is_refused(keystore, root, tmp_path, place):
+    for file in (root / "private").glob("ledger.sqlite3-*"):
+        file.unlink()
+    (root / place).rename(tmp_path / "elsewhere")
+    (root / place).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(KeystoreError, match=f"{place} should be a f"):
+        issue_to(keystore, "/new")
+    assert keystore.names() == []
+
+
+@pytest.mark.parametrize("kind", ["link", "file"])
+def test_leftovers_of_any_kind_are_swept_away(keystore, root, tmp_path, kind):
+    if kind == "link":
+        (root / ".draft-x").symlink_to(tmp_path)
+    else:
+        (root / ".draft-x").write_text("")
+    issue_to(keystore, "/new")
+    assert keystore.names() == ["/new"]
+    assert not (root / ".draft-x").is_symlink()
+    assert not (root / ".draft-x").exists()
+    assert tmp_path.is_dir()
+
+
+def test_one_key_for_both_cas_is_refused(keystore, root):
+    for kind in ("public/{}.cert.pem", "private/{}.key.pem"):
+        data = (root / kind.format("identity_ca")).read_bytes()
+        (root / kind.format("permissions_ca")).write_bytes(data)
+    with pytest.raises(KeystoreError, match="one key is identity CA and permissions CA"):
+        keystore.unlock(None)
 
 
 def test_a_forced_issue_replaces_key_certificate_and_permissions(keystore):
