@@ -182,6 +182,16 @@ def test_a_stripped_countersignature_is_noted_where_it_is_not(pqsec, keystore, s
     assert "countersignature" not in said.out
 
 
+def test_naming_the_countersigner_is_asking_for_its_signature(pqsec, keystore, strip):
+    keystore("transition")
+    line = f"verify {GOVERNANCE} --ca {PERMISSIONS_CA}"
+    second = "--alt-ca k/public/permissions_ca.alt.cert.pem"
+    assert pqsec(f"{line} {second} --json").done().json["countersigned"] is True
+    strip(GOVERNANCE)
+    pqsec(f"{line} {second}").refused(1, NO_PQ)
+    assert pqsec(f"{line} {second} --require any --json").done().json["countersigned"] is False
+
+
 # A no
 
 

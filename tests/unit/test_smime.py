@@ -31,6 +31,7 @@ from pqsec_pki.smime import Require, Signer, document_in, is_signed, sign, verif
 from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE, to_der
 from pqsec_pki.smime._mime import MAX_MESSAGE, content_of
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, make, with_unsigned
+from pqsec_pki.smime.document import MAX_COUNTERSIGNATURES
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -370,6 +371,14 @@ def test_a_countersignature_moved_from_another_document_is_refused(lab):
     assert lab.problems(moved) == (
         "the countersignature: the content was changed after it was signed",
     )
+
+
+def test_very_many_countersignatures_are_refused(lab):
+    message = lab.countersigned()
+    counter = counter_of(message)
+    assert lab.verify(with_counters(message, *[counter] * MAX_COUNTERSIGNATURES))
+    [problem] = lab.problems(with_counters(message, *[counter] * (MAX_COUNTERSIGNATURES + 1)))
+    assert problem == f"more than {MAX_COUNTERSIGNATURES} countersignatures"
 
 
 def test_a_countersignature_with_a_content_type_is_refused(lab):

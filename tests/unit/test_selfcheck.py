@@ -1,0 +1,126 @@
+"""The self-check refuses what would break a promise though every signature holds."""
+
+import shutil
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from pqsec_pki.algorithms import SIGNATURES, private_key_pem, profile_named
+from pqsec_pki.certificates import Authority
+from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore.issuing import permissions_for
+from pqsec_pki.selfcheck import meet
+from pqsec_pki.smime import Signer, sign
+
+NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
+YEAR = timedelta(days=365)
+DOMAIN = DomainSet.of(0)
+
+
+def wish(name):
+    return Wish(name=name, domains=DOMAIN, publish=("rt/chatter",), validity=YEAR)
+
+
+@pytest.fixture
+def made(tmp_path):
+    def make(profile):
+        keystore = Keystore.create(
+            tmp_path / "k",
+            profile_named(profile),
+            name="Lab",
+            domains=DOMAIN,
+            validity=10 * YEAR,
+            passphrase=None,
+            now=NOW,
+        )
+        issue(keystore, keystore.unlock(None), [wish("/talker"), wish("/listener")], now=NOW)
+        return keystore
+
+    return make
+
+
+def failing(keystore):
+    agreement = keystore.profile.key_agreement
+    report = meet(keystore, "/talker", "/listener", agreement=agreement, domain=0, now=NOW)
+    assert not report.ok
+    return report.steps[-1]
+
+
+def sign_all_again(keystore, signer, counter=None):
+    """Everything signed by another permissions CA."""
+    root = keystore.root
+
+    def signed(document):
+        return sign(document, signer, countersigner=counter, now=NOW)
+
+    (root / "enclaves/governance.p7s").write_bytes(signed(Governance.protected(DOMAIN).to_xml()))
+    for name in keystore.names():
+        certificate = keystore.participant(name).certificate
+        permissions = permissions_for(wish(name), certificate).to_xml()
+        (root / f"enclaves{name}/permissions.p7s").write_bytes(signed(permissions))
+
+
+def test_an_expired_countersigner_is_refused(made):
+    keystore = made("transition")
+    unlocked = keystore.unlock(None)
+    row = SIGNATURES.named("ml-dsa-65")
+    old = Authority.create("Lab Permissions CA ml-dsa-65", row, now=NOW - 5 * YEAR, validity=YEAR)
+    (keystore.root / "public/permissions_ca.alt.cert.pem").write_bytes(old.certificate.pem)
+    main = Signer(unlocked.permissions.certificate, unlocked.permissions.key)
+    sign_all_again(keystore, main, Signer(old.certificate, old.key))
+    step = failing(keystore)
+    assert step.name == "documents of /talker"
+    assert "the CA certificate expired on 2022-11-22" in step.detail
+
+
+def test_a_participant_as_permissions_ca_is_refused(made):
+    keystore = made("classical")
+    talker = keystore.participant("/talker")
+    (keystore.root / "public/permissions_ca.cert.pem").write_bytes(talker.certificate.pem)
+    sign_all_again(keystore, Signer(talker.certificate, talker.key))
+    step = failing(keystore)
+    assert step.name == "documents of /talker"
+    assert "is not marked as a CA" in step.detail
+
+
+def test_one_ca_for_both_is_refused(made):
+    keystore = made("classical")
+    identity = keystore.unlock(None).identity
+    (keystore.root / "public/permissions_ca.cert.pem").write_bytes(identity.certificate.pem)
+    sign_all_again(keystore, Signer(identity.certificate, identity.key))
+    step = failing(keystore)
+    assert step.name == "documents of /talker"
+    assert "one key is identity CA and permissions CA" in step.detail
+
+
+def test_a_weaker_key_than_the_profile_promises_is_refused(made):
+    keystore = made("pq")
+    unlocked = keystore.unlock(None)
+    key = SIGNATURES.named("ecdsa-p256").generate()
+    weak = unlocked.identity.issue("/talker", key.public_key, now=NOW, validity=YEAR)
+    folder = keystore.root / "enclaves/talker"
+    (folder / "cert.pem").write_bytes(weak.pem)
+    (folder / "key.pem").write_bytes(private_key_pem(key))
+    step = failing(keystore)
+    assert step.name == "identity of /talker"
+    assert step.detail == "ecdsa-p256 participant key, where profile pq has ml-dsa-65"
+
+
+def test_an_enclave_with_anothers_credentials_is_refused(made):
+    keystore = made("classical")
+    enclaves = keystore.root / "enclaves"
+    for file in ("cert.pem", "key.pem", "permissions.p7s"):
+        shutil.copy(enclaves / "listener" / file, enclaves / "talker" / file)
+    step = failing(keystore)
+    assert step.name == "identity of /talker"
+    assert step.detail == "cert.pem of /talker is for CN=/listener"
+
+
+def test_a_needless_alternative_key_is_refused(made):
+    keystore = made("classical")
+    stray = private_key_pem(SIGNATURES.named("ml-dsa-65").generate())
+    (keystore.root / "enclaves/talker/alt.key.pem").write_bytes(stray)
+    step = failing(keystore)
+    assert step.name == "identity of /talker"
+    assert step.detail == "alt.key.pem is not the alternative key of /talker"
