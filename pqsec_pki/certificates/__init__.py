@@ -6,7 +6,7 @@ For everyone who has to know who a participant is: issuing, the handshake, repor
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.authority import Authority, common_name, end_of
 from pqsec_pki.certificates.certificate import Certificate
-from pqsec_pki.certificates.chain import verify_authority, verify_chain, verify_validity
+from pqsec_pki.certificates.chain import verify_authority, verify_chain
 from pqsec_pki.certificates.request import CertificateRequest
 from pqsec_pki.certificates.revocation import RevocationList, RevokedCertificate
 
@@ -21,5 +21,4 @@ __all__ = [
     "name_text",
     "verify_authority",
     "verify_chain",
-    "verify_validity",
 ]

@@ -55,13 +55,6 @@ def verify_authority(authority: Certificate, *, now: datetime) -> None:
         raise VerificationError(*problems)
 
 
-def verify_validity(certificate: Certificate, *, now: datetime) -> None:
-    """Return if `now` lies in the certificate's validity; VerificationError if not."""
-    problems = list(_validity_problems(certificate, f"{certificate.subject_name}", now))
-    if problems:
-        raise VerificationError(*problems)
-
-
 def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
     who = "the CA certificate"
     # 6.1.4 (k): basicConstraints present, cA true

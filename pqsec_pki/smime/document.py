@@ -104,7 +104,8 @@ def verify(
 
     A countersignature by `alternative_ca` is checked if it is there. `require` refuses
     a file that lacks a classical or post-quantum signature, so that neither can be
-    stripped. Whether `ca` is good now is verify_authority's to say.
+    stripped. Whether `ca` is a CA, and good now, is for
+    certificates.verify_authority to say.
     """
     try:
         parts = _mime.split(message)
