@@ -1,6 +1,8 @@
 """pqsec sign-governance, pqsec sign-permissions: check a document, then sign it."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -34,65 +36,42 @@ def _options(command: _common.Command) -> _common.Command:
 @_options
 @_common.passphrase_option
 @_common.command_options
-def sign_governance(
-    file: Path,
-    output: Path | None,
-    passphrase_file: Path | None,
-    *,
-    embed_certificate: bool,
-    force: bool,
-) -> None:
+def sign_governance(file: Path, **choices: Any) -> None:
     """Check a governance document against its schema and sign it.
 
     The keystore's permissions CA signs. Nothing is written if FILE breaks the schema.
     """
-    document = read(file)
-    with located(file):
-        Governance.from_xml(document)
-    goal = _goal(file, output, force=force)
-    _sign(Kind.GOVERNANCE, document, goal, passphrase_file, embed=embed_certificate, force=force)
+    _sign(Kind.GOVERNANCE, Governance.from_xml, file, **choices)
 
 
 @click.command("sign-permissions")
 @_options
 @_common.passphrase_option
 @_common.command_options
-def sign_permissions(
-    file: Path,
-    output: Path | None,
-    passphrase_file: Path | None,
-    *,
-    embed_certificate: bool,
-    force: bool,
-) -> None:
+def sign_permissions(file: Path, **choices: Any) -> None:
     """Check a permissions document against its schema and sign it.
 
     The keystore's permissions CA signs. Nothing is written if FILE breaks the schema.
     """
-    document = read(file)
-    with located(file):
-        Permissions.from_xml(document)
-    goal = _goal(file, output, force=force)
-    _sign(Kind.PERMISSIONS, document, goal, passphrase_file, embed=embed_certificate, force=force)
-
-
-def _goal(file: Path, output: Path | None, *, force: bool) -> Path:
-    """Where to write; told before anyone types a passphrase if something is there."""
-    goal = output or file.with_suffix(".p7s")
-    if not force:
-        refuse_existing(goal)
-    return goal
+    _sign(Kind.PERMISSIONS, Permissions.from_xml, file, **choices)
 
 
 def _sign(  # noqa: PLR0913 -- one for each option
     kind: Kind,
-    document: bytes,
-    goal: Path,
-    passphrase_file: Path | None,
+    check: Callable[[bytes], object],
+    file: Path,
     *,
-    embed: bool,
+    output: Path | None,
+    passphrase_file: Path | None,
+    embed_certificate: bool,
     force: bool,
 ) -> None:
+    document = read(file)
+    with located(file):
+        check(document)
+    goal = output or file.with_suffix(".p7s")
+    if not force:  # told before anyone types a passphrase
+        refuse_existing(goal)
     keystore = _common.open_keystore()
     signed = keystore.sign_document(
         kind,
@@ -100,7 +79,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
         goal,
         _common.unlock(keystore, passphrase_file),
         now=_common.now(),
-        embed_certificate=embed,
+        embed_certificate=embed_certificate,
         force=force,
     )
     _common.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
