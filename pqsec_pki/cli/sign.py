@@ -9,7 +9,7 @@ import click
 from pqsec_pki._files import read, refuse_existing
 from pqsec_pki.cli import _common
 from pqsec_pki.documents import Governance, Kind, Permissions
-from pqsec_pki.errors import located
+from pqsec_pki.errors import InvalidDocumentError, MalformedError, Problem, located
 
 
 def _options(command: _common.Command) -> _common.Command:
@@ -68,7 +68,12 @@ def _sign(  # noqa: PLR0913 -- one for each option
 ) -> None:
     document = read(file)
     with located(file):
-        check(document)
+        try:
+            check(document)
+        except MalformedError as error:  # no XML at all: that is a no, as in `validate`
+            raise InvalidDocumentError(
+                [Problem(None, None, str(error))], hint=error.hint
+            ) from error
     goal = output or file.with_suffix(".p7s")
     if not force:  # told before anyone types a passphrase
         refuse_existing(goal)
