@@ -20,7 +20,8 @@ MAX_PROBLEMS = 100
 
 
 _ONE_AT_A_TIME = Lock()
-"""A compiled schema has one error log, whoever validates with it."""
+"""A compiled schema has one error log, whoever validates with it, and libxml2's table of
+built-in types, which the first schema to be compiled fills, has no lock of its own."""
 
 
 class Kind(StrEnum):
@@ -93,8 +94,8 @@ def _kind(root: "_Element") -> Kind:
 
 
 def _check(root: "_Element", kind: Kind) -> None:
-    schema = _schema(kind)
     with _ONE_AT_A_TIME:
+        schema = _schema(kind)
         if schema.validate(root):
             return
         log: Iterable[_LogEntry] = schema.error_log  # type: ignore[assignment] # lxml-stubs has no __iter__
