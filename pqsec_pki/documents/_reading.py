@@ -23,6 +23,12 @@ _INSTANT = re.compile(
 _XML_SPACE = " \t\r\n"
 
 
+def line(element: "_Element") -> int | None:
+    """Where the element stands in its document."""
+    found: int | None = element.sourceline  # type: ignore[assignment] # lxml-stubs has no type
+    return found
+
+
 def text(element: "_Element") -> str:
     """The text of an element that holds nothing else."""
     return element.text or ""

@@ -1,6 +1,6 @@
 """The governance document: how a domain and its topics are protected."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Self
 
@@ -40,6 +40,8 @@ class TopicRule:
     enable_write_access_control: bool
     metadata_protection_kind: ProtectionKind
     data_protection_kind: ProtectionKind
+    line: int | None = field(default=None, compare=False, repr=False)
+    """Where it stands in the document it was read from."""
 
     def __post_init__(self) -> None:
         if self.data_protection_kind not in _PAYLOAD_KINDS:
@@ -57,6 +59,8 @@ class DomainRule:
     liveliness_protection_kind: ProtectionKind
     rtps_protection_kind: ProtectionKind
     topic_rules: tuple[TopicRule, ...]
+    line: int | None = field(default=None, compare=False, repr=False)
+    """Where it stands in the document it was read from."""
 
     def __post_init__(self) -> None:
         if not self.topic_rules:
@@ -137,6 +141,7 @@ def _domain_rule(element: "_Element") -> DomainRule:
         liveliness_protection_kind=ProtectionKind(_reading.text(liveliness)),
         rtps_protection_kind=ProtectionKind(_reading.text(rtps)),
         topic_rules=tuple(map(_topic_rule, topics)),
+        line=_reading.line(element),
     )
 
 
@@ -150,4 +155,5 @@ def _topic_rule(element: "_Element") -> TopicRule:
         enable_write_access_control=_reading.boolean(write),
         metadata_protection_kind=ProtectionKind(_reading.text(metadata)),
         data_protection_kind=ProtectionKind(_reading.text(data)),
+        line=_reading.line(element),
     )

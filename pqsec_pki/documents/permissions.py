@@ -1,7 +1,7 @@
 """The permissions document: what each participant may publish, subscribe to and relay."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Self
@@ -32,6 +32,8 @@ class Criteria:
     topics: tuple[str, ...]
     partitions: tuple[str, ...] = ()
     data_tags: tuple[tuple[str, str], ...] = ()
+    line: int | None = field(default=None, compare=False, repr=False)
+    """Where it stands in the document it was read from."""
 
     def __post_init__(self) -> None:
         if not self.topics:
@@ -47,6 +49,8 @@ class Rule:
     publish: tuple[Criteria, ...] = ()
     subscribe: tuple[Criteria, ...] = ()
     relay: tuple[Criteria, ...] = ()
+    line: int | None = field(default=None, compare=False, repr=False)
+    """Where it stands in the document it was read from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +68,8 @@ class Grant:
     not_after: datetime
     rules: tuple[Rule, ...] = ()
     default: DefaultAction = DefaultAction.DENY
+    line: int | None = field(default=None, compare=False, repr=False)
+    """Where it stands in the document it was read from."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "subject_name", self.subject_name.strip(" \t\r\n"))
@@ -170,6 +176,7 @@ def _grant(element: "_Element") -> Grant:
         not_after=_reading.instant(not_after),
         rules=tuple(map(_rule, rules)),
         default=DefaultAction(_reading.text(default)),
+        line=_reading.line(element),
     )
 
 
@@ -185,6 +192,7 @@ def _rule(element: "_Element") -> Rule:
         publish=all_criteria("publish"),
         subscribe=all_criteria("subscribe"),
         relay=all_criteria("relay"),
+        line=_reading.line(element),
     )
 
 
@@ -194,6 +202,7 @@ def _criteria(element: "_Element") -> Criteria:
         topics=_reading.texts(parts["topics"]),
         partitions=_reading.texts(parts["partitions"]) if "partitions" in parts else (),
         data_tags=_data_tags(parts["data_tags"]) if "data_tags" in parts else (),
+        line=_reading.line(element),
     )
 
 
