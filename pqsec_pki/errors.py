@@ -11,6 +11,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 
+def shown(text: str, limit: int = 80) -> str:
+    """`text` from outside made fit for a message: no control characters, not long."""
+    short = text if len(text) <= limit else f"{text[: limit - 3]}..."
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in short)
+
+
 class PqsecError(Exception):
     """The work could not be done.
 

@@ -10,7 +10,7 @@ from pqsec_pki.algorithms._pem import first_pem, pem, unpem
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms._table import Family
 from pqsec_pki.algorithms.digest import Digest, digest_of
-from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS
+from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS, MODP_DER, MODP_RAW
 from pqsec_pki.algorithms.keys import (
     is_encrypted,
     load_private_key,
@@ -29,6 +29,8 @@ from pqsec_pki.algorithms.signature import SIGNATURES
 __all__ = [
     "DEFAULT_PROFILE",
     "KEY_AGREEMENTS",
+    "MODP_DER",
+    "MODP_RAW",
     "PROFILES",
     "SIGNATURES",
     "STOCK_AGREEMENT",

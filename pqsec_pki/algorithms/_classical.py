@@ -36,8 +36,16 @@ ECDSA_WITH = {f"sha{n}": f"1.2.840.10045.4.3.{arc}" for n, arc in ((256, 2), (38
 RSA_WITH = {
     f"sha{n}": f"1.2.840.113549.1.1.{n_arc}" for n, n_arc in ((256, 11), (384, 12), (512, 13))
 }
-_ECDSA_HASH = _identifiers(ECDSA_WITH, null=False)
+_ECDSA = {name: ec.ECDSA(hash_) for name, hash_ in _HASHES.items()}
+_ECDSA_MARKED = {
+    identifier: ec.ECDSA(hash_)
+    for identifier, hash_ in _identifiers(ECDSA_WITH, null=False).items()
+}
 _RSA_HASH = _identifiers(RSA_WITH, null=True)
+_LONGEST_SALT, _ANY_SALT, _HASH_SALT = (
+    padding.PSS(padding.MGF1(hashes.SHA256()), salt)
+    for salt in (padding.PSS.MAX_LENGTH, padding.PSS.AUTO, hashes.SHA256.digest_size)
+)
 _RSA_ENCRYPTION = encode(algorithm("1.2.840.113549.1.1.1", null=True))
 _EC_PUBLIC_KEY = "1.2.840.10045.2.1"
 
@@ -83,14 +91,14 @@ class Ecdsa(SignatureAlgorithm):
         return key
 
     def sign(self, handle: Any, data: bytes) -> bytes:
-        signature: bytes = handle.sign(data, ec.ECDSA(_HASHES[self.digest.name]))
+        signature: bytes = handle.sign(data, _ECDSA[self.digest.name])
         return signature
 
     def accepts(self, identifier: bytes) -> bool:
-        return identifier in _ECDSA_HASH
+        return identifier in _ECDSA_MARKED
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
-        handle.verify(signature, data, ec.ECDSA(_ECDSA_HASH[identifier]))
+        handle.verify(signature, data, _ECDSA_MARKED[identifier])
 
     def generate_handle(self) -> Any:
         return ec.generate_private_key(self.curve)
@@ -148,12 +156,12 @@ class Rsa(SignatureAlgorithm):
         return encode(algorithm(RSA_WITH[digest.name], null=True))
 
     def sign_handshake(self, handle: Any, data: bytes) -> bytes:
-        return _pss_sign(handle, data, padding.PSS.MAX_LENGTH)
+        signature: bytes = handle.sign(data, _LONGEST_SALT, _HASHES["sha256"])
+        return signature
 
     def check_handshake(self, handle: Any, signature: bytes, data: bytes) -> None:
         # Cyclone DDS and OpenDDS sign with the longest salt, Fast DDS with 32 bytes.
-        scheme = padding.PSS(padding.MGF1(hashes.SHA256()), padding.PSS.AUTO)
-        handle.verify(signature, data, scheme, hashes.SHA256())
+        handle.verify(signature, data, _ANY_SALT, _HASHES["sha256"])
 
     def generate_handle(self) -> Any:
         return rsa.generate_private_key(65537, self.bits)
@@ -164,12 +172,12 @@ class RsaPss(Rsa):
     """RSASSA-PSS with a salt as long as the hash: half of a composite, no row of its own."""
 
     def sign(self, handle: Any, data: bytes) -> bytes:
-        return _pss_sign(handle, data, hashes.SHA256.digest_size)
+        signature: bytes = handle.sign(data, _HASH_SALT, _HASHES["sha256"])
+        return signature
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
         del identifier
-        scheme = padding.PSS(padding.MGF1(hashes.SHA256()), hashes.SHA256.digest_size)
-        handle.verify(signature, data, scheme, hashes.SHA256())
+        handle.verify(signature, data, _HASH_SALT, _HASHES["sha256"])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,9 +211,3 @@ class Ed25519(SignatureAlgorithm):
 
     def generate_handle(self) -> Any:
         return ed25519.Ed25519PrivateKey.generate()
-
-
-def _pss_sign(handle: Any, data: bytes, salt: Any) -> bytes:
-    scheme = padding.PSS(padding.MGF1(hashes.SHA256()), salt)
-    signature: bytes = handle.sign(data, scheme, hashes.SHA256())
-    return signature

@@ -101,15 +101,19 @@ class MODP(DiffieHellman):
     """Diffie-Hellman in the group of RFC 5114 2.3.
 
     The stacks do not agree how to write a public value: read by its size, and answered
-    as the peer wrote. Plain ints, because cryptography gives up finite-field DH; what
-    the timing tells of an exponent is worth nothing, since each is used once.
+    as the peer wrote, unless `der` says that only one form is known. Plain ints, because
+    cryptography gives up finite-field DH; what the timing tells of an exponent is worth
+    nothing, since each is used once.
     """
 
+    der: bool | None = field(default=None, repr=False)
+    """Whether this side knows DER INTEGERs alone, plain numbers alone, or both."""
+
     def _fits(self, data: bytes, size: int) -> bool:
-        return 0 < len(data) <= size
+        return 0 < len(data) <= size and self.der in (None, len(data) > _SIZE)
 
     def _generate(self) -> ModpKey:
-        return ModpKey(1 + secrets.randbelow(Q - 1))
+        return ModpKey(1 + secrets.randbelow(Q - 1), der=self.der is not False)
 
     def _public(self, handle: Any) -> bytes:
         y = pow(G, handle.exponent, P)

@@ -3,11 +3,13 @@
 import base64
 import binascii
 import re
+import string
 
 from pqsec_pki.errors import MalformedError
 
 _PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----[ \t]*\r?\n([^-]*)-----END \1-----")
 """The text has no hyphen, so that a block without an end costs no more than its length."""
+_SPACE = string.whitespace.encode()
 
 
 def pem(label: str, der: bytes) -> bytes:
@@ -23,7 +25,7 @@ def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
     """(label, DER) of each PEM block in `data`; MalformedError if a block is broken."""
     try:
         return [
-            (label.decode(), base64.b64decode(b"".join(body.split()), validate=True))
+            (label.decode(), base64.b64decode(body.translate(None, _SPACE), validate=True))
             for label, body in _PEM.findall(data)
             if b":" not in body  # RFC 1421 headers: a traditional encrypted key
         ]

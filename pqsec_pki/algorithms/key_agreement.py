@@ -4,6 +4,8 @@ To add one, write its row. Nothing else in the package names a key agreement; th
 command line, the self-check and the tests follow the table.
 """
 
+from dataclasses import replace
+
 from cryptography.hazmat.primitives.asymmetric import ec, mlkem
 
 from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement, KeyPair
@@ -11,7 +13,7 @@ from pqsec_pki.algorithms._diffie_hellman import ECDH, MODP, X25519
 from pqsec_pki.algorithms._ml_kem import MLKEM
 from pqsec_pki.algorithms._table import Family, Table
 
-__all__ = ["KEY_AGREEMENTS", "KeyAgreement", "KeyPair"]
+__all__ = ["KEY_AGREEMENTS", "MODP_DER", "MODP_RAW", "KeyAgreement", "KeyPair"]
 
 _PQSEC_ONLY = "no stock stack today"
 
@@ -54,6 +56,10 @@ DH_MODP_2048_256 = MODP(
     ciphertext_size=261,
     secret_size=256,
 )
+MODP_DER = replace(DH_MODP_2048_256, name="dh-modp-2048-256 (DER)", aliases=(), der=True)
+"""As Cyclone DDS knows it. For who must behave as a stack does; not in the table."""
+MODP_RAW = replace(DH_MODP_2048_256, name="dh-modp-2048-256 (raw)", aliases=(), der=False)
+"""As Fast DDS and OpenDDS know it."""
 _X25519 = X25519(
     name="x25519",
     wire_name="X25519",

@@ -1,7 +1,6 @@
 """Keys to bytes and back: SubjectPublicKeyInfo, PKCS#8, PEM, with a passphrase or not."""
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -22,9 +21,9 @@ from pqsec_pki.errors import MalformedError, PassphraseError, UnknownAlgorithmEr
 
 _ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
 """Rows that a key's OID alone decides; the others need the key's curve or size."""
+_KNOWN_OIDS = {row.key_oid for row in SIGNATURES}
 
 
-@lru_cache(maxsize=256)
 def load_public_key(spki: bytes) -> PublicKey:
     """The key in DER SubjectPublicKeyInfo `spki`.
 
@@ -33,15 +32,19 @@ def load_public_key(spki: bytes) -> PublicKey:
     info = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
     oid = info.algorithm.algorithm.dotted_string
     row = _ROWS_BY_OID.get(oid)
+    # Before the library looks: of a Diffie-Hellman key it tests the primes, which takes it
+    # half a minute for 8192 bits of anybody's choice.
+    if oid not in _KNOWN_OIDS:
+        raise UnknownAlgorithmError(f"keys of algorithm {oid} are not known here")
     if isinstance(row, Composite):
         return PublicKey(row, spki, row.load_spki(info))
     try:
         handle = load_der_public_key(spki)
-    except UnsupportedAlgorithm:
-        raise UnknownAlgorithmError(f"keys of algorithm {oid} are not known here") from None
+    except UnsupportedAlgorithm as error:
+        raise UnknownAlgorithmError(f"this key of algorithm {oid} is not known here") from error
     except ValueError as error:
         raise MalformedError(f"not a public key: {error}") from error
-    return PublicKey(_row_of(handle), spki, handle)
+    return PublicKey(row or _row_of(handle), spki, handle)
 
 
 def load_private_key(data: bytes, passphrase: bytes | None = None) -> PrivateKey:

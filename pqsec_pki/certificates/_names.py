@@ -74,8 +74,8 @@ def _part(each: x509.NameAttribute[str | bytes]) -> str:
 def _escaped(character: str) -> str:
     if character in _ESCAPED:
         return f"\\{character}"
-    if character < " " or character == "\x7f":
-        return f"\\{ord(character):02X}"
+    if not character.isprintable():  # controls, and what turns the direction of a line
+        return "".join(f"\\{octet:02X}" for octet in character.encode())
     return character
 
 

@@ -7,6 +7,7 @@ here everything is read at the door, so nothing can fail later.
 import hashlib
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 from typing import Self
 
 from cryptography import x509
@@ -15,10 +16,8 @@ from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
     Signed,
     TBSCertificate,
-    Validity,
     decode,
     encode,
-    moment_of,
     whole_bytes,
 )
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem
@@ -30,7 +29,7 @@ MAX_CERTIFICATE = 256 << 10
 """Bytes of PEM or DER. The largest of ours (ML-DSA-87) is 10 kB."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # no slots: what is worked out once is kept
 class Certificate:
     """An X.509 certificate (RFC 5280 4.1). Its text is nowhere trusted: see verify_chain."""
 
@@ -60,26 +59,26 @@ class Certificate:
         signed = decode(Signed, der, "certificate")
         tbs_der = encode(signed.tbs)
         tbs = decode(TBSCertificate, tbs_der, "certificate")
-        if encode(tbs.signature) != encode(signed.signature_algorithm):
+        identifier = encode(tbs.signature)
+        if identifier != encode(signed.signature_algorithm):
             raise MalformedError("the certificate names two different signature algorithms")
         if tbs.serial_number <= 0:
             raise MalformedError("the certificate's serial number is not positive")
-        subject, issuer, extensions = _library_view(der)
-        not_before, not_after = _validity(encode(tbs.validity))
+        parsed = _library_view(der)
         return cls(
             der=der,
             tbs=tbs_der,
-            subject=subject,
-            issuer=issuer,
+            subject=parsed.subject,
+            issuer=parsed.issuer,
             subject_der=encode(tbs.subject),
             issuer_der=encode(tbs.issuer),
             serial_number=tbs.serial_number,
             version=tbs.version + 1,
-            not_before=not_before,
-            not_after=not_after,
+            not_before=parsed.not_valid_before_utc,
+            not_after=parsed.not_valid_after_utc,
             spki=encode(tbs.subject_public_key_info),
-            extensions=extensions,
-            identifier=encode(tbs.signature),
+            extensions=parsed.extensions,
+            identifier=identifier,
             signature=whole_bytes(signed.signature, "the certificate's signature"),
             alternative=Alternative.of(tbs),
         )
@@ -89,17 +88,17 @@ class Certificate:
         """The first certificate in PEM `data`; MalformedError if there is none."""
         return cls.from_der(first_pem(data, {"CERTIFICATE"}, "certificate", limit=MAX_CERTIFICATE))
 
-    @property
+    @cached_property
     def pem(self) -> bytes:
         """The certificate in PEM."""
         return pem("CERTIFICATE", self.der)
 
-    @property
+    @cached_property
     def public_key(self) -> PublicKey:
         """The subject's key; UnknownAlgorithmError if no row is for it."""
         return load_public_key(self.spki)
 
-    @property
+    @cached_property
     def alternative_key(self) -> PublicKey | None:
         """The subject's alternative key (extension 2.5.29.72), if it has one."""
         if self.alternative is None or self.alternative.spki is None:
@@ -150,19 +149,18 @@ class Certificate:
         return self.subject_der == self.issuer_der
 
 
-def _library_view(der: bytes) -> tuple[x509.Name, x509.Name, x509.Extensions]:
+def _library_view(der: bytes) -> x509.Certificate:
+    """The certificate as cryptography reads it; what that reads late is read here."""
     try:
         parsed = x509.load_der_x509_certificate(der)
-        return parsed.subject, parsed.issuer, parsed.extensions
+        _ = parsed.subject, parsed.issuer, parsed.extensions
+        _ = parsed.not_valid_before_utc, parsed.not_valid_after_utc
+        return parsed
     except (
         ValueError,
+        TypeError,
         x509.InvalidVersion,
         x509.DuplicateExtension,
         x509.UnsupportedGeneralNameType,
     ) as error:
         raise MalformedError(f"not a certificate: {error}") from error
-
-
-def _validity(der: bytes) -> tuple[datetime, datetime]:
-    validity = decode(Validity, der, "validity")
-    return moment_of(validity.not_before), moment_of(validity.not_after)

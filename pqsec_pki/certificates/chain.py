@@ -6,6 +6,7 @@ Ed25519 authorities and does not know alternative signatures (docs/adr/0002).
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 from typing import TypeVar
@@ -18,6 +19,7 @@ from pqsec_pki.errors import PqsecError, VerificationError
 
 Value = TypeVar("Value", bound=x509.ExtensionType)
 
+_CA = "the CA certificate"
 _UNDERSTOOD = {"2.5.29.19", "2.5.29.15", "2.5.29.37"}
 """basicConstraints, keyUsage, extKeyUsage: what may be critical without being refused.
 
@@ -55,8 +57,28 @@ def verify_authority(authority: Certificate, *, now: datetime) -> None:
         raise VerificationError(*problems)
 
 
+@dataclass(frozen=True, slots=True)
+class _Holder:
+    """Whose certificate it is, in words; found out only if there is something to say."""
+
+    certificate: Certificate
+
+    def __str__(self) -> str:
+        return f"the certificate of {self.certificate.subject_name}"
+
+
 def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
-    who = "the CA certificate"
+    yield from _lasting_problems(authority)
+    yield from _validity_problems(authority, _CA, now)
+
+
+@lru_cache(maxsize=16)
+def _lasting_problems(authority: Certificate) -> tuple[str, ...]:
+    """Once for each authority that is loaded: a handshake asks it for every peer."""
+    return tuple(_find_lasting_problems(authority, _CA))
+
+
+def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[str]:
     # 6.1.4 (k): basicConstraints present, cA true
     constraints = _value(authority, x509.BasicConstraints)
     if constraints is None or not constraints.ca:
@@ -70,13 +92,12 @@ def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
     # DDS stacks take self-signed authorities only; the signature must be its own
     if not authority.is_self_issued:
         yield f"{who} is not self-signed"
-    elif not _signed_itself(authority):
+    elif not _signed_by(authority, authority):
         yield f"the signature of {who} is not its own"
-    yield from _validity_problems(authority, who, now)
 
 
 def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> Iterator[str]:
-    who = f"the certificate of {leaf.subject_name}"
+    who = _Holder(leaf)
     # 6.1.3 (a)(4): the issuer's name, byte for byte
     if leaf.issuer_der != authority.subject_der:
         issuer, expected = name_text(leaf.issuer), authority.subject_name
@@ -101,7 +122,7 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
 def _alternative_problems(
     leaf: Certificate, authority: Certificate, *, required: bool
 ) -> Iterator[str]:
-    who = f"the certificate of {leaf.subject_name}"
+    who = _Holder(leaf)
     try:
         key, own = authority.alternative_key, leaf.alternative_key
     except PqsecError as error:
@@ -122,13 +143,13 @@ def _alternative_problems(
         yield f"the alternative signature of {who}: {error}"
 
 
-def _critical_problems(certificate: Certificate, who: str) -> Iterator[str]:
+def _critical_problems(certificate: Certificate, who: object) -> Iterator[str]:
     for extension in certificate.extensions:
         if extension.critical and extension.oid.dotted_string not in _UNDERSTOOD:
             yield f"{who} has an unknown critical extension {extension.oid.dotted_string}"
 
 
-def _validity_problems(certificate: Certificate, who: str, now: datetime) -> Iterator[str]:
+def _validity_problems(certificate: Certificate, who: object, now: datetime) -> Iterator[str]:
     if now < certificate.not_before:
         yield f"{who} is not valid before {certificate.not_before:%Y-%m-%d %H:%M:%S} UTC"
     if now > certificate.not_after:
@@ -141,12 +162,6 @@ def _signed_by(certificate: Certificate, issuer: Certificate) -> bool:
     except PqsecError:
         return False
     return True
-
-
-@lru_cache(maxsize=16)
-def _signed_itself(authority: Certificate) -> bool:
-    """Once for each authority that is loaded: a handshake asks it for every peer."""
-    return _signed_by(authority, authority)
 
 
 def _value(certificate: Certificate, kind: type[Value]) -> Value | None:

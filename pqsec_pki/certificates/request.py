@@ -117,6 +117,7 @@ def _library_view(der: bytes) -> tuple[x509.Name, x509.Extensions]:
         return parsed.subject, parsed.extensions
     except (
         ValueError,
+        TypeError,
         x509.DuplicateExtension,
         x509.InvalidVersion,
         x509.UnsupportedGeneralNameType,

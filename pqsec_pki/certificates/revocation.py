@@ -166,6 +166,7 @@ def _library_view(der: bytes) -> _View:
         return parsed.issuer, parsed.extensions, tuple(map(_revoked, parsed))
     except (
         ValueError,
+        TypeError,
         x509.DuplicateExtension,
         x509.InvalidVersion,
         x509.UnsupportedGeneralNameType,

@@ -11,7 +11,7 @@ from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.keystore import Keystore, Wish, issue
-from pqsec_pki.selfcheck import meet
+from pqsec_pki.selfcheck import Guest, Occasion, meet
 
 _YEAR = timedelta(days=365)
 
@@ -44,9 +44,8 @@ def demo(folder: Path | None, profile_name: str) -> None:
         _wish("/listener", domains, subscribe=(ros.topic("/chatter"),)),
     ]
     issue(keystore, keystore.unlock(None), wishes, now=now)
-    report = meet(
-        keystore, "/talker", "/listener", agreement=profile.key_agreement, domain=0, now=now
-    )
+    occasion = Occasion(keystore=keystore, domain=0, now=now)
+    report = meet(occasion, Guest(name="/talker"), Guest(name="/listener"))
     value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
     _common.emit(value, [*_story(keystore), *lines_of(report), "", *_next(keystore)])
     if not report.ok:

@@ -8,9 +8,9 @@ import re
 from datetime import UTC, datetime, timedelta, timezone
 from typing import TYPE_CHECKING
 
-from pqsec_pki.documents._xml import problem, shown
+from pqsec_pki.documents._xml import problem
 from pqsec_pki.documents.domains import MAX_DOMAIN_ID, DomainRange, DomainSet
-from pqsec_pki.errors import InvalidDocumentError
+from pqsec_pki.errors import InvalidDocumentError, shown
 
 if TYPE_CHECKING:
     from lxml.etree import _Element

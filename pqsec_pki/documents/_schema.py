@@ -9,8 +9,8 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
-from pqsec_pki.documents._xml import parse, problem, shown
-from pqsec_pki.errors import InvalidDocumentError, Problem
+from pqsec_pki.documents._xml import parse, problem
+from pqsec_pki.errors import InvalidDocumentError, Problem, shown
 
 if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element, _LogEntry

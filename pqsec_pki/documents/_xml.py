@@ -8,7 +8,7 @@ is a limit on size here, and one on depth in libxml2.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pqsec_pki.errors import MalformedError, Problem
+from pqsec_pki.errors import MalformedError, Problem, shown
 
 if TYPE_CHECKING:
     from lxml.etree import XMLParser, _Element
@@ -55,12 +55,6 @@ def _parser() -> "XMLParser":
 def _not_well_formed(error: SyntaxError) -> str:
     reason, _, _ = (error.msg or "no XML").partition(", line ")
     return f"line {error.lineno or 1}: not well-formed XML: {shown(reason.strip())}"
-
-
-def shown(text: str, limit: int = 80) -> str:
-    """`text` from outside made fit for a message: no control characters, not long."""
-    short = text if len(text) <= limit else f"{text[: limit - 3]}..."
-    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in short)
 
 
 def problem(element: "_Element", message: str) -> Problem:

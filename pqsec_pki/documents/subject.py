@@ -10,8 +10,7 @@ import re
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from pqsec_pki.documents._xml import shown
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import MalformedError, shown
 
 Subject: TypeAlias = tuple[frozenset[tuple[str, str]], ...]
 """The parts (RDNs) as written; each a set, mostly of one, of (type, value)."""

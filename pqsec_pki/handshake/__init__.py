@@ -5,6 +5,7 @@ clock. It speaks DDS-Security 1.1 with stock stacks, and post-quantum suites wit
 """
 
 from pqsec_pki.handshake._cdr import ByteOrder
+from pqsec_pki.handshake.dialect import Dialect
 from pqsec_pki.handshake.guid import (
     adjusted_guid,
     belongs_to,
@@ -16,10 +17,9 @@ from pqsec_pki.handshake.key_exchange import (
     KeyMaterial,
     TransformationKind,
     key_exchange_material,
-    protect,
-    unprotect,
 )
 from pqsec_pki.handshake.messages import (
+    CHALLENGE_SIZE,
     AuthRequest,
     Final,
     Introduction,
@@ -28,14 +28,21 @@ from pqsec_pki.handshake.messages import (
     Transcript,
 )
 from pqsec_pki.handshake.participants import Discovered, Identity, Peer, Policy, Terms
+from pqsec_pki.handshake.protection import (
+    Sender,
+    unprotect_payload,
+    unprotect_submessage,
+)
 from pqsec_pki.handshake.states import Done, ReplySent, RequestSent, begin, reply_to
 from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
 from pqsec_pki.handshake.wire import DataHolder, GenericMessage, MessageClass
 
 __all__ = [
+    "CHALLENGE_SIZE",
     "AuthRequest",
     "ByteOrder",
     "DataHolder",
+    "Dialect",
     "Discovered",
     "Done",
     "Final",
@@ -52,6 +59,7 @@ __all__ = [
     "ReplySent",
     "Request",
     "RequestSent",
+    "Sender",
     "Terms",
     "Transcript",
     "TransformationKind",
@@ -62,7 +70,7 @@ __all__ = [
     "key_exchange_material",
     "participant_data",
     "participant_guid",
-    "protect",
     "reply_to",
-    "unprotect",
+    "unprotect_payload",
+    "unprotect_submessage",
 ]

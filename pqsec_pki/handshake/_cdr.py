@@ -1,15 +1,18 @@
 """CDR: numbers, strings and sequences to bytes and back, in both byte orders."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import NamedTuple, TypeVar
+from functools import lru_cache
+from typing import TypeVar
 
 from pqsec_pki.errors import MalformedError
 
 T = TypeVar("T")
 _LEAST_ELEMENT = 8
 """Bytes: every element of every sequence here begins with two lengths or more."""
+_FILL = (b"", b"\0\0\0", b"\0\0", b"\0")
+"""What leads from an offset, modulo 4, to the next number."""
 
 
 class ByteOrder(Enum):
@@ -18,59 +21,71 @@ class ByteOrder(Enum):
     BIG = ">"
     LITTLE = "<"
 
+    def __init__(self, sign: str) -> None:
+        self.u32 = struct.Struct(sign + "I")
+        self.i64 = struct.Struct(sign + "q")
+        # Names of properties: the same few in every message.
+        self.label = lru_cache(maxsize=64)(self._label)
 
-class _Numbers(NamedTuple):
-    u32: struct.Struct
-    i64: struct.Struct
-
-
-_NUMBERS = {
-    order: _Numbers(struct.Struct(order.value + "I"), struct.Struct(order.value + "q"))
-    for order in ByteOrder
-}
+    def _label(self, text: str) -> bytes:
+        """`text` as a string, filled up to where a number can follow."""
+        data = text.encode() + b"\0"
+        return self.u32.pack(len(data)) + data + _FILL[len(data) & 3]
 
 
 class Writer:
     """Appends CDR values, each aligned to its own size from where the writer began."""
 
-    __slots__ = ("_data", "_numbers")
+    __slots__ = ("_order", "_parts")
 
     def __init__(self, order: ByteOrder = ByteOrder.BIG) -> None:
-        self._data = bytearray()
-        self._numbers = _NUMBERS[order]
+        self._order = order
+        self._parts: list[bytes] = []
+
+    @property
+    def _size(self) -> int:
+        return sum(map(len, self._parts))
 
     def raw(self, data: bytes) -> None:
-        self._data += data
+        self._parts.append(data)
 
     def u32(self, value: int) -> None:
-        self._number(self._numbers.u32, value)
+        self._parts += (_FILL[self._size & 3], self._order.u32.pack(value))
 
     def i64(self, value: int) -> None:
-        self._number(self._numbers.i64, value)
+        self._parts += (bytes(-self._size & 7), self._order.i64.pack(value))
 
     def octets(self, data: bytes) -> None:
         self.u32(len(data))
-        self._data += data
+        self._parts.append(data)
 
     def string(self, text: str) -> None:
         self.octets(text.encode() + b"\0")
 
-    def done(self) -> bytes:
-        return bytes(self._data)
+    def pairs(self, items: Sequence[tuple[str, bytes]]) -> None:
+        """A sequence of strings, each with octets: most of a message, so in one go."""
+        self.u32(len(items))
+        parts, label, length = self._parts, self._order.label, self._order.u32.pack
+        for name, value in items:
+            size = len(value)
+            parts += (label(name), length(size), value, _FILL[size & 3])
+        if items:
+            parts.pop()  # nothing has to follow the last
 
-    def _number(self, kind: struct.Struct, value: int) -> None:
-        self._data += bytes(-len(self._data) % kind.size) + kind.pack(value)
+    def done(self) -> bytes:
+        return b"".join(self._parts)
 
 
 class Reader:
     """Takes CDR values one after another; MalformedError where there is none."""
 
-    __slots__ = ("_at", "_data", "_numbers")
+    __slots__ = ("_at", "_data", "_length", "_order")
 
     def __init__(self, data: bytes, order: ByteOrder) -> None:
         self._data = data
         self._at = 0
-        self._numbers = _NUMBERS[order]
+        self._order = order
+        self._length = order.u32.unpack_from
 
     @property
     def left(self) -> int:
@@ -84,20 +99,27 @@ class Reader:
         return self._data[start : self._at]
 
     def u32(self) -> int:
-        return self._number(self._numbers.u32)
+        return self._number(self._order.u32)
 
     def i64(self) -> int:
-        return self._number(self._numbers.i64)
+        return self._number(self._order.i64)
 
     def octets(self) -> bytes:
-        return self.raw(self.u32())
+        data, start = self._data, (self._at + 7) & -4  # behind an aligned length
+        if start > len(data):
+            raise MalformedError("a number runs past the end")
+        (size,) = self._length(data, start - 4)
+        self._at = end = start + size
+        if end > len(data):
+            raise MalformedError(f"a length of {size} runs past the end")
+        return data[start:end]
 
     def string(self) -> str:
-        data = self.octets()
-        if not data or data.find(b"\0") != len(data) - 1:
+        text, end, rest = self.octets().partition(b"\0")
+        if not end or rest:
             raise MalformedError("a string that does not end in its only NUL")
         try:
-            return data[:-1].decode()
+            return text.decode()
         except UnicodeDecodeError:
             raise MalformedError("a string that is not UTF-8") from None
 
@@ -105,7 +127,7 @@ class Reader:
         count = self.u32()
         if count > limit or count * _LEAST_ELEMENT > self.left:
             raise MalformedError(f"{count} elements, more than allowed or than there is room for")
-        return tuple(item() for _ in range(count))
+        return tuple([item() for _ in range(count)])
 
     def _number(self, kind: struct.Struct) -> int:
         start = self._at + -self._at % kind.size

@@ -43,7 +43,7 @@ def participant_data(guid: bytes) -> bytes:
 
 def participant_guid(data: bytes) -> bytes:
     """The GUID (16 bytes) in c.pdata; MalformedError if the list is broken or has none."""
-    at = 0
+    at, found = 0, b""
     while at + 4 <= len(data):
         kind, size = struct.unpack_from(">HH", data, at)
         if kind == _PID_SENTINEL:
@@ -54,9 +54,13 @@ def participant_guid(data: bytes) -> bytes:
         if kind == _PID_PARTICIPANT_GUID:
             if size != GUID_SIZE:
                 raise MalformedError(f"c.pdata: a GUID of {size} bytes")
-            return data[at - size : at]
+            if found:  # readers could differ which of them counts
+                raise MalformedError("c.pdata: two participant GUIDs")
+            found = data[at - size : at]
         at += -size % 4
-    raise MalformedError("c.pdata: no participant GUID")
+    if not found:
+        raise MalformedError("c.pdata: no participant GUID")
+    return found
 
 
 def _high_half(subject_der: bytes) -> bytes:

@@ -1,46 +1,34 @@
-"""After the handshake: the key for key exchange, and one message protected with it.
+"""After the handshake: the keys that the two send each other, and the key they send them with.
 
-SharedSecret and challenges give both sides one key (DDS-Security 1.1, 9.5.2.1.2). With it
-they send each other the keys for everything else, as crypto tokens in submessages that are
-encrypted on the volatile secure topic. This is also the first proof of a common secret.
+SharedSecret and challenges give both sides one key, for key exchange (DDS-Security 1.1,
+9.5.2.1.2). Under it they send the key material of everything else: a participant's, and
+of each writer and reader one for its submessages and, a writer, one for its payloads.
+Each travels as a crypto token, several in one message, over the volatile secure topic.
 """
 
 import hashlib
 import hmac
 import os
-import struct
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import secrets
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Self
 
-from cryptography.exceptions import InvalidTag
-from cryptography.hazmat.primitives.ciphers.aead import AESGCM
-
-from pqsec_pki.errors import MalformedError, UsageError, VerificationError
+from pqsec_pki.errors import MalformedError, UsageError
 from pqsec_pki.handshake._cdr import ByteOrder, Reader, Writer
+from pqsec_pki.handshake._secured import KEY_ID_SIZE
 from pqsec_pki.handshake.states import Done
 from pqsec_pki.handshake.wire import DataHolder
 
 CRYPTO_TOKEN = "DDS:Crypto:AES_GCM_GMAC"  # noqa: S105 -- a class name, no password
 KEY_MATERIAL = "dds.cryp.keymat"
-TAG_SIZE = 16
-KEY_ID_SIZE = 4
 NO_KEY_ID = bytes(KEY_ID_SIZE)
-_SESSION_ID_SIZE = 4
-_IV_SIZE = 12
-"""Bytes: session_id and initialization_vector_suffix."""
-_HEADER_SIZE = 4 + KEY_ID_SIZE + _IV_SIZE
-MAX_SUBMESSAGE = 0xFFF8
-"""Bytes: a submessage says its length in 16 bits, and the content's stands in front."""
-_SEC_BODY, _SEC_PREFIX, _SEC_POSTFIX = 0x30, 0x31, 0x32
-_FLAG_LITTLE_ENDIAN = 0x01
-_FRAME = struct.Struct(">BBH")
-"""Kind, flags, size of what follows (RTPS 2.3, 9.4.5.1)."""
+_FILLING = bytes(20)
+"""What Fast DDS writes after key material of no kind."""
 
 
 class TransformationKind(IntEnum):
-    """How data is protected (9.5.2.1.1)."""
+    """How data is protected (9.5.2.1.1): signed (GMAC), or encrypted as well (GCM)."""
 
     NONE = 0
     AES128_GMAC = 1
@@ -53,10 +41,19 @@ class TransformationKind(IntEnum):
         """Bytes of key and salt."""
         return {0: 0, 1: 16, 2: 16}.get(self, 32)
 
+    @property
+    def encrypts(self) -> bool:
+        """Whether the content is hidden."""
+        return self in {TransformationKind.AES128_GCM, TransformationKind.AES256_GCM}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyMaterial:
-    """KeyMaterial_AES_GCM_GMAC (9.5.2.1.1): master keys that session keys come from."""
+    """KeyMaterial_AES_GCM_GMAC (9.5.2.1.1): master keys that session keys come from.
+
+    Salt and keys have the size of the kind, key ids 4 bytes; without origin authentication
+    there is no receiver key, and its id is all zero. MalformedError for anything else.
+    """
 
     kind: TransformationKind
     salt: bytes = field(repr=False)
@@ -64,6 +61,27 @@ class KeyMaterial:
     sender_key: bytes = field(repr=False)
     receiver_key_id: bytes = NO_KEY_ID
     receiver_key: bytes = field(default=b"", repr=False)
+
+    def __post_init__(self) -> None:
+        size = self.kind.key_size
+        due = (size, size, 0 if self.receiver_key_id == NO_KEY_ID else size)
+        sizes = (len(self.salt), len(self.sender_key), len(self.receiver_key))
+        if sizes != due:
+            raise MalformedError(f"key material of odd sizes: {sizes} where {due} are due")
+
+    @classmethod
+    def generate(cls, kind: TransformationKind) -> Self:
+        """New material for what one participant, writer or reader sends."""
+        salt, key = os.urandom(kind.key_size), os.urandom(kind.key_size)
+        return cls(kind=kind, salt=salt, sender_key_id=_new_key_id(), sender_key=key)
+
+    def for_receiver(self) -> Self:
+        """The same with a new receiver key: for one receiver alone, for origin authentication.
+
+        All receivers hold the sender's key and could use it; only this one holds both.
+        """
+        key = os.urandom(self.kind.key_size)
+        return replace(self, receiver_key_id=_new_key_id(), receiver_key=key)
 
     def to_holder(self) -> DataHolder:
         """The crypto token that carries it (9.5.2.1)."""
@@ -74,7 +92,7 @@ class KeyMaterial:
         """The inverse; MalformedError for any other token."""
         names = [name for name, _ in holder.binary_properties]
         if holder.class_id != CRYPTO_TOKEN or names != [KEY_MATERIAL]:
-            raise MalformedError(f"not a crypto token: {holder.class_id!r} with {names}")
+            raise MalformedError("not a crypto token with one dds.cryp.keymat")
         return cls.decode(holder.binary_properties[0][1])
 
     def encode(self) -> bytes:
@@ -100,16 +118,24 @@ class KeyMaterial:
             receiver_key_id=reader.raw(KEY_ID_SIZE),
             receiver_key=reader.octets(),
         )
-        size = material.kind.key_size
-        sizes = (len(material.salt), len(material.sender_key), len(material.receiver_key))
-        if reader.left or sizes not in {(size, size, 0), (size, size, size)}:
-            raise MalformedError(f"key material of odd sizes: {sizes}, {reader.left} left")
+        rest = reader.raw(reader.left)
+        if rest and (material.kind is not TransformationKind.NONE or rest != _FILLING):
+            raise MalformedError(f"{len(rest)} bytes after the key material")
         return material
 
     def session_key(self, session_id: bytes) -> bytes:
         """The key of one session, 16 or 32 bytes (9.5.3.3.3). `session_id` has 4 bytes."""
-        data = b"SessionKey" + self.salt + session_id
-        return hmac.digest(self.sender_key, data, "sha256")[: self.kind.key_size]
+        return self._session_key(b"SessionKey", self.sender_key, session_id)
+
+    def session_receiver_key(self, session_id: bytes) -> bytes:
+        """The same for this receiver's tags (9.5.3.3.3); UsageError if it has no key."""
+        if not self.receiver_key:
+            raise UsageError("this key material has no receiver's key")
+        return self._session_key(b"SessionReceiverKey", self.receiver_key, session_id)
+
+    def _session_key(self, label: bytes, key: bytes, session_id: bytes) -> bytes:
+        digest = hmac.digest(key, label + self.salt + session_id, "sha256")
+        return digest[: self.kind.key_size]
 
 
 def key_exchange_material(done: Done) -> KeyMaterial:
@@ -125,48 +151,6 @@ def key_exchange_material(done: Done) -> KeyMaterial:
     )
 
 
-def protect(material: KeyMaterial, submessage: bytes) -> bytes:
-    """`submessage`, encrypted, between SEC_PREFIX and SEC_POSTFIX (9.5.3.3.4).
-
-    Session and initialization vector are 96 random bits: both directions share one key,
-    so a counter on each side could meet the other's. UsageError if it is over 64 KiB.
-    """
-    if len(submessage) > MAX_SUBMESSAGE:
-        raise UsageError(f"a submessage of {len(submessage)} bytes cannot be protected in one")
-    iv = os.urandom(_IV_SIZE)
-    sealed = _cipher(material, iv).encrypt(iv, submessage, None)
-    content, tag = sealed[:-TAG_SIZE], sealed[-TAG_SIZE:]
-    header = struct.pack(">I", material.kind) + material.sender_key_id + iv
-    return (
-        _framed(_SEC_PREFIX, header)
-        + _framed(_SEC_BODY, struct.pack(">I", len(content)) + content)
-        + _framed(_SEC_POSTFIX, tag + _NO_RECEIVERS)
-    )
-
-
-def unprotect(material: KeyMaterial, data: bytes) -> bytes:
-    """The submessage in `data`, the three submessages that protect makes.
-
-    MalformedError if it is not those; VerificationError if it was protected with other
-    keys, or changed.
-    """
-    header, body, footer = _unframed(data)
-    identifier, iv = header[:-_IV_SIZE], header[-_IV_SIZE:]
-    if identifier != struct.pack(">I", material.kind) + material.sender_key_id:
-        raise VerificationError("protected in another way, or with a key of another name")
-    tag, receivers = footer[:TAG_SIZE], footer[TAG_SIZE:]
-    if receivers != _NO_RECEIVERS:
-        raise VerificationError("receiver-specific tags where there is no receiver's key")
-    try:
-        return _cipher(material, iv).decrypt(iv, _content(body) + tag, None)
-    except InvalidTag:
-        raise VerificationError("the two sides have different keys, or the data changed") from None
-
-
-_NO_RECEIVERS = bytes(4)
-"""receiver_specific_macs: a sequence of none."""
-
-
 def _kind(number: int) -> TransformationKind:
     try:
         return TransformationKind(number)
@@ -174,54 +158,10 @@ def _kind(number: int) -> TransformationKind:
         raise MalformedError(f"unknown transformation kind {number}") from None
 
 
+def _new_key_id() -> bytes:
+    """Any but NO_KEY_ID, which stands for the key of the key exchange or for none."""
+    return (1 + secrets.randbelow((1 << 8 * KEY_ID_SIZE) - 1)).to_bytes(KEY_ID_SIZE)
+
+
 def _derive(first: bytes, label: bytes, second: bytes, secret: bytes) -> bytes:
     return hmac.digest(hashlib.sha256(first + label + second).digest(), secret, "sha256")
-
-
-def _cipher(material: KeyMaterial, iv: bytes) -> AESGCM:
-    if material.kind is not TransformationKind.AES256_GCM:
-        raise UsageError(f"no submessage protection here by {material.kind.name}")
-    return AESGCM(material.session_key(iv[:_SESSION_ID_SIZE]))
-
-
-def _framed(kind: int, content: bytes) -> bytes:
-    """A submessage, big-endian, padded to 4 bytes."""
-    content += bytes(-len(content) % 4)
-    return _FRAME.pack(kind, 0, len(content)) + content
-
-
-def _unframed(data: bytes) -> tuple[bytes, bytes, bytes]:
-    """The contents of SEC_PREFIX, SEC_BODY and SEC_POSTFIX; MalformedError otherwise."""
-    found = list(_submessages(data))
-    if [kind for kind, _ in found] != [_SEC_PREFIX, _SEC_BODY, _SEC_POSTFIX]:
-        raise MalformedError(f"not one protected submessage but {len(found)} parts")
-    header, body, footer = (content for _, content in found)
-    if len(header) != _HEADER_SIZE or len(footer) < TAG_SIZE:
-        raise MalformedError("a crypto header or footer of a wrong size")
-    return header, body, footer
-
-
-def _submessages(data: bytes) -> Iterator[tuple[int, bytes]]:
-    at = 0
-    while at < len(data):
-        start = at + _FRAME.size
-        if start > len(data):
-            raise MalformedError("half a submessage header")
-        kind, flags, size = _FRAME.unpack_from(data, at)
-        # Only the size follows the flag: Cyclone DDS sets it, and what is inside stays
-        # big-endian.
-        if flags & _FLAG_LITTLE_ENDIAN:
-            size = (size & 0xFF) << 8 | size >> 8
-        at = start + size
-        if at > len(data):
-            raise MalformedError("a submessage runs past the end")
-        yield kind, data[start:at]
-
-
-def _content(body: bytes) -> bytes:
-    """CryptoContent (9.5.2.4): a length and that many bytes, then at most 3 of padding."""
-    reader = Reader(body, ByteOrder.BIG)
-    content = reader.octets()
-    if reader.left > 3:  # noqa: PLR2004 -- RTPS aligns submessages to 4
-        raise MalformedError(f"{reader.left} bytes after the encrypted content")
-    return content

@@ -7,10 +7,10 @@ Values keep the octets as they came, because the hashes cover those.
 import hashlib
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake.wire import BinaryProperty, DataHolder, encode_properties
 
 AUTHENTICATION = "DDS:Auth:PKI-DH:1.0"
@@ -24,6 +24,8 @@ _SIZES = {
     "challenge2": CHALLENGE_SIZE,
     "future_challenge": CHALLENGE_SIZE,
 }
+_MOST = dict.fromkeys(("c.dsign_algo", "c.kagree_algo"), 64)
+"""Bytes. No algorithm has so long a name, and messages quote it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,10 @@ class _Message:
     """Fields are binary properties of the same name, in the order they are sent."""
 
     CLASS_ID: ClassVar[str]
+
+    def without_optional(self) -> Self:
+        """The same with only what must be there."""
+        return replace(self, **{each.name: None for each in fields(self) if each.default is None})
 
     def to_holder(self) -> DataHolder:
         items: list[BinaryProperty] = []
@@ -199,7 +205,7 @@ def _class_problems(holder: DataHolder, class_id: str) -> list[str]:
     # Cyclone DDS compares a prefix only.
     if holder.class_id == class_id:
         return []
-    return [f"a {holder.class_id!r} where a {class_id!r} is due"]
+    return [f"a '{shown(holder.class_id)}' where a '{class_id}' is due"]
 
 
 def _problems(holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]) -> Iterable[str]:
@@ -209,10 +215,12 @@ def _problems(holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]
     # Cyclone DDS takes the first of a doubled property, others may take the last.
     for name, count in Counter(name for name, _ in holder.binary_properties).items():
         if count > 1:
-            yield f"{name!r} is there {count} times"
+            yield f"'{shown(name)}' is there {count} times"
     for name, value in found.items():
         if len(value) != _SIZES.get(name, len(value)):
             yield f"{name} has {len(value)} bytes, not {_SIZES[name]}"
+        if len(value) > _MOST.get(name, len(value)):
+            yield f"{name} has {len(value)} bytes, which names no algorithm"
         # Fast DDS hashes every property of this prefix, the others hash five.
         if name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
-            yield f"{name!r} is not covered by every stack's hash"
+            yield f"'{shown(name)}' is not covered by every stack's hash"

@@ -8,7 +8,8 @@ from typing import Self
 
 from pqsec_pki.algorithms import KeyAgreement, PrivateKey, PublicKey
 from pqsec_pki.certificates import Certificate, verify_chain
-from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.errors import PqsecError, VerificationError, shown
+from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
 
@@ -94,7 +95,7 @@ class Peer:
                 keys=certificate.handshake_keys,
             )
         except PqsecError as error:
-            raise VerificationError(f"the peer's introduction: {error}") from error
+            raise VerificationError(f"the peer's introduction: {shown(str(error), 300)}") from error
 
     def key_for(self, name: str, policy: Policy) -> PublicKey | None:
         """The key that signs under c.dsign_algo `name`, if it has one and `policy` lets it."""
@@ -111,6 +112,8 @@ class Terms:
     discovered: Discovered = NOTHING
     announced: bytes | None = None
     """The future_challenge (32 bytes) in our own AuthRequest, if we sent one."""
+    dialect: Dialect = OURS
+    """How we write and read. To speak as another implementation does is for tests."""
 
     def challenge(self) -> bytes:
         """Our challenge for one handshake: the announced one, or 32 fresh bytes."""

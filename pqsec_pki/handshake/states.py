@@ -20,7 +20,7 @@ from datetime import datetime
 from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake.messages import Final, Reply, Request, Transcript
-from pqsec_pki.handshake.participants import Discovered, Peer, Terms
+from pqsec_pki.handshake.participants import Peer, Terms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ class RequestSent:
         # dh2, and with it the secret
         secret = self.key_pair.decapsulate(reply.dh2)
         signature = self.terms.own.key.sign_handshake(transcript.final_octets())
-        final = Final(signature=signature, **transcript.values())
+        final = self.terms.dialect.written(Final(signature=signature, **transcript.values()))
         return final, _done(peer, self.key_pair.agreement, transcript, secret, signed)
 
     def _transcript(self, reply: Reply) -> Transcript:
@@ -73,6 +73,7 @@ class RequestSent:
         )
 
     def _problems(self, reply: Reply, transcript: Transcript) -> Iterator[str]:
+        yield from self.terms.dialect.problems(reply)
         # Not in the specification: Cyclone DDS lets the replier choose another one.
         if reply.introduction.key_agreement_name != self.key_pair.agreement.wire_name:
             yield "c.kagree_algo is not what was asked for"
@@ -109,7 +110,7 @@ class ReplySent:
 def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
     """The Request, and the state that waits for its Reply."""
     # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS insists on it; all accept it.
-    introduction = terms.own.introduction(agreement, nul=True)
+    introduction = terms.own.introduction(agreement, nul=terms.dialect.ends_names_in_nul)
     hash_c1 = introduction.digest()
     pair = agreement.generate()
     request = Request(
@@ -118,7 +119,8 @@ def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
         dh1=pair.public,
         challenge1=terms.challenge(),
     )
-    return request, RequestSent(terms=terms, request=request, hash_c1=hash_c1, key_pair=pair)
+    waiting = RequestSent(terms=terms, request=request, hash_c1=hash_c1, key_pair=pair)
+    return terms.dialect.written(request), waiting
 
 
 def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, ReplySent]:
@@ -131,12 +133,12 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     agreement = terms.policy.agreement(request.introduction.key_agreement_name)
     # c.id and c.pdata, then what is repeated
     hash_c1 = request.introduction.digest()
-    others = _request_problems(request, hash_c1, terms.discovered)
+    others = _request_problems(request, hash_c1, terms)
     peer, key = terms.admit(request.introduction, now, others=others)
     # dh1, and with it the secret
     dh2, secret = agreement.encapsulate(request.dh1)
     # Fast DDS refuses names with NUL as initiator, OpenDDS refuses them without.
-    introduction = terms.own.introduction(agreement, nul=request.introduction.ends_names_in_nul)
+    introduction = terms.own.introduction(agreement, nul=terms.dialect.answers_with_nul(request))
     transcript = Transcript(
         hash_c1=hash_c1,
         hash_c2=introduction.digest(),
@@ -148,13 +150,15 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     signed = transcript.reply_octets()
     signature = terms.own.key.sign_handshake(signed)
     reply = Reply(introduction=introduction, signature=signature, **transcript.values())
+    reply = terms.dialect.written(reply)
     outcome = _done(peer, agreement, transcript, secret, signed)
     return reply, ReplySent(transcript=transcript, peer_key=key, _outcome=outcome)
 
 
-def _request_problems(request: Request, hash_c1: bytes, discovered: Discovered) -> Iterator[str]:
+def _request_problems(request: Request, hash_c1: bytes, terms: Terms) -> Iterator[str]:
+    yield from terms.dialect.problems(request)
     # challenge1 is the announced one
-    if discovered.future_challenge not in (None, request.challenge1):
+    if terms.discovered.future_challenge not in (None, request.challenge1):
         yield "challenge1 is not the one that the peer announced"
     # hash_c1, if sent; Fast DDS only warns
     if request.hash_c1 not in (None, hash_c1):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake.wire import DataHolder
 
 
@@ -24,7 +24,7 @@ class _Token:
         """VerificationError if `holder` is of another class or has a property twice."""
         # 7.2.3: minor versions are compatible.
         if not holder.class_id.startswith(cls.CLASS_ID.removesuffix("0")):
-            raise VerificationError(f"a {holder.class_id!r} where a {cls.CLASS_ID!r} is due")
+            raise VerificationError(f"a '{shown(holder.class_id)}' where a '{cls.CLASS_ID}' is due")
         found = dict(holder.properties)
         if len(found) != len(holder.properties):
             raise VerificationError(f"a property is twice in a {cls.CLASS_ID!r}")

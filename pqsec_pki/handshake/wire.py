@@ -130,16 +130,8 @@ _ORDERS = {header[:2]: order for order, header in _HEADERS.items()}
 def encode_properties(items: Iterable[BinaryProperty]) -> bytes:
     """What hashes and signatures cover: the list alone, big-endian, no header, no tail."""
     writer = Writer()
-    _write_properties(writer, items)
+    writer.pairs(tuple(items))
     return writer.done()
-
-
-def _write_properties(writer: Writer, items: Iterable[BinaryProperty]) -> None:
-    items = tuple(items)
-    writer.u32(len(items))
-    for name, value in items:
-        writer.string(name)
-        writer.octets(value)
 
 
 def _write_holder(writer: Writer, holder: DataHolder) -> None:
@@ -148,7 +140,7 @@ def _write_holder(writer: Writer, holder: DataHolder) -> None:
     for name, value in holder.properties:
         writer.string(name)
         writer.string(value)
-    _write_properties(writer, holder.binary_properties)
+    writer.pairs(holder.binary_properties)
 
 
 def _read_holder(reader: Reader) -> DataHolder:

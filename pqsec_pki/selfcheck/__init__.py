@@ -4,7 +4,19 @@ For `pqsec verify-handshake`, `pqsec demo`, and whoever wants to know before a r
 """
 
 from pqsec_pki.selfcheck.credentials import required_signatures
-from pqsec_pki.selfcheck.meeting import meet
+from pqsec_pki.selfcheck.meeting import Guest, Occasion, meet
 from pqsec_pki.selfcheck.report import Report, Step
+from pqsec_pki.selfcheck.stacks import PQSEC, STACKS, Stack, stack_named
 
-__all__ = ["Report", "Step", "meet", "required_signatures"]
+__all__ = [
+    "PQSEC",
+    "STACKS",
+    "Guest",
+    "Occasion",
+    "Report",
+    "Stack",
+    "Step",
+    "meet",
+    "required_signatures",
+    "stack_named",
+]

@@ -1,244 +1,187 @@
-"""Two participants of a keystore meet, in memory, as two DDS processes would.
-
-Every message passes as bytes, encoded and decoded as on the wire. The handshake alone
-does not prove that both hold the same secret, so it goes on to one protected message
-each way.
-"""
+"""Two participants of a keystore meet, in memory, as two DDS processes would."""
 
 import os
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import NamedTuple
 
 from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.handshake import (
-    DataHolder,
-    Discovered,
-    Done,
-    Final,
-    Identity,
-    Policy,
-    Reply,
-    Request,
-    Terms,
-    adjusted_guid,
-    begin,
-    initiates,
-    key_exchange_material,
-    protect,
-    reply_to,
-    unprotect,
-)
+from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
 from pqsec_pki.keystore import Keystore, Participant
-from pqsec_pki.selfcheck.credentials import (
-    Applicant,
-    check_documents,
-    check_identity,
-    check_permissions,
-)
-from pqsec_pki.selfcheck.report import Report, Step
+from pqsec_pki.selfcheck.credentials import check_documents, check_identity
+from pqsec_pki.selfcheck.encounter import Course, Encounter, Side
+from pqsec_pki.selfcheck.report import Report, Steps, StoppedError
+from pqsec_pki.selfcheck.stacks import PQSEC, Stack, asked, policy
 
 _ENTITY_ID = bytes.fromhex("000001c1")
 """ENTITYID_PARTICIPANT (RTPS 2.3, table 9.1)."""
-_SUBMESSAGE = bytes.fromhex("15010c00") + b"pqsec check."
-"""A DATA submessage of 12 bytes: something to protect."""
-
-
-class _Stopped(Exception):  # noqa: N818 -- not an error: the report has it
-    """A step failed; the report says which."""
-
-
-@dataclass(slots=True)
-class _Steps:
-    done: list[Step] = field(default_factory=list)
-
-    @contextmanager
-    def step(self, name: str) -> Iterator[list[str]]:
-        """Run one step; what is put in the list is its detail."""
-        detail: list[str] = []
-        try:
-            yield detail
-        except PqsecError as error:
-            self.done.append(Step(name, ok=False, detail=str(error), hint=error.hint))
-            raise _Stopped from error
-        self.done.append(Step(name, ok=True, detail="; ".join(detail)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Side:
-    participant: Participant
-    terms: Terms
+class Guest:
+    """A participant of a keystore, and how it behaves."""
+
+    name: str
+    stack: Stack = PQSEC
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Occasion:
+    """Where and when two meet, and what the user would have them agree on."""
+
+    keystore: Keystore
+    domain: int
+    now: datetime
+    agreement: KeyAgreement | None = None
+    """None: the profile's, or what the stacks ask for."""
 
     @property
-    def name(self) -> str:
-        return self.participant.name
-
-    @property
-    def guid(self) -> bytes:
-        return self.terms.own.guid
+    def profile(self) -> Profile:
+        """Of the keystore."""
+        return self.keystore.profile
 
 
-def meet(  # noqa: PLR0913 -- each is a choice of the user's
-    keystore: Keystore,
-    first: str,
-    second: str,
-    *,
-    agreement: KeyAgreement,
-    domain: int,
-    now: datetime,
-) -> Report:
-    """The handshake between participants `first` and `second`, and what it showed.
+def meet(occasion: Occasion, first: Guest, second: Guest) -> Report:
+    """The handshake between two participants, and what it showed.
 
     A step that fails ends it, and is the last in the report. KeystoreError if a
     participant is not there at all.
     """
-    for name in (first, second):
-        keystore.refuse_unknown(name)
-    meeting = _Meeting(keystore, agreement, domain, now)
-    with suppress(_Stopped):
-        meeting.run(first, second)
+    for guest in (first, second):
+        occasion.keystore.refuse_unknown(guest.name)
+    meeting = Meeting(occasion)
+    with suppress(StoppedError):
+        encounter = meeting.prepare(first, second)
+        meeting.hold(encounter)
     return meeting.report()
 
 
+class Seated(NamedTuple):
+    """A participant that is there, and how it behaves."""
+
+    participant: Participant
+    stack: Stack
+
+
+def fetched(keystore: Keystore, name: str, steps: Steps) -> Participant:
+    """The participant of that name, as it lies in the keystore. StoppedError if unreadable."""
+    name = "/" + "/".join(part for part in name.split("/") if part)
+    with steps.step(f"files of {name}") as detail:
+        try:
+            participant = keystore.participant(name)
+        except PqsecError as error:
+            error.hint = error.hint or f"issue it again: pqsec issue {name} --force"
+            raise
+        detail.append("keys, certificates, permissions and governance read")
+    return participant
+
+
+def vetted(occasion: Occasion, seated: Seated, steps: Steps) -> None:
+    """Its own identity and documents are sound, for itself and its stack. StoppedError if not."""
+    (participant, stack), now = seated, occasion.now
+    profile, domain = occasion.profile, occasion.domain
+    with steps.step(f"identity of {participant.name}") as detail:
+        detail.append(check_identity(participant, profile, now))
+        stack.check_identity(participant.certificate, participant.identity_ca)
+    with steps.step(f"documents of {participant.name}") as detail:
+        detail.append(check_documents(participant, profile, domain, now))
+        stack.check_documents_ca(participant.permissions_ca)
+
+
 @dataclass(slots=True)
-class _Meeting:
-    keystore: Keystore
-    agreement: KeyAgreement
-    domain: int
-    now: datetime
-    steps: _Steps = field(default_factory=_Steps)
-    sides: tuple[_Side, _Side] | None = None
-    sizes: dict[str, int] = field(default_factory=dict)
-    seconds: float = 0.0
+class Meeting:
+    """A meeting as it goes: first each participant by itself, then both."""
 
-    def run(self, first: str, second: str) -> None:
-        initiator, replier = self._cast(self._load(first), self._load(second))
-        started = time.perf_counter()
-        done_initiator, done_replier = self._shake_hands(initiator, replier)
-        self._exchange(initiator, done_initiator, replier, done_replier)
-        self.seconds = time.perf_counter() - started
-        self._check_peer(initiator, replier.participant, done_initiator)
-        self._check_peer(replier, initiator.participant, done_replier)
+    occasion: Occasion
+    steps: Steps = field(default_factory=Steps)
+    course: Course | None = None
 
-    def report(self) -> Report:
-        initiator, replier = self.sides or (None, None)
-        return Report(
-            steps=tuple(self.steps.done),
-            initiator=initiator.name if initiator else None,
-            replier=replier.name if replier else None,
-            why=_why(initiator, replier) if initiator and replier else None,
-            signature=_signatures(initiator, replier) if initiator and replier else None,
-            key_agreement=self.agreement.wire_name,
-            token_bytes=self.sizes,
-            milliseconds=round(self.seconds * 1000, 3),
-        )
+    def prepare(self, first: Guest, second: Guest) -> Encounter:
+        """Both participants, found sound, and who speaks first. StoppedError if not."""
+        return self.seat(self._arrived(first), self._arrived(second))
 
-    @property
-    def _profile(self) -> Profile:
-        return self.keystore.profile
-
-    def _load(self, name: str) -> Participant:
-        """The participant, if it can be read and its own credentials are sound."""
-        name = "/" + "/".join(part for part in name.split("/") if part)
-        with self.steps.step(f"files of {name}") as detail:
-            try:
-                participant = self.keystore.participant(name)
-            except PqsecError as error:
-                error.hint = error.hint or f"issue it again: pqsec issue {name} --force"
-                raise
-            detail.append("keys, certificates, permissions and governance read")
-        with self.steps.step(f"identity of {participant.name}") as detail:
-            detail.append(check_identity(participant, self._profile, self.now))
-        with self.steps.step(f"documents of {participant.name}") as detail:
-            detail.append(check_documents(participant, self._profile, self.domain, self.now))
-        return participant
-
-    def _cast(self, first: Participant, second: Participant) -> tuple[_Side, _Side]:
-        """(initiator, replier); the smaller GUID speaks first."""
-        sides = [self._side(each) for each in (first, second)]
+    def seat(self, one: Seated, other: Seated) -> Encounter:
+        """Who speaks first, of two that are sound by themselves. StoppedError if nobody can."""
         with self.steps.step("who speaks first") as detail:
-            one, other = sides
-            if one.name == other.name:
+            if one.participant.name == other.participant.name:
                 raise VerificationError(
-                    f"both are {one.name}: a participant cannot meet itself",
+                    f"both are {one.participant.name}: a participant cannot meet itself",
                     hint="name two different participants",
                 )
-            self.sides = (one, other) if initiates(one.guid, other.guid) else (other, one)
-            detail.append(_why(*self.sides))
-        return self.sides
+            encounter = self._cast(one, other)
+            self.course = Course(encounter, self.steps)
+            detail.append(_why(encounter))
+        return encounter
 
-    def _side(self, participant: Participant) -> _Side:
-        second = participant.alternative_key
-        candidate = os.urandom(12) + _ENTITY_ID
+    def hold(self, encounter: Encounter) -> None:
+        """The handshake and what follows. StoppedError where it fails."""
+        self.course = Course(encounter, self.steps)
+        self.course.run()
+
+    def report(self) -> Report:
+        """What was found up to now."""
+        course = self.course
+        encounter = course.encounter if course else None
+        wanted = self.occasion.agreement or self.occasion.profile.key_agreement
+        return Report(
+            steps=tuple(self.steps.done),
+            initiator=encounter.initiator.name if encounter else None,
+            replier=encounter.replier.name if encounter else None,
+            why=_why(encounter) if encounter else None,
+            stacks={side.name: side.stack.name for side in encounter.sides} if encounter else {},
+            signature=_signatures(encounter) if encounter else None,
+            key_agreement=(encounter.agreement if encounter else wanted).wire_name,
+            milliseconds=round(course.seconds * 1000, 3) if course else 0.0,
+            sent=tuple(course.sent) if course else (),
+            outcome=course.done[1] if course and course.done else None,
+        )
+
+    def _arrived(self, guest: Guest) -> Seated:
+        """The participant, if it can be read and its own credentials are sound."""
+        participant = fetched(self.occasion.keystore, guest.name, self.steps)
+        seated = Seated(participant, guest.stack)
+        vetted(self.occasion, seated, self.steps)
+        return seated
+
+    def _cast(self, one: Seated, other: Seated) -> Encounter:
+        """Who initiates: the smaller GUID speaks first."""
+        sides = self._side(one, other.stack), self._side(other, one.stack)
+        if not initiates(sides[0].guid, sides[1].guid):
+            sides = sides[::-1]
+        initiator, replier = sides
+        occasion = self.occasion
+        return Encounter(
+            initiator=initiator,
+            replier=replier,
+            agreement=asked(initiator.stack, replier.stack, occasion.profile, occasion.agreement),
+            profile=occasion.profile,
+            domain=occasion.domain,
+            now=occasion.now,
+        )
+
+    def _side(self, seated: Seated, peer: Stack) -> Side:
+        """What a participant shows and insists on when its peer behaves like that."""
+        participant, own = seated
+        second = None if own.is_stock or peer.is_stock else participant.alternative_key
         identity = Identity(
             certificate=participant.certificate,
             key=pair_private(participant.key, second) if second else participant.key,
             ca=participant.identity_ca,
-            guid=adjusted_guid(participant.certificate.subject_der, candidate),
+            guid=adjusted_guid(participant.certificate.subject_der, os.urandom(12) + _ENTITY_ID),
             permissions=participant.permissions,
         )
-        policy = Policy(
-            agreements=(self.agreement,),
-            require_alternative=self._profile.alternative_key is not None,
+        demands = policy(own, peer, self.occasion.profile, self.occasion.agreement)
+        return Side(
+            participant=participant,
+            stack=own,
+            terms=Terms(own=identity, policy=demands, dialect=own.dialect),
         )
-        return _Side(participant=participant, terms=Terms(own=identity, policy=policy))
-
-    def _shake_hands(self, initiator: _Side, replier: _Side) -> tuple[Done, Done]:
-        ours = _meeting_terms(initiator, replier)
-        theirs = _meeting_terms(replier, initiator)
-        with self.steps.step("request") as detail:
-            request, waiting = begin(ours, self.agreement)
-            heard = Request.from_holder(self._carry("request", request.to_holder(), detail))
-        with self.steps.step("reply") as detail:
-            reply, awaiting = reply_to(theirs, heard, now=self.now)
-            answer = Reply.from_holder(self._carry("reply", reply.to_holder(), detail))
-        with self.steps.step("final") as detail:
-            final, done = waiting.receive(answer, now=self.now)
-            last = Final.from_holder(self._carry("final", final.to_holder(), detail))
-        with self.steps.step("authenticated") as detail:
-            outcome = awaiting.receive(last)
-            detail.append(f"{initiator.name} and {replier.name} each proved their key")
-        return done, outcome
-
-    def _carry(self, name: str, holder: DataHolder, detail: list[str]) -> DataHolder:
-        """The message as the other side reads it off the wire."""
-        data = holder.encode()
-        self.sizes[name] = len(data)
-        detail.append(f"{len(data)} bytes")
-        return DataHolder.decode(data)
-
-    def _exchange(self, one: _Side, one_done: Done, other: _Side, other_done: Done) -> None:
-        for sender, mine, receiver, theirs in (
-            (one, one_done, other, other_done),
-            (other, other_done, one, one_done),
-        ):
-            with self.steps.step(f"message {sender.name} to {receiver.name}") as detail:
-                sealed = protect(key_exchange_material(mine), _SUBMESSAGE)
-                if unprotect(key_exchange_material(theirs), sealed) != _SUBMESSAGE:
-                    raise VerificationError("the message came out changed")
-                detail.append("encrypted, sent, decrypted (AES256-GCM)")
-
-    def _check_peer(self, judge: _Side, subject: Participant, done: Done) -> None:
-        """The permissions that came in the handshake are the subject's own, and let it in."""
-        with self.steps.step(f"{judge.name} admits {subject.name}") as detail:
-            if done.peer.permissions != subject.permissions:
-                raise VerificationError("other permissions arrived than were sent")
-            # What came with the handshake, not what lies on our disk.
-            applicant = Applicant(subject.name, done.peer.certificate, done.peer.permissions)
-            own = judge.participant
-            detail.append(check_permissions(own, applicant, self._profile, self.domain, self.now))
 
 
-def _meeting_terms(own: _Side, peer: _Side) -> Terms:
-    """Our terms, now that discovery has shown us the peer's GUID."""
-    terms = own.terms
-    return Terms(own=terms.own, policy=terms.policy, discovered=Discovered(guid=peer.guid))
-
-
-def _why(initiator: _Side, replier: _Side) -> str:
+def _why(encounter: Encounter) -> str:
+    initiator, replier = encounter.sides
     mine, theirs = initiator.guid[:6].hex(), replier.guid[:6].hex()
     return (
         f"{initiator.name} initiates: its GUID is smaller ({mine} < {theirs});"
@@ -246,6 +189,6 @@ def _why(initiator: _Side, replier: _Side) -> str:
     )
 
 
-def _signatures(initiator: _Side, replier: _Side) -> str:
-    names = [side.terms.own.key.algorithm.wire_name for side in (initiator, replier)]
+def _signatures(encounter: Encounter) -> str:
+    names = [side.terms.own.key.algorithm.wire_name for side in encounter.sides]
     return names[0] if names[0] == names[1] else ", ".join(names)

@@ -1,7 +1,12 @@
 """What a self-check found, step by step."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
+
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.handshake import DataHolder, Done, GenericMessage
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,6 +19,51 @@ class Step:
     hint: str | None = None
 
 
+AUTH_REQUEST = "auth request"
+HANDSHAKE = ("request", "reply", "final")
+"""The names of its messages."""
+MESSAGE = "message"
+"""The name of what is sent under the protection that follows."""
+
+
+class StoppedError(Exception):
+    """A step failed; the steps say which. It never leaves this room."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """The steps so far."""
+
+    done: list[Step] = field(default_factory=list)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[list[str]]:
+        """Run one step; what is put in the list is its detail. StoppedError if it fails."""
+        detail: list[str] = []
+        try:
+            yield detail
+        except PqsecError as error:
+            self.done.append(Step(name, ok=False, detail=str(error), hint=error.hint))
+            raise StoppedError from error
+        self.done.append(Step(name, ok=True, detail="; ".join(detail)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sent:
+    """A message that went from one side to the other."""
+
+    name: str
+    sender: str
+    receiver: str
+    data: bytes = field(repr=False)
+    """As it travels: a sample of a ParticipantGenericMessage, or protected submessages."""
+
+    @property
+    def token(self) -> DataHolder | None:
+        """The token in it; None if it has none."""
+        return None if self.name == MESSAGE else GenericMessage.decode(self.data).tokens[0]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
     """A handshake between two participants. What was not reached is None."""
@@ -23,19 +73,36 @@ class Report:
     replier: str | None
     why: str | None
     """Why that one sends the Request."""
+    stacks: dict[str, str]
+    """How each participant behaved: the name of a stack."""
     signature: str | None
     """The signature algorithms of initiator and replier, as c.dsign_algo names them."""
     key_agreement: str
     """As c.kagree_algo names it."""
-    token_bytes: dict[str, int]
-    """Size of the DataHolder of each message: request, reply, final."""
     milliseconds: float
-    """The three messages and the key exchange, both sides; checks before not counted."""
+    """The messages and the key exchange, both sides; checks before not counted."""
+    sent: tuple[Sent, ...] = field(default=(), repr=False)
+    outcome: Done | None = field(default=None, repr=False)
+    """What the replier knows at the end."""
+
+    @property
+    def token_bytes(self) -> dict[str, int]:
+        """Size of the DataHolder of each message: request, reply, final."""
+        return {
+            each.name: len(each.token.encode())
+            for each in self.sent
+            if each.name in HANDSHAKE and each.token
+        }
 
     @property
     def ok(self) -> bool:
         """Whether every step was reached and held."""
         return all(step.ok for step in self.steps)
+
+    @property
+    def failed(self) -> Step | None:
+        """The step that ended it, if one did."""
+        return next((step for step in self.steps if not step.ok), None)
 
     def to_json(self) -> dict[str, Any]:
         """The report for --json."""
@@ -44,6 +111,7 @@ class Report:
             "initiator": self.initiator,
             "replier": self.replier,
             "why": self.why,
+            "stacks": self.stacks,
             "signature": self.signature,
             "key_agreement": self.key_agreement,
             "token_bytes": self.token_bytes,

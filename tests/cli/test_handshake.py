@@ -29,6 +29,7 @@ KEYS = {
     "initiator",
     "replier",
     "why",
+    "stacks",
     "signature",
     "key_agreement",
     "token_bytes",
@@ -100,6 +101,7 @@ def test_two_of_one_domain_meet(pqsec, keystore, profile):
     assert set(report) == KEYS
     assert report["ok"] is True
     assert {report["initiator"], report["replier"]} == {"/talker", "/listener"}
+    assert report["stacks"] == {"/talker": "pqsec", "/listener": "pqsec"}
     assert report["signature"] == SIGNATURES[profile]
     assert report["key_agreement"] == AGREEMENTS[profile]
     assert list(report["token_bytes"]) == ["request", "reply", "final"]
@@ -121,6 +123,7 @@ def test_every_step_is_told_to_a_person(pqsec, keystore, profile):
         "identity of /listener",
         "documents of /listener",
         "who speaks first",
+        "auth requests",
         "request",
         "reply",
         "final",

@@ -47,7 +47,7 @@ def test_the_demo_makes_a_domain_and_proves_it(run, tmp_path, profile):
     assert (code, err) == (0, "")
     assert out.startswith(f"Made a secured domain in pqsec-demo, profile {profile}: ")
     assert "FAIL" not in out
-    assert out.count("\nok    ") == 15
+    assert out.count("\nok    ") == 16
     enclaves = tmp_path / "pqsec-demo/enclaves"
     for name in ("talker", "listener"):
         assert (enclaves / name / "permissions.p7s").is_file()

@@ -4,11 +4,13 @@ A lab is a keystore with two participants, /lab/alice and /lab/bob: in the folde
 are the six files that a DDS stack reads.
 """
 
+import ctypes
 import os
 import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cache
@@ -20,6 +22,8 @@ from pqsec_pki.algorithms import PROFILES, Family, Profile, profile_named
 from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
 from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
 from tests.interop.cyclone import find_plugins
+from tests.interop.fastdds import build, find_compiler
+from tests.interop.fastdds_meeting import Both, meeting
 
 YEAR = timedelta(days=365)
 DOMAINS = DomainSet.of(DomainRange(first=0, last=10))
@@ -158,6 +162,31 @@ def plugins(requires) -> Path:
     """The folder of Cyclone DDS's security plugins."""
     remedy = "apt-get install libddsc0debian"
     return requires(find_plugins(), "Cyclone DDS's security plugins", remedy)
+
+
+@pytest.fixture(scope="session")
+def fastdds(requires, tmp_path_factory) -> ctypes.CDLL:
+    """Fast DDS's security plugins, behind a shim that is compiled for this run."""
+    remedy = "apt-get install --no-install-recommends g++ libfastrtps-dev"
+    compiler = requires(find_compiler(), "g++ with Fast DDS's headers", remedy)
+    return build(compiler, tmp_path_factory.mktemp("fastdds"))
+
+
+@pytest.fixture
+def meet_fastdds(fastdds, labs, enclave) -> Callable[..., Both]:
+    """meet_fastdds(profile, we=name) lets us and Fast DDS meet in that lab; bob will begin.
+
+    `ours` and `theirs` are files in place of the lab's.
+    """
+    with ExitStack() as stack:
+
+        def meet(profile="transition", *, we, theirs=(), **options) -> Both:
+            peer = "bob" if we == "alice" else "alice"
+            here, there = (labs(profile).alice.with_name(name) for name in (we, peer))
+            both = meeting(fastdds, here, enclave(there, dict(theirs)), **options)
+            return stack.enter_context(both)
+
+        yield meet
 
 
 @pytest.fixture(scope="session")

@@ -18,17 +18,19 @@ from tests.interop.cyclone_abi import (
     OK_FINAL_MESSAGE,
     PENDING_MESSAGE,
     PENDING_REQUEST,
+    Plugin,
+    RefusedError,
+    started,
+)
+from tests.interop.cyclone_types import (
     DataHolder,
     Guid,
     Handle,
     Octets,
-    Plugin,
     Properties,
     Qos,
-    RefusedError,
     SharedSecret,
     Token,
-    started,
 )
 
 __all__ = ["Meeting", "Participant", "RefusedError", "Secret", "Token", "participant"]
@@ -181,10 +183,13 @@ class Participant:
 
     def secret(self, handshake: int) -> Secret:
         """What a finished handshake agreed on."""
-        handle = self._authentication.call("get_shared_secret", handshake)
-        found = SharedSecret.from_address(handle)
+        found = SharedSecret.from_address(self.secret_handle(handshake))
         secret = ctypes.string_at(found.secret, found.size)
         return Secret(secret, bytes(found.challenge1), bytes(found.challenge2))
+
+    def secret_handle(self, handshake: int) -> int:
+        """The same as other plugins take it."""
+        return self._authentication.call("get_shared_secret", handshake)
 
     def admit(self, meeting: Meeting, handshake: int, permissions_token: Token) -> Token:
         """Check the permissions that the peer showed in a finished handshake.

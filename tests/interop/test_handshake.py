@@ -1,9 +1,13 @@
-"""Our handshake with Cyclone DDS's own: either begins, both end with the same secret."""
+"""Our handshake with Cyclone DDS's own: either begins, both end with the same secret.
+
+And then with each other's keys, and what these protect goes both ways.
+"""
 
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +32,8 @@ from pqsec_pki.handshake import (
 )
 from tests.interop.conftest import STOCK
 from tests.interop.cyclone import Meeting, Participant, RefusedError, Token, participant
+from tests.interop.cyclone_crypto import Protection, crypto
+from tests.interop.exchange import KINDS, PAYLOAD, SUBMESSAGE, Exchange
 
 pytestmark = pytest.mark.interop
 
@@ -50,6 +56,7 @@ class Sides:
 
     terms: Terms
     cyclone: Participant
+    plugins: Path
     meeting: Meeting
     permissions: Token
     """The permissions token, the same for both."""
@@ -79,6 +86,18 @@ class Sides:
         own = self.terms.own
         assert dict(credential.properties)["c.id"].encode() == own.certificate.pem
         assert dict(credential.properties)["c.perm"].encode() == own.permissions
+
+    def talk(self, done, handshake):
+        """Both send their keys under that of the handshake, and use them."""
+        with crypto(self.plugins, self.cyclone.secret_handle(handshake)) as theirs:
+            exchange = Exchange(theirs, done)
+            exchange.participants()
+            writer, reader = (exchange.endpoints(kind, Protection()) for kind in KINDS)
+            for pair in (writer, reader):
+                assert pair.unprotect(pair.cyclone.protect(SUBMESSAGE)) == SUBMESSAGE
+                assert pair.cyclone.unprotect(pair.protect(SUBMESSAGE)) == SUBMESSAGE
+            assert writer.unprotect_payload(writer.cyclone.protect_payload(PAYLOAD)) == PAYLOAD
+            assert reader.cyclone.unprotect_payload(reader.protect_payload(PAYLOAD)) == PAYLOAD
 
 
 @pytest.fixture
@@ -116,7 +135,7 @@ def sides(plugins, labs):
                 discovered=Discovered(guid=other.guid, **theirs),
                 announced=announced,
             )
-            return Sides(terms, other, meeting, permissions)
+            return Sides(terms, other, plugins, meeting, permissions)
 
         yield start
 
@@ -124,30 +143,28 @@ def sides(plugins, labs):
 both_begin = pytest.mark.parametrize("we_begin", [True, False], ids=["we begin", "cyclone begins"])
 
 
-def shake_hands(sides, profile, *, we_begin, **options):
+def shake_hands(sides, profile, *, we_begin, agreement=ECDH, **options):
     both = sides(profile, we="bob" if we_begin else "alice", **options)
-    return both, both.we_begin(ECDH) if we_begin else both.cyclone_begins()
+    return both, both.we_begin(agreement) if we_begin else both.cyclone_begins()
 
 
+BEGINNINGS = {
+    "we begin, ECDH": {"we_begin": True},
+    "we begin, DH-MODP": {"we_begin": True, "agreement": MODP},
+    # Cyclone DDS begins with nothing else.
+    "cyclone begins, ECDH": {"we_begin": False},
+}
+
+
+@pytest.mark.parametrize("announce", [True, False], ids=["we announce", "cyclone announces"])
 @pytest.mark.parametrize("optional", [True, False], ids=["all fields", "mandatory fields"])
-@both_begin
+@pytest.mark.parametrize("beginning", BEGINNINGS.values(), ids=BEGINNINGS)
 @pytest.mark.parametrize("profile", STOCK)
-def test_both_ends_agree(sides, profile, we_begin, optional):
-    both, ends = shake_hands(sides, profile, we_begin=we_begin, optional=optional)
+def test_both_ends_agree_and_go_on(sides, profile, beginning, optional, announce):
+    both, ends = shake_hands(sides, profile, **beginning, optional=optional, announce=announce)
+    assert (both.meeting.auth_request is None) == announce
     both.agree(*ends)
-
-
-@both_begin
-def test_both_ends_agree_when_cyclone_announced_its_challenge(sides, we_begin):
-    both, ends = shake_hands(sides, "transition", we_begin=we_begin, announce=False)
-    assert both.meeting.auth_request is not None
-    both.agree(*ends)
-
-
-@pytest.mark.parametrize("profile", STOCK)
-def test_both_ends_agree_over_dh_modp(sides, profile):
-    both = sides(profile, we="bob")
-    both.agree(*both.we_begin(MODP))
+    both.talk(*ends)
 
 
 @pytest.mark.parametrize("we", ["alice", "bob"])

@@ -1,41 +1,49 @@
 """Whatever comes in, only PqsecError comes out, and what was changed is not believed."""
 
 import contextlib
-from datetime import UTC, datetime, timedelta
+import struct
+import time
+import tracemalloc
+from functools import cache
 
 import pytest
-from hypothesis import assume, example, given
+from cryptography import x509
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES
-from pqsec_pki.certificates import Authority
+from pqsec_pki._asn1 import Signed, TBSCertificate, decode, encode, raw
+from pqsec_pki.algorithms import KEY_AGREEMENTS, pem
+from pqsec_pki.algorithms._diffie_hellman import G, P, Q
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.handshake import (
     ByteOrder,
     DataHolder,
-    Discovered,
     Final,
     GenericMessage,
-    Identity,
     IdentityToken,
     KeyMaterial,
     PermissionsToken,
-    Policy,
     Reply,
     Request,
-    Terms,
-    adjusted_guid,
-    begin,
+    Sender,
     key_exchange_material,
     participant_guid,
-    protect,
     reply_to,
-    unprotect,
+    unprotect_payload,
+    unprotect_submessage,
 )
+from pqsec_pki.handshake.wire import MAX_PROPERTIES, MAX_TOKEN, MAX_TOKENS
+from tests.fuzz.messages import TARGETS
+from tests.fuzz.mutation import blindly
+from tests.fuzz.people import NOW, meet
+from tests.fuzz.targets import Target
+from tests.interop.der import Der
 
-NOW = datetime(2026, 6, 1, tzinfo=UTC)
-AGREEMENT = KEY_AGREEMENTS.named("x25519mlkem768")
-CA = Authority.create("CA", SIGNATURES.named("ecdsa-p256"), now=NOW, validity=timedelta(days=9))
+# cryptography warns of what it will refuse some day, and a spoilt certificate may have that.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
+]
 ORDERS = st.sampled_from(ByteOrder)
 SMALL_BYTES = st.binary(max_size=80)
 NAMES = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
@@ -47,43 +55,31 @@ HOLDERS = st.builds(
 )
 
 
-def identity(name):
-    key = SIGNATURES.named("ecdsa-p256").generate()
-    certificate = CA.issue(name, key.public_key, now=NOW, validity=timedelta(days=5))
-    guid = adjusted_guid(certificate.subject_der, name.encode().ljust(16))
-    return Identity(
-        certificate=certificate, key=key, ca=CA.certificate, guid=guid, permissions=b"may all"
-    )
-
-
-def terms(own, peer):
-    policy = Policy(agreements=tuple(KEY_AGREEMENTS))
-    return Terms(own=own, policy=policy, discovered=Discovered(guid=peer.guid))
-
-
-ALICE, BOB = identity("alice"), identity("bob")
-OF_ALICE, OF_BOB = terms(ALICE, BOB), terms(BOB, ALICE)
-REQUEST, REQUEST_SENT = begin(OF_ALICE, AGREEMENT)
-REPLY, REPLY_SENT = reply_to(OF_BOB, REQUEST, now=NOW)
-FINAL, DONE = REQUEST_SENT.receive(REPLY, now=NOW)
+MET = meet("ecdsa-p256", KEY_AGREEMENTS.named("x25519mlkem768"))
+OURS = key_exchange_material(MET.done)
+THEIRS = key_exchange_material(MET.awaiting.receive(MET.final))
 
 
 def answer(holder):
-    return reply_to(OF_BOB, Request.from_holder(holder), now=NOW)
+    return reply_to(MET.of_bob, Request.from_holder(holder), now=NOW)
 
 
 def conclude(holder):
-    return REQUEST_SENT.receive(Reply.from_holder(holder), now=NOW)
+    return MET.waiting.receive(Reply.from_holder(holder), now=NOW)
 
 
 def believe(holder):
-    return REPLY_SENT.receive(Final.from_holder(holder))
+    return MET.awaiting.receive(Final.from_holder(holder))
 
 
 OPTIONAL = {"hash_c1", "hash_c2", "dh1", "dh2"}
 UNSEEN = {("request", "challenge1"), ("request", "dh1")}
 """Nothing vouches for these until the Reply comes back."""
-STEPS = {"request": (REQUEST, answer), "reply": (REPLY, conclude), "final": (FINAL, believe)}
+STEPS = {
+    "request": (MET.request, answer),
+    "reply": (MET.reply, conclude),
+    "final": (MET.final, believe),
+}
 
 
 @given(HOLDERS, ORDERS)
@@ -94,9 +90,9 @@ def test_a_holder_comes_back_as_it_went(holder, order):
 @given(st.lists(HOLDERS, max_size=3).map(tuple), st.integers(-(1 << 63), (1 << 63) - 1), ORDERS)
 def test_a_message_comes_back_as_it_went(tokens, sequence, order):
     message = GenericMessage(
-        source=ALICE.guid,
+        source=MET.of_alice.own.guid,
         sequence=sequence,
-        destination_participant=BOB.guid,
+        destination_participant=MET.of_bob.own.guid,
         class_id="dds.sec.auth",
         tokens=tokens,
     )
@@ -119,9 +115,10 @@ def test_any_bytes_are_a_token_or_refused(data, order):
         GenericMessage.decode,
         KeyMaterial.decode,
         participant_guid,
-        lambda data: unprotect(key_exchange_material(DONE), data),
+        lambda data: unprotect_submessage(OURS, data),
+        lambda data: unprotect_payload(OURS, data),
     ],
-    ids=["message", "key material", "participant data", "protected submessage"],
+    ids=["message", "key material", "participant data", "submessage", "payload"],
 )
 @given(data=st.binary(max_size=300))
 @example(data=b"\0\1\0\0" + bytes(130))
@@ -180,11 +177,7 @@ def test_a_message_of_flipped_bits_is_refused_or_says_the_same(step, data, order
 
 @given(plain=st.binary(max_size=200))
 def test_what_one_protects_the_other_reads(plain):
-    other = REPLY_SENT.receive(FINAL)
-    assert (
-        unprotect(key_exchange_material(other), protect(key_exchange_material(DONE), plain))
-        == plain
-    )
+    assert unprotect_submessage(THEIRS, Sender(OURS).protect_submessage(plain)) == plain
 
 
 @pytest.mark.parametrize("row", list(KEY_AGREEMENTS), ids=lambda row: row.name)
@@ -215,3 +208,165 @@ def test_any_octets_are_a_ciphertext_or_refused(name, data):
     except VerificationError:
         return
     assert len(secret) <= pair.agreement.secret_size
+
+
+# Real messages, spoilt where it hurts
+
+
+@cache
+def target(name):
+    """The target, and bytes that it takes."""
+    found = Target(*TARGETS[name])
+    return found, found.seeds()
+
+
+@settings(deadline=None)
+@pytest.mark.parametrize("name", TARGETS)
+@given(rng=st.randoms(use_true_random=False), times=st.integers(1, 3))
+def test_a_real_message_that_is_spoilt_is_taken_or_refused(name, rng, times):
+    target_, seeds = target(name)
+    data = rng.choice(seeds)
+    for _ in range(times):
+        data = target_.spoilt(data, rng, blindly(rng))
+    target_.run(data)
+
+
+# Hostile tokens, as large as may be
+
+
+def request_with(name, value):
+    """The real Request with one other value, and no hash that would tell."""
+    holder = MET.request.without_optional().to_holder()
+    items = [(key, value if key == name else old) for key, old in holder.binary_properties]
+    return DataHolder(holder.class_id, (), tuple(items)).encode()
+
+
+def filled(name, unit, head=b""):
+    """A Request of the most bytes allowed: in one value `head`, then `unit` again and again."""
+    room = MAX_TOKEN - len(request_with(name, b"")) - 3
+    return request_with(name, (head + unit * (room // len(unit) + 1))[:room])
+
+
+def certificate_with(**changes):
+    """Alice's certificate, its signature no longer good, with other DER in some fields."""
+    alice = MET.of_alice.own.certificate
+    tbs = decode(TBSCertificate, alice.tbs, "")
+    for name, value in changes.items():
+        setattr(tbs, name, raw(value))
+    signed = decode(Signed, alice.der, "")
+    signed.tbs = raw(encode(tbs))
+    return request_with("c.id", pem("CERTIFICATE", encode(signed)))
+
+
+def attribute(tag, value, oid="2.5.4.3"):
+    """DER of one part of a name."""
+    kind = x509.ObjectIdentifier(oid)
+    return Der.of(0x31, Der.of(0x30, encode(kind) + Der.of(tag, value)))
+
+
+def number(value):
+    return Der.of(2, value.to_bytes(value.bit_length() // 8 + 1))
+
+
+def key_of(oid, *parameters):
+    """DER SubjectPublicKeyInfo of a key that is a number."""
+    numbers = Der.of(0x30, b"".join(map(number, parameters)))
+    public = Der.of(3, b"\0" + number(pow(G, 5, P)))
+    return Der.of(0x30, Der.of(0x30, encode(x509.ObjectIdentifier(oid)) + numbers) + public)
+
+
+NAME = (MAX_TOKEN - (8 << 10)) * 3 // 4
+"""Bytes of a name that fill the certificate in PEM."""
+HOSTILE = {
+    "PEM that begins again and again": filled("c.id", b"-----BEGIN CERTIFICATE-----\n"),
+    "PEM without an end": filled("c.id", b"A" * 64 + b"\n", b"-----BEGIN CERTIFICATE-----\n"),
+    "a PEM label without an end": filled("c.id", b"A", b"-----BEGIN "),
+    "empty PEM": filled("c.id", b"-----BEGIN A-----\n-----END A-----\n"),
+    "a name of many parts": certificate_with(
+        subject=Der.of(0x30, attribute(12, b"x") * (NAME // len(attribute(12, b"x"))))
+    ),
+    "a long name": certificate_with(subject=Der.of(0x30, attribute(12, b"," * NAME))),
+    "a long name without characters": filled("c.dsign_algo", b"\xff"),
+    "a long name of NULs": filled("c.kagree_algo", b"\0"),
+    "permissions": filled("c.perm", b"\0"),
+    "padding in participant data": filled("c.pdata", bytes(4)),
+    "empty participant data": filled("c.pdata", struct.pack(">HH", 0x60, 0)),
+    "dh1": filled("dh1", b"\4"),
+    "long property names": DataHolder(
+        Request.CLASS_ID, (), tuple((f"c.{at}" + "x" * 4200, b"") for at in range(61))
+    ).encode(),
+    "a long class": DataHolder("\x1b" * (MAX_TOKEN - 16)).encode(),
+    "a class and nothing else": b"\0\0\0\2a\0\0\0" + b"\0\0\0\x3f" * (MAX_TOKEN // 4 - 2),
+}
+SECONDS = 1.0
+MEMORY = 24 << 20
+"""Bytes: some copies of the token, and words about it that quote a name three times."""
+
+
+def take_request(data):
+    with contextlib.suppress(PqsecError):
+        answer(DataHolder.decode(data))
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_token_as_large_as_may_be_costs_little(name):
+    data = HOSTILE[name]
+    assert MAX_TOKEN - (16 << 10) < len(data) <= MAX_TOKEN
+    start = time.process_time()
+    take_request(data)
+    assert time.process_time() - start < SECONDS
+    tracemalloc.start()
+    take_request(data)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < MEMORY
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        (DataHolder("c", (), (("n", bytes(MAX_TOKEN)),)).encode(), "larger than"),
+        (DataHolder("c", (), (("n", b""),) * (MAX_PROPERTIES + 1)).encode(), "65 elements"),
+        (DataHolder("c", (("n", ""),) * (MAX_PROPERTIES + 1)).encode(), "65 elements"),
+    ],
+    ids=["bytes", "binary properties", "properties"],
+)
+def test_a_token_over_a_cap_is_refused_before_it_is_read(over, words):
+    with pytest.raises(MalformedError, match=words):
+        DataHolder.decode(over)
+
+
+def test_a_message_of_more_tokens_than_the_cap_is_refused():
+    message = GenericMessage(
+        source=bytes(16),
+        sequence=1,
+        destination_participant=bytes(16),
+        class_id="dds.sec.auth",
+        tokens=(DataHolder("c"),) * (MAX_TOKENS + 1),
+    )
+    with pytest.raises(MalformedError, match="9 elements"):
+        GenericMessage.decode(message.encode())
+
+
+# What fuzzing found
+
+
+def test_a_name_that_is_a_bit_string_is_no_certificate():
+    data = certificate_with(subject=Der.of(0x30, attribute(3, b"\0x")))
+    with pytest.raises(VerificationError, match="introduction"):
+        answer(DataHolder.decode(data))
+
+
+@pytest.mark.parametrize(
+    ("oid", "parameters"),
+    [
+        ("1.2.840.10046.2.1", (P, G, Q)),
+        ("1.2.840.113549.1.3.1", (P, G)),
+        ("1.2.840.10040.4.1", (P, Q, G)),
+    ],
+    ids=["X9.42 DH", "PKCS#3 DH", "DSA"],
+)
+def test_a_key_of_a_kind_that_signs_nothing_here_is_refused_unread(oid, parameters):
+    data = certificate_with(subject_public_key_info=key_of(oid, *parameters))
+    with pytest.raises(VerificationError, match=f"keys of algorithm {oid} are not known here"):
+        answer(DataHolder.decode(data))

@@ -20,15 +20,15 @@ from pqsec_pki.handshake import (
     Policy,
     Reply,
     Request,
+    Sender,
     Terms,
     Transcript,
     adjusted_guid,
     begin,
     key_exchange_material,
     participant_data,
-    protect,
     reply_to,
-    unprotect,
+    unprotect_submessage,
 )
 
 DAY = timedelta(days=1)
@@ -142,8 +142,8 @@ def test_two_participants_agree_and_can_talk(now, kind, agreement):
     one, other = Meeting(now, kind, agreement).run()
     assert one.shared_secret == other.shared_secret
     assert len(one.shared_secret) == 32
-    sealed = protect(key_exchange_material(one), b"to bob..")
-    assert unprotect(key_exchange_material(other), sealed) == b"to bob.."
+    sealed = Sender(key_exchange_material(one)).protect_submessage(b"to bob..")
+    assert unprotect_submessage(key_exchange_material(other), sealed) == b"to bob.."
 
 
 def test_each_learns_who_the_other_is_and_what_it_may(meeting):
@@ -155,6 +155,19 @@ def test_each_learns_who_the_other_is_and_what_it_may(meeting):
     assert (one.peer.guid, other.peer.guid) == (meeting.bob.guid, meeting.alice.guid)
     assert (one.challenge1, one.challenge2) == (other.challenge1, other.challenge2)
     assert one.agreement is other.agreement is ECDH
+
+
+@pytest.mark.parametrize("agreement", list(KEY_AGREEMENTS), ids=lambda row: row.name)
+def test_handshakes_of_one_participant_at_the_same_time_keep_apart(now, agreement):
+    meeting = Meeting(now, agreement=agreement)
+    requests, waiting = zip(*(meeting.request() for _ in range(2)), strict=True)
+    replies, awaiting = zip(*map(meeting.reply, requests), strict=True)
+    ends = []
+    for at in (1, 0):  # the second ends first
+        final, one = waiting[at].receive(replies[at], now=now)
+        ends.append((one.shared_secret, awaiting[at].receive(final).shared_secret))
+    assert all(one == other for one, other in ends)
+    assert ends[0] != ends[1]
 
 
 def test_two_handshakes_have_nothing_in_common(meeting):
@@ -679,9 +692,9 @@ def test_a_wrong_ml_kem_ciphertext_shows_only_at_the_first_protected_message(now
     wrong = bytes([reply.dh2[0] ^ 1]) + reply.dh2[1:]
     _, one = waiting.receive(signed_again(reply, request, meeting, wrong), now=now)
     other = awaiting._outcome
-    sealed = protect(key_exchange_material(one), b"to bob..")
+    sealed = Sender(key_exchange_material(one)).protect_submessage(b"to bob..")
     with pytest.raises(VerificationError, match="different keys"):
-        unprotect(key_exchange_material(other), sealed)
+        unprotect_submessage(key_exchange_material(other), sealed)
 
 
 def test_the_secret_of_a_post_quantum_suite_depends_on_the_whole_transcript(now):

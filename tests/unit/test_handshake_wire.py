@@ -1,27 +1,24 @@
-"""Bytes: CDR, data holders, generic messages, GUIDs, key material, protected submessages."""
+"""Bytes: CDR, data holders, generic messages, GUIDs, tokens of discovery."""
 
 import hashlib
 import struct
 
 import pytest
 
-from pqsec_pki.errors import MalformedError, UsageError, VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.handshake import (
     ByteOrder,
     DataHolder,
     GenericMessage,
     IdentityToken,
-    KeyMaterial,
     MessageClass,
     PermissionsToken,
-    TransformationKind,
+    Request,
     adjusted_guid,
     belongs_to,
     initiates,
     participant_data,
     participant_guid,
-    protect,
-    unprotect,
 )
 from pqsec_pki.handshake.wire import (
     MAX_PROPERTIES,
@@ -48,16 +45,10 @@ MESSAGE = GenericMessage(
     tokens=(HOLDER, DataHolder("second")),
 )
 SUBJECT = b"0\x0c1\n0\x08\x06\x03U\x04\x03\x0c\x01a"
-MATERIAL = KeyMaterial(
-    kind=TransformationKind.AES256_GCM,
-    salt=b"s" * 32,
-    sender_key_id=b"\0\0\0\7",
-    sender_key=b"k" * 32,
-)
 
 
 def test_the_octets_that_are_hashed_are_these():
-    # handshake.md 1.1: count; name with NUL; value; padding before each length, none after.
+    # docs/wire.md 3.1: count; name with NUL; value; padding before each length, none after.
     expected = b"\0\0\0\2\0\0\0\5c.id\0\0\0\0\0\0\0\3abc\0\0\0\0\5dh-1\0\0\0\0\0\0\0\1z"
     assert encode_properties([("c.id", b"abc"), ("dh-1", b"z")]) == expected
 
@@ -132,7 +123,7 @@ def test_a_message_comes_back_as_it_went(order):
 
 @ORDERS
 def test_the_fixed_part_of_a_handshake_message_is_as_libddsc_writes_it(order):
-    # handshake.md 1.2: 120 bytes for "dds.sec.auth", equal to libddsc's plist_ser_generic.
+    # docs/wire.md 3.2: 120 bytes for "dds.sec.auth", equal to libddsc's plist_ser_generic.
     sample = MESSAGE.encode(order)
     sign = order.value
     head = {"<": b"\0\1\0\0", ">": b"\0\0\0\0"}[sign]
@@ -270,146 +261,23 @@ def test_a_token_with_a_property_twice_is_refused():
         IdentityToken.from_holder(DataHolder("DDS:Auth:PKI-DH:1.0", twice))
 
 
-def test_key_material_of_256_bits_has_88_bytes_and_comes_back():
-    assert len(MATERIAL.encode()) == 88
-    assert KeyMaterial.from_holder(MATERIAL.to_holder()) == MATERIAL
+@pytest.mark.parametrize("name", ["c.dsign_algo", "c.kagree_algo"])
+def test_a_name_of_an_algorithm_that_is_endless_is_refused_unquoted(name):
+    holder = DataHolder(Request.CLASS_ID, (), ((name, b"x" * 250_000),))
+    with pytest.raises(VerificationError, match=f"{name} has 250000 bytes") as refusal:
+        Request.from_holder(holder)
+    assert len(str(refusal.value)) < 500
 
 
-def test_key_material_with_a_receivers_key_comes_back():
-    material = KeyMaterial(
-        kind=TransformationKind.AES128_GMAC,
-        salt=b"s" * 16,
-        sender_key_id=b"1234",
-        sender_key=b"k" * 16,
-        receiver_key_id=b"5678",
-        receiver_key=b"r" * 16,
-    )
-    assert KeyMaterial.decode(material.encode()) == material
+def test_what_a_peer_calls_things_is_quoted_short_and_without_control_characters():
+    holder = DataHolder("\u009b2J" * 50_000, (), (("\u202e" * 50_000, b""),) * 2)
+    with pytest.raises(VerificationError, match=r"u009b2J") as refusal:
+        Request.from_holder(holder)
+    assert len(str(refusal.value)) < 1500
+    assert str(refusal.value).isprintable()
 
 
-def test_key_material_prints_no_key():
-    assert "kkkk" not in repr(MATERIAL)
-    assert "ssss" not in repr(MATERIAL)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda data: data[:-1],
-        lambda data: data + b"\0",
-        lambda data: b"\0\0\0\5" + data[4:],
-        lambda data: b"\0\0\0\2" + data[4:],
-        lambda data: data[:4] + b"\0\0\0\x10" + data[24:],
-    ],
-    ids=["cut", "longer", "unknown kind", "kind of another size", "short salt"],
-)
-def test_broken_key_material_is_refused(change):
-    with pytest.raises(MalformedError):
-        KeyMaterial.decode(change(MATERIAL.encode()))
-
-
-@pytest.mark.parametrize(
-    "holder",
-    [
-        DataHolder("DDS:Crypto:Other", (), (("dds.cryp.keymat", MATERIAL.encode()),)),
-        DataHolder("DDS:Crypto:AES_GCM_GMAC"),
-        DataHolder("DDS:Crypto:AES_GCM_GMAC", (), (("dds.cryp.keymat", MATERIAL.encode()),) * 2),
-    ],
-    ids=["another class", "nothing in it", "two in it"],
-)
-def test_what_is_no_crypto_token_is_refused(holder):
-    with pytest.raises(MalformedError, match="crypto token"):
-        KeyMaterial.from_holder(holder)
-
-
-@pytest.mark.parametrize("size", [0, 1, 4, 28, 0xFFF8])
-def test_a_protected_submessage_comes_back_and_is_aligned(size):
-    plain = b"x" * size
-    sealed = protect(MATERIAL, plain)
-    assert len(sealed) % 4 == 0
-    assert unprotect(MATERIAL, sealed) == plain
-
-
-def test_no_initialization_vector_is_used_twice():
-    sealed = {protect(MATERIAL, b"same")[12:24] for _ in range(50)}
-    assert len(sealed) == 50
-
-
-def test_a_submessage_that_fits_no_length_field_is_refused():
-    with pytest.raises(UsageError, match="cannot be protected"):
-        protect(MATERIAL, bytes(0xFFF9))
-
-
-def test_every_flipped_bit_of_a_protected_submessage_is_refused_or_changes_nothing():
-    plain = b"one aligned submessage.."
-    sealed = protect(MATERIAL, plain)
-    # Of the three frames, flag bits that say nothing here may change.
-    ignored = {at * 8 + bit for at in (1, 25, 57) for bit in range(1, 8)}
-    for place in set(range(len(sealed) * 8)) - ignored:
-        changed = bytearray(sealed)
-        changed[place // 8] ^= 1 << place % 8
-        with pytest.raises((MalformedError, VerificationError)):
-            unprotect(MATERIAL, bytes(changed))
-
-
-def test_every_truncated_protected_submessage_is_refused():
-    sealed = protect(MATERIAL, b"one aligned submessage..")
-    for size in range(len(sealed)):
-        with pytest.raises((MalformedError, VerificationError)):
-            unprotect(MATERIAL, sealed[:size])
-
-
-def test_a_doubled_body_is_refused():
-    sealed = protect(MATERIAL, b"data")
-    prefix, body, postfix = sealed[:24], sealed[24:36], sealed[36:]
-    with pytest.raises(MalformedError, match="4 parts"):
-        unprotect(MATERIAL, prefix + body + body + postfix)
-
-
-def test_a_crypto_header_of_a_wrong_size_is_refused():
-    sealed = protect(MATERIAL, b"data")
-    with pytest.raises(MalformedError, match="wrong size"):
-        unprotect(MATERIAL, b"\x31\0\0\x18" + sealed[4:24] + bytes(4) + sealed[24:])
-
-
-def test_lengths_in_little_endian_are_read_as_the_flag_says():
-    sealed = bytearray(protect(MATERIAL, b"data"))
-    for at in (0, 24, 36):
-        sealed[at + 1] |= 1
-        sealed[at + 2 : at + 4] = sealed[at + 2 : at + 4][::-1]
-    assert unprotect(MATERIAL, bytes(sealed)) == b"data"
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("salt", b"t" * 32),
-        ("sender_key", b"l" * 32),
-        ("sender_key_id", b"\0\0\0\x08"),
-    ],
-)
-def test_a_submessage_protected_with_other_material_is_refused(name, value):
-    fields = {
-        field: getattr(MATERIAL, field) for field in ("kind", "salt", "sender_key_id", "sender_key")
-    }
-    other = KeyMaterial(**(fields | {name: value}))
-    with pytest.raises(VerificationError):
-        unprotect(other, protect(MATERIAL, b"data"))
-
-
-def test_receiver_specific_tags_are_refused_where_there_is_no_receivers_key():
-    sealed = protect(MATERIAL, b"data")
-    footer = sealed[40:56] + b"\0\0\0\1" + bytes(20)
-    with pytest.raises(VerificationError, match="receiver"):
-        unprotect(MATERIAL, sealed[:36] + struct.pack(">BBH", 0x32, 0, len(footer)) + footer)
-
-
-def test_a_kind_of_protection_that_is_not_made_here_is_refused():
-    weak = KeyMaterial(
-        kind=TransformationKind.AES128_GMAC,
-        salt=bytes(16),
-        sender_key_id=bytes(4),
-        sender_key=bytes(16),
-    )
-    with pytest.raises(UsageError, match="AES128_GMAC"):
-        protect(weak, b"data")
+def test_two_guids_in_the_participant_data_are_refused():
+    one, other = (participant_data(bytes([n]) * 16) for n in (1, 2))
+    with pytest.raises(MalformedError, match="two participant GUIDs"):
+        participant_guid(one[:-4] + other)

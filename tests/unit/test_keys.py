@@ -484,8 +484,8 @@ def test_what_openssl_pkcs8_encrypts_is_read(requires, tmp_path, name, options):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (ed25519.Ed25519PrivateKey.generate, "Ed25519"),
-        (x25519.X25519PrivateKey.generate, "X25519"),
+        (ed25519.Ed25519PrivateKey.generate, "Ed25519|1.3.101.112"),
+        (x25519.X25519PrivateKey.generate, "X25519|1.3.101.110"),
         (lambda: ec.generate_private_key(ec.SECP521R1()), "secp521r1"),
         (lambda: ec.generate_private_key(ec.BrainpoolP256R1()), "brainpoolP256r1"),
         (lambda: rsa.generate_private_key(65537, 1024), "1024 bits"),  # noqa: S505 -- that is the flaw

@@ -10,7 +10,7 @@ from pqsec_pki.certificates import Authority
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.keystore import Keystore, Wish, issue
 from pqsec_pki.keystore.issuing import permissions_for
-from pqsec_pki.selfcheck import meet
+from pqsec_pki.selfcheck import Guest, Occasion, meet
 from pqsec_pki.smime import Signer, sign
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
@@ -41,8 +41,8 @@ def made(tmp_path):
 
 
 def failing(keystore):
-    agreement = keystore.profile.key_agreement
-    report = meet(keystore, "/talker", "/listener", agreement=agreement, domain=0, now=NOW)
+    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
+    report = meet(occasion, Guest(name="/talker"), Guest(name="/listener"))
     assert not report.ok
     return report.steps[-1]
 

@@ -27,6 +27,7 @@ from pqsec_pki.handshake import (
     ReplySent,
     Request,
     RequestSent,
+    Sender,
     Terms,
     Transcript,
     TransformationKind,
@@ -34,9 +35,9 @@ from pqsec_pki.handshake import (
     belongs_to,
     key_exchange_material,
     participant_guid,
-    protect,
     reply_to,
-    unprotect,
+    unprotect_payload,
+    unprotect_submessage,
 )
 
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
@@ -237,17 +238,17 @@ def test_key_exchange_keys_are_those_of_the_stack(capture):
 def test_what_the_stack_protected_is_read(capture):
     material = key_exchange_material(capture.finish())
     sealed = capture.octets("kx_submessage_encoded")
-    assert unprotect(material, sealed) == capture.octets("kx_submessage_plain")
+    assert unprotect_submessage(material, sealed) == capture.octets("kx_submessage_plain")
     changed = sealed[:-25] + bytes([sealed[-25] ^ 1]) + sealed[-24:]
     with pytest.raises(VerificationError, match="different keys"):
-        unprotect(material, changed)
+        unprotect_submessage(material, changed)
 
 
 @every_cyclone
 def test_what_we_protect_looks_like_what_the_stack_protects(capture):
     material = key_exchange_material(capture.finish())
     theirs = capture.octets("kx_submessage_encoded")
-    ours = protect(material, capture.octets("kx_submessage_plain"))
+    ours = Sender(material).protect_submessage(capture.octets("kx_submessage_plain"))
     # Kind and key id; then the frames. Flags and lengths are of another byte order.
     assert ours[4:12] == theirs[4:12]
     assert len(ours) == len(theirs)
@@ -262,6 +263,15 @@ def test_crypto_tokens_of_the_stack_are_read_and_written(capture):
         material = KeyMaterial.from_holder(holder)
         assert material.kind is TransformationKind.AES256_GCM
         assert material.to_holder() == holder
+
+
+@every_cyclone
+def test_a_payload_that_the_stack_protected_is_read_with_the_key_that_it_names(capture):
+    tokens = [bytes.fromhex(token["cdr_be"]) for token in capture["datawriter_crypto_tokens"]]
+    keys = [KeyMaterial.from_holder(DataHolder.decode(token)) for token in tokens]
+    sealed = capture.octets("payload_encoded")
+    [key] = [each for each in keys if each.sender_key_id == sealed[4:8]]
+    assert unprotect_payload(key, sealed) == capture.octets("payload_plain")
 
 
 @every

@@ -1,0 +1,143 @@
+"""How long answers take: explain on policies of up to 10,000 rules, diff, and the matrix.
+
+The floor of each row is plain fnmatch of the standard library of the topic with each
+pattern of the policy, which an answer cannot do without where the last rule decides.
+Run: python bench/policies.py
+"""
+
+import fnmatch
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pqsec_pki.access import READINGS, Action, Policy, Question, decide
+from pqsec_pki.access.diff import permissions_diff
+from pqsec_pki.access.matrix import Member, topics_named, who_may
+from pqsec_pki.documents import Criteria, DomainSet, Governance, Grant, Permissions, Rule, ros
+
+SIZES = (1_250, 2_500, 5_000, 10_000)
+MEMBERS = (125, 250, 500, 1_000)
+ZERO = DomainSet.of(0)
+GOVERNANCE = Governance.protected(ZERO)
+NOW = datetime(2026, 6, 1, tzinfo=UTC)
+ASKED = "rt/robot/last"
+
+
+def main() -> None:
+    print(f"{'rules':>6} {'decide ms':>10} {'x fnmatch':>10} {'4 readings':>11} {'diff ms':>9}")
+    for size in SIZES:
+        rules(size)
+    print(f"\n{'members':>7} {'topics':>7} {'who may ms':>11} {'us a right':>11}")
+    for count in MEMBERS:
+        members(count)
+    command(SIZES[-1])
+    print("targets: linear (twice the size, twice the time); decide on 10,000 rules <= 50 ms")
+
+
+def policy(size: int) -> Permissions:
+    """Rules with two topics each, every fifth with a wildcard; the last has what is asked."""
+    topics = [
+        (f"rt/robot{n}/odom", f"rt/robot{n}/{'*' if n % 5 == 0 else 'map'}") for n in range(size)
+    ]
+    topics[-1] = ("rt/robot/*", "rt/other")
+    made = tuple(
+        Rule(allow=True, domains=ZERO, publish=(Criteria(topics=each),)) for each in topics
+    )
+    return Permissions(grants=(grant("/robot", made),))
+
+
+def grant(name: str, rules: tuple[Rule, ...]) -> Grant:
+    return Grant(
+        name=name,
+        subject_name=f"CN={name}",
+        not_before=datetime(2026, 1, 1, tzinfo=UTC),
+        not_after=datetime(2027, 1, 1, tzinfo=UTC),
+        rules=rules,
+    )
+
+
+def rules(size: int) -> None:
+    document = policy(size)
+    question = Question(subject="CN=/robot", domain=0, action=Action.PUBLISH, topic=ASKED, now=NOW)
+    patterns = [
+        topic
+        for rule in document.grants[0].rules
+        for criteria in rule.publish
+        for topic in criteria.topics
+    ]
+    assert decide(GOVERNANCE, document, question).allowed
+    floor = milliseconds(lambda: [fnmatch.fnmatchcase(ASKED, each) for each in patterns])
+    one = milliseconds(lambda: decide(GOVERNANCE, document, question))
+    every = milliseconds(
+        lambda: [Policy(GOVERNANCE, document, each).decide(question) for each in READINGS]
+    )
+    first, *others = document.grants[0].rules
+    changed = Permissions(grants=(replace(document.grants[0], rules=(*others, first)),))
+    compared = milliseconds(lambda: permissions_diff(document, changed), rounds=1)
+    print(f"{size:6} {one:10.2f} {one / floor:10.2f} {every:11.2f} {compared:9.0f}")
+
+
+def members(count: int) -> None:
+    """Each a ROS 2 node that also publishes a topic and reads its neighbour's."""
+    found = []
+    for number in range(count):
+        name = f"/robot{number}"
+        needs = ros.node_minimum(name)
+        criteria = (Criteria(topics=(*needs.publish, f"rt{name}/odom")),)
+        reads = (Criteria(topics=(*needs.subscribe, f"rt/robot{(number + 1) % count}/*")),)
+        own = Rule(allow=True, domains=ZERO, publish=criteria, subscribe=reads)
+        document = Permissions(grants=(grant(name, (own,)),))
+        found.append(Member(name=name, subject=f"CN={name}", permissions=document))
+    topics = topics_named(found)
+    rows = who_may(GOVERNANCE, found, topics, domain=0, now=NOW)
+    rights = sum(len(row.publishers) + len(row.subscribers) for row in rows)
+    taken = milliseconds(lambda: who_may(GOVERNANCE, found, topics, domain=0, now=NOW), rounds=1)
+    print(f"{count:7} {len(topics):7} {taken:11.0f} {taken * 1000 / rights:11.1f}")
+
+
+def command(size: int) -> None:
+    """The whole command, with reading and checking the XML, against reading it alone."""
+    from subprocess import run
+
+    with TemporaryDirectory() as folder:
+        governance, permissions = Path(folder, "g.xml"), Path(folder, "p.xml")
+        governance.write_bytes(GOVERNANCE.to_xml())
+        permissions.write_bytes(replace_times(policy(size)).to_xml())
+        files = ["--governance", governance, "--permissions", permissions]
+        explain = [sys.executable, "-m", "pqsec_pki", "explain", *files, "--publish", ASKED]
+        validate = [sys.executable, "-m", "pqsec_pki", "validate", permissions]
+        taken = [
+            milliseconds(lambda line=line: run(line, check=True, capture_output=True), rounds=3)
+            for line in (explain, validate)
+        ]
+    print(
+        f"\npqsec explain, {size} rules: {taken[0]:.0f} ms,"
+        f" {taken[0] / taken[1]:.2f} x pqsec validate of the same file"
+    )
+
+
+def replace_times(document: Permissions) -> Permissions:
+    always = {
+        "not_before": datetime(2000, 1, 1, tzinfo=UTC),
+        "not_after": datetime(2200, 1, 1, tzinfo=UTC),
+    }
+    return Permissions(grants=tuple(replace(each, **always) for each in document.grants))
+
+
+def milliseconds(work: Callable[[], object], rounds: int = 5) -> float:
+    """The median."""
+    taken = []
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - begin)
+    return statistics.median(taken) * 1000
+
+
+if __name__ == "__main__":
+    main()

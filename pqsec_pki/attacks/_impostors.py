@@ -1,0 +1,134 @@
+"""The attacker in the place of a participant, without its key: an outsider."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import datetime, timedelta
+from functools import partial
+
+from pqsec_pki.attacks._forgery import (
+    Keys,
+    issued,
+    vouching_for_itself,
+    with_broken_key,
+    without_alternative_signature,
+)
+from pqsec_pki.attacks._relays import Edit, editing
+from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.selfcheck.encounter import Side
+
+_MOMENT = timedelta(seconds=1)
+
+
+def copy_certificate(scene: Scene) -> Iterator[Attempt]:
+    """Certificate and permissions travel in the clear; the key does not."""
+    return scene.posing("another key", lambda side, _: showing(side, key=_new_keys(side).both))
+
+
+def found_a_ca(scene: Scene) -> Iterator[Attempt]:
+    """A certificate by an authority of its own."""
+    now = scene.encounter.now
+    genuine = scene.encounter.initiator.participant.identity_ca
+    for what, name in (("the same name", None), ("another name", "Another CA")):
+        ca = vouching_for_itself(genuine, now, name)
+        yield from scene.posing(f"a CA of {what}", partial(_certified_by, ca, now))
+
+
+def vouch_for_itself(scene: Scene) -> Iterator[Attempt]:
+    """A certificate that its own key signed."""
+
+    def self_signed(side: Side, _: Side) -> Side:
+        own = vouching_for_itself(side.participant.certificate, scene.encounter.now)
+        keys = Keys(plain=own.key, alternative=own.alternative_key)
+        return showing(side, certificate=own.certificate, key=keys.both)
+
+    return scene.posing("a self-signed certificate", self_signed)
+
+
+def come_late(scene: Scene) -> Iterator[Attempt]:
+    """When a certificate has ended."""
+    for side in scene.encounter.sides:
+        late = side.participant.certificate.not_after + _MOMENT
+        encounter = replace(scene.encounter, now=late)
+        yield Attempt(f"a second after the end of {side.name}'s", encounter)
+
+
+def come_early(scene: Scene) -> Iterator[Attempt]:
+    """Before a certificate begins."""
+    for side in scene.encounter.sides:
+        early = side.participant.certificate.not_before - _MOMENT
+        encounter = replace(scene.encounter, now=early)
+        yield Attempt(f"a second before the begin of {side.name}'s", encounter)
+
+
+# With a quantum computer, which finds plain keys
+
+
+def sign_plainly(scene: Scene) -> Iterator[Attempt]:
+    """As it would with a stock stack."""
+    return scene.posing(
+        "the plain key alone", lambda side, _: showing(side, key=side.participant.key)
+    )
+
+
+def sign_half(scene: Scene) -> Iterator[Attempt]:
+    """As if with both keys, but half of it is another key's, or is not there."""
+
+    def halves(side: Side, _: Side, half: str) -> Side:
+        own = {half: getattr(Keys.of(side.participant), half)}
+        return showing(side, key=replace(_new_keys(side), **own).both)
+
+    for half in ("plain", "alternative"):
+        yield from scene.posing(f"the {half} key and a new one", partial(halves, half=half))
+    for half, cut in _cuts(scene.encounter.initiator).items():
+        for message in ("reply", "final"):
+            relay = editing(message, "signature", cut)
+            yield scene.between(f"the {half} signature alone in the {message}", relay)
+
+
+def _cuts(side: Side) -> dict[str, Edit]:
+    """The alternative signature stands in front, and all of them have one size."""
+    second = side.participant.alternative_key
+    cut = second.algorithm.signature_size if second else 0
+    return {"plain": lambda both: both[cut:], "alternative": lambda both: both[:cut]}
+
+
+def strip_certificate(scene: Scene) -> Iterator[Attempt]:
+    """The genuine certificate and keys, but for the signature of the CA's alternative key."""
+
+    def stripped(side: Side, _: Side) -> Side:
+        genuine = side.participant.certificate
+        return showing(side, certificate=without_alternative_signature(genuine))
+
+    return scene.posing("no alternative signature", stripped)
+
+
+def break_the_ca(scene: Scene) -> Iterator[Attempt]:
+    """A certificate by the CA's plain key, for what that is worth."""
+    now = scene.encounter.now
+    genuine = scene.encounter.initiator.participant.identity_ca
+    own = Keys.like(genuine)
+    broken = with_broken_key(genuine, own.plain)
+    scene = _where_all_trust(broken, scene)
+    for what, second in (("no", None), ("its own", own.alternative)):
+        ca = Authority(broken, own.plain, second)
+        disguise = partial(_certified_by, ca, now)
+        yield from scene.posing(f"{what} alternative signature", disguise)
+
+
+def _where_all_trust(ca: Certificate, scene: Scene) -> Scene:
+    one, other = (showing(side, ca=ca) for side in scene.encounter.sides)
+    return replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
+
+
+def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
+    """New keys, and a certificate by `ca` for them; the peer's it checks by the genuine CA."""
+    keys = _new_keys(side)
+    certificate = issued(ca, side.name, keys, now)
+    genuine = side.participant.identity_ca
+    return showing(side, certificate=certificate, key=keys.both, ca=genuine)
+
+
+def _new_keys(side: Side) -> Keys:
+    """Of the kinds that the participant has."""
+    return Keys.like(side.participant.certificate)

@@ -1,0 +1,187 @@
+"""The attacker is a participant, with a genuine certificate and key, and wants more."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from datetime import datetime
+from typing import Any
+
+from pqsec_pki.algorithms import KeyAgreement, KeyPair
+from pqsec_pki.attacks._forgery import Keys, issued, signed_alike, without_countersignature
+from pqsec_pki.attacks._relays import Edit
+from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.certificates import Authority
+from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.handshake import adjusted_guid
+from pqsec_pki.keystore import Participant
+from pqsec_pki.selfcheck.encounter import Encounter, Side
+from pqsec_pki.smime import Signer, document_in, sign
+
+_STRANGER = "/stranger"
+
+
+def issue_certificates(scene: Scene) -> Iterator[Attempt]:
+    """One for another name, by a participant's key."""
+
+    def renamed(side: Side, _: Side) -> Side:
+        own = side.participant
+        ca, keys = Authority(own.certificate, own.key, own.alternative_key), Keys.of(own)
+        certificate = issued(ca, _STRANGER, keys, scene.encounter.now)
+        guid = adjusted_guid(certificate.subject_der, side.guid)
+        return showing(side, certificate=certificate, guid=guid)
+
+    return scene.posing("a participant as CA", renamed)
+
+
+def claim_guid(scene: Scene) -> Iterator[Attempt]:
+    """One that belongs to another name."""
+
+    def claiming(side: Side, _: Side) -> Side:
+        another = side.participant.identity_ca.subject_der
+        return showing(side, guid=adjusted_guid(another, side.guid))
+
+    return scene.posing("another's GUID", claiming)
+
+
+# Permissions
+
+
+Forger = Callable[[Participant, Participant, datetime], bytes]
+"""What the first shows as its permissions, knowing the second's."""
+
+
+def borrow_permissions(scene: Scene) -> Iterator[Attempt]:
+    """They came in an earlier handshake."""
+    return _permitted(scene, "the other's", lambda _, other, __: other.permissions)
+
+
+def shared_permissions(encounter: Encounter) -> str | None:
+    """Why to borrow permissions is no attack, where it is none: they are for the borrower too."""
+    one, other = encounter.sides
+    for borrower, lender in ((one, other), (other, one)):
+        document = Permissions.from_xml(document_in(lender.participant.permissions))
+        if any(_is_for(borrower, grant) for grant in document.grants):
+            return f"the permissions of {lender.name} are for {borrower.name} too"
+    return None
+
+
+def _is_for(side: Side, grant: Grant) -> bool:
+    own = parse_subject(side.participant.certificate.subject_name)
+    with suppress(MalformedError):  # what is no name names nobody
+        return same_subject(parse_subject(grant.subject_name), own)
+    return False
+
+
+def forge_permissions(scene: Scene) -> Iterator[Attempt]:
+    """Not what the permissions CA signed, or not by it."""
+    for what, forger in _FORGERS.items():
+        yield from _permitted(scene, what, forger)
+
+
+def strip_countersignature(scene: Scene) -> Iterator[Attempt]:
+    """Its own, but without the post-quantum signature."""
+    return _permitted(
+        scene, "one signature alone", lambda own, *_: without_countersignature(own.permissions)
+    )
+
+
+def _permitted(scene: Scene, what: str, forger: Forger) -> Iterator[Attempt]:
+    def permitted(side: Side, peer: Side) -> Side:
+        permissions = forger(side.participant, peer.participant, scene.encounter.now)
+        return showing(side, permissions=permissions)
+
+    return scene.posing(what, permitted)
+
+
+def _by_another_ca(own: Participant, _: Participant, now: datetime) -> bytes:
+    document = document_in(own.permissions)
+    return signed_alike(document, own.permissions_ca, own.permissions_alt_ca, now)
+
+
+def _by_itself(own: Participant, _: Participant, now: datetime) -> bytes:
+    return sign(document_in(own.permissions), Signer(own.certificate, own.key), now=now)
+
+
+def _renamed(own: Participant, other: Participant, _: datetime) -> bytes:
+    theirs, ours = (each.certificate.subject_name.encode() for each in (other, own))
+    return other.permissions.replace(theirs, ours)
+
+
+_FORGERS: Mapping[str, Forger] = {
+    "by a CA of the same name": _by_another_ca,
+    "by its own key": _by_itself,
+    "the other's, with its own name": _renamed,
+    "not signed": lambda own, *_: document_in(own.permissions),
+    "none": lambda *_: b"",
+}
+
+
+# Keys for the key agreement
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Spoilt(KeyAgreement):
+    """A row whose public keys and ciphertexts come out spoilt."""
+
+    row: KeyAgreement = field(repr=False)
+    spoil: Edit = field(repr=False)
+
+    @classmethod
+    def of(cls, row: KeyAgreement, spoil: Edit) -> "_Spoilt":
+        kept = {each.name: getattr(row, each.name) for each in fields(KeyAgreement)}
+        return cls(**kept, row=row, spoil=spoil)
+
+    def _fits(self, data: bytes, size: int) -> bool:
+        del data, size
+        return True  # the row will say
+
+    def _generate(self) -> KeyPair:
+        return self.row.generate()
+
+    def _public(self, handle: Any) -> bytes:
+        return self.spoil(handle.public)
+
+    def _encapsulate(self, public: bytes) -> tuple[bytes, bytes]:
+        ciphertext, secret = self.row.encapsulate(public)
+        return self.spoil(ciphertext), secret
+
+    def _decapsulate(self, handle: Any, ciphertext: bytes) -> bytes:
+        secret: bytes = handle.decapsulate(ciphertext)
+        return secret
+
+
+_SPOILT: Mapping[str, Edit] = {
+    "a byte short": lambda value: value[:-1],
+    "a byte long": lambda value: value + b"\0",
+    "empty": lambda _: b"",
+    "a zero byte, which is infinity": lambda _: b"\0",
+    "all 0xff": lambda value: b"\xff" * len(value),
+    "all zero": lambda value: bytes(len(value)),
+    "the last 32 bytes zero": lambda value: value[:-32] + bytes(32),
+    "the first byte changed": lambda value: bytes([value[0] ^ 1]) + value[1:],
+    "the last byte changed": lambda value: value[:-1] + bytes([value[-1] ^ 1]),
+}
+"""Some is a public key or ciphertext all the same; then nobody has the secret that is in it."""
+
+
+def send_bad_public_keys(scene: Scene) -> Iterator[Attempt]:
+    """As dh1. Nothing covers it yet, so whoever is on the way can do it too."""
+    one, _ = scene.encounter.sides
+    for what, spoil in _SPOILT.items():
+        row = _Spoilt.of(scene.encounter.agreement, spoil)
+        yield Attempt(what, replace(scene.encounter, agreement=row), one.name)
+
+
+def sign_bad_ciphertexts(scene: Scene) -> Iterator[Attempt]:
+    """As dh2, under a signature that holds.
+
+    What cannot be told from a good one shows when the two talk, to whoever reads first:
+    so the attacker's side may be the one that refuses.
+    """
+    _, other = scene.encounter.sides
+    for what, spoil in _SPOILT.items():
+        row = _Spoilt.of(scene.encounter.agreement, spoil)
+        policy = replace(other.terms.policy, agreements=(row,))
+        replier = replace(other, terms=replace(other.terms, policy=policy))
+        yield Attempt(what, replace(scene.encounter, replier=replier))

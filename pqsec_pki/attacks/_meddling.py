@@ -1,0 +1,193 @@
+"""The attacker on the way plays a game of its own: replays, reflections, keys in the middle."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, KeyAgreement
+from pqsec_pki.attacks._relays import instead, on, putting
+from pqsec_pki.attacks._scene import Attempt, Scene
+from pqsec_pki.handshake import (
+    CHALLENGE_SIZE,
+    DataHolder,
+    GenericMessage,
+    Introduction,
+    Request,
+    reply_to,
+)
+from pqsec_pki.selfcheck.encounter import Relay
+from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
+
+_HASHES = {"request": "hash_c1", "reply": "hash_c2"}
+"""What shows that an introduction was changed; optional, so it can be taken out."""
+_FORGED = bytes(CHALLENGE_SIZE)
+
+
+def swap_challenges(scene: Scene) -> Iterator[Attempt]:
+    """Whoever chooses a challenge can have the answer ready."""
+    for turn, whose, message, name in (
+        (1, "initiator's", "request", "challenge1"),
+        (2, "replier's", "reply", "challenge2"),
+    ):
+        yield scene.between(f"the {whose}, as announced", _announcing(turn))
+        sent = putting(message, {name: _FORGED})
+        yield scene.between(f"the {whose}, announced and sent", _announcing(turn), sent)
+    yield scene.between(
+        "the initiator's, and put right when it comes back", _announcing(1), _ThereAndBack()
+    )
+
+
+def _announcing(turn: int) -> Relay:
+    return putting(AUTH_REQUEST, {"future_challenge": _FORGED}, turn)
+
+
+@dataclass(slots=True)
+class _ThereAndBack:
+    """Shows the replier another challenge1, and the initiator its own."""
+
+    challenge1: bytes = b""
+
+    def __call__(self, name: str, data: bytes) -> bytes:
+        shown = {"request": _FORGED, "reply": self.challenge1}.get(name)
+        if name == "request":
+            self.challenge1 = _values(data)["challenge1"]
+        return putting(name, {"challenge1": shown})(name, data) if shown else data
+
+
+def strip_hashes(scene: Scene) -> Iterator[Attempt]:
+    """Another's permissions in an introduction, and no hash of it on the way."""
+    for message, other in (("request", "reply"), ("reply", "request")):
+        name = _HASHES[message]
+        relays = [putting(each, {name: None}) for each in HANDSHAKE]
+        relays += [putting(message, {"c.perm": scene.value(other, "c.perm")})]
+        yield scene.between(f"c.perm of the {message}, without {name}", *relays)
+
+
+def sit_in_the_middle(scene: Scene) -> Iterator[Attempt]:
+    """Keys of its own for both sides, to read along."""
+    agreement = scene.encounter.agreement
+    yield scene.between("dh1 and dh2", _Middle(agreement))
+    yield scene.between("dh1 and dh2, with dh1 not repeated", _Middle(agreement, hides=True))
+
+
+@dataclass(slots=True)
+class _Middle:
+    """Agrees with each side in the other's name."""
+
+    agreement: KeyAgreement
+    hides: bool = False
+    """Whether it takes dh1 out of the reply, where it would not fit what is signed."""
+    dh1: bytes = b""
+    """The initiator's."""
+
+    def __call__(self, name: str, data: bytes) -> bytes:
+        match name:
+            case "request":
+                self.dh1 = _values(data)["dh1"]
+                return putting(name, {"dh1": self.agreement.generate().public})(name, data)
+            case "reply":
+                dh2, _ = self.agreement.encapsulate(self.dh1)
+                dh1 = None if self.hides else self.dh1
+                return putting(name, {"dh1": dh1, "dh2": dh2})(name, data)
+        return data
+
+
+# Names of algorithms
+
+
+def downgrade(scene: Scene) -> Iterator[Attempt]:
+    """All but the domain's own."""
+    own = scene.encounter.agreement.wire_name
+    for row in KEY_AGREEMENTS:
+        if row.wire_name != own:
+            asked = replace(scene.encounter, agreement=row)
+            yield Attempt(f"{row.name} in the request", asked, scene.encounter.initiator.name)
+            relay = _naming("reply", "c.kagree_algo", row.wire_name.encode() + b"\0")
+            yield scene.between(f"{row.name} in the reply", relay)
+
+
+def name_other_signatures(scene: Scene) -> Iterator[Attempt]:
+    """All but how the sender signs."""
+    for message, side in zip(_HASHES, scene.encounter.sides, strict=True):
+        own = side.terms.own.key.algorithm.wire_name
+        for name in dict.fromkeys(row.wire_name for row in SIGNATURES):
+            if name != own:
+                relay = _naming(message, "c.dsign_algo", name.encode() + b"\0")
+                yield scene.between(f"{name} in the {message}", relay)
+
+
+def name_unknown_algorithms(scene: Scene) -> Iterator[Attempt]:
+    """What is nobody's name, or no name at all."""
+    names = {"none": b"none\0", "empty": b"", "not text": b"\xff\xfe\0", "1000 bytes": b"A" * 1000}
+    for message in _HASHES:
+        for field in ("c.dsign_algo", "c.kagree_algo"):
+            for what, name in names.items():
+                relay = _naming(message, field, name)
+                yield scene.between(f"{field} of the {message}: {what}", relay)
+
+
+def _naming(message: str, field: str, value: bytes) -> Relay:
+    return putting(message, {field: value, _HASHES[message]: None})
+
+
+# What was heard
+
+
+def reflect(scene: Scene) -> Iterator[Attempt]:
+    """A side meets itself."""
+    for message, other in (("request", "reply"), ("reply", "request")):
+        values = {name: scene.value(other, name) for name in Introduction.NAMES}
+        relay = putting(message, {**values, _HASHES[message]: None})
+        yield scene.between(f"its own credentials, in the {message}", relay)
+
+
+def replay(scene: Scene) -> Iterator[Attempt]:
+    """One message of an earlier handshake, or all that one side said in it."""
+    for name in HANDSHAKE:
+        yield scene.between(f"the {name}", _again(scene, name))
+    of_initiator = [_again(scene, name) for name in (AUTH_REQUEST, "request", "final")]
+    yield scene.between("all that the initiator said", _Beside(scene), *of_initiator)
+    of_replier = _again(scene, AUTH_REQUEST, 2), _again(scene, "reply")
+    yield scene.between("all that the replier said", *of_replier)
+    for turn, side in enumerate(scene.encounter.sides, start=1):
+        message = on(MESSAGE, partial(_heard, scene, turn), turn)
+        yield scene.between(f"what {side.name} sent under the keys of then", message)
+
+
+def _again(scene: Scene, name: str, turn: int = 1) -> Relay:
+    return instead(name, scene.token(name, turn), turn)
+
+
+def _heard(scene: Scene, turn: int, data: bytes) -> bytes:
+    del data
+    return scene.heard(MESSAGE, turn)
+
+
+@dataclass(slots=True)
+class _Beside:
+    """Keeps the initiator busy with a handshake of its own, beside the replayed one."""
+
+    scene: Scene
+    request: bytes = b""
+
+    def __call__(self, name: str, data: bytes) -> bytes:
+        if name == "request":
+            self.request = data
+        if name == "reply":
+            return instead(name, self._answer(_values(data)["challenge2"]))(name, data)
+        return data
+
+    def _answer(self, challenge2: bytes) -> DataHolder:
+        """The replier's, to what the initiator really asked."""
+        encounter = self.scene.encounter
+        terms = replace(encounter.replier.terms, announced=challenge2)
+        request = Request.from_holder(_token(self.request))
+        return reply_to(terms, request, now=encounter.now)[0].to_holder()
+
+
+def _values(sample: bytes) -> dict[str, bytes]:
+    return dict(_token(sample).binary_properties)
+
+
+def _token(sample: bytes) -> DataHolder:
+    return GenericMessage.decode(sample).tokens[0]

@@ -1,0 +1,77 @@
+"""Relays that change one message and let all others pass."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from pqsec_pki.handshake import DataHolder, GenericMessage
+from pqsec_pki.selfcheck.encounter import Relay
+
+Edit = Callable[[bytes], bytes]
+"""What becomes of a message as it travels."""
+Change = Callable[[DataHolder], DataHolder]
+"""What becomes of its token."""
+
+
+def on(message: str, edit: Edit, turn: int = 1) -> Relay:
+    """Edits the message of that name; where both send one, the initiator's has turn 1."""
+    heard = 0
+
+    def relay(name: str, data: bytes) -> bytes:
+        nonlocal heard
+        heard += name == message
+        return edit(data) if name == message and heard == turn else data
+
+    return relay
+
+
+def enveloped(message: str, edit: Callable[[GenericMessage], GenericMessage]) -> Relay:
+    """Edits what is around the token too."""
+    return on(message, lambda sample: edit(GenericMessage.decode(sample)).encode())
+
+
+def retold(message: str, change: Change, turn: int = 1) -> Relay:
+    """Changes the token; what is around it stays as it is."""
+
+    def edit(sample: bytes) -> bytes:
+        told = GenericMessage.decode(sample)
+        return replace(told, tokens=(change(told.tokens[0]),)).encode()
+
+    return on(message, edit, turn)
+
+
+def instead(message: str, token: DataHolder, turn: int = 1) -> Relay:
+    """Puts another token in the place of the message's own."""
+    return retold(message, lambda _: token, turn)
+
+
+def putting(message: str, values: Mapping[str, bytes | None], turn: int = 1) -> Relay:
+    """Puts other values under those names; None takes a field out."""
+
+    def change(token: DataHolder) -> DataHolder:
+        items = ((name, values.get(name, value)) for name, value in token.binary_properties)
+        kept = tuple((name, value) for name, value in items if value is not None)
+        return replace(token, binary_properties=kept)
+
+    return retold(message, change, turn)
+
+
+def editing(message: str, name: str, edit: Edit) -> Relay:
+    """Edits the value of one field."""
+
+    def change(token: DataHolder) -> DataHolder:
+        items = (
+            (each, edit(value) if each == name else value)
+            for each, value in token.binary_properties
+        )
+        return replace(token, binary_properties=tuple(items))
+
+    return retold(message, change)
+
+
+def adding(message: str, *fields: tuple[str, bytes]) -> Relay:
+    """Puts more fields behind its own."""
+
+    def change(token: DataHolder) -> DataHolder:
+        return replace(token, binary_properties=token.binary_properties + fields)
+
+    return retold(message, change)

@@ -1,0 +1,78 @@
+"""What an attacker finds, and what it tries.
+
+It heard the two meet before. Then they meet again, and it stands on the way between them
+or in the place of one of them. An attempt is that second encounter.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+from pqsec_pki.handshake import DataHolder, GenericMessage
+from pqsec_pki.selfcheck.encounter import Encounter, Relay, Side
+from pqsec_pki.selfcheck.report import Sent
+
+Disguise = Callable[[Side, Side], Side]
+"""What the attacker shows in the place of the first, to the second."""
+
+
+class Attempt(NamedTuple):
+    """One encounter with an attacker in it."""
+
+    what: str
+    encounter: Encounter
+    attacker: str | None = None
+    """In whose place it is. What that side refuses is refused by nobody."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Two who would meet, and all they sent when they met before."""
+
+    encounter: Encounter
+    recorded: tuple[Sent, ...] = field(repr=False)
+
+    def heard(self, name: str, turn: int = 1) -> bytes:
+        """The message of that name; where both send one, the initiator's is the first."""
+        return [each.data for each in self.recorded if each.name == name][turn - 1]
+
+    def token(self, name: str, turn: int = 1) -> DataHolder:
+        """The token in it."""
+        return GenericMessage.decode(self.heard(name, turn)).tokens[0]
+
+    def value(self, message: str, name: str) -> bytes:
+        """One of its binary properties."""
+        return dict(self.token(message).binary_properties)[name]
+
+    def between(self, what: str, *relays: Relay) -> Attempt:
+        """The attacker on the way: each message goes through all its relays."""
+
+        def relay(name: str, data: bytes) -> bytes:
+            for each in relays:
+                data = each(name, data)
+            return data
+
+        return Attempt(what, replace(self.encounter, relay=relay))
+
+    def posing(self, what: str, disguise: Disguise) -> Iterator[Attempt]:
+        """The attacker in the place of the initiator, then of the replier."""
+        yield self.as_initiator(what, disguise)
+        yield self.as_replier(what, disguise)
+
+    def as_initiator(self, what: str, disguise: Disguise) -> Attempt:
+        """The attacker speaks first."""
+        one, other = self.encounter.sides
+        posed = replace(self.encounter, initiator=disguise(one, other))
+        return Attempt(f"{what}, as initiator", posed, one.name)
+
+    def as_replier(self, what: str, disguise: Disguise) -> Attempt:
+        """The attacker is spoken to."""
+        one, other = self.encounter.sides
+        posed = replace(self.encounter, replier=disguise(other, one))
+        return Attempt(f"{what}, as replier", posed, other.name)
+
+
+def showing(side: Side, **changes: Any) -> Side:
+    """`side` with another identity: certificate, key, GUID or permissions."""
+    own = replace(side.terms.own, **changes)
+    return replace(side, terms=replace(side.terms, own=own))

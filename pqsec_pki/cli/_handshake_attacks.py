@@ -1,0 +1,73 @@
+"""verify-handshake --attack, in words."""
+
+import sys
+from collections.abc import Iterator
+
+import click
+
+from pqsec_pki.attacks import (
+    ATTACKS,
+    Attack,
+    Outcome,
+    Result,
+    Siege,
+    attack_named,
+    withstand,
+)
+from pqsec_pki.cli import _common
+from pqsec_pki.selfcheck import Guest, Occasion
+
+EVERY = "all"
+
+
+def attacks_named(name: str) -> tuple[Attack, ...]:
+    """Those a user means; UnknownAlgorithmError if there is none of that name."""
+    return ATTACKS if name.lower() == EVERY else (attack_named(name),)
+
+
+def try_attacks(
+    occasion: Occasion, guests: tuple[Guest, Guest], attacks: tuple[Attack, ...]
+) -> bool:
+    """Attack the two and tell what became of it; whether all was refused."""
+    with click.progressbar(
+        length=len(attacks), label="attacks", file=sys.stderr, hidden=not sys.stderr.isatty()
+    ) as bar:
+        siege = withstand(occasion, *guests, attacks, lambda _: bar.update(1))
+    _common.emit(siege.to_json(), _lines(siege, details=len(attacks) == 1))
+    return siege.ok
+
+
+def _lines(siege: Siege, *, details: bool) -> Iterator[str]:
+    width = max((len(each.attack.name) for each in siege.outcomes), default=0)
+    for outcome in siege.outcomes:
+        yield f"{_mark(outcome)}  {outcome.attack.name.ljust(width)}  {_summary(outcome)}"
+        for result in outcome.results:
+            if details or not result.refused:
+                yield f"      {_told(result)}"
+        if outcome.hint:
+            yield f"      hint: {outcome.hint}"
+    if siege.outcomes:
+        yield ""
+    yield siege.verdict
+    if (failed := siege.control.failed) and failed.hint:
+        yield f"hint: {failed.hint}"
+
+
+def _mark(outcome: Outcome) -> str:
+    if outcome.skipped:
+        return "-   "
+    return "ok  " if outcome.ok else "FAIL"
+
+
+def _summary(outcome: Outcome) -> str:
+    if outcome.skipped:
+        return f"not tried: {outcome.skipped}"
+    places = dict.fromkeys(each.step.name for each in outcome.results if each.step)
+    count = f"{outcome.refused} of {len(outcome.results)} refused"
+    return f"{outcome.attack.title}: {count}{' at ' if places else ''}{', '.join(places)}"
+
+
+def _told(result: Result) -> str:
+    if result.step is None:
+        return f"{result.what}: NOT refused"
+    return f"{result.what}: {result.by} refused ({result.step.name}): {result.step.detail}"

@@ -1,0 +1,55 @@
+"""verify-handshake --matrix, as a table."""
+
+from collections.abc import Iterator, Sequence
+
+from pqsec_pki.cli import _common
+from pqsec_pki.selfcheck.matrix import FRAGMENT, Suite, suites
+
+_HEADS = (
+    *("", "profile", "signature", "key agreement", "request", "reply", "final"),
+    *("fragments", "of 64 KB", "ms"),
+)
+
+
+def show_matrix(rounds: int) -> None:
+    """Measure all and print it."""
+    # All at once: who stops reading must not leave a temporary folder behind.
+    found = list(suites(_common.now(), rounds))
+    value = {"fragment_bytes": FRAGMENT, "rounds": rounds, "suites": [s.to_json() for s in found]}
+    _common.emit(value, _lines(found, rounds))
+
+
+def _lines(found: Sequence[Suite], rounds: int) -> Iterator[str]:
+    yield from _common.table(_HEADS, map(_row, found))
+    yield ""
+    yield "request, reply, final: bytes of the token. *: the profile's own key agreement."
+    yield f"fragments: of the three, by {FRAGMENT} bytes, Cyclone DDS's default."
+    yield f"ms: the median of {rounds}, both sides and one protected message each way."
+    for promise, who in _broken(found).items():
+        yield f"!: breaks what {', '.join(who)} promises: {promise}"
+
+
+def _row(suite: Suite) -> tuple[str, ...]:
+    own = suite.agreement is suite.profile.key_agreement
+    sizes = suite.sizes.values()
+    return (
+        "*" if own else "!" if suite.breaks else "",
+        suite.profile.name,
+        suite.signature,
+        suite.agreement.wire_name,
+        *(f"{size.token:>7}" for size in sizes),
+        "/".join(str(size.fragments) for size in sizes),
+        f"{suite.share:>8.1%}",
+        f"{suite.milliseconds:>5.1f}",
+    )
+
+
+def _broken(found: Sequence[Suite]) -> dict[str, list[str]]:
+    """Promises that some combination breaks, and whose they are."""
+    whose: dict[str, list[str]] = {}
+    for suite in found:
+        for promise in suite.breaks:
+            names = whose.setdefault(promise, [])
+            if suite.profile.name not in names:
+                names.append(suite.profile.name)
+    return whose

@@ -1,0 +1,221 @@
+"""verify-handshake --all, in words and as JSON."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.selfcheck import PQSEC, Step, stack_named
+from pqsec_pki.selfcheck.pairs import Gathering, Outcome, Survey, count_pairs, survey
+from pqsec_pki.selfcheck.tally import Cause, Tally, faults
+
+MATRIX = 20
+"""Participants that a matrix has room for."""
+LISTED = 20
+"""Participants with one fault that are named; --json names all."""
+_CELLS = {True: "ok", False: "FAIL", None: "-"}
+
+Item = TypeVar("Item")
+
+
+def try_all(gathering: Gathering, names: Sequence[str], jobs: int) -> bool:
+    """Let all pairs meet and tell how it went; whether all went well."""
+    if len(names) < 2:  # noqa: PLR2004 -- a pair
+        raise KeystoreError(
+            f"{gathering.root} has {len(names)} participants, and a handshake needs two",
+            hint="make them: pqsec issue NAME NAME",
+        )
+    seats = len(names) * len(set(gathering.stacks))
+    with survey(gathering, names, jobs, lambda found: _shown(found, seats, "one by one")) as found:
+        account = _Account(found)
+        if _common.settings().json:
+            for line in _json(account):
+                _say(line)
+            return account.tally.ok
+        for _ in account.outcomes():
+            pass
+    _common.emit(None, _lines(account))
+    return account.tally.ok
+
+
+@dataclass(slots=True)
+class _Account:
+    """What is kept of all that passes by."""
+
+    survey: Survey
+    tally: Tally = field(default_factory=Tally)
+    cells: dict[tuple[str, str], str] = field(default_factory=dict)
+    """For the matrix: of the row's name and the column's."""
+    seconds: float = 0.0
+
+    def outcomes(self) -> Iterator[Outcome]:
+        """Each outcome, accounted for."""
+        names = self.survey.names
+        count = count_pairs(names, self.survey.gathering)
+        started = time.perf_counter()
+        for outcome in _shown(self.survey.outcomes(), count, "two by two"):
+            self.tally.add(outcome)
+            if len(names) <= MATRIX:
+                self._mark(outcome)
+            yield outcome
+        self.seconds = time.perf_counter() - started
+
+    def _mark(self, outcome: Outcome) -> None:
+        row, column = outcome.first.seat.name, outcome.second.seat.name
+        self.cells[row, column] = _CELLS[outcome.ok]
+        if len(set(self.survey.gathering.stacks)) == 1:
+            self.cells[column, row] = _CELLS[outcome.ok]
+
+    @property
+    def totals(self) -> dict[str, float]:
+        tally = self.tally
+        count = tally.met + tally.failed + tally.apart
+        return {
+            "participants": len(self.survey.names),
+            "pairs": count,
+            "ok": tally.met,
+            "failed": tally.failed,
+            "no_common_domain": tally.apart,
+            "seconds": round(self.seconds, 3),
+            "handshakes": tally.tried,
+            "handshakes_per_second": round(tally.tried / self.seconds, 1),
+        }
+
+
+def _shown(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
+    """The same items, with a progress bar on stderr if that is a terminal."""
+    amid_the_result = _common.settings().json and sys.stdout.isatty()
+    with click.progressbar(
+        items,
+        length=count,
+        label=label,
+        file=sys.stderr,
+        hidden=amid_the_result or not sys.stderr.isatty(),
+        update_min_steps=1 + count // 500,
+    ) as bar:
+        yield from bar
+
+
+# As JSON: one object, written as it comes to be.
+
+
+def _say(line: str) -> None:
+    try:
+        click.echo(line)
+    except OSError as error:
+        # Python flushes again as it ends; what is left of the result goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise FileError(f"the result cannot be printed: {error.strerror}".lower()) from error
+
+
+def _json(account: _Account) -> Iterator[str]:
+    found = account.survey
+    people = [_participant_json(found, name) for name in found.names]
+    yield f'{{"participants": {json.dumps(people, indent=2)},'
+    yield '"pairs": ['
+    comma = ""
+    for outcome in account.outcomes():
+        if outcome.ok is not None:
+            yield comma + json.dumps(_pair_json(outcome))
+            comma = ","
+    yield "],"
+    yield f'"ok": {json.dumps(account.tally.ok)},'
+    yield f'"totals": {json.dumps(account.totals, indent=2)}}}'
+
+
+def _participant_json(found: Survey, name: str) -> dict[str, Any]:
+    own = [each for seat, each in found.findings.items() if seat.name == name]
+    return {
+        "name": name,
+        "domains": sorted(own[0].domains),
+        "faults": [{"as": each.seat.stack} | _fault(each.failed) for each in own if each.failed],
+    }
+
+
+def _pair_json(outcome: Outcome) -> dict[str, Any]:
+    result = outcome.result
+    return {
+        "pair": [outcome.first.seat.name, outcome.second.seat.name],
+        "as": [outcome.first.seat.stack, outcome.second.seat.stack],
+        "domain": outcome.domain,
+        "ok": outcome.ok,
+        "initiator": result.initiator if result else None,
+        "replier": result.replier if result else None,
+        "milliseconds": result.milliseconds if result else None,
+    } | (_fault(outcome.failed) if outcome.failed else {})
+
+
+def _fault(step: Step) -> dict[str, str | None]:
+    return {"step": step.name, "cause": step.detail, "hint": step.hint}
+
+
+# In words.
+
+
+def _lines(account: _Account) -> Iterator[str]:
+    if account.cells:
+        yield from _matrix(account)
+    for (stack, cause), ones in faults(account.survey.findings.values()).items():
+        names = [each.seat.name for each in ones]
+        whose = f" as {stack_named(stack).title}" if stack != PQSEC.name else ""
+        yield from _fault_lines(cause, [each.failed for each in ones])
+        yield f"  so {_listed(names)} would meet nobody{whose}"
+        yield ""
+    for cause, outcomes in account.tally.causes.items():
+        yield from _fault_lines(cause, [each.failed for each in outcomes])
+        yield from (f"  {line}" for line in _by_initiator(outcomes))
+        yield ""
+    if not account.tally.met + account.tally.failed:
+        domain = account.survey.gathering.domain
+        yield f"No two participants share {'a domain' if domain is None else f'domain {domain}'}."
+    yield (
+        "{participants} participants; pairs: {pairs}, {ok} ok, {failed} failed,"
+        " {no_common_domain} without a common domain;"
+        " {seconds:.1f} s, {handshakes_per_second:.0f} handshakes/s".format(**account.totals)
+    )
+
+
+def _fault_lines(cause: Cause, steps: Sequence[Step | None]) -> Iterator[str]:
+    """What several share; of one alone, its own words."""
+    [first, *others] = steps
+    if first and not others:
+        cause = Cause(first.name, first.detail, first.hint)
+    yield f"FAIL  {cause.step}  {cause.words}"
+    if cause.hint:
+        yield f"  hint: {cause.hint}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = len(names) - LISTED
+    return ", ".join(names[:LISTED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _by_initiator(outcomes: Iterable[Outcome]) -> Iterator[str]:
+    """Pairs in the order they speak, a line for each that begins."""
+    repliers: dict[str, list[str]] = {}
+    for each in outcomes:
+        if result := each.result:
+            repliers.setdefault(str(result.initiator), []).append(str(result.replier))
+    for initiator, others in repliers.items():
+        yield f"{initiator} to {', '.join(others)}"
+
+
+def _matrix(account: _Account) -> Iterator[str]:
+    names, stacks = account.survey.names, account.survey.gathering.stacks
+    numbers = [str(number) for number, _ in enumerate(names, 1)]
+    rows = [
+        (number, name, *(account.cells.get((name, other), "") for other in names))
+        for number, name in zip(numbers, names, strict=True)
+    ]
+    yield from _common.table(("", "", *numbers), rows)
+    if stacks != (PQSEC.name, PQSEC.name):
+        row, column = (stack_named(name).title for name in stacks)
+        yield f"a row behaves as {row}, a column as {column}"
+    yield ""

@@ -1,0 +1,84 @@
+"""verify-handshake --trace: a handshake, byte for byte, in a file or on stdout."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from pqsec_pki._files import refuse_existing, write
+from pqsec_pki.cli import _common
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.inspection import describe
+from pqsec_pki.selfcheck import Report
+from pqsec_pki.selfcheck.trace import Piece, Told, Trace, trace
+
+STDOUT = Path("-")
+_LINE = 32
+"""Bytes of hex in a line."""
+_WITHHELD = "(withheld: --insecure-show-secrets shows it)"
+
+
+def refuse_taken(path: Path) -> None:
+    """ExistsError if something is there, before any work is done."""
+    if path != STDOUT:
+        refuse_existing(path)
+
+
+def tell(report: Report, told: list[str], path: Path, *, show_secrets: bool, force: bool) -> None:
+    """Write the trace of `report` to `path`, or to stdout; `told` is the report in words.
+
+    ExistsError if something is there already, unless `force`.
+    """
+    found = trace(report, _described)
+    value = found.to_json(show_secrets=show_secrets)
+    lines = [*told, "", *_lines(found, show_secrets=show_secrets)]
+    if path == STDOUT:
+        _common.emit(value, lines)
+        return
+    text = json.dumps(value, indent=2) if _common.settings().json else "\n".join(lines)
+    write(path, text.encode() + b"\n", private=show_secrets, force=force)
+    _common.emit(report.to_json(), told)
+
+
+def _described(data: bytes) -> list[str]:
+    try:
+        return describe(data, now=_common.now()).to_text()
+    except PqsecError as error:
+        return [f"unreadable: {error}"]
+
+
+def _lines(found: Trace, *, show_secrets: bool) -> Iterator[str]:
+    for number, message in enumerate(found.messages, 1):
+        yield from _message(number, message)
+    if found.derived:
+        yield "== derived by both sides"
+        for piece in found.derived:
+            yield from _piece(piece, show=show_secrets or not piece.secret)
+
+
+def _message(number: int, message: Told) -> Iterator[str]:
+    way = f"{message.sender} to {message.receiver}"
+    yield f"== {number}. {message.name}, {way}, {len(message.sample)} bytes"
+    for name, words in message.heads.items():
+        yield f"{name.replace('_', ' ')}: {words}"
+    for piece in message.pieces:
+        yield from _piece(piece)
+    yield "the whole:"
+    yield from _hex(message.sample)
+    yield ""
+
+
+def _piece(piece: Piece, indent: str = "", *, show: bool = True) -> Iterator[str]:
+    yield f"{indent}{piece.name}: {len(piece.data)} bytes"
+    yield from (f"{indent}  | {words}" for words in piece.words)
+    if not show:
+        yield f"{indent}    {_WITHHELD}"
+    elif piece.parts:
+        for part in piece.parts:
+            yield from _piece(part, f"{indent}    ")
+    else:
+        yield from (f"{indent}{line}" for line in _hex(piece.data))
+
+
+def _hex(data: bytes) -> Iterator[str]:
+    for start in range(0, len(data), _LINE):
+        yield f"    {data[start : start + _LINE].hex()}"

@@ -1,0 +1,154 @@
+"""What one process does where many meet: look at participants, and let pairs of them meet.
+
+Everything that passes between processes is names, numbers and steps: no key leaves one.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from pqsec_pki.access import may_join
+from pqsec_pki.algorithms import KEY_AGREEMENTS
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import Governance, Permissions
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import Keystore, Participant
+from pqsec_pki.selfcheck.meeting import Meeting, Occasion, Seated, fetched, vetted
+from pqsec_pki.selfcheck.report import Step, Steps, StoppedError
+from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
+from pqsec_pki.smime import document_in
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gathering:
+    """Who is to meet, and how: all participants of a keystore, each two."""
+
+    root: Path
+    """Of the keystore."""
+    now: datetime
+    domain: int | None = None
+    """Where all meet; None: each two on the first domain that both may join."""
+    key_agreement: str | None = None
+    """By name; None: the profile's, or what the stacks ask for."""
+    stacks: tuple[str, str] = (PQSEC.name, PQSEC.name)
+    """How the two of a pair behave; if they differ, each pair meets both ways round."""
+
+
+class Seat(NamedTuple):
+    """A participant that behaves like that stack; both by name."""
+
+    name: str
+    stack: str
+
+
+class Pair(NamedTuple):
+    """Two that meet, and where."""
+
+    first: Seat
+    second: Seat
+    domain: int
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is to be said of one by itself: where it may join, and what is wrong with it."""
+
+    seat: Seat
+    domains: frozenset[int]
+    failed: Step | None
+
+
+class Result(NamedTuple):
+    """How a pair met. None: not reached."""
+
+    initiator: str | None
+    replier: str | None
+    failed: Step | None
+    milliseconds: float
+
+
+@dataclass(slots=True)
+class Worker:
+    """Does the work for one gathering, and remembers what it read."""
+
+    gathering: Gathering
+    occasion: Occasion
+    _read: dict[str, Participant] = field(default_factory=dict)
+    _authorities: dict[bytes, Certificate] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, gathering: Gathering) -> "Worker":
+        """KeystoreError if there is no keystore, UnknownAlgorithmError for an unknown name."""
+        wanted = gathering.key_agreement
+        occasion = Occasion(
+            keystore=Keystore.open(gathering.root),
+            domain=gathering.domain or 0,
+            now=gathering.now,
+            agreement=None if wanted is None else KEY_AGREEMENTS.named(wanted),
+        )
+        return cls(gathering, occasion)
+
+    def look_at(self, seats: Sequence[Seat]) -> list[Finding]:
+        """Each by itself."""
+        return [self._finding(seat) for seat in seats]
+
+    def let_meet(self, pairs: Sequence[Pair | None]) -> list[Result | None]:
+        """Each two, whose own credentials are known to be sound; None where there are none."""
+        return [self._result(pair) if pair else None for pair in pairs]
+
+    def _finding(self, seat: Seat) -> Finding:
+        steps, domains = Steps(), frozenset[int]()
+        with suppress(StoppedError):
+            participant = self._participant(seat.name, steps)
+            domains, named = _domains(participant, self.gathering.now)
+            # Where it may join none, one that is named tells why not.
+            occasion = replace(self.occasion, domain=min(domains or named or {0}))
+            vetted(occasion, Seated(participant, stack_named(seat.stack)), steps)
+            return Finding(seat, domains, None)
+        return Finding(seat, domains, steps.done[-1])
+
+    def _result(self, pair: Pair) -> Result:
+        meeting = Meeting(replace(self.occasion, domain=pair.domain))
+        with suppress(StoppedError):
+            one, other = (self._seated(seat, meeting.steps) for seat in (pair.first, pair.second))
+            meeting.hold(meeting.seat(one, other))
+        found = meeting.report()
+        return Result(found.initiator, found.replier, found.failed, found.milliseconds)
+
+    def _seated(self, seat: Seat, steps: Steps) -> Seated:
+        return Seated(self._participant(seat.name, steps), stack_named(seat.stack))
+
+    def _participant(self, name: str, steps: Steps) -> Participant:
+        """Read once. All share one value for one CA, so that what is known of it is known."""
+        if name not in self._read:
+            found = fetched(self.occasion.keystore, name, steps)
+            second = found.permissions_alt_ca
+            self._read[name] = replace(
+                found,
+                identity_ca=self._authority(found.identity_ca),
+                permissions_ca=self._authority(found.permissions_ca),
+                permissions_alt_ca=self._authority(second) if second else None,
+            )
+        return self._read[name]
+
+    def _authority(self, certificate: Certificate) -> Certificate:
+        return self._authorities.setdefault(certificate.der, certificate)
+
+
+def _domains(participant: Participant, now: datetime) -> tuple[frozenset[int], set[int]]:
+    """Those it may join, and those that its governance names. Nothing is verified here."""
+    try:
+        governance = Governance.from_xml(document_in(participant.governance))
+        permissions = Permissions.from_xml(document_in(participant.permissions))
+        named = {each for rule in governance.domain_rules for each in rule.domains.ids()}
+        subject = participant.certificate.subject_name
+        return frozenset(
+            domain
+            for domain in named
+            if may_join(governance, permissions, subject, domain, now).allowed
+        ), named
+    except PqsecError:
+        return frozenset(), set()

@@ -1,0 +1,129 @@
+"""Every two participants of a keystore meet, where they share a domain.
+
+Each is looked at once by itself; then the pairs meet, spread over processes. Results come
+one by one, in the order of the names, so that half a million of them take no memory.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import combinations, islice
+from typing import TypeVar
+
+from pqsec_pki.selfcheck._crew import Crew, crew
+from pqsec_pki.selfcheck._worker import Finding, Gathering, Pair, Result, Seat, Worker
+from pqsec_pki.selfcheck.report import Step
+
+__all__ = ["Finding", "Gathering", "Outcome", "Result", "Seat", "Survey", "count_pairs", "survey"]
+
+BLOCK = 16
+"""Pairs, or participants, that a process is given at a time: an eighth of a second."""
+WORTH_A_PROCESS = 64
+"""Pairs that are through by the time a further process has started."""
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What is to be said of a pair. `result` is None where they did not get to meet."""
+
+    first: Finding
+    second: Finding
+    domain: int | None
+    """None: they share none."""
+    result: Result | None = None
+
+    @property
+    def failed(self) -> Step | None:
+        """What is wrong with one of them, or where their meeting ended."""
+        of_both = self.result.failed if self.result else None
+        return self.first.failed or self.second.failed or of_both
+
+    @property
+    def ok(self) -> bool | None:
+        """None: the question does not arise, as they share no domain."""
+        if self.failed:
+            return False
+        return None if self.domain is None else True
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """All participants of a keystore, each looked at by itself."""
+
+    findings: dict[Seat, Finding]
+    gathering: Gathering
+    _crew: Crew
+
+    @property
+    def names(self) -> list[str]:
+        """The participants, sorted."""
+        return sorted({seat.name for seat in self.findings})
+
+    def outcomes(self) -> Iterator[Outcome]:
+        """Each pair; the first of it behaves like the first of the gathering's stacks.
+
+        PqsecError if a process is killed.
+        """
+        planned: deque[list[Outcome]] = deque()
+
+        def blocks() -> Iterator[list[Pair | None]]:
+            for block in _blocks(self._plans()):
+                planned.append(block)
+                yield [_to_meet(each) for each in block]
+
+        for results in self._crew.map(Worker.let_meet, blocks()):
+            for plan, result in zip(planned.popleft(), results, strict=True):
+                yield Outcome(plan.first, plan.second, plan.domain, result)
+
+    def _plans(self) -> Iterator[Outcome]:
+        one, other = self.gathering.stacks
+        for first, second in combinations(self.names, 2):
+            yield self._plan(Seat(first, one), Seat(second, other))
+            if one != other:
+                yield self._plan(Seat(second, one), Seat(first, other))
+
+    def _plan(self, first: Seat, second: Seat) -> Outcome:
+        one, other = self.findings[first], self.findings[second]
+        shared, wanted = one.domains & other.domains, self.gathering.domain
+        if wanted is not None:
+            shared &= {wanted}
+        return Outcome(one, other, min(shared, default=None))
+
+
+def count_pairs(names: Sequence[str], gathering: Gathering) -> int:
+    """How many outcomes there will be."""
+    return len(names) * (len(names) - 1) // 2 * len(set(gathering.stacks))
+
+
+@contextmanager
+def survey(
+    gathering: Gathering,
+    names: Sequence[str],
+    jobs: int,
+    progress: Callable[[Iterable[Finding]], Iterable[Finding]] = iter,
+) -> Iterator[Survey]:
+    """The participants called `names`, found sound or not, and `jobs` processes for the rest.
+
+    KeystoreError if there is no keystore; PqsecError if a process is killed.
+    """
+    useful = 1 + count_pairs(names, gathering) // WORTH_A_PROCESS
+    seats = (Seat(name, stack) for name in names for stack in dict.fromkeys(gathering.stacks))
+    with crew(gathering, min(jobs, useful)) as workers:
+        looks = workers.map(Worker.look_at, _blocks(seats))
+        findings = {each.seat: each for each in progress(each for look in looks for each in look)}
+        yield Survey(findings, gathering, workers)
+
+
+def _blocks(items: Iterable[Item]) -> Iterator[list[Item]]:
+    rest = iter(items)
+    while block := list(islice(rest, BLOCK)):
+        yield block
+
+
+def _to_meet(plan: Outcome) -> Pair | None:
+    if plan.failed or plan.domain is None:
+        return None
+    return Pair(plan.first.seat, plan.second.seat, plan.domain)

@@ -1,0 +1,137 @@
+"""Everything that went over the wire between two, taken apart, and what came of it.
+
+For whoever implements the other side: all bytes are there to be replayed, each value has
+its name and place. Private keys, also ephemeral ones, are not in a report and so never
+here; the secrets that both sides end with are, and are marked.
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.handshake import (
+    Done,
+    GenericMessage,
+    Transcript,
+    key_exchange_material,
+    unprotect_submessage,
+)
+from pqsec_pki.selfcheck._dissection import (
+    MEANINGS,
+    Describe,
+    Dissection,
+    Piece,
+    protected_pieces,
+)
+from pqsec_pki.selfcheck.report import MESSAGE, Report, Sent
+
+__all__ = ["Piece", "Told", "Trace", "trace"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """One message, taken apart."""
+
+    name: str
+    sender: str
+    receiver: str
+    heads: dict[str, str]
+    """What stands around the token."""
+    pieces: tuple[Piece, ...]
+    sample: bytes = field(repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """The message for a program. Nothing that was sent is a secret."""
+        return {
+            "name": self.name,
+            "from": self.sender,
+            "to": self.receiver,
+            **self.heads,
+            "bytes": len(self.sample),
+            "sample": self.sample.hex(),
+            "pieces": [piece.to_json(show_secrets=False) for piece in self.pieces],
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trace:
+    """A handshake up to its end, or to where it failed."""
+
+    report: Report
+    messages: tuple[Told, ...]
+    derived: tuple[Piece, ...]
+    """What both sides have in the end, beside what was sent."""
+
+    def to_json(self, *, show_secrets: bool) -> dict[str, Any]:
+        """The trace for a program."""
+        return {
+            "report": self.report.to_json(),
+            "messages": [message.to_json() for message in self.messages],
+            "derived": [piece.to_json(show_secrets=show_secrets) for piece in self.derived],
+        }
+
+
+def trace(report: Report, describe: Describe) -> Trace:
+    """What `report` has of messages and secrets, in words of `describe` where it has some."""
+    dissection = Dissection(describe)
+    messages = tuple(_told(sent, dissection) for sent in report.sent)
+    transcript = dissection.transcript
+    derived = [*_public(transcript)] if transcript else []
+    if report.outcome:
+        derived += _secret(report.outcome, [each for each in report.sent if each.name == MESSAGE])
+    return Trace(report=report, messages=messages, derived=tuple(derived))
+
+
+def _told(sent: Sent, dissection: Dissection) -> Told:
+    token = sent.token
+    return Told(
+        name=sent.name,
+        sender=sent.sender,
+        receiver=sent.receiver,
+        heads=_heads(GenericMessage.decode(sent.data)) if token else {},
+        pieces=tuple(dissection.pieces(token) if token else protected_pieces(sent.data)),
+        sample=sent.data,
+    )
+
+
+def _heads(message: GenericMessage) -> dict[str, str]:
+    return {
+        "message_class": message.class_id,
+        "source": message.source.hex(),
+        "sequence": str(message.sequence),
+        "destination": message.destination_participant.hex(),
+        "token_class": message.tokens[0].class_id,
+    }
+
+
+def _public(transcript: Transcript) -> Iterator[Piece]:
+    for name, data, words in (
+        ("hash_c1", transcript.hash_c1, MEANINGS["hash_c1"]),
+        ("hash_c2", transcript.hash_c2, MEANINGS["hash_c2"]),
+        ("signed in the reply", transcript.reply_octets(), "what its signature covers"),
+        ("signed in the final", transcript.final_octets(), "what its signature covers"),
+    ):
+        yield Piece(name=name, data=data, words=(words,))
+
+
+def _secret(done: Done, messages: list[Sent]) -> Iterator[Piece]:
+    material = key_exchange_material(done)
+    bound = " || SHA256(signed in the reply)" if done.agreement.binds_transcript else ""
+    words = "from SharedSecret and both challenges"
+    yield _hidden("SharedSecret", done.shared_secret, f"SHA256(secret{bound})")
+    yield _hidden("key exchange salt", material.salt, words)
+    yield _hidden("key exchange key", material.sender_key, words)
+    for sent in messages:
+        way = f"{sent.sender} to {sent.receiver}"
+        session = next(each.data for each in protected_pieces(sent.data) if "session" in each.name)
+        words = f"from salt and key above and session id {session.hex()}"
+        yield _hidden(f"session key, {way}", material.session_key(session), words)
+        with suppress(PqsecError):  # where it cannot be read, the report says so
+            plain = unprotect_submessage(material, sent.data)
+            yield _hidden(f"plaintext, {way}", plain, "an RTPS submessage")
+
+
+def _hidden(name: str, data: bytes, words: str) -> Piece:
+    return Piece(name=name, data=data, words=(words,), secret=True)

@@ -1,0 +1,79 @@
+"""pqsec verify-handshake --attack: does this domain refuse forgery?"""
+
+import shutil
+
+import pytest
+
+from pqsec_pki.attacks import ATTACKS
+from tests.cli.conftest import NAMES, snapshot
+
+LINE = "-k k verify-handshake /talker /listener"
+ALL = [row.name for row in ATTACKS]
+
+# cryptography warns of what it will refuse some day, and a spoilt certificate may have that.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
+]
+
+
+@pytest.mark.parametrize("profile", NAMES)
+def test_a_domain_withstands_all_attacks(pqsec, keystore, profile):
+    root = keystore(profile)
+    shutil.rmtree(root / "private")  # the CA may be elsewhere
+    before = snapshot(root)
+    said = pqsec(f"{LINE} --attack all --json").done().json
+    assert said["ok"] is True
+    assert said["control"]["ok"] is True
+    assert [each["name"] for each in said["attacks"]] == ALL
+    assert all(each["ok"] for each in said["attacks"])
+    skipped = [each["name"] for each in said["attacks"] if "skipped" in each]
+    assert len(skipped) == (0 if profile == "transition" else 5)
+    for attack in said["attacks"]:
+        assert attack["name"] in skipped or attack["refused"] == len(attack["attempts"]) > 0
+        for attempt in attack.get("attempts", ()):
+            assert attempt["refused"]
+            assert all(attempt[key] for key in ("what", "by", "step", "cause"))
+    assert snapshot(root) == before
+
+
+def test_each_attack_is_told_to_a_person(pqsec, keystore):
+    keystore("pq")
+    told = pqsec(f"{LINE} --attack all").done().out.splitlines()
+    for name in ALL:
+        [line] = [each for each in told if name in each.split()]
+        assert ("participants of profile pq have one key" in line) == line.startswith("-")
+        assert line.startswith(("ok ", "- "))
+    assert told[-1].endswith("attempts, all refused")
+
+
+def test_one_attack_is_told_with_its_attempts(pqsec, keystore):
+    keystore("classical")
+    told = pqsec(f"{LINE} --attack copied-certificate").done().out
+    assert "another key, as initiator" in told
+    assert "another key, as replier" in told
+    assert told.count("bad ECDSA-SHA256 signature") == 2
+    assert told.splitlines()[-1] == "1 attack in 2 attempts, all refused"
+
+
+def test_an_unknown_attack_is_refused(pqsec, keystore):
+    keystore("classical")
+    said = pqsec(f"{LINE} --attack forgery")
+    said.refused(2, "no attack named 'forgery'", hint="known: all, change-request")
+
+
+def test_where_two_do_not_meet_attacks_prove_nothing(pqsec, keystore):
+    keystore("classical")
+    said = pqsec(f"{LINE} --domain 5 --attack all --json")
+    assert said.code == 1
+    assert said.json["ok"] is False
+    assert said.json["attacks"] == []
+    told = pqsec(f"{LINE} --domain 5 --attack all")
+    assert told.code == 1
+    assert "attacks prove nothing; documents of /talker failed" in told.out
+    assert "hint: add the domain to enclaves/governance.xml" in told.out
+
+
+def test_a_stock_stack_cannot_be_attacked(pqsec, keystore):
+    keystore("classical")
+    pqsec(f"{LINE} --as cyclonedds --attack all").refused(2, "--as")

@@ -1,0 +1,27 @@
+"""What takes bytes from outside, by name.
+
+A target gives a value or raises PqsecError. Whatever else comes out of it is a finding.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from pqsec_pki.errors import PqsecError
+from tests.fuzz import files, messages, mutation
+
+
+class Target(NamedTuple):
+    """An entry point, real bytes that it takes, and how these are best spoilt."""
+
+    take: Callable[[bytes], Any]
+    seeds: Callable[[], list[bytes]]
+    spoilt: Callable[..., bytes] = mutation.plain
+
+    def run(self, data: bytes) -> None:
+        """Whatever `data` is, this returns, or there is a finding."""
+        with suppress(PqsecError):
+            self.take(data)
+
+
+TARGETS = {name: Target(*each) for name, each in (messages.TARGETS | files.TARGETS).items()}

@@ -1,0 +1,49 @@
+"""Keystores for tests of the self-check, made by the library as the command line does."""
+
+import shutil
+from datetime import UTC, datetime, timedelta
+
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.keystore import Keystore, Wish, issue
+
+NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
+DAY = timedelta(days=1)
+TWO = ("/listener", "/talker")
+
+
+def made(root, profile, domains="0", names=TWO):
+    """A keystore with these participants; `names` may say on which domains each is."""
+    keystore = Keystore.create(
+        root,
+        profile_named(profile),
+        name="Test",
+        domains=DomainSet.parse(domains),
+        validity=900 * DAY,
+        passphrase=None,
+        now=NOW,
+    )
+    add(keystore, **dict(names if isinstance(names, dict) else dict.fromkeys(names, domains)))
+    return keystore
+
+
+def add(keystore, *, now=NOW, **names):
+    """Issue participants for 90 days: name=domains."""
+    wishes = [
+        Wish(name=name, domains=DomainSet.parse(on), publish=("x",), validity=90 * DAY)
+        for name, on in names.items()
+    ]
+    issue(keystore, keystore.unlock(None), wishes, now=now)
+
+
+def take(keystore, file, source, goal):
+    """The file of one participant takes the place of another's."""
+    enclaves = keystore.root / "enclaves"
+    shutil.copyfile(enclaves / source.strip("/") / file, enclaves / goal.strip("/") / file)
+
+
+def adopt(keystore, other, name):
+    """A participant of another keystore, with all it trusts, takes the place of ours."""
+    goal = keystore.root / f"enclaves{name}"
+    shutil.rmtree(goal)
+    shutil.copytree(other.root / f"enclaves{name}", goal, symlinks=False)

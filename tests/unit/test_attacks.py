@@ -1,0 +1,554 @@
+"""Every attack is refused: where the table below says, by the victim, in these words."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.access import Decision
+from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, PublicKey, profile_named
+from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks.siege import attempted, withstand
+from pqsec_pki.attacks.table import ATTACKS, Attack, Attacker, attack_named
+from pqsec_pki.documents import DomainSet, Permissions
+from pqsec_pki.errors import UnknownAlgorithmError, UsageError
+from pqsec_pki.handshake import messages, participants
+from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.selfcheck import Guest, Occasion, credentials, stack_named
+from pqsec_pki.selfcheck.meeting import Meeting
+from pqsec_pki.smime import Require, Signer, sign
+
+# cryptography warns of what it will refuse some day, and a spoilt certificate may have that.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
+]
+NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
+YEAR = timedelta(days=365)
+HOUR = timedelta(hours=1)
+DOMAIN = DomainSet.of(0)
+NAMES = [profile.name for profile in PROFILES]
+ALL = [row.name for row in ATTACKS]
+FOR_TWO_KEYS = {
+    "plain-signature",
+    "half-signature",
+    "stripped-certificate",
+    "broken-ca",
+    "stripped-permissions",
+}
+each_profile = pytest.mark.parametrize("profile", NAMES)
+
+NOT_WHAT_IT_WAS = "is not what it was"
+BAD_SIGNATURE = "^bad .* signature$"
+OTHER_KEYS = "different keys"
+INTRODUCED = "introduction: |was issued by|not signed by this CA"
+UNSIZED = "^not a .* (public key|ciphertext): [0-9]+ bytes$"
+MISLABELLED = "(?i)(where a 'dds.*' is due|a message for another participant)$"
+
+EXPECTED = {
+    # attack: (what is tried, the step that refuses it, the cause); the first that fits counts
+    "change-request": [
+        ("^c.id, last", "reply", "^hash_c1 is not what it was$"),
+        ("^c.id", "reply", INTRODUCED),
+        ("^c.pdata, first", "reply", "no participant GUID"),
+        ("^c.pdata, middle", "reply", "not the one that was discovered"),
+        ("^c.dsign_algo", "reply", "is not how the certificate's key signs here"),
+        ("^c.kagree_algo", "reply", "^the peer asks for"),
+        ("^c.p|^hash_c1", "reply", "^hash_c1 is not what it was$"),
+        ("^challenge1", "reply", "^challenge1 is not the one that the peer announced$"),
+        ("^dh1", "reply", "^bad .* public key$"),
+        ("^dh1", "final", "^dh1 is not what it was$"),
+    ],
+    "change-reply": [
+        ("^c.id, last", "final", "^hash_c2 is not what it was$"),
+        ("^c.id", "final", INTRODUCED),
+        ("^c.pdata, first", "final", "no participant GUID"),
+        ("^c.pdata, middle", "final", "not the one that was discovered"),
+        ("^c.dsign_algo", "final", "is not how the certificate's key signs here"),
+        ("^c.kagree_algo", "final", "^c.kagree_algo is not what was asked for"),
+        ("^c.p|^hash_c2", "final", "^hash_c2 is not what it was$"),
+        ("^challenge2", "final", "^challenge2 is not the one that the peer announced$"),
+        ("^(hash_c1|challenge1|dh1)", "final", "^(hash_c1|challenge1|dh1) is not what it was$"),
+        ("^(dh2|signature)", "final", BAD_SIGNATURE),
+    ],
+    "change-final": [
+        ("^signature", "authenticated", BAD_SIGNATURE),
+        ("", "authenticated", "^[a-z]+(_c)?[12] is not what it was$"),
+    ],
+    "change-message": [
+        ("^(kind|key id)", "message", "protected in another way, or with a key of another name"),
+        ("^length", "message", "runs past the end"),
+        ("^number", "message", "a crypto footer of 20 bytes for 1 receivers"),
+        ("^unprotected", "message", "not one protected submessage"),
+        ("", "message", OTHER_KEYS),
+    ],
+    "drop-field": [
+        ("request$", "reply", "^[a-z._0-9]+ is missing$"),
+        ("reply$", "final", "^[a-z._0-9]+ is missing$"),
+        ("final$", "authenticated", "^[a-z._0-9]+ is missing$"),
+    ],
+    "double-field": [
+        ("request$", "reply", "' is there 2 times"),
+        ("reply$", "final", "' is there 2 times"),
+        ("final$", "authenticated", "' is there 2 times"),
+    ],
+    "smuggle-field": [
+        ("request$", "reply", "^'c.extra' is not covered by every stack's hash$"),
+        ("reply$", "final", "^'c.extra' is not covered by every stack's hash$"),
+        ("final$", "authenticated", "^'c.extra' is not covered by every stack's hash$"),
+    ],
+    "mislabel": [
+        ("^the auth request twice", "auth", "2 tokens where one is due"),
+        (
+            "^the auth request",
+            "auth",
+            MISLABELLED,
+        ),
+        ("^the request twice", "reply", "2 tokens where one is due"),
+        (
+            "^the request",
+            "reply",
+            MISLABELLED,
+        ),
+        ("^the reply twice", "final", "2 tokens where one is due"),
+        ("^the reply", "final", MISLABELLED),
+        ("^the final twice", "authenticated", "2 tokens where one is due"),
+        (
+            "^the final",
+            "authenticated",
+            MISLABELLED,
+        ),
+    ],
+    "reorder": [
+        ("a request is due$", "reply", r"where a 'DDS:Auth:PKI-DH:1.0\+Req' is due"),
+        ("a reply is due$", "final", r"where a 'DDS:Auth:PKI-DH:1.0\+Reply' is due"),
+        ("a final is due$", "authenticated", r"where a 'DDS:Auth:PKI-DH:1.0\+Final' is due"),
+    ],
+    "truncate": [
+        ("of the auth request$", "auth", "not CDR|runs past the end"),
+        ("of the request$", "reply", "not CDR|runs past the end"),
+        ("of the reply$", "final", "not CDR|runs past the end"),
+        ("of the final$", "authenticated", "not CDR|runs past the end"),
+    ],
+    "oversize": [
+        ("1 MiB in the request", "reply", "larger than [0-9]+ bytes"),
+        ("1 MiB in the reply", "final", "larger than [0-9]+ bytes"),
+        ("1 MiB in the final", "authenticated", "larger than [0-9]+ bytes"),
+        ("fields in the request", "reply", "^100[0-9]+ elements, more than allowed"),
+        ("fields in the reply", "final", "^100[0-9]+ elements, more than allowed"),
+        ("fields in the final", "authenticated", "^100[0-9]+ elements, more than allowed"),
+        ("4 GiB in the request", "reply", "a length of 4294967295 runs past the end"),
+        ("4 GiB in the reply", "final", "a length of 4294967295 runs past the end"),
+        ("4 GiB in the final", "authenticated", "a length of 4294967295 runs past the end"),
+    ],
+    "swap-challenge": [
+        ("^the initiator's, as announced$", "reply", "^challenge1 is not the one that the peer"),
+        ("^the replier's, as announced$", "final", "^challenge2 is not the one that the peer"),
+        ("^the initiator's, announced and sent$", "final", "^challenge1 is not what it was$"),
+        ("", "final", BAD_SIGNATURE),
+    ],
+    "strip-hash": [("", "final", BAD_SIGNATURE)],
+    "key-in-the-middle": [("", "final", BAD_SIGNATURE)],
+    "downgrade": [
+        ("request$", "reply", "^the peer asks for '.*'; allowed here: [^,]*$"),
+        ("reply$", "final", "^c.kagree_algo is not what was asked for$"),
+    ],
+    "name-other-signature": [
+        ("request$", "reply", "is not how the certificate's key signs here$"),
+        ("reply$", "final", "is not how the certificate's key signs here$"),
+    ],
+    "name-unknown-algorithm": [
+        ("request: 1000 bytes", "reply", "has 1000 bytes, which names no algorithm$"),
+        ("reply: 1000 bytes", "final", "has 1000 bytes, which names no algorithm$"),
+        ("dsign_algo of the request", "reply", "is not how the certificate's key signs here$"),
+        ("dsign_algo of the reply", "final", "is not how the certificate's key signs here$"),
+        ("kagree_algo of the request", "reply", "^the peer asks for"),
+        ("kagree_algo of the reply", "final", "^c.kagree_algo is not what was asked for$"),
+    ],
+    "reflect": [
+        ("request$", "reply", "is our own: the message was reflected$"),
+        ("reply$", "final", "is our own: the message was reflected$"),
+    ],
+    "replay": [
+        ("^the request$", "reply", "^challenge1 is not the one that the peer announced$"),
+        ("^the reply$", "final", "^challenge1 is not what it was"),
+        ("^the final$", "authenticated", "^challenge1 is not what it was"),
+        ("initiator said$", "authenticated", "^challenge2 is not what it was; dh2 is not"),
+        ("replier said$", "final", "^challenge1 is not what it was; dh1 is not what it was$"),
+        ("under the keys of then$", "message", OTHER_KEYS),
+    ],
+    "copied-certificate": [
+        ("as initiator$", "authenticated", BAD_SIGNATURE),
+        ("as replier$", "final", BAD_SIGNATURE),
+    ],
+    "own-ca": [
+        ("same name, as initiator$", "reply", "not signed by this CA"),
+        ("same name, as replier$", "final", "not signed by this CA"),
+        ("another name, as initiator$", "reply", "was issued by CN=Another CA, not by"),
+        ("another name, as replier$", "final", "was issued by CN=Another CA, not by"),
+    ],
+    "self-signed": [
+        ("as initiator$", "reply", "was issued by .*; .* is a CA's, not a participant's"),
+        ("as replier$", "final", "was issued by .*; .* is a CA's, not a participant's"),
+    ],
+    "expired": [
+        ("/talker's$", "reply", "the certificate of CN=/talker expired on 2027-11-21 12:00:00"),
+        ("/listener's$", "final", "the certificate of CN=/listener expired on 2027-05-"),
+    ],
+    "not-yet-valid": [
+        ("/talker's$", "reply", "CN=/talker is not valid before 2026-11-20 12:00:00"),
+        ("/listener's$", "final", "^the .* of CN=/listener is not valid before 2026-11-20 13:00"),
+    ],
+    "plain-signature": [
+        ("as initiator$", "reply", "^c.dsign_algo 'ECDSA-SHA256' is not how"),
+        ("as replier$", "final", "^c.dsign_algo 'ECDSA-SHA256' is not how"),
+    ],
+    "half-signature": [
+        ("as initiator$|in the final$", "authenticated", BAD_SIGNATURE),
+        ("as replier$|in the reply$", "final", BAD_SIGNATURE),
+    ],
+    "stripped-certificate": [
+        ("as initiator$", "reply", "; the certificate of CN=/[a-z]+ has no alternative signature$"),
+        ("as replier$", "final", "; the certificate of CN=/[a-z]+ has no alternative signature$"),
+    ],
+    "broken-ca": [
+        ("^no .*as initiator$", "reply", "^the certificate of .* has no alternative signature$"),
+        ("^no .*as replier$", "final", "^the certificate of .* has no alternative signature$"),
+        ("as initiator$", "reply", "^the alternative signature of .*: bad ml-dsa-65 signature$"),
+        ("as replier$", "final", "^the alternative signature of .*: bad ml-dsa-65 signature$"),
+    ],
+    "participant-as-ca": [
+        ("as initiator$", "reply", "CN=/stranger was issued by CN=/[a-z]+, not by CN=Lab Identity"),
+        ("as replier$", "final", "CN=/stranger was issued by CN=/[a-z]+, not by CN=Lab Identity"),
+    ],
+    "claimed-guid": [
+        ("as initiator$", "reply", "^the GUID in c.pdata does not belong to the certificate's"),
+        ("as replier$", "final", "^the GUID in c.pdata does not belong to the certificate's"),
+    ],
+    "borrowed-permissions": [("", "admits", "may not join domain 0: no grant is for CN=/")],
+    "forged-permissions": [
+        ("^by ", "admits", "not signed by CN=Lab Permissions CA but by another certificate"),
+        ("with its own name", "admits", "the content was changed after it was signed"),
+        ("^not signed|^none", "admits", "not an S/MIME signed document"),
+    ],
+    "stripped-permissions": [("", "admits", "there is no post-quantum signature")],
+    "bad-public-key": [
+        ("^(a byte short|a byte long|empty|a zero byte)", "reply", UNSIZED),
+        ("^all 0xff", "reply", "^bad .* public key$"),
+        ("", "reply", "^bad .* public key$"),
+        ("", "message", OTHER_KEYS),
+    ],
+    "bad-ciphertext": [
+        ("^(a byte short|a byte long|empty|a zero byte)", "final", UNSIZED),
+        ("", "final", "^bad .* ciphertext$"),
+        ("", "message", OTHER_KEYS),
+    ],
+}
+
+
+def made(root, profile):
+    options = {"name": "Lab", "domains": DOMAIN, "validity": 10 * YEAR, "passphrase": None}
+    keystore = Keystore.create(root, profile_named(profile), now=NOW, **options)
+    unlocked = keystore.unlock(None)
+    # The listener's certificate begins later and ends earlier.
+    for name, now, validity in (("/talker", NOW, YEAR), ("/listener", NOW + HOUR, YEAR / 2)):
+        wish = Wish(name=name, domains=DOMAIN, publish=("rt/chatter",), validity=validity)
+        issue(keystore, unlocked, [wish], now=now)
+    return keystore
+
+
+@pytest.fixture(scope="module")
+def occasion(tmp_path_factory):
+    """occasion("pq"): two of that profile would meet. The CA's keys are not there."""
+
+    @cache
+    def make(profile):
+        keystore = made(tmp_path_factory.mktemp(profile) / "k", profile)
+        shutil.rmtree(keystore.root / "private")
+        return Occasion(keystore=keystore, domain=0, now=NOW)
+
+    return make
+
+
+GUESTS = Guest(name="/talker"), Guest(name="/listener")
+
+
+@pytest.fixture(scope="module")
+def siege(occasion):
+    """siege("pq"): all attacks on two of that profile."""
+    return cache(lambda profile: withstand(occasion(profile), *GUESTS, ATTACKS))
+
+
+@pytest.fixture
+def scene(occasion):
+    """scene("pq"): what an attacker of two of that profile finds."""
+
+    def find(profile):
+        meeting = Meeting(occasion(profile))
+        encounter = meeting.prepare(*GUESTS)
+        meeting.hold(encounter)
+        return Scene(encounter=encounter, recorded=meeting.report().sent)
+
+    return find
+
+
+def judge(step, siege):
+    """Who refuses at that step."""
+    words = step.split()
+    if "admits" in words:
+        return words[0]
+    if "message" in words:
+        return words[-1]
+    return siege.control.initiator if step == "final" else siege.control.replier
+
+
+def fits(result, expected):
+    what, step, cause = expected
+    at = result.step.name.split()
+    return re.search(what, result.what) and step in at and re.search(cause, result.step.detail)
+
+
+@each_profile
+@pytest.mark.parametrize("name", ALL)
+def test_an_attack_is_refused_where_the_table_says(siege, profile, name):
+    siege = siege(profile)
+    [outcome] = [each for each in siege.outcomes if each.attack.name == name]
+    assert outcome.ok
+    if name in FOR_TWO_KEYS and profile != "transition":
+        assert outcome.skipped == f"participants of profile {profile} have one key"
+        return
+    for result in outcome.results:
+        assert result.refused
+        assert any(fits(result, each) for each in EXPECTED[name]), result
+        assert result.by == judge(result.step.name, siege)
+        assert not ("as initiator" in result.what and result.by == siege.control.initiator)
+        assert not ("as replier" in result.what and result.by == siege.control.replier)
+    assert all(
+        any(re.search(what, result.what) for result in outcome.results)
+        for what, *_ in EXPECTED[name]
+    )
+
+
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda row: row.name)
+def test_a_row_names_the_steps_that_refuse_it_and_no_others(siege, attack):
+    sieges = [siege(profile) for profile in NAMES]
+    results = [
+        result
+        for each in sieges
+        for outcome in each.outcomes
+        if outcome.attack is attack
+        for result in outcome.results
+    ]
+    seen = {
+        word for word in attack.refused_at for each in results if word in each.step.name.split()
+    }
+    assert seen == set(attack.refused_at)
+    assert all(set(attack.refused_at) & set(each.step.name.split()) for each in results)
+
+
+def test_the_attacks_are_all_known_here_by_names_that_can_be_typed():
+    assert list(EXPECTED) == ALL
+    assert len(set(ALL)) == len(ALL)
+    assert all(re.fullmatch("[a-z]+(-[a-z]+)*", name) for name in ALL)
+    assert [attack_named(name.upper()) for name in ALL] == list(ATTACKS)
+
+
+def test_an_unknown_attack_is_told_with_those_there_are():
+    with pytest.raises(UnknownAlgorithmError, match="no attack named 'nothing'") as error:
+        attack_named("nothing")
+    assert all(name in error.value.hint for name in ("all", *ALL))
+
+
+# Would they show it?
+
+
+def trusting(scene, **policy):
+    """The same two, who insist on less."""
+    one, other = (
+        replace(side, terms=replace(side.terms, policy=replace(side.terms.policy, **policy)))
+        for side in scene.encounter.sides
+    )
+    return replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
+
+
+def through(name, scene):
+    """What of that attack gets through."""
+    results = attempted(attack_named(name), scene).results
+    assert all((each.by, each.step) == (None, None) for each in results if not each.refused)
+    return [each.what for each in results if not each.refused]
+
+
+def blind(*_, **__):
+    """A check that finds nothing wrong."""
+    return True
+
+
+ALLOWED = Decision(allowed=True, reason="blind", decided_by=None)
+BLIND = {
+    # attack: (the check that refuses it, what finds nothing wrong, how many get through then)
+    "copied-certificate": (PublicKey, "verify_handshake", blind, 2),
+    "half-signature": (PublicKey, "verify_handshake", blind, 8),
+    "own-ca": (participants, "verify_chain", blind, 4),
+    "self-signed": (participants, "verify_chain", blind, 2),
+    "claimed-guid": (participants, "belongs_to", blind, 2),
+    "smuggle-field": (messages, "_OWN_PREFIX", "none", 3),
+    "borrowed-permissions": (credentials, "may_join", lambda *_: ALLOWED, 2),
+    "stripped-permissions": (credentials, "required_signatures", lambda _: Require.ANY, 2),
+}
+
+
+@pytest.mark.parametrize("name", BLIND)
+def test_an_attack_gets_through_where_its_check_is_missing(scene, monkeypatch, name):
+    found = scene("transition")
+    assert through(name, found) == []
+    place, check, blinded, count = BLIND[name]
+    monkeypatch.setattr(place, check, blinded)
+    assert len(through(name, found)) == count
+
+
+@pytest.mark.parametrize(
+    ("name", "policy", "what"),
+    [
+        ("plain-signature", {"require_alternative": False}, "the plain key alone"),
+        ("broken-ca", {"require_alternative": False}, "no alternative signature"),
+        ("downgrade", {"agreements": tuple(KEY_AGREEMENTS)}, "ecdh-p256 in the request"),
+    ],
+)
+def test_an_attack_gets_through_where_the_policy_lets_it(scene, name, policy, what):
+    found = through(name, trusting(scene("transition"), **policy))
+    assert found
+    assert any(each.startswith(what) for each in found)
+
+
+@pytest.mark.parametrize("row", list(KEY_AGREEMENTS), ids=lambda row: row.name)
+def test_attacks_on_a_key_agreement_are_refused_whichever_it_is(occasion, row):
+    names = ("change-request", "change-reply", "key-in-the-middle", "downgrade")
+    attacks = [attack_named(name) for name in (*names, "bad-public-key", "bad-ciphertext")]
+    siege = withstand(replace(occasion("classical"), agreement=row), *GUESTS, attacks)
+    assert siege.control.key_agreement == row.wire_name
+    assert siege.ok, siege.verdict
+    for outcome in siege.outcomes:
+        for result in outcome.results:
+            assert any(fits(result, each) for each in EXPECTED[outcome.attack.name]), result
+
+
+# What is made of it
+
+
+def nothing_done(scene):
+    """An attacker who lets everything pass."""
+    yield scene.between("nothing")
+
+
+def stops_itself(scene):
+    """An attacker who finds the other's certificate wrong."""
+    one, _ = scene.encounter.sides
+    another_ca = one.participant.permissions_ca
+    posed = replace(scene.encounter, initiator=showing(one, ca=another_ca))
+    yield Attempt("with another CA", posed, one.name)
+
+
+def harmless(act):
+    return Attack(
+        name="harmless", attacker=Attacker.INSIDER, title="nothing", refused_at=(), act=act
+    )
+
+
+@pytest.mark.parametrize("act", [nothing_done, stops_itself])
+def test_what_nobody_refuses_got_through(occasion, act):
+    siege = withstand(occasion("classical"), *GUESTS, [harmless(act), attack_named("replay")])
+    assert not siege.ok
+    assert siege.verdict == "1 of 2 attacks got through: harmless"
+    bad, good = siege.to_json()["attacks"]
+    assert (bad["ok"], bad["refused"], good["ok"], good["refused"]) == (False, 0, True, 7)
+    [attempt] = bad["attempts"]
+    assert attempt | {"what": ""} == {
+        "what": "",
+        "refused": False,
+        "by": None,
+        "step": None,
+        "cause": None,
+    }
+    assert "SECURITY.md" in bad["hint"]
+    assert "hint" not in good
+
+
+def test_an_attack_without_attempts_proves_nothing(occasion):
+    siege = withstand(occasion("classical"), *GUESTS, [harmless(lambda _: iter(()))])
+    assert not siege.ok
+    assert siege.outcomes[0].example is None
+
+
+def test_where_the_two_do_not_meet_nothing_is_tried(occasion):
+    told = []
+    elsewhere = replace(occasion("classical"), domain=5)
+    siege = withstand(elsewhere, *GUESTS, ATTACKS, told.append)
+    assert not siege.ok
+    assert siege.outcomes == ()
+    assert told == []
+    assert siege.verdict.startswith(
+        "they do not meet without an attacker, so attacks prove nothing"
+    )
+    assert "documents of /talker failed: /talker may not join domain 5" in siege.verdict
+
+
+def test_each_attack_is_told_once_it_is_over(occasion):
+    told = []
+    attacks = [attack_named(name) for name in ("reflect", "broken-ca")]
+    siege = withstand(occasion("pq"), *GUESTS, attacks, told.append)
+    assert tuple(told) == siege.outcomes
+    assert siege.verdict == "1 attack in 2 attempts, all refused"
+    reflect, skipped = json.loads(json.dumps(siege.to_json()))["attacks"]
+    assert reflect["attempts"][0] == {
+        "what": "its own credentials, in the request",
+        "refused": True,
+        "by": "/listener",
+        "step": "reply",
+        "cause": siege.outcomes[0].example.step.detail,
+    }
+    assert skipped["skipped"] == "participants of profile pq have one key"
+
+
+def test_permissions_that_are_for_both_are_not_borrowed(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    folders = [keystore.root / "enclaves" / name for name in ("talker", "listener")]
+    documents = [Permissions.from_xml((each / "permissions.xml").read_bytes()) for each in folders]
+    both = Permissions(grants=tuple(grant for each in documents for grant in each.grants))
+    ca = keystore.unlock(None).permissions
+    for folder in folders:
+        signed = sign(both.to_xml(), Signer(ca.certificate, ca.key), now=NOW)
+        (folder / "permissions.p7s").write_bytes(signed)
+    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
+    siege = withstand(occasion, *GUESTS, ATTACKS)
+    assert siege.ok, siege.verdict
+    [borrowed] = [each for each in siege.outcomes if each.attack.name == "borrowed-permissions"]
+    assert borrowed.skipped == "the permissions of /listener are for /talker too"
+
+
+def test_a_stock_stack_is_not_attacked(occasion):
+    stock = Guest(name="/listener", stack=stack_named("cyclonedds"))
+    with pytest.raises(UsageError, match="not on that of Cyclone DDS"):
+        withstand(occasion("classical"), GUESTS[0], stock, ATTACKS)
+
+
+def test_nothing_in_the_keystore_is_changed(occasion):
+    def content(root):
+        return {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+    occasion = occasion("classical")
+    before = content(occasion.keystore.root)
+    assert withstand(occasion, *GUESTS, ATTACKS).ok
+    assert content(occasion.keystore.root) == before
+
+
+def test_the_table_of_the_document_is_the_rows():
+    text = (Path(__file__).parents[2] / "docs/attacks.md").read_text()
+    rows = re.findall(r"(?m)^\| `([a-z-]+)` \| (.*) \| (.*) \| (.*) \|$", text)
+    assert rows == [
+        (row.name, row.attacker.value, row.title, ", ".join(row.refused_at)) for row in ATTACKS
+    ]
