@@ -1,10 +1,32 @@
 """May this participant do that? Governance and permissions in, a decision out.
 
 For the self-check, the plugin and the command line. Questions follow DDS-Security 1.1,
-9.4.3; where the stacks answer otherwise, the function says so.
+9.4; there is a reading of the documents for the standard and one for each stack, since
+stacks answer otherwise.
 """
 
-from pqsec_pki.access.decision import Decision
+from pqsec_pki.access.decide import Policy, decide
+from pqsec_pki.access.decision import Decision, Part, Protection
 from pqsec_pki.access.join import may_join
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.reading import Reading, Side
+from pqsec_pki.access.readings import CYCLONEDDS, FASTDDS, OPENDDS, READINGS, SPEC, reading_named
 
-__all__ = ["Decision", "may_join"]
+__all__ = [
+    "CYCLONEDDS",
+    "FASTDDS",
+    "OPENDDS",
+    "READINGS",
+    "SPEC",
+    "Action",
+    "Decision",
+    "Part",
+    "Policy",
+    "Protection",
+    "Question",
+    "Reading",
+    "Side",
+    "decide",
+    "may_join",
+    "reading_named",
+]

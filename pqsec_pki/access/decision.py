@@ -1,8 +1,72 @@
 """The answer to a question about access."""
 
 from dataclasses import dataclass
+from typing import Self, TypeAlias
 
-from pqsec_pki.documents import DomainRule, Grant, Rule
+from pqsec_pki.documents import Criteria, DomainRule, Grant, ProtectionKind, Rule, TopicRule
+
+Part: TypeAlias = DomainRule | TopicRule | Grant | Rule
+"""A part of a document that can decide; each has its line."""
+
+_HOW = {
+    ProtectionKind.NONE: "in the clear: anyone on the network can read and forge it",
+    ProtectionKind.SIGN: "signed: anyone on the network can read it, only members can make it",
+    ProtectionKind.ENCRYPT: "encrypted: only members can read it and make it",
+    ProtectionKind.SIGN_WITH_ORIGIN_AUTHENTICATION: (
+        "signed by its origin: anyone on the network can read it, only the sender can make it"
+    ),
+    ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION: (
+        "encrypted and signed by its origin: only members can read it, only the sender can make it"
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Protection:
+    """What governance adds to traffic that is allowed (DDS-Security 1.1, 9.4.1.2).
+
+    For a topic: how its payload (`data`) and its submessages (`metadata`) travel, its
+    announcements (`discovery`) and its signs of life (`liveliness`); for a whole domain
+    `data` and `metadata` are None. `rtps` is how every message of the domain travels,
+    around all that. `strangers` are participants without credentials: whether they may
+    take part, as far as that is not protected.
+    """
+
+    data: ProtectionKind | None
+    metadata: ProtectionKind | None
+    discovery: ProtectionKind
+    liveliness: ProtectionKind
+    rtps: ProtectionKind
+    strangers: bool
+
+    @classmethod
+    def of(cls, domain: DomainRule, topic: TopicRule | None = None) -> Self:
+        """What a domain rule adds, and its topic rule for the topic."""
+        off = ProtectionKind.NONE
+        announced = topic is None or topic.enable_discovery_protection
+        alive = topic is None or topic.enable_liveliness_protection
+        return cls(
+            data=topic.data_protection_kind if topic else None,
+            metadata=topic.metadata_protection_kind if topic else None,
+            discovery=domain.discovery_protection_kind if announced else off,
+            liveliness=domain.liveliness_protection_kind if alive else off,
+            rtps=domain.rtps_protection_kind,
+            strangers=domain.allow_unauthenticated_participants,
+        )
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """A sentence for each, for a user."""
+        kinds = {
+            "payload": self.data,
+            "submessages": self.metadata,
+            "discovery": self.discovery,
+            "liveliness": self.liveliness,
+            "whole messages": self.rtps,
+        }
+        said = [f"{what}: {_HOW[kind]}" for what, kind in kinds.items() if kind is not None]
+        may = "may take part in what is not protected" if self.strangers else "are shut out"
+        return *said, f"participants without credentials: {may}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -10,17 +74,21 @@ class Decision:
     """Yes or no, and why.
 
     `decided_by` is the part of a document that decided: a rule, or a grant by its
-    validity or its default; None where the lack of a part did.
+    validity or its default; None where the lack of a part did. `criteria` are those of
+    the rule that were met, if any had to be. `protection` is None where no governance
+    covers the question.
     """
 
     allowed: bool
     reason: str
-    decided_by: DomainRule | Grant | Rule | None = None
+    decided_by: Part | None = None
+    criteria: Criteria | None = None
+    protection: Protection | None = None
 
 
-def yes(reason: str, by: DomainRule | Grant | Rule) -> Decision:
-    return Decision(allowed=True, reason=reason, decided_by=by)
+def yes(reason: str, by: Part | None = None, criteria: Criteria | None = None) -> Decision:
+    return Decision(allowed=True, reason=reason, decided_by=by, criteria=criteria)
 
 
-def no(reason: str, by: DomainRule | Grant | Rule | None = None) -> Decision:
-    return Decision(allowed=False, reason=reason, decided_by=by)
+def no(reason: str, by: Part | None = None, criteria: Criteria | None = None) -> Decision:
+    return Decision(allowed=False, reason=reason, decided_by=by, criteria=criteria)

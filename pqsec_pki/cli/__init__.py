@@ -21,6 +21,11 @@ COMMANDS = {
     "demo": ("demo", "Make a secured domain of two participants and prove that it works."),
     "ca": ("ca", "Make and show the identity CA and the permissions CA."),
     "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
+    "governance": ("governance", "Write the governance document in YAML, with presets."),
+    "permissions": (
+        "permissions",
+        "Write permissions documents in YAML, and import policies of SROS2.",
+    ),
     "sign-governance": ("sign", "Check a governance document against its schema and sign it."),
     "sign-permissions": ("sign", "Check a permissions document against its schema and sign it."),
     "validate": ("validate", "Check governance and permissions documents against their schemas."),

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _common, _policy
 from pqsec_pki.documents import DomainSet, Governance, ros
+from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Issued, Keystore, Wish
 from pqsec_pki.keystore import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -35,6 +36,11 @@ _ROS = {
 @click.option(
     "--ros-node", multiple=True, metavar="NODE", help="What a ROS 2 node needs to start: /talker."
 )
+@click.option(
+    "--policy",
+    type=_common.FILE,
+    help="Take what each NAME may do from permissions in YAML, or a policy of SROS2.",
+)
 @click.option("--validity", type=_common.Duration(), default="1y", show_default=True)
 @click.option("--force", is_flag=True, help="Replace participants that are there already.")
 @_common.passphrase_option
@@ -46,6 +52,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     subscribe: tuple[str, ...],
     ros_publish: tuple[str, ...],
     ros_subscribe: tuple[str, ...],
+    policy: Path | None,
     validity: timedelta,
     passphrase_file: Path | None,
     *,
@@ -56,7 +63,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
     expressions as they stand on the wire (rt/chatter); --ros-... takes ROS names. Each
-    NAME may do what is named here, and nothing else.
+    NAME may do what is named here, or in its grant of --policy, and nothing else.
     """
     keystore = _common.open_keystore()
     publish += tuple(map(ros.topic, ros_publish))
@@ -76,20 +83,25 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         )
         for name in names
     ]
+    if policy:
+        if publish or subscribe:
+            raise UsageError("--policy says which topics there are: name none beside it")
+        wishes = _policy.granted(wishes, policy, now=_common.now())
     governance = Governance.from_xml(document_in(keystore.governance))
     authorities = _common.unlock(keystore, passphrase_file)
     issued = issue_participants(keystore, authorities, wishes, now=_common.now(), force=force)
-    _warn(governance, issued, wishes[0])
+    _warn(governance, issued, wishes)
     _tell(keystore, issued)
 
 
-def _warn(governance: Governance, issued: list[Issued], wish: Wish) -> None:
-    if not wish.publish and not wish.subscribe:
+def _warn(governance: Governance, issued: list[Issued], wishes: list[Wish]) -> None:
+    if not any(wish.publish or wish.subscribe or wish.grants for wish in wishes):
         _common.note("no topic was named: the permissions deny everything, even to join")
     if issued[0].shortened:
         end = issued[0].not_after
         _common.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
-    ungoverned = [d for d in wish.domains.ids() if governance.rule_for(d) is None]
+    wanted = sorted({domain for wish in wishes for domain in wish.domains.ids()})
+    ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]
     if ungoverned:
         _common.note(
             f"the governance does not name domain {', '.join(map(str, ungoverned))}: nobody can"

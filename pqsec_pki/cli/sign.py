@@ -8,7 +8,13 @@ import click
 
 from pqsec_pki._files import read, refuse_existing
 from pqsec_pki.cli import _common
-from pqsec_pki.documents import Governance, Kind, Permissions
+from pqsec_pki.documents import (
+    Governance,
+    Kind,
+    Permissions,
+    governance_from_yaml,
+    permissions_from_yaml,
+)
 from pqsec_pki.errors import InvalidDocumentError, MalformedError, Problem, located
 
 
@@ -39,7 +45,8 @@ def _options(command: _common.Command) -> _common.Command:
 def sign_governance(file: Path, **choices: Any) -> None:
     """Check a governance document against its schema and sign it.
 
-    The keystore's permissions CA signs. Nothing is written if FILE breaks the schema.
+    The keystore's permissions CA signs. Nothing is written if FILE breaks the schema. From
+    a FILE.yaml it is rendered first.
     """
     _sign(Kind.GOVERNANCE, Governance.from_xml, file, **choices)
 
@@ -51,7 +58,8 @@ def sign_governance(file: Path, **choices: Any) -> None:
 def sign_permissions(file: Path, **choices: Any) -> None:
     """Check a permissions document against its schema and sign it.
 
-    The keystore's permissions CA signs. Nothing is written if FILE breaks the schema.
+    The keystore's permissions CA signs. Nothing is written if FILE breaks the schema. From
+    a FILE.yaml it is rendered first.
     """
     _sign(Kind.PERMISSIONS, Permissions.from_xml, file, **choices)
 
@@ -69,6 +77,8 @@ def _sign(  # noqa: PLR0913 -- one for each option
     document = read(file)
     with located(file):
         try:
+            if file.suffix in {".yaml", ".yml"}:
+                document = _rendered(kind, document)
             check(document)
         except MalformedError as error:  # no XML at all: that is a no, as in `validate`
             raise InvalidDocumentError(
@@ -88,3 +98,9 @@ def _sign(  # noqa: PLR0913 -- one for each option
         force=force,
     )
     _common.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
+
+
+def _rendered(kind: Kind, document: bytes) -> bytes:
+    if kind is Kind.GOVERNANCE:
+        return governance_from_yaml(document).to_xml()
+    return permissions_from_yaml(document, now=_common.now()).to_xml()

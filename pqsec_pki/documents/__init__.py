@@ -1,18 +1,31 @@
-"""Governance and permissions: what the XML says, as values, and back.
+"""Governance and permissions: what the XML or the YAML says, as values, and back.
 
 For every room that asks what a participant may do or writes it down. Here are also the
 two kinds of names such documents are full of: certificate subjects as text, and ROS 2
 names in their DDS form (`ros`, a module of its own). No XML element leaves this room.
 """
 
-from pqsec_pki.documents import ros
+from pqsec_pki.documents import ros, sros2
 from pqsec_pki.documents._schema import Kind, validate
 from pqsec_pki.documents.domains import DomainRange, DomainSet
 from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
+from pqsec_pki.documents.governance_yaml import (
+    governance_from_yaml,
+    governance_to_yaml,
+    new_governance,
+)
 from pqsec_pki.documents.permissions import Criteria, DefaultAction, Grant, Permissions, Rule
+from pqsec_pki.documents.permissions_yaml import (
+    lasting,
+    new_permissions,
+    permissions_from_yaml,
+    permissions_to_yaml,
+)
+from pqsec_pki.documents.presets import PRESETS, Preset, preset_named
 from pqsec_pki.documents.subject import Subject, parse_subject, same_subject
 
 __all__ = [
+    "PRESETS",
     "Criteria",
     "DefaultAction",
     "DomainRange",
@@ -22,12 +35,22 @@ __all__ = [
     "Grant",
     "Kind",
     "Permissions",
+    "Preset",
     "ProtectionKind",
     "Rule",
     "Subject",
     "TopicRule",
+    "governance_from_yaml",
+    "governance_to_yaml",
+    "lasting",
+    "new_governance",
+    "new_permissions",
     "parse_subject",
+    "permissions_from_yaml",
+    "permissions_to_yaml",
+    "preset_named",
     "ros",
     "same_subject",
+    "sros2",
     "validate",
 ]

@@ -5,6 +5,7 @@ ROS 2 would not take, with the reason.
 """
 
 import re
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from pqsec_pki.errors import UsageError
@@ -25,6 +26,14 @@ _NODE_SERVICES = (
     "set_parameters_atomically",
 )
 _NODE_TOPICS = ("/parameter_events", "/rosout")
+_LIFECYCLE_SERVICES = (
+    "change_state",
+    "get_available_states",
+    "get_available_transitions",
+    "get_state",
+    "get_transition_graph",
+)
+_PARAMETER_SERVICES = tuple(each for each in _NODE_SERVICES if each != "get_type_description")
 _ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
 _ACTION_TOPICS = ("feedback", "status")
 
@@ -44,6 +53,19 @@ class Endpoints(NamedTuple):
 
     publish: tuple[str, ...]
     subscribe: tuple[str, ...]
+
+
+def resolve(name: str, node: str) -> str:
+    """The full name of what `node`, a full name itself, calls `name`.
+
+    `/x` is full already; `x` is in the node's namespace; `~/x` is private, below the node.
+    """
+    if name.startswith("/"):
+        return _checked(name)
+    if name == "~" or name.startswith("~/"):
+        return _checked(f"{_checked(node)}{name[1:]}")
+    namespace, _, _ = _checked(node).rpartition("/")
+    return _checked(f"{namespace}/{name}")
 
 
 def topic(name: str) -> str:
@@ -83,6 +105,51 @@ def action_client(name: str) -> Endpoints:
     return Endpoints(publish=requests, subscribe=(*replies, *topics))
 
 
+def topic_publisher(name: str) -> Endpoints:
+    """What a node that publishes the topic needs."""
+    return Endpoints(publish=(topic(name),), subscribe=())
+
+
+def topic_subscriber(name: str) -> Endpoints:
+    """What a node that subscribes to the topic needs."""
+    return Endpoints(publish=(), subscribe=(topic(name),))
+
+
+def parameter_client(node_name: str) -> Endpoints:
+    """What a node needs that reads and sets the parameters of the node of that name."""
+    inside = [f"{_checked(node_name)}/{service}" for service in _PARAMETER_SERVICES]
+    return _joined(map(service_client, inside))
+
+
+def lifecycle_node(node_name: str) -> Endpoints:
+    """What a managed (lifecycle) node needs besides `node_minimum`."""
+    services = [f"{_checked(node_name)}/{service}" for service in _LIFECYCLE_SERVICES]
+    event = topic_publisher(f"{node_name}/transition_event")
+    return _joined([*map(service_server, services), event])
+
+
+def lifecycle_client(node_name: str) -> Endpoints:
+    """What a node needs that manages the lifecycle node of that name."""
+    services = [f"{_checked(node_name)}/{service}" for service in _LIFECYCLE_SERVICES]
+    event = topic_subscriber(f"{node_name}/transition_event")
+    return _joined([*map(service_client, services), event])
+
+
+def simulated_time() -> Endpoints:
+    """What a node with `use_sim_time` needs."""
+    return topic_subscriber("/clock")
+
+
+def service_topics(name: str) -> tuple[str, ...]:
+    """All DDS topics of a service."""
+    return service_request(name), service_reply(name)
+
+
+def action_topics(name: str) -> tuple[str, ...]:
+    """All DDS topics of an action."""
+    return tuple(topic for topics in _action(name) for topic in topics)
+
+
 def node_minimum(node_name: str) -> Endpoints:
     """What a Jazzy node needs before any topic of its own; without one of them it dies.
 
@@ -103,6 +170,14 @@ def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...
         tuple(map(service_request, services)),
         tuple(map(service_reply, services)),
         tuple(topic(inside + part) for part in _ACTION_TOPICS),
+    )
+
+
+def _joined(parts: Iterable[Endpoints]) -> Endpoints:
+    each = list(parts)
+    return Endpoints(
+        publish=tuple(topic for part in each for topic in part.publish),
+        subscribe=tuple(topic for part in each for topic in part.subscribe),
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -35,6 +35,8 @@ class Wish:
     """DDS topic expressions, as they stand on the wire."""
     subscribe: tuple[str, ...] = ()
     validity: timedelta
+    grants: tuple[Grant, ...] = ()
+    """Of a policy: their rules hold in place of the domains and topics above."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +129,12 @@ class _Maker:
 
 
 def permissions_for(wish: Wish, certificate: Certificate) -> Permissions:
-    """What `wish` asks for, granted to the certificate's subject as long as it is valid."""
+    """What `wish` asks for, granted to the certificate's subject as long as it is valid.
+
+    UsageError for a grant of a policy that is over before the certificate begins.
+    """
+    if wish.grants:
+        return Permissions(grants=tuple(_fitted(grant, certificate) for grant in wish.grants))
     grant = Grant.least(
         name=wish.name,
         subject_name=certificate.subject_name,
@@ -140,6 +147,20 @@ def permissions_for(wish: Wish, certificate: Certificate) -> Permissions:
     return Permissions(grants=(grant,))
 
 
+def _fitted(grant: Grant, certificate: Certificate) -> Grant:
+    """The grant, for the certificate's subject and while both are valid."""
+    not_before = max(grant.not_before, certificate.not_before)
+    not_after = min(grant.not_after, certificate.not_after)
+    if not_before >= not_after:
+        raise UsageError(f"the policy's grant for {grant.name} and its certificate never hold both")
+    return replace(
+        grant,
+        subject_name=certificate.subject_name,
+        not_before=not_before,
+        not_after=not_after,
+    )
+
+
 def _checked(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -> list[Wish]:
     """The wishes with their names made regular, and nothing in the way of any."""
     regular: dict[str, Wish] = {}
@@ -148,13 +169,7 @@ def _checked(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -> list
         common_name(name)  # refuses what no certificate can carry
         if name in regular:
             raise UsageError(f"{name} is asked for twice")
-        regular[name] = Wish(
-            name=name,
-            domains=wish.domains,
-            publish=wish.publish,
-            subscribe=wish.subscribe,
-            validity=wish.validity,
-        )
+        regular[name] = replace(wish, name=name)
     _refuse_issued(keystore, regular.values(), force=force)
     return list(regular.values())
 

@@ -1,0 +1,104 @@
+"""Bracket expressions of patterns, each kind as its stack reads it.
+
+A set of octets is a number of 256 bits. A reader takes the pattern and the place after
+the `[`, and gives the set and the place after the `]`, or None if the bracket is open.
+"""
+
+import re
+import string
+from collections.abc import Callable
+from typing import TypeAlias
+
+Bracket: TypeAlias = Callable[[str, int, str], tuple[int, int] | None]
+"""The reader of a kind of brackets: pattern, place, and the escape character or nothing."""
+
+ANY = (1 << 256) - 1
+
+_PRINTED = string.ascii_letters + string.digits + string.punctuation
+_CLASSES = {
+    "alnum": string.ascii_letters + string.digits,
+    "alpha": string.ascii_letters,
+    "blank": " \t",
+    "cntrl": "".join(map(chr, range(32))) + "\x7f",
+    "digit": string.digits,
+    "graph": _PRINTED,
+    "lower": string.ascii_lowercase,
+    "print": _PRINTED + " ",
+    "punct": string.punctuation,
+    "space": string.whitespace,
+    "upper": string.ascii_uppercase,
+    "xdigit": string.hexdigits,
+}
+_CLASS = re.compile(r"\[:(?P<name>[a-y]+):\]")
+_SYMBOL = re.compile(r"\[\.(?P<character>.)\.\]", re.DOTALL)
+_ALIKE = re.compile(r"\[=(?P<character>.)=\]", re.DOTALL)  # only itself, in the C locale
+
+
+def of(characters: str) -> int:
+    """The set of these."""
+    found = 0
+    for character in characters:
+        found |= 1 << ord(character)
+    return found
+
+
+def between(low: str, high: str) -> int:
+    """The set of all from one to the other; of none, if they are the wrong way round."""
+    return max(0, (2 << ord(high)) - (1 << ord(low)))
+
+
+def posix_bracket(pattern: str, place: int, escape: str) -> tuple[int, int] | None:
+    """As glibc reads it, without the collating symbols of other locales."""
+    negated = pattern.startswith(("!", "^"), place)
+    place += negated
+    begin, members = place, 0
+    while place < len(pattern):
+        if pattern[place] == "]" and place > begin:
+            return members ^ (ANY * negated), place + 1
+        found = _posix_members(pattern, place, escape)
+        if found is None:
+            return 0, len(pattern)  # [[:nonsense:]] spoils the pattern: it covers nothing
+        members |= found[0]
+        place = found[1]
+    return None
+
+
+def _posix_members(pattern: str, place: int, escape: str) -> tuple[int, int] | None:
+    """A class, a range or a character; None for a class that is none."""
+    if named := _CLASS.match(pattern, place):
+        known = _CLASSES.get(named["name"])
+        return (of(known), named.end()) if known else None
+    if alike := _ALIKE.match(pattern, place):
+        return of(alike["character"]), alike.end()
+    low, place = _character(pattern, place, escape)
+    if pattern.startswith("-", place) and pattern[place + 1 : place + 2] not in ("", "]"):
+        high, place = _character(pattern, place + 1, escape)
+        return between(low, high), place
+    return of(low), place
+
+
+def _character(pattern: str, place: int, escape: str) -> tuple[str, int]:
+    if symbol := _SYMBOL.match(pattern, place):
+        return symbol["character"], symbol.end()
+    place += pattern[place] == escape and place + 1 < len(pattern)
+    return pattern[place], place + 1
+
+
+def cyclonedds_bracket(pattern: str, place: int, _escape: str) -> tuple[int, int]:
+    """As Cyclone DDS reads it: `[^a]` is `^` or `a`, and an open one covers nothing.
+
+    The `]` that ends it is read as a member before: `[ab]` has `]` in it too, and
+    `[0-9]-f` is one bracket, of digits and of `]` to `f`.
+    """
+    negated = pattern.startswith("!", place)
+    place += negated
+    closed, members = pattern.startswith("]", place), 0
+    while not closed:
+        character, following, high = (pattern[place + each : place + each + 1] for each in range(3))
+        is_range = following == "-"
+        if not character or (is_range and high in ("", "]")):
+            return 0, len(pattern)
+        members |= between(character, high) if is_range else of(character)
+        place += 3 if is_range else 1
+        closed = character == "]"
+    return members ^ (ANY * negated), place

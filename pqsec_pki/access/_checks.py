@@ -1,0 +1,141 @@
+"""The checks of the standard: DDS-Security 1.1, table 63, in its order.
+
+Each answers for the case of one question; `decide` makes them one after the other.
+"""
+
+from pqsec_pki.access.decision import Decision, no, yes
+from pqsec_pki.access.question import Action
+from pqsec_pki.access.reading import Case
+from pqsec_pki.documents import Criteria, DefaultAction, Rule, TopicRule
+
+_VERBS = {Action.PUBLISH: "publish", Action.SUBSCRIBE: "subscribe to", Action.RELAY: "relay"}
+
+
+def governed(case: Case) -> Decision:
+    """validate_local_permissions, 1: a governance rule for the domain (9.4.1.2.7)."""
+    if not case.domain_rules:
+        return no(f"no governance rule names domain {case.question.domain}")
+    return yes(f"governance covers domain {case.question.domain}", case.domain_rules[0])
+
+
+def in_force(case: Case) -> Decision:
+    """validate_local_permissions, 3: the grant is in force (9.4.1.3.2.2)."""
+    grant = case.grant
+    if case.reading.in_force(grant, case.question.now):
+        return yes(f"grant '{grant.name}' is in force", grant)
+    if case.question.now <= grant.not_before:
+        return no(f"grant '{grant.name}' starts at {grant.not_before}", grant)
+    return no(f"grant '{grant.name}' ended at {grant.not_after}", grant)
+
+
+def own_participant(case: Case) -> Decision:
+    """check_create_participant: a topic open to all lets in too, which peers do not accept."""
+    for rule in case.domain_rules[:1]:
+        for topic_rule in rule.topic_rules:
+            if not (
+                topic_rule.enable_read_access_control and topic_rule.enable_write_access_control
+            ):
+                return yes("governance has a topic that is open to all", topic_rule)
+    return remote_participant(case)
+
+
+def remote_participant(case: Case) -> Decision:
+    """check_remote_participant.
+
+    An allow_rule for the domain suffices, even one without topics. Where there is none,
+    the default of the grant decides, as in Cyclone DDS and OpenDDS (OMG issue
+    DDSSEC12-85).
+    """
+    domain, grant = case.question.domain, case.grant
+    # 1: is_access_protected is false.
+    for governing in case.domain_rules[:1]:
+        if not governing.enable_join_access_control:
+            return yes(f"join access control is off on domain {domain}", governing)
+    # 2, the plugin names in the permissions tokens, is for the handshake to compare.
+    # 3: the grant has an allow rule for the domain.
+    for rule in case.rules:
+        if rule.allow:
+            return yes(f"grant '{grant.name}' has an allow_rule for domain {domain}", rule)
+    # 4: otherwise no, but for the default.
+    if grant.default is DefaultAction.ALLOW:
+        return yes(f"the default of grant '{grant.name}' is ALLOW", grant)
+    return no(f"grant '{grant.name}' has no allow_rule for domain {domain}", grant)
+
+
+def endpoint(case: Case) -> Decision:
+    """check_create_datawriter and its three siblings, for the own endpoint and a peer's."""
+    rule = next(case.topic_rules, None)
+    if rule is None:
+        return ungoverned(case)
+    if is_open(case, rule):
+        return opened(case, rule)
+    return by_rules(case)
+
+
+def by_rules(case: Case) -> Decision:
+    """The first rule for the domain whose criteria are met decides, else the default."""
+    action, missed = case.question.action, None
+    for rule in case.rules:
+        for criteria in case.criteria(rule, action):
+            if case.has_topic(criteria):
+                if met(case, criteria, rule):
+                    return ruled(case, rule, criteria)
+                missed = missed or rule
+    return by_default(case, missed)
+
+
+def met(case: Case, criteria: Criteria, rule: Rule) -> bool:
+    """Whether partitions and data tags meet these criteria too."""
+    reading = case.reading
+    return reading.partitions_met(case, criteria, rule) and reading.tags_met(case, criteria, rule)
+
+
+def ungoverned(case: Case) -> Decision:
+    """9.4.1.2.7: a topic that no rule covers cannot be used."""
+    question = case.question
+    return no(f"no topic rule of governance covers '{question.topic}' on domain {question.domain}")
+
+
+def is_open(case: Case, rule: TopicRule) -> bool:
+    """Whether governance lets every participant do that, whatever its permissions."""
+    if case.question.action is Action.PUBLISH:
+        return not rule.enable_write_access_control
+    return not rule.enable_read_access_control
+
+
+def opened(case: Case, rule: TopicRule) -> Decision:
+    asked = f"{said(case)}, whatever its permissions (topic rule '{rule.topic_expression}')"
+    return yes(f"governance lets every participant {asked}", rule)
+
+
+def ruled(case: Case, rule: Rule, criteria: Criteria | None) -> Decision:
+    """As the rule says, of which these criteria are met."""
+    by = f"{name_of(rule)} of grant '{case.grant.name}'"
+    if rule.allow:
+        return yes(f"an {by} lets it {said(case)}", rule, criteria)
+    return no(f"a {by} forbids it to {said(case)}", rule, criteria)
+
+
+def by_default(case: Case, missed: Rule | None) -> Decision:
+    """As the default says; `missed` is a rule that has the topic but asks for more."""
+    grant = case.grant
+    start = f"no rule of grant '{grant.name}' says whether it may {said(case)}"
+    if missed:
+        start += f" ({name_of(missed)} has the topic, but for other partitions or data tags)"
+    decide = yes if grant.default is DefaultAction.ALLOW else no
+    return decide(f"{start}, and its default is {grant.default}", grant)
+
+
+def said(case: Case) -> str:
+    """What is asked, as in "publish 'rt/chatter' on domain 0"."""
+    question = case.question
+    where = f" in {_partitions(question.partitions)}" if any(question.partitions) else ""
+    return f"{_VERBS[question.action]} '{question.topic}'{where} on domain {question.domain}"
+
+
+def name_of(rule: Rule) -> str:
+    return "allow_rule" if rule.allow else "deny_rule"
+
+
+def _partitions(names: tuple[str, ...]) -> str:
+    return f"partition{'s' if len(names) > 1 else ''} {', '.join(repr(name) for name in names)}"

@@ -1,0 +1,56 @@
+"""When the partitions and data tags of an endpoint meet those of criteria.
+
+An endpoint without a partition is in the default one, whose name is empty.
+"""
+
+from pqsec_pki.access.reading import Case
+from pqsec_pki.documents import Criteria, Rule
+
+
+def standard_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
+    """9.4.1.3.2.3.1.4: all of them are among those allowed, by default the default one.
+
+    9.4.1.3.2.3.2.4: one of them is among those denied, by default all.
+    """
+    if not rule.allow and not criteria.partitions:
+        return True
+    return cyclonedds_partitions(case, criteria, rule)
+
+
+def cyclonedds_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
+    """The same, but a deny_rule that names no partition denies only the default one.
+
+    Cyclone DDS 0.10.2 (measured): its parser puts the default partition in both.
+    """
+    among = (
+        any(case.reading.covers(pattern, name) for pattern in criteria.partitions or ("",))
+        for name in case.question.partitions or ("",)
+    )
+    return all(among) if rule.allow else any(among)
+
+
+def opendds_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
+    """The standard's, but an endpoint without partitions meets all that allow_rules name.
+
+    OpenDDS 3.34 (read): partitions_match counts only partitions that the endpoint has,
+    so it finds none that is not allowed, and none that is denied.
+    """
+    if criteria.partitions and not case.question.partitions:
+        return rule.allow
+    return standard_partitions(case, criteria, rule)
+
+
+def standard_tags(case: Case, criteria: Criteria, rule: Rule) -> bool:
+    """9.4.1.3.2.3.1.5: all of them are among those allowed, by default none.
+
+    9.4.1.3.2.3.2.5: one of them is among those denied, by default that is no condition.
+    """
+    tags = set(case.question.data_tags)
+    if rule.allow:
+        return tags <= set(criteria.data_tags)
+    return not criteria.data_tags or bool(tags & set(criteria.data_tags))
+
+
+def no_tags(_case: Case, _criteria: Criteria, _rule: Rule) -> bool:
+    """No stack looks at data tags (measured for Cyclone DDS and Fast DDS, read for OpenDDS)."""
+    return True

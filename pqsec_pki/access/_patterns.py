@@ -1,0 +1,143 @@
+"""Does a pattern cover a name? The fnmatch of each stack.
+
+All compare UTF-8 octets, as fnmatch does in the C locale, and none holds `/` or a leading
+`.` to be special. The stacks try every way to share a name among `*`, so that a pattern
+as `*a*a*a*a*b` can stop them for hours; here the time is linear in the pattern and in
+the name, whatever they are.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from typing import NamedTuple, TypeAlias
+
+from pqsec_pki.access._brackets import ANY, Bracket, cyclonedds_bracket, of, posix_bracket
+from pqsec_pki.access._wild_match import wild_match
+from pqsec_pki.access.question import MAX_NAME
+
+Covers: TypeAlias = Callable[[str, str], bool]
+"""Whether a pattern covers a name, in that order."""
+
+_CACHED = 1 << 14
+"""Patterns kept: as many as the largest policies have."""
+_LONGEST = 4 * MAX_NAME
+"""Octets of a name. A pattern that asks for more covers none."""
+_STAR = -1
+_SPECIAL = re.compile(r"[*?\[\\]")
+
+
+def posix(pattern: str, name: str) -> bool:
+    r"""fnmatch of POSIX as glibc has it, with `\` as escape and `[^` as `[!`."""
+    return _covers(_posix, pattern, name)
+
+
+def posix_without_escapes(pattern: str, name: str) -> bool:
+    r"""The same with FNM_NOESCAPE: `\` is a character like others."""
+    return _covers(_posix_without_escapes, pattern, name)
+
+
+def either_way(pattern: str, name: str) -> bool:
+    """StringMatching::matchString of Fast DDS: the name may be the pattern too (read)."""
+    return posix_without_escapes(pattern, name) or posix_without_escapes(name, pattern)
+
+
+def cyclonedds(pattern: str, name: str) -> bool:
+    """ac_fnmatch of Cyclone DDS 0.10.2: no escapes, and brackets of its own (measured)."""
+    return _covers(_cyclonedds, pattern, name)
+
+
+class _Compiled(NamedTuple):
+    """A pattern as places: the one before the first character, and one after each.
+
+    From a place a star leads back to it, and a character to the next, which is a shift
+    in a set of places kept as the bits of a number.
+    """
+
+    length: int
+    stars: int
+    """The places with a star."""
+    characters: dict[int, int]
+    """For a set of octets, the places from which one of these leads on."""
+
+    def covers(self, name: bytes) -> bool:
+        if self.length > len(name):
+            return False
+        leads = {octet: self._leading(octet) for octet in set(name)}
+        reached = 1
+        for octet in name:
+            reached = (reached & self.stars) | (reached & leads[octet]) << 1
+        return bool(reached >> self.length & 1)
+
+    def _leading(self, octet: int) -> int:
+        places = 0
+        for octets, having in self.characters.items():
+            if octets >> octet & 1:
+                places |= having
+        return places
+
+
+def _covers(compiled: Callable[[str], _Compiled], pattern: str, name: str) -> bool:
+    special = _SPECIAL.search(pattern)
+    if special is None or not name.startswith(pattern[: special.start()]):
+        return pattern == name  # as nearly all patterns of a large policy are
+    return compiled(pattern).covers(_octets(name))
+
+
+def _octets(text: str) -> bytes:
+    return text.encode(errors="surrogatepass")
+
+
+@lru_cache(_CACHED)
+def _posix(pattern: str) -> _Compiled:
+    return _compiled(pattern, posix_bracket, escape="\\")
+
+
+@lru_cache(_CACHED)
+def _posix_without_escapes(pattern: str) -> _Compiled:
+    return _compiled(pattern, posix_bracket, escape="")
+
+
+@lru_cache(_CACHED)
+def _cyclonedds(pattern: str) -> _Compiled:
+    return _compiled(pattern, cyclonedds_bracket, escape="")
+
+
+def _compiled(pattern: str, bracket: Bracket, escape: str) -> _Compiled:
+    place, stars, characters = 1, 0, dict[int, int]()
+    for token in _tokens(_octets(pattern).decode("latin-1"), bracket, escape):
+        if token == _STAR:
+            stars |= place
+        else:
+            characters[token] = characters.get(token, 0) | place
+            place <<= 1
+        if place >> (_LONGEST + 1):
+            break
+    return _Compiled(place.bit_length() - 1, stars, characters)
+
+
+def _tokens(pattern: str, bracket: Bracket, escape: str) -> Iterator[int]:
+    """A set of octets for each character of a name, and stars."""
+    at = 0
+    while at < len(pattern):
+        character = pattern[at]
+        at += 1
+        if character == "*":
+            yield _STAR
+        elif character == "?":
+            yield ANY
+        elif character == "[" and (found := bracket(pattern, at, escape)):
+            token, at = found
+            yield token
+        elif character == escape:
+            yield of(pattern[at : at + 1])
+            at += 1
+        else:
+            yield of(character)
+
+
+def opendds(pattern: str, name: str) -> bool:
+    r"""ACE::wild_match, with `\` as escape and `[!` but not `[^`."""
+    special = _SPECIAL.search(pattern)
+    if special is None or not name.startswith(pattern[: special.start()]):
+        return pattern == name
+    return wild_match(_octets(pattern).decode("latin-1"), _octets(name).decode("latin-1"))

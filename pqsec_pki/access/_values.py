@@ -1,0 +1,101 @@
+"""What stacks make of domains and times, and where their readers give up.
+
+Fast DDS reads times as local ones (measured, all versions), and OpenDDS compares them with
+a clock that is off by the zone (read): both are asked here as on a machine in UTC.
+"""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions, Rule
+from pqsec_pki.documents.domains import MAX_DOMAIN
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_LAST_SECOND = ((1 << 63) - 1) // 10**9
+"""Cyclone DDS counts nanoseconds in 64 bits: April 2262."""
+
+
+def standard_includes(domains: DomainSet, domain: int) -> bool:
+    """9.4.1.2: a range without an end has none."""
+    return domain in domains
+
+
+def cyclonedds_includes(domains: DomainSet, domain: int) -> bool:
+    """A range without an end is its first domain (measured)."""
+    return any(_begins_or_holds(part, domain, part.last) for part in _ranges(domains))
+
+
+def fastdds_includes(domains: DomainSet, domain: int) -> bool:
+    """A range without an end, or that ends at 0, is its first domain (measured)."""
+    return any(_begins_or_holds(part, domain, part.last or None) for part in _ranges(domains))
+
+
+def _ranges(domains: DomainSet) -> Iterator[DomainRange]:
+    for part in domains.parts:
+        yield part if isinstance(part, DomainRange) else DomainRange(first=part)
+
+
+def _begins_or_holds(part: DomainRange, domain: int, last: int | None) -> bool:
+    return domain == part.first if last is None else part.first <= domain <= last
+
+
+def standard_in_force(grant: Grant, now: datetime) -> bool:
+    """9.4.1.3.2.2: from its first to its last second."""
+    return grant.not_before <= now <= grant.not_after
+
+
+def fastdds_in_force(grant: Grant, now: datetime) -> bool:
+    """The same by a clock of whole seconds (read)."""
+    return standard_in_force(grant, now.replace(microsecond=0))
+
+
+def cyclonedds_in_force(grant: Grant, now: datetime) -> bool:
+    """Between the two, and a time outside 1970 to 2262 is long past (measured)."""
+    return _seconds(grant.not_before) < (now - _EPOCH).total_seconds() < _seconds(grant.not_after)
+
+
+def _seconds(time: datetime) -> float:
+    seconds = (time - _EPOCH).total_seconds()
+    return seconds if 0 <= seconds <= _LAST_SECOND else float("-inf")
+
+
+def no_flaw(_governance: Governance, _permissions: Permissions) -> str:
+    """What is valid by the schema, it reads."""
+    return ""
+
+
+def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
+    """Domains above 230 and empty ranges are refused; an empty topic crashes (measured)."""
+    governed = [rule.domains for rule in governance.domain_rules]
+    for domains in [*governed, *(rule.domains for rule in _rules(permissions))]:
+        for part in _ranges(domains):
+            if max(part.first, part.last or 0) > MAX_DOMAIN:
+                return f"Cyclone DDS refuses documents that name a domain above {MAX_DOMAIN}"
+    if any(_is_empty(part) for domains in governed for part in _ranges(domains)):
+        return "Cyclone DDS refuses governance with an empty range of domains"
+    return empty_topic_flaw(governance, permissions)
+
+
+def empty_topic_flaw(governance: Governance, permissions: Permissions) -> str:
+    """Cyclone DDS, and Fast DDS 2.9.1 in governance, crash on an empty topic (measured)."""
+    expressions = (
+        topic.topic_expression for rule in governance.domain_rules for topic in rule.topic_rules
+    )
+    topics = (
+        topic
+        for rule in _rules(permissions)
+        for criteria in (*rule.publish, *rule.subscribe, *rule.relay)
+        for topic in criteria.topics
+    )
+    if "" in expressions or "" in topics:
+        return "an empty topic name stops or crashes the reader of the documents"
+    return ""
+
+
+def _is_empty(part: DomainRange) -> bool:
+    return part.last is not None and part.last < part.first
+
+
+def _rules(permissions: Permissions) -> Iterator[Rule]:
+    for grant in permissions.grants:
+        yield from grant.rules

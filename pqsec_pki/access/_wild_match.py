@@ -1,0 +1,62 @@
+"""ACE::wild_match of ACE 7.0.8, which OpenDDS calls (measured).
+
+Unlike fnmatch it never looks back: after a false match it goes on behind it, so `*ab`
+does not cover `aab`. A bracket that is open makes it read beyond the pattern; here such a
+pattern covers nothing.
+"""
+
+from pqsec_pki.access._brackets import ANY, between, of
+
+
+def wild_match(pattern: str, name: str) -> bool:
+    r"""Whether the pattern covers the name, with `\` as escape; a character is an octet."""
+    at, place, after_star, escaped = 0, 0, -1, False
+    while at < len(name):
+        special = "" if escaped else pattern[place : place + 1]
+        if special == "\\":
+            place, escaped = place + 1, True
+        elif special == "*":
+            place = after_star = _after_stars(pattern, place)
+            if place == len(pattern):
+                return True
+        else:
+            met, place = _step(pattern, place, name[at], special)
+            at, escaped = at + 1, False
+            if not met and after_star < 0:
+                return False
+            place = place if met else after_star
+    return _after_stars(pattern, place) == len(pattern)
+
+
+def _step(pattern: str, place: int, character: str, special: str) -> tuple[bool, int]:
+    """Whether what stands there covers the character, and the place after it."""
+    if special == "?":
+        return True, place + 1
+    if special != "[":
+        return pattern[place : place + 1] == character, place + 1
+    members, place = _bracket(pattern, place + 1)
+    return bool(members >> ord(character) & 1), place
+
+
+def _after_stars(pattern: str, place: int) -> int:
+    while pattern.startswith("*", place):
+        place += 1
+    return place
+
+
+def _bracket(pattern: str, place: int) -> tuple[int, int]:
+    """The set of octets, and the place after the bracket; the wrong end begins no range."""
+    negated = pattern.startswith("!", place)
+    place += negated
+    begin, members = place, 0
+    while place < len(pattern):
+        character, high = pattern[place], pattern[place + 1 : place + 2]
+        if character == "]" and place > begin:
+            return members ^ (ANY * negated), place + 1
+        if character != "-" or place == begin or high == "]":
+            members |= of(character)
+        elif high > pattern[place - 1]:
+            members |= between(pattern[place - 1], high)
+            place += 1
+        place += 1
+    return 0, place

@@ -1,0 +1,89 @@
+"""May it? Governance, permissions and a question in, a decision out."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+
+from pqsec_pki.access.decision import Decision, Protection, no
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.reading import Case, Check, Reading, Side
+from pqsec_pki.access.readings import SPEC
+from pqsec_pki.documents import DomainRule, Governance, Grant, Permissions, parse_subject
+
+
+def decide(
+    governance: Governance,
+    permissions: Permissions,
+    question: Question,
+    reading: Reading = SPEC,
+    *,
+    by: Side | None = None,
+) -> Decision:
+    """The answer of `reading` to `question`: whether it comes to that in a running system.
+
+    For that a participant must be allowed to join, and then to use the topic, by its own
+    stack and by its peers'; `by` asks only the one or the other. The first check to say
+    no decides, else the last. The time it takes is linear in the documents. For many
+    questions about the same documents: Policy.
+
+    MalformedError if the subject is no name.
+    """
+    return Policy(governance, permissions, reading).decide(question, by=by)
+
+
+@dataclass(slots=True)
+class Policy:
+    """Documents as a reading has them, for many questions."""
+
+    governance: Governance
+    permissions: Permissions
+    reading: Reading = SPEC
+    _flaw: str = field(init=False, repr=False)
+    _found: dict[tuple[str, int, datetime], tuple[tuple[DomainRule, ...], Grant | None]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    def __post_init__(self) -> None:
+        self._flaw = self.reading.flaw(self.governance, self.permissions)
+
+    def decide(self, question: Question, *, by: Side | None = None) -> Decision:
+        """As the function `decide`."""
+        parse_subject(question.subject)
+        if self._flaw:
+            return no(self._flaw)
+        key = question.subject, question.domain, question.now
+        if key not in self._found:
+            self._found[key] = self._find(question)
+        rules, grant = self._found[key]
+        if grant is None:
+            return no(f"no grant is for {question.subject}")
+        case = Case(question=question, reading=self.reading, domain_rules=rules, grant=grant)
+        return replace(_checked(case, by), protection=_protection(case))
+
+    def _find(self, question: Question) -> tuple[tuple[DomainRule, ...], Grant | None]:
+        includes, domain = self.reading.includes, question.domain
+        rules = [rule for rule in self.governance.domain_rules if includes(rule.domains, domain)]
+        return tuple(rules), self.reading.grant_for(self.permissions, question)
+
+
+def _checked(case: Case, by: Side | None) -> Decision:
+    for check in dict.fromkeys(_checks(case, by)):
+        decision = check(case)
+        if not decision.allowed:
+            break
+    return decision
+
+
+def _checks(case: Case, by: Side | None) -> Iterator[Check]:
+    sides = [by] if by else list(Side)
+    for side in sides:
+        yield from case.reading.join[side]
+    for side in sides if case.question.action is not Action.JOIN else ():
+        yield from case.reading.use[side]
+
+
+def _protection(case: Case) -> Protection | None:
+    if not case.domain_rules:
+        return None
+    topic_rule = next(case.topic_rules, None) if case.question.topic else None
+    return Protection.of(case.domain_rules[0], topic_rule)

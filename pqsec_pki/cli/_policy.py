@@ -1,0 +1,128 @@
+"""What the commands that take policies share: files in, files out, grants for names."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import click
+
+from pqsec_pki import _files
+from pqsec_pki._assets import asset
+from pqsec_pki.cli import _common
+from pqsec_pki.documents import DomainSet, Grant, lasting, permissions_from_yaml, sros2
+from pqsec_pki.errors import UsageError, located
+from pqsec_pki.keystore import Wish
+from pqsec_pki.smime import document_in, is_signed
+
+
+def output_options(command: _common.Command) -> _common.Command:
+    """Add -o and --force to a command that writes one document."""
+    for option in (
+        click.option("--force", is_flag=True, help="Replace the file if it is there."),
+        click.option("-o", "--output", type=_common.FILE, help="Where to write. [default: print]"),
+    ):
+        command = option(command)
+    return command
+
+
+def put(document: bytes, output: Path | None, *, force: bool) -> None:
+    """Write the document to the file, or print it."""
+    text = document.decode()
+    if output is None:
+        _common.emit({"document": text}, text.removesuffix("\n").split("\n"))
+        return
+    _files.write(output, document, force=force)
+    value = {"written": str(output), "bytes": len(document)}
+    _common.emit(value, [f"{output}  ({len(document)} bytes)"])
+
+
+class Document(Protocol):
+    """Governance or permissions, as values."""
+
+    def to_xml(self) -> bytes:
+        """The document that stacks read."""
+
+
+Value = TypeVar("Value", bound=Document)
+
+
+def add_commands(
+    group: click.Group,
+    from_yaml: Callable[[bytes], Value],
+    to_yaml: Callable[[Value], bytes],
+    from_xml: Callable[[bytes], Value],
+    *,
+    warn: Callable[[Value], None] = lambda _: None,
+) -> None:
+    """Add to the group what both kinds of documents have: render, read and schema."""
+
+    @group.command()
+    @click.argument("file", type=_common.FILE)
+    @output_options
+    @_common.command_options
+    def render(file: Path, output: Path | None, *, force: bool) -> None:
+        """Make the XML that DDS stacks read, of FILE in YAML.
+
+        Every mistake in FILE is told with its line; nothing is written then. The sign
+        command of this kind signs the result.
+        """
+        data = _files.read(file)
+        with located(file):
+            value = from_yaml(data)
+            document = value.to_xml()
+        warn(value)
+        put(document, output, force=force)
+
+    @group.command()
+    @click.argument("file", type=_common.FILE)
+    @output_options
+    @_common.command_options
+    def read(file: Path, output: Path | None, *, force: bool) -> None:
+        """Make YAML of a document, signed or not.
+
+        Signatures are not looked at: that is `pqsec verify`.
+        """
+        data = _files.read(file)
+        with located(file):
+            document = to_yaml(from_xml(document_in(data) if is_signed(data) else data))
+        put(document, output, force=force)
+
+    @group.command()
+    @output_options
+    @_common.command_options
+    def schema(output: Path | None, *, force: bool) -> None:
+        """Write the JSON Schema of the YAML, for editors."""
+        text = asset("schemas", f"{group.name}.schema.json").read_bytes()
+        put(text, output, force=force)
+
+
+def granted(wishes: list[Wish], policy: Path, *, now: datetime) -> list[Wish]:
+    """The wishes with their grants of the policy; UsageError for a name it does not have."""
+    grants = _grants_in(policy, wishes[0], now)  # all wishes have one validity
+    return [_with_grants(wish, grants, policy) for wish in wishes]
+
+
+def _grants_in(policy: Path, wish: Wish, now: datetime) -> tuple[Grant, ...]:
+    """All grants; those of SROS2, which say neither, for the wish's domains and validity."""
+    if policy.suffix == ".xml":
+        not_before, not_after = lasting(now, wish.validity)
+        enclaves = sros2.read_policy(policy)
+        return sros2.permissions_of(
+            enclaves, domains=wish.domains, not_before=not_before, not_after=not_after
+        ).grants
+    data = _files.read(policy)
+    with located(policy):
+        return permissions_from_yaml(data, now=now).grants
+
+
+def _with_grants(wish: Wish, grants: tuple[Grant, ...], policy: Path) -> Wish:
+    own = tuple(grant for grant in grants if grant.name == wish.name)
+    if not own:
+        there = ", ".join(dict.fromkeys(grant.name for grant in grants))
+        raise UsageError(f"{policy} has no grant for {wish.name}", hint=f"it has {there}")
+    domains = [part for grant in own for rule in grant.rules for part in rule.domains.parts]
+    return replace(
+        wish, grants=own, domains=DomainSet(parts=tuple(domains)) if domains else wish.domains
+    )

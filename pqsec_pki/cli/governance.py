@@ -1,0 +1,72 @@
+"""pqsec governance: write governance documents in YAML, with presets."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _common, _policy
+from pqsec_pki.documents import (
+    PRESETS,
+    DomainSet,
+    Governance,
+    governance_from_yaml,
+    governance_to_yaml,
+    new_governance,
+    preset_named,
+)
+
+
+@click.group()
+@_common.command_options
+def governance() -> None:
+    """Write the governance document in YAML, with presets."""
+
+
+@governance.command()
+@click.option(
+    "--preset",
+    type=click.Choice([preset.name for preset in PRESETS]),
+    default=PRESETS[0].name,
+    show_default=True,
+    help="How much is protected; `pqsec governance presets` explains.",
+)
+@click.option(
+    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+)
+@_policy.output_options
+@_common.command_options
+def new(preset: str, domains: str, output: Path | None, *, force: bool) -> None:
+    """Write a commented governance in YAML, to edit.
+
+    Every setting of the preset is spelled out and explained.
+    """
+    document = new_governance(preset_named(preset), DomainSet.parse(domains))
+    _policy.put(document, output, force=force)
+
+
+@governance.command()
+@_common.command_options
+def presets() -> None:
+    """Tell what each preset protects, and what it costs."""
+    keys = ("name", "summary", "protects", "costs")
+    lines = []
+    for preset in PRESETS:
+        lines += [f"{preset.name}: {preset.summary}"]
+        lines += click.wrap_text(f"Protects: {preset.protects}", 88, "  ", "  ").splitlines()
+        lines += click.wrap_text(f"Costs: {preset.costs}", 88, "  ", "  ").splitlines()
+        lines += [""]
+    _common.emit([{key: getattr(preset, key) for key in keys} for preset in PRESETS], lines[:-1])
+
+
+def _warn(value: Governance) -> None:
+    for rule in value.domain_rules:
+        if rule.topic_rules[-1].topic_expression != "*":
+            _common.note(
+                f"domains {rule.domains}: the last topic rule is not for '*', so topics that no"
+                " rule names cannot be used at all"
+            )
+
+
+_policy.add_commands(
+    governance, governance_from_yaml, governance_to_yaml, Governance.from_xml, warn=_warn
+)

@@ -1,0 +1,137 @@
+"""pqsec permissions: write permissions documents in YAML, and import those of SROS2."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _common, _policy
+from pqsec_pki.documents import (
+    DomainSet,
+    Permissions,
+    lasting,
+    new_permissions,
+    permissions_from_yaml,
+    permissions_to_yaml,
+    ros,
+    sros2,
+)
+from pqsec_pki.errors import UsageError
+
+
+@click.group()
+@_common.command_options
+def permissions() -> None:
+    """Write permissions documents in YAML, and import policies of SROS2."""
+
+
+@permissions.command()
+@click.argument("names", nargs=-1, required=True, metavar="NAME...")
+@click.option(
+    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+)
+@click.option("--validity", type=_common.Duration(), default="1y", show_default=True)
+@click.option("--dds", is_flag=True, help="They are no ROS 2 nodes: with DDS topics only.")
+@_policy.output_options
+@_common.command_options
+def new(  # noqa: PLR0913 -- one for each option, by name
+    names: tuple[str, ...],
+    domains: str,
+    validity: timedelta,
+    output: Path | None,
+    *,
+    dds: bool,
+    force: bool,
+) -> None:
+    """Write commented permissions in YAML, to edit.
+
+    NAME is a participant's enclave path, such as /talker, and also its ROS 2 node, which
+    gets what it needs to start. Add what it may publish, subscribe to, serve and call.
+    """
+    if not dds:
+        _require_nodes(names)
+    hours = int(validity / timedelta(hours=1))
+    duration = f"{hours}h" if hours % 24 else f"{hours // 24}d"
+    document = new_permissions(list(names), DomainSet.parse(domains), duration, nodes=not dds)
+    _policy.put(document, output, force=force)
+
+
+@permissions.command("import")
+@click.argument("policy", type=_common.FILE)
+@click.option("--enclave", "wanted", multiple=True, metavar="PATH", help="Only this enclave.")
+@click.option(
+    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+)
+@click.option("--validity", type=_common.Duration(), default="1y", show_default=True)
+@click.option("--complete", is_flag=True, help="Add what its Jazzy nodes need to start.")
+@click.option(
+    "--root", type=_common.FOLDER, help="Includes may come from here. [default: POLICY's]"
+)
+@_policy.output_options
+@_common.command_options
+def import_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
+    policy: Path,
+    wanted: tuple[str, ...],
+    domains: str,
+    validity: timedelta,
+    root: Path | None,
+    output: Path | None,
+    *,
+    complete: bool,
+    force: bool,
+) -> None:
+    """Make YAML of a policy of SROS2 (*.policy.xml).
+
+    The permissions are those that SROS2 makes of it. Includes are taken from the folder of
+    POLICY only.
+    """
+    enclaves = _wanted(sros2.read_policy(policy, root=root), wanted)
+    not_before, not_after = lasting(_common.now(), validity)
+    value = sros2.permissions_of(
+        enclaves,
+        domains=DomainSet.parse(domains),
+        not_before=not_before,
+        not_after=not_after,
+        node_minimum=complete,
+    )
+    if not complete:
+        _warn(enclaves)
+    _policy.put(permissions_to_yaml(value), output, force=force)
+
+
+def _require_nodes(names: tuple[str, ...]) -> None:
+    try:
+        for name in names:
+            ros.node_minimum(name)
+    except UsageError as error:
+        hint = f"{error.hint}; or --dds, if it is no ROS 2 node"
+        raise UsageError(str(error), hint=hint) from None
+
+
+def _wanted(
+    enclaves: tuple[sros2.Enclave, ...], names: tuple[str, ...]
+) -> tuple[sros2.Enclave, ...]:
+    there = [enclave.path for enclave in enclaves]
+    if missing := [name for name in names if name not in there]:
+        raise UsageError(
+            f"the policy has no enclave {missing[0]}", hint=f"it has {', '.join(there)}"
+        )
+    return tuple(enclave for enclave in enclaves if not names or enclave.path in names)
+
+
+def _warn(enclaves: tuple[sros2.Enclave, ...]) -> None:
+    for enclave in enclaves:
+        if topics := sros2.lacking(enclave):
+            others = f" and {len(topics) - 1} more topic(s)" if len(topics) > 1 else ""
+            _common.note(
+                f"{enclave.path} lacks {topics[0]}{others}, without which a Jazzy node does not"
+                " start: --complete adds them"
+            )
+
+
+_policy.add_commands(
+    permissions,
+    lambda data: permissions_from_yaml(data, now=_common.now()),
+    permissions_to_yaml,
+    Permissions.from_xml,
+)

@@ -1,0 +1,135 @@
+"""Rules of permissions and their criteria, in YAML, both ways.
+
+Topics stand in a list, with patterns and in DDS form. An item with partitions or data tags
+is a mapping: {topics: [rt/map], partitions: [floor1], data_tags: {colour: red}}.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeAlias
+
+from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml
+from pqsec_pki.documents._nodes_yaml import node
+from pqsec_pki.documents._yaml import Item, Items, Table, refused
+from pqsec_pki.documents._yaml_reading import (
+    all_of,
+    build,
+    each,
+    fields,
+    one_or_more,
+    table,
+    text,
+)
+from pqsec_pki.documents.domains import DomainSet
+from pqsec_pki.documents.permissions import Criteria, Rule
+from pqsec_pki.documents.ros import Endpoints
+
+Readers: TypeAlias = dict[str, Callable[[Item], Any]]
+
+_ACTIONS = ("publish", "subscribe", "relay")
+
+
+def rule(default_domains: DomainSet, item: Item) -> Rule:
+    """One of a list of rules, `allow:` or `deny:`."""
+    either: Readers = {
+        "allow": partial(fields, readers={"domains": domains, **ALLOWED}),
+        "deny": partial(fields, readers={"domains": domains, **_DENIED}),
+    }
+    effects = fields(item, either)
+    if len(effects) != 1:
+        raise refused(item, "a rule is either `allow:` or `deny:`, in an item of its own")
+    [(effect, said)] = effects.items()
+    domain_set = said.pop("domains", default_domains)
+    return built_rule(item, domain_set, said, allow=effect == "allow")
+
+
+def built_rule(item: Item, domain_set: DomainSet, said: dict[str, Any], *, allow: bool) -> Rule:
+    """The rule that says so; what its nodes need joins what it publishes and subscribes to."""
+    nodes: tuple[Endpoints, ...] = said.pop("nodes", ())
+    for action in ("publish", "subscribe"):
+        of_nodes = [topic for node in nodes for topic in getattr(node, action)]
+        if of_nodes:
+            said[action] = _with_topics(said.get(action, ()), of_nodes, item.line)
+    return build(item, Rule, allow=allow, domains=domain_set, **said, line=item.line)
+
+
+def _with_topics(
+    criteria: tuple[Criteria, ...], topics: list[str], line: int
+) -> tuple[Criteria, ...]:
+    """The criteria and one for `topics`, which plain topics of theirs join."""
+    plain = [each for each in criteria if not each.partitions and not each.data_tags][:1]
+    others = tuple(each for each in criteria if each not in plain)
+    own = [topic for each in plain for topic in each.topics]
+    return (Criteria(topics=tuple(dict.fromkeys([*own, *topics])), line=line), *others)
+
+
+def _all_criteria(item: Item) -> tuple[Criteria, ...]:
+    """One for all plain topics of the list together, and one for each mapping in it."""
+    items = item.items if isinstance(item, Items) else [item]
+    plain = [each for each in items if not isinstance(each, Table)]
+    rest = [partial(_criteria, each) for each in items if isinstance(each, Table)]
+    if not plain:
+        return all_of(rest)
+    return all_of([partial(_plain_criteria, plain), *rest])
+
+
+def _plain_criteria(items: Sequence[Item]) -> Criteria:
+    topics = all_of(partial(text, each) for each in items)
+    return Criteria(topics=topics, line=items[0].line)
+
+
+def _criteria(item: Item) -> Criteria:
+    names = partial(one_or_more, reader=text)
+    said = fields(
+        item,
+        {"topics": names, "partitions": names, "data_tags": _data_tags},
+        required=("topics",),
+    )
+    return build(item, Criteria, **said, line=item.line)
+
+
+def _data_tags(item: Item) -> tuple[tuple[str, str], ...]:
+    """`{name: value}`; as a list of such where a name comes twice."""
+    if isinstance(item, Items):
+        return tuple(pair for pairs in each(item, _data_tags) for pair in pairs)
+    pairs = table(item).entries.values()
+    return all_of(partial(_data_tag, name, value) for name, value in pairs)
+
+
+def _data_tag(name: Item, value: Item) -> tuple[str, str]:
+    return text(name), text(value)
+
+
+_DENIED: Readers = dict.fromkeys(_ACTIONS, _all_criteria)
+ALLOWED: Readers = _DENIED | {"nodes": partial(one_or_more, reader=node)}
+"""Key -> reader, of what an allow rule says besides its domains."""
+
+
+# Writing
+
+
+def rule_as_yaml(rule: Rule) -> dict[str, object]:
+    """What stands under its `allow:` or `deny:`."""
+    said: dict[str, object] = {"domains": domains_as_yaml(rule.domains)}
+    for action in _ACTIONS:
+        if criteria := getattr(rule, action):
+            said[action] = _all_criteria_as_yaml(criteria)
+    return said
+
+
+def _all_criteria_as_yaml(criteria: tuple[Criteria, ...]) -> list[object]:
+    match criteria:
+        case [Criteria(partitions=(), data_tags=()) as only]:
+            return list(only.topics)
+    return [_criteria_as_yaml(each) for each in criteria]
+
+
+def _criteria_as_yaml(criteria: Criteria) -> dict[str, object]:
+    said: dict[str, object] = {"topics": list(criteria.topics)}
+    if criteria.partitions:
+        said["partitions"] = list(criteria.partitions)
+    if criteria.data_tags:
+        once = dict(criteria.data_tags)
+        unique = len(once) == len(criteria.data_tags)
+        said["data_tags"] = once if unique else [{n: v} for n, v in criteria.data_tags]
+    return said

@@ -1,0 +1,46 @@
+"""What the words of an SROS2 policy allow, as its own templates have it.
+
+SROS2 takes patterns as names, so unlike `ros` nothing here checks them.
+"""
+
+from collections.abc import Callable
+
+from pqsec_pki.documents.ros import Endpoints
+
+_SERVICES = ("cancel_goal", "get_result", "send_goal")
+_ACTION_TOPICS = ("feedback", "status")
+
+
+def _request_side(name: str) -> Endpoints:
+    return Endpoints((f"rq{name}Request",), (f"rr{name}Reply",))
+
+
+def _call(name: str) -> Endpoints:
+    inside = [f"{name}/_action/{service}" for service in _SERVICES]
+    topics = tuple(f"rt{name}/_action/{topic}" for topic in _ACTION_TOPICS)
+    replies = tuple(f"rr{each}Reply" for each in inside)
+    return Endpoints(tuple(f"rq{each}Request" for each in inside), (*replies, *topics))
+
+
+def _reversed(topics: Endpoints) -> Endpoints:
+    return Endpoints(topics.subscribe, topics.publish)
+
+
+KINDS: dict[str, tuple[str, dict[str, Callable[[str], Endpoints]]]] = {
+    "topics": (
+        "topic",
+        {
+            "publish": lambda name: Endpoints((f"rt{name}",), ()),
+            "subscribe": lambda name: Endpoints((), (f"rt{name}",)),
+        },
+    ),
+    "services": (
+        "service",
+        {"request": _request_side, "reply": lambda name: _reversed(_request_side(name))},
+    ),
+    "actions": (
+        "action",
+        {"call": _call, "execute": lambda name: _reversed(_call(name))},
+    ),
+}
+"""Element -> (that of its names, attribute -> what it lets a node do with such a name)."""

@@ -1,0 +1,260 @@
+"""The one place where YAML from outside is parsed, and what reads it asks for.
+
+YAML guesses: NO is false, 010 is eight, 2026-01-01 a date. Here nothing is guessed: a
+document is text in lists and mappings, each with its line, and the reader of a value says
+what it must be. Not taken are tags, anchors and aliases, keys that come twice and second
+documents; each has been an attack or a mistake nobody sees. Parsing is by events, so the
+limits hold while it goes on.
+"""
+
+import codecs
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from pqsec_pki.errors import InvalidDocumentError, Problem, UsageError, shown
+
+if TYPE_CHECKING:
+    import yaml
+
+MAX_DOCUMENT = 8 << 20
+"""Bytes, as of an XML document."""
+MAX_DEPTH = 24
+"""Lists and mappings inside one another; a policy needs eleven."""
+MAX_ITEMS = 500_000
+"""Of a document. A policy of 10 000 rules has about 150 000."""
+
+_CODECS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"),
+           (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
+
+# What YAML 1.1, and with the last two 1.2, makes of text without quotes.
+_GUESSES = {"bool": "true or false", "int": "a number", "float": "a number", "null": "nothing",
+            "timestamp": "a date", "merge": "a merge key", "value": "a default key"}  # fmt: skip
+_SURROGATE = re.compile("[\ud800-\udfff]")
+_TAG = "tag:yaml.org,2002:"
+_OCTAL_1_2 = re.compile(r"0o[0-7]+\Z")
+_FLOAT_1_2 = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """What stands for one value; `plain` if without quotes."""
+
+    line: int
+    text: str
+    plain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """A list."""
+
+    line: int
+    items: list["Item"]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A mapping: key -> (the key, its value)."""
+
+    line: int
+    entries: dict[str, tuple[Text, "Item"]]
+
+
+Item: TypeAlias = Text | Items | Table
+
+
+def refused(place: Item | int | None, message: str) -> InvalidDocumentError:
+    """The error that says what is wrong with the item, or in that line."""
+    line = place if isinstance(place, int) or place is None else place.line
+    return InvalidDocumentError([Problem(line, None, message)])
+
+
+# Parsing
+
+
+def parse(data: bytes) -> Item:
+    """The document's one item; InvalidDocumentError, with the line, if it is not YAML."""
+    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
+
+    loader = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
+    text = _decoded(data)
+    try:
+        return _tree(yaml.parse(text, Loader=loader))
+    except yaml.YAMLError as error:
+        raise _no_yaml(error, text) from None
+
+
+def _decoded(data: bytes) -> str:
+    if len(data) > MAX_DOCUMENT:
+        raise refused(None, f"larger than {MAX_DOCUMENT} bytes, so not a policy")
+    codec = next((codec for mark, codec in _CODECS if data.startswith(mark)), "utf-8")
+    try:
+        return data.decode(codec)
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise refused(line, f"not {codec.removesuffix('-sig').upper()} text") from None
+
+
+def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "no YAML"
+    if "alias" in f"{reason} {getattr(error, 'context', '')}":
+        reason = "a name with * at its start must be in quotes, as '*' or '*/status'"
+    line = text.splitlines()[mark.line :][:1] if mark else []
+    if any("\t" in each[: len(each) - len(each.lstrip())] for each in line):
+        reason = "a tab, and YAML is indented with spaces only"
+    return refused(mark.line + 1 if mark else None, f"not well-formed YAML: {shown(reason)}")
+
+
+def _tree(events: Iterable["yaml.Event"]) -> Item:
+    """The document's tree, by a stack, so no depth of it can exhaust Python's."""
+    grower = _Grower()
+    for event in events:
+        kind = type(event).__name__
+        if action := getattr(grower, f"on_{kind}", None):
+            action(event, event.start_mark.line + 1 if event.start_mark else 1)
+    if grower.root is None:
+        raise refused(1, "is empty")
+    return grower.root
+
+
+class _Grower:
+    """Makes a tree of YAML's events, each by the method of its name."""
+
+    def __init__(self) -> None:
+        self.root: Item | None = None
+        self._open: list[Items | Table] = []
+        self._keys: list[Text | None] = []  # of the open ones, the key that awaits its value
+        self._count = 0
+
+    def on_DocumentStartEvent(self, event: "yaml.Event", line: int) -> None:  # noqa: N802 - YAML's
+        del event
+        if self.root is not None:
+            raise refused(line, "a second document begins with ---; only one is taken")
+
+    def on_AliasEvent(self, event: "yaml.Event", line: int) -> None:  # noqa: N802 - YAML's
+        name = shown(getattr(event, "anchor", ""))
+        message = (
+            f"*{name} is an alias to YAML, which is not taken; a name goes in quotes: '*{name}'"
+        )
+        raise refused(line, message)
+
+    def on_ScalarEvent(self, event: "yaml.ScalarEvent", line: int) -> None:  # noqa: N802 - YAML's
+        self._check(event, line)
+        self._put(Text(line, event.value, plain=event.style in {None, ""}))
+
+    def on_SequenceStartEvent(self, event: "yaml.NodeEvent", line: int) -> None:  # noqa: N802
+        self._begin(event, Items(line, []))
+
+    def on_MappingStartEvent(self, event: "yaml.NodeEvent", line: int) -> None:  # noqa: N802
+        self._begin(event, Table(line, {}))
+
+    def on_SequenceEndEvent(self, *_: object) -> None:  # noqa: N802 - YAML's
+        self._open.pop()
+        self._keys.pop()
+
+    on_MappingEndEvent = on_SequenceEndEvent  # noqa: N815 - YAML's
+
+    def _begin(self, event: "yaml.NodeEvent", item: Items | Table) -> None:
+        self._check(event, item.line)
+        self._put(item)
+        self._open.append(item)
+        self._keys.append(None)
+        if len(self._open) > MAX_DEPTH:
+            raise refused(item.line, f"more than {MAX_DEPTH} lists and mappings in one another")
+
+    def _check(self, event: Any, line: int) -> None:
+        self._count += 1
+        if self._count > MAX_ITEMS:
+            raise refused(line, f"more than {MAX_ITEMS} values, so not a policy")
+        if event.tag is not None:
+            raise refused(line, f"the tag {shown(event.tag)} is not taken; ! starts one")
+        if event.anchor is not None:
+            raise refused(line, f"the anchor &{shown(event.anchor)} is not taken")
+
+    def _put(self, item: Item) -> None:
+        holder = self._open[-1] if self._open else None
+        if holder is None:
+            self.root = item
+        elif isinstance(holder, Items):
+            holder.items.append(item)
+        elif (key := self._keys[-1]) is not None:
+            holder.entries[key.text] = (key, item)
+            self._keys[-1] = None
+        elif not isinstance(item, Text):
+            raise refused(item.line, "a key must be a word")
+        elif item.text in holder.entries:
+            raise refused(item.line, f"the key '{shown(item.text)}' comes twice")
+        else:
+            self._keys[-1] = item
+
+
+# Writing
+
+
+def dump(value: object) -> bytes:
+    """`value` as a YAML document; UsageError for text that no encoding has."""
+    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
+
+    written: str = yaml.dump(
+        value, Dumper=_dumper(), sort_keys=False, allow_unicode=True, width=1 << 20
+    )
+    return written.encode()
+
+
+@cache
+def _dumper() -> "type[yaml.SafeDumper]":
+    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
+
+    class Dumper(yaml.SafeDumper):
+        """Times as XML has them, and lists under their key to the right of it."""
+
+        def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:  # noqa: FBT001, FBT002 - yaml's
+            del indentless
+            super().increase_indent(flow, indentless=False)
+
+    Dumper.add_representer(
+        datetime,
+        lambda dumper, value: dumper.represent_scalar(
+            f"{_TAG}timestamp", f"{value.replace(tzinfo=None).isoformat()}Z"
+        ),
+    )
+    Dumper.add_representer(str, _represented)
+    _more_guesses(Dumper)
+    return Dumper
+
+
+def _represented(dumper: Any, text: str) -> Any:
+    """Text as a scalar; yaml itself would lose U+0085 and U+2028 but in double quotes."""
+    if found := _SURROGATE.search(text):
+        raise UsageError(f"{found[0]!a} is a character that no file can hold")
+    style = None if text.isprintable() else '"'
+    return dumper.represent_scalar(f"{_TAG}str", text, style)
+
+
+def guess(text: str) -> str | None:
+    """What YAML would make of this text without quotes, if not text."""
+    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
+
+    tag = _resolver().resolve(yaml.ScalarNode, text, (True, False)).removeprefix(_TAG)
+    return None if tag == "str" else _GUESSES.get(tag, "no text")
+
+
+@cache
+def _resolver() -> Any:
+    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
+
+    class Resolver(yaml.resolver.Resolver):
+        """What YAML 1.1 or 1.2 would make of plain text."""
+
+    _more_guesses(Resolver)
+    return Resolver()
+
+
+def _more_guesses(resolver: Any) -> None:
+    resolver.add_implicit_resolver(f"{_TAG}int", _OCTAL_1_2, ["0"])
+    resolver.add_implicit_resolver(f"{_TAG}float", _FLOAT_1_2, list("-+0123456789"))

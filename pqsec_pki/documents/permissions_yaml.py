@@ -1,0 +1,192 @@
+"""Permissions as people write them: YAML, one grant for each participant.
+
+    validity: 1y
+    grants:
+      - name: /talker
+        publish: [rt/chatter]
+      - name: /listener
+        nodes:
+          - node: /listener
+            subscribe: [chatter]
+
+A grant that says `publish`, `subscribe`, `relay` or `nodes` is one allow rule; any other
+has a list of `rules`, each `allow:` or `deny:`. Nothing else is allowed, unless it says
+`default: ALLOW`.
+"""
+
+import re
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import partial
+from string import Template
+from typing import Any
+
+from pqsec_pki._assets import asset
+from pqsec_pki.documents._domains_yaml import domains
+from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, built_rule, rule, rule_as_yaml
+from pqsec_pki.documents._yaml import Item, Text, dump, refused
+from pqsec_pki.documents._yaml_reading import (
+    build,
+    each,
+    fields,
+    one_of,
+    peeked,
+    read,
+    table,
+    text,
+    time,
+)
+from pqsec_pki.documents.domains import DomainSet
+from pqsec_pki.documents.permissions import DefaultAction, Grant, Permissions, Rule
+from pqsec_pki.errors import UsageError
+
+BACKDATE = timedelta(days=1)
+"""How far back a validity begins that is given as a duration: certificates begin so too,
+for clocks that are slow, and Fast DDS takes the times for local ones."""
+
+_UNITS = {"y": timedelta(365), "w": timedelta(7), "d": timedelta(1), "h": timedelta(hours=1)}
+
+
+@dataclass(frozen=True, slots=True)
+class _Defaults:
+    """What the grants have in common."""
+
+    now: datetime
+    domains: DomainSet
+    validity: tuple[datetime, datetime]
+
+
+def permissions_from_yaml(data: bytes, *, now: datetime) -> Permissions:
+    """What the document says; a validity such as `1y` counts from `now`.
+
+    InvalidDocumentError with all that is wrong in it.
+    """
+    return read(data, partial(_permissions, now))
+
+
+def permissions_to_yaml(value: Permissions) -> bytes:
+    """The document, in DDS names, that `permissions_from_yaml` reads as `value`."""
+    return dump({"grants": [_grant_as_yaml(grant) for grant in value.grants]})
+
+
+def new_permissions(
+    names: list[str], domains: DomainSet, validity: str, *, nodes: bool = True
+) -> bytes:
+    """A commented document with a grant for each name, for people to edit.
+
+    With `nodes` each is a ROS 2 node; without, it has empty lists of topics.
+    """
+    whole = asset("templates", "permissions.yaml").read_text("utf-8")
+    head, of_node, of_topics = whole.split("---\n")
+    grant = Template(of_node if nodes else of_topics)
+    written = Template(head).substitute(domains=str(domains), validity=validity)
+    quoted = [dump(name).decode().split("\n")[0] for name in names]
+    return "".join([written, *(grant.substitute(name=name) for name in quoted)]).encode()
+
+
+# Reading
+
+
+def _permissions(now: datetime, item: Item) -> Permissions:
+    validity = partial(_validity, now)
+    defaults = _Defaults(
+        now=now,
+        domains=peeked(item, "domains", domains, DomainSet.of(0)),
+        validity=peeked(item, "validity", validity, lasting(now, timedelta(365))),
+    )
+    readers: Readers = {
+        "domains": domains,
+        "validity": validity,
+        "grants": partial(each, reader=partial(_grant, defaults)),
+    }
+    said = fields(item, readers, required=("grants",))
+    return build(item, Permissions, grants=said["grants"])
+
+
+def _grant(defaults: _Defaults, item: Item) -> Grant:
+    common: Readers = {
+        "name": text,
+        "subject": text,
+        "validity": partial(_validity, defaults.now),
+        "domains": domains,
+        "default": partial(one_of, DefaultAction),
+    }
+    rules, said = _rules(defaults, item, common)
+    if not said.keys() & {"name", "subject"}:
+        raise refused(item, "a grant needs a name, the enclave path of its participant: /talker")
+    subject = said.get("subject", f"CN={said.get('name')}")
+    before, after = said.get("validity", defaults.validity)
+    return build(
+        item,
+        Grant,
+        name=said.get("name", subject),
+        subject_name=subject,
+        not_before=before,
+        not_after=after,
+        rules=rules,
+        default=said.get("default", DefaultAction.DENY),
+        line=item.line,
+    )
+
+
+def _rules(
+    defaults: _Defaults, item: Item, common: Readers
+) -> tuple[tuple[Rule, ...], dict[str, Any]]:
+    """The grant's rules, and what else it says."""
+    keys = table(item).entries
+    short = [key for key in ALLOWED if key in keys]
+    if "rules" not in keys and not short:
+        raise refused(item, "the grant allows nothing: give it publish, subscribe or nodes")
+    if "rules" in keys and short:
+        key, _ = keys[short[0]]
+        raise refused(key, f"with `rules`, `{key.text}` stands in one of them, under `allow:`")
+    if "rules" not in keys:
+        said = fields(item, common | ALLOWED)
+        allowed = {key: said.pop(key) for key in ALLOWED if key in said}
+        domain_set = said.get("domains", defaults.domains)
+        return (built_rule(item, domain_set, allowed, allow=True),), said
+    domain_set = peeked(item, "domains", domains, defaults.domains)
+    said = fields(item, {**common, "rules": partial(each, reader=partial(rule, domain_set))})
+    return said.pop("rules"), said
+
+
+# Validity
+
+
+def _validity(now: datetime, item: Item) -> tuple[datetime, datetime]:
+    """A duration, or its two ends; without a beginning it is in force already."""
+    if isinstance(item, Text):
+        found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", item.text)
+        if not found:
+            raise refused(item, f"'{item.text}' is no duration; write 1y, 26w, 90d or 12h")
+        return build(item, lasting, now=now, duration=int(found[1]) * _UNITS[found[2]])
+    ends = fields(item, {"not_before": time, "not_after": time}, required=("not_after",))
+    before, after = ends.get("not_before", now - BACKDATE), ends["not_after"]
+    return before, after
+
+
+def lasting(now: datetime, duration: timedelta) -> tuple[datetime, datetime]:
+    """From BACKDATE before now until the duration is over; UsageError if that is never."""
+    try:
+        return now - BACKDATE, now + duration
+    except OverflowError:
+        raise UsageError(f"{duration.days} days are too long") from None
+
+
+# Writing
+
+
+def _grant_as_yaml(grant: Grant) -> dict[str, object]:
+    said: dict[str, object] = {"name": grant.name}
+    if grant.subject_name != f"CN={grant.name}":
+        said["subject"] = grant.subject_name
+    said["validity"] = {"not_before": grant.not_before, "not_after": grant.not_after}
+    if grant.default is not DefaultAction.DENY:
+        said["default"] = grant.default.value
+    match grant.rules:
+        case [Rule(allow=True) as only] if only.publish or only.subscribe or only.relay:
+            said |= rule_as_yaml(only)
+        case rules:
+            effects = [("allow" if each.allow else "deny", rule_as_yaml(each)) for each in rules]
+            said["rules"] = [dict([effect]) for effect in effects]
+    return said

@@ -1,0 +1,287 @@
+"""pqsec governance and pqsec permissions: from YAML to the XML that stacks read, and back."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pqsec_pki.documents import PRESETS, Governance, Permissions, governance_from_yaml, ros
+
+CORPUS = Path(__file__).parents[1] / "vectors/corpus/sros2"
+SAMPLE = CORPUS / "test/policies/sample.policy.xml"
+PRESET_NAMES = [preset.name for preset in PRESETS]
+NEW = {"governance": "governance new", "permissions": "permissions new /talker /listener"}
+KINDS = {"governance": Governance, "permissions": Permissions}
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+@every_kind
+def test_new_render_read_and_render_again(pqsec, tmp_path, kind):
+    pqsec(f"{NEW[kind]} --domain 0-3 -o new.yaml").done()
+    pqsec(f"{kind} render new.yaml -o one.xml").done()
+    pqsec(f"{kind} read one.xml -o read.yaml").done()
+    pqsec(f"{kind} render read.yaml -o two.xml").done()
+    one, two = ((tmp_path / name).read_bytes() for name in ("one.xml", "two.xml"))
+    assert one == two
+    assert b"<min>0</min>" in one
+    assert pqsec("validate one.xml --json").done().json[0]["kind"] == kind
+
+
+def test_new_permissions_without_ros(pqsec, tmp_path):
+    names = ["robot-1", "a: b", "no", "'é'"]
+    (tmp_path / "new.yaml").write_text(pqsec("permissions new --dds", *names).done().out)
+    value = Permissions.from_xml(pqsec("permissions render new.yaml").done().out.encode())
+    assert [grant.name for grant in value.grants] == names
+    assert {rule.allow for grant in value.grants for rule in grant.rules} == {True}
+    assert not any(rule.publish or rule.subscribe for g in value.grants for rule in g.rules)
+    pqsec("permissions new robot-1").refused(2, "no full ROS 2 name", hint="or --dds")
+
+
+@every_kind
+def test_without_output_the_document_is_printed(pqsec, tmp_path, kind):
+    printed = pqsec(NEW[kind]).done().out
+    (tmp_path / "new.yaml").write_text(printed)
+    pqsec(f"{NEW[kind]} -o other.yaml").done()
+    assert (tmp_path / "other.yaml").read_text() == printed
+    rendered = pqsec(f"{kind} render new.yaml").done().out
+    assert KINDS[kind].from_xml(rendered.encode())
+    assert pqsec(f"{kind} render new.yaml --json").done().json["document"] + "" == rendered
+
+
+@pytest.mark.parametrize("preset", PRESET_NAMES)
+def test_a_preset_is_written_and_commented(pqsec, preset):
+    text = pqsec(f"governance new --preset {preset} --domain 1,5-9").done().out
+    [row] = [each for each in PRESETS if each.name == preset]
+    value = governance_from_yaml(text.encode())
+    assert value == row.governance(value.domain_rules[0].domains)
+    assert row.summary in text
+    assert text.count("# ") > 15
+
+
+def test_the_presets_are_explained(pqsec):
+    rows = pqsec("governance presets --json").done().json
+    assert [row["name"] for row in rows] == PRESET_NAMES
+    text = " ".join(pqsec("governance presets").done().out.split())
+    for row in rows:
+        assert (
+            f"{row['name']}: {row['summary']} Protects: {row['protects']} Costs: {row['costs']}"
+            in text
+        )
+
+
+@every_kind
+def test_a_signed_document_is_read(pqsec, keystore, kind):
+    k = keystore()
+    where = {"governance": "enclaves/governance", "permissions": "enclaves/talker/permissions"}[
+        kind
+    ]
+    signed = pqsec(f"{kind} read", k / f"{where}.p7s").done().out
+    assert signed == pqsec(f"{kind} read", k / f"{where}.xml").done().out
+
+
+def test_yaml_goes_from_new_to_a_signed_handshake(pqsec, keystore):
+    keystore()
+    pqsec("governance new --preset authenticated --domain 0-5 -o g.yaml").done()
+    pqsec("governance render g.yaml -o k/enclaves/governance.xml --force").done()
+    pqsec("-k k sign-governance k/enclaves/governance.xml --force").done()
+    for name in ("talker", "listener"):
+        pqsec(f"permissions new /{name} --domain 5 -o {name}.yaml").done()
+        pqsec(f"permissions render {name}.yaml -o k/enclaves/{name}/permissions.xml --force").done()
+        pqsec(f"-k k sign-permissions k/enclaves/{name}/permissions.xml --force").done()
+    pqsec("-k k verify-handshake /talker /listener --domain 5").done()
+
+
+@every_kind
+def test_yaml_is_signed_as_the_xml_it_means(pqsec, keystore, kind):
+    keystore()
+    pqsec(f"{NEW[kind]} -o new.yaml").done()
+    pqsec(f"-k k sign-{kind} new.yaml").done()
+    assert pqsec("validate new.p7s --json").done().json[0]["kind"] == kind
+    read, rendered = pqsec(f"{kind} read new.p7s").done().out, pqsec(f"{kind} render new.yaml")
+    assert KINDS[kind].from_xml(rendered.done().out.encode())
+    assert yaml.safe_load(read)
+
+
+# What is refused
+
+
+@every_kind
+def test_every_mistake_is_told_and_nothing_is_written(pqsec, tmp_path, kind):
+    rest = {"governance": "preset: x\ntopics: 5", "permissions": "validity: x\ngrants: 5"}[kind]
+    (tmp_path / "bad.yaml").write_text(f"domain: 0\n{rest}\n")
+    said = pqsec(f"{kind} render bad.yaml -o out.xml")
+    said.refused(1, "bad.yaml: line 1: domain: no such key here; did you mean domains?", problems=3)
+    assert not (tmp_path / "out.xml").exists()
+
+
+@every_kind
+def test_signing_a_mistake_is_refused_in_the_same_words(pqsec, keystore, tmp_path, kind):
+    keystore()
+    (tmp_path / "bad.yaml").write_text("domain: 0\n")
+    pqsec(f"-k k sign-{kind} bad.yaml").refused(
+        1, "line 1: domain: no such key here", problems={"governance": 1, "permissions": 2}[kind]
+    )
+    assert not (tmp_path / "bad.p7s").exists()
+
+
+@every_kind
+def test_nothing_is_overwritten_unless_forced(pqsec, tmp_path, kind):
+    (tmp_path / "there").write_text("mine")
+    pqsec(f"{NEW[kind]} -o there").refused(3, "there exists", hint="--force")
+    assert (tmp_path / "there").read_text() == "mine"
+    pqsec(f"{NEW[kind]} -o there --force").done()
+    pqsec(f"{kind} render there -o there").refused(3, "there exists")
+
+
+@every_kind
+@pytest.mark.parametrize("verb", ["render", "read"])
+def test_a_file_that_is_not_there_is_refused(pqsec, kind, verb):
+    pqsec(f"{kind} {verb} none").refused(3, "none: no such file")
+
+
+def test_the_wrong_kind_of_document_is_refused(pqsec):
+    pqsec("governance new -o g.yaml").done()
+    pqsec("governance render g.yaml -o g.xml").done()
+    pqsec("permissions read g.xml").refused(1, "g.xml: line", "is a governance document")
+    pqsec("permissions render g.yaml").refused(1, "g.yaml: line", problems=8)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("governance new --preset stric", "'stric' is not one of"),
+        ("governance new --domain 300", "domain 300 is above 230"),
+        ("permissions new talker", "'talker' is no full ROS 2 name"),
+        ("permissions new /a --validity x", "'x' is not a duration"),
+        ("permissions new", "Missing argument"),
+    ],
+)
+def test_what_makes_no_sense_is_a_usage_error(pqsec, line, words):
+    pqsec(line).refused(2, words)
+
+
+def test_topics_without_any_rule_are_noted(pqsec, tmp_path):
+    (tmp_path / "g.yaml").write_text("topics: [rt/a]")
+    said = pqsec("governance render g.yaml")
+    assert said.code == 0
+    assert "note: domains 0: the last topic rule is not for '*'" in said.err
+
+
+@every_kind
+def test_the_schema_is_written_for_editors(pqsec, kind):
+    assert json.loads(pqsec(f"{kind} schema").done().out)["$id"] == f"urn:pqsec:schema:{kind}"
+
+
+# SROS2
+
+
+def test_a_policy_of_sros2_becomes_yaml_and_permissions(pqsec, tmp_path):
+    pqsec("permissions import --domain 0,7 --validity 90d -o p.yaml", SAMPLE).done()
+    xml = pqsec("permissions render p.yaml").done().out
+    value = Permissions.from_xml(xml.encode())
+    expected = (CORPUS / "test/policies/permissions/sample/permissions.xml").read_bytes()
+    theirs = Permissions.from_xml(expected)
+    assert [grant.name for grant in value.grants] == [grant.name for grant in theirs.grants]
+    for ours, other in zip(value.grants, theirs.grants, strict=True):
+        assert ours.rules[0].publish == other.rules[0].publish
+        assert ours.rules[0].subscribe == other.rules[0].subscribe
+        assert str(ours.rules[0].domains) == "0,7"
+
+
+def test_what_jazzy_nodes_lack_is_noted_until_it_is_added(pqsec):
+    line = "permissions import --enclave /talker_listener/talker"
+    said = pqsec(line, SAMPLE)
+    assert said.code == 0
+    assert "lacks rr/talker/get_type_descriptionReply and 1 more topic" in said.err
+    said = pqsec(f"{line} --complete", SAMPLE)
+    assert said.err == ""
+    [grant] = yaml.safe_load(said.out)["grants"]
+    assert grant["rules"][-1]["allow"]["publish"] == list(ros.node_minimum("/talker").publish)
+
+
+def test_one_enclave_is_imported_by_name(pqsec):
+    said = pqsec("permissions import --enclave /talker_listener/talker --complete", SAMPLE).done()
+    assert [grant["name"] for grant in yaml.safe_load(said.out)["grants"]] == [
+        "/talker_listener/talker"
+    ]
+    pqsec("permissions import --enclave /none", SAMPLE).refused(
+        2, "no enclave /none", hint="it has /talker_listener/talker, "
+    )
+
+
+def test_an_include_out_of_the_folder_is_refused(pqsec, tmp_path):
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d/p.xml").write_text(SAMPLE.read_text().replace("talker_listener.policy", "../x"))
+    (tmp_path / "x.xml").write_text("<policy/>")
+    pqsec("permissions import d/p.xml").refused(
+        1, "d/p.xml: line 6: <xi:include>: ", "outside the policy's folder"
+    )
+
+
+# Issuing
+
+POLICY = """
+validity: 1w
+domains: 0
+grants:
+  - {name: /a, nodes: /a, publish: [rt/x]}
+  - {name: /b, rules: [{deny: {publish: rt/y}}, {allow: {domains: [0, 5], publish: "*"}}]}
+"""
+
+
+def grants_of(folder, name):
+    return Permissions.from_xml((folder / f"k/enclaves/{name}/permissions.xml").read_bytes()).grants
+
+
+def test_participants_are_issued_with_the_grants_of_a_policy(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "p.yaml").write_text(POLICY)
+    said = pqsec("-k k issue /a /b --policy p.yaml --validity 90d").done()
+    assert "the governance does not name domain 5" in said.err
+    [a], [b] = (grants_of(tmp_path, name) for name in "ab")
+    assert (a.name, a.subject_name) == ("/a", "CN=/a")
+    assert a.rules[0].publish[0].topics == ("rt/x", *ros.node_minimum("/a").publish)
+    assert [rule.allow for rule in b.rules] == [False, True]
+    assert (a.not_after - a.not_before).days == 8
+    pqsec("-k k verify-handshake /a /b --domain 0").done()
+
+
+def test_a_grant_ends_with_its_certificate(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "p.yaml").write_text(POLICY)
+    pqsec("-k k issue /a --policy p.yaml --validity 12h").done()
+    [grant] = grants_of(tmp_path, "a")
+    assert (grant.not_after - grant.not_before).total_seconds() == 36 * 3600
+
+
+def test_participants_are_issued_from_a_policy_of_sros2(pqsec, keystore, tmp_path):
+    keystore()
+    pqsec("-k k issue /talker_listener/talker --domain 3 --policy", SAMPLE).done()
+    [grant] = grants_of(tmp_path, "talker_listener/talker")
+    assert str(grant.rules[0].domains) == "3"
+    assert "rt/chatter" in grant.rules[0].publish[0].topics
+    assert grant.rules[-1].publish[0].topics == (ros.DISCOVERY,)
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        ("/a /c --policy p.yaml", 2, "p.yaml has no grant for /c"),
+        ("/a --policy p.yaml --publish x", 2, "name none beside it"),
+        ("/a --policy none.yaml", 3, "none.yaml: no such file"),
+        ("/a --policy bad.yaml", 1, "bad.yaml: line 1: the key 'grants' is missing"),
+        ("/a --policy old.yaml", 2, "the policy's grant for /a and its certificate never hold"),
+    ],
+)
+def test_a_policy_that_does_not_fit_issues_nobody(pqsec, keystore, more, code, words):
+    k = keystore()
+    tmp_path = k.parent
+    (tmp_path / "p.yaml").write_text(POLICY)
+    (tmp_path / "bad.yaml").write_text("{}")
+    old = POLICY.replace(
+        "1w", "{not_before: 2000-01-01T00:00:00Z, not_after: 2001-01-01T00:00:00Z}"
+    )
+    (tmp_path / "old.yaml").write_text(old)
+    pqsec(f"-k k issue {more}").refused(code, words)
+    assert not (k / "enclaves/a").exists()

@@ -1,0 +1,600 @@
+"""Who may do what: each rule of the standard, and where each stack reads otherwise."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from time import process_time
+
+import pytest
+
+from pqsec_pki.access import (
+    CYCLONEDDS,
+    FASTDDS,
+    OPENDDS,
+    READINGS,
+    SPEC,
+    Action,
+    Policy,
+    Protection,
+    Question,
+    Side,
+    decide,
+    reading_named,
+)
+from pqsec_pki.access import _patterns as patterns
+from pqsec_pki.documents import (
+    Criteria,
+    DefaultAction,
+    DomainRange,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+    ProtectionKind,
+    Rule,
+)
+from pqsec_pki.errors import MalformedError, UsageError
+
+NOW = datetime(2026, 6, 1, tzinfo=UTC)
+DAY = timedelta(days=1)
+SUBJECT = "CN=/robot"
+HERE, ELSEWHERE = DomainSet.of(0), DomainSet.of(5)
+PUBLISH, SUBSCRIBE, RELAY, JOIN = Action
+ALL_NAMES = ("spec", "cyclonedds", "fastdds", "opendds")
+
+
+def criteria(*topics, partitions=(), tags=()):
+    return (Criteria(topics=topics, partitions=partitions, data_tags=tags),)
+
+
+def allow(*publish, domains=HERE, **more):
+    return Rule(allow=True, domains=domains, publish=publish, **more)
+
+
+def deny(*publish, domains=HERE, **more):
+    return Rule(allow=False, domains=domains, publish=publish, **more)
+
+
+def grant(*rules, default=DefaultAction.DENY, subject=SUBJECT, start=NOW - DAY, end=NOW + DAY):
+    return Grant(
+        name="g",
+        subject_name=subject,
+        not_before=start,
+        not_after=end,
+        rules=rules,
+        default=default,
+    )
+
+
+def governance(*topic_rules, join=True, domains=HERE):
+    """Everything is protected, but for a topic named `open`, and `topic_rules` come first."""
+    [rule] = Governance.protected(domains).domain_rules
+    [last] = rule.topic_rules
+    rules = (*topic_rules, topics("open", read=False), last)
+    changed = replace(rule, topic_rules=rules, enable_join_access_control=join)
+    return Governance(domain_rules=(changed,))
+
+
+def topics(expression, *, read=True, write=True):
+    [rule] = Governance.protected(HERE).domain_rules[0].topic_rules
+    return replace(
+        rule,
+        topic_expression=expression,
+        enable_read_access_control=read,
+        enable_write_access_control=write,
+    )
+
+
+def question(action=PUBLISH, topic="a", **more):
+    asked = {"subject": SUBJECT, "domain": 0, "now": NOW, "action": action} | more
+    return Question(topic=None if action is JOIN else topic, **asked)
+
+
+def ask(*rules, by=None, reading=SPEC, governed=None, default=DefaultAction.DENY, **asked):
+    permissions = Permissions(grants=(grant(*rules, default=default),))
+    return decide(governed or governance(), permissions, question(**asked), reading, by=by)
+
+
+# The standard.
+
+
+def test_a_rule_that_has_the_topic_allows():
+    rule = allow(*criteria("b", "a*"))
+    decision = ask(rule, topic="ab")
+    assert decision.allowed
+    assert decision.decided_by is rule
+    assert decision.criteria is rule.publish[0]
+    assert decision.reason == "an allow_rule of grant 'g' lets it publish 'ab' on domain 0"
+
+
+@pytest.mark.parametrize(
+    "asked", [{"topic": "b"}, {"action": SUBSCRIBE}, {"action": RELAY}, {"partitions": ("P",)}]
+)
+def test_what_no_rule_has_the_default_decides(asked):
+    rule = allow(*criteria("a"))
+    denied, allowed = ask(rule, **asked), ask(rule, default=DefaultAction.ALLOW, **asked)
+    assert not denied.allowed
+    assert allowed.allowed
+    assert "its default is DENY" in denied.reason
+    assert denied.decided_by.name == "g"
+
+
+@pytest.mark.parametrize("action", ["publish", "subscribe", "relay"])
+def test_each_action_has_its_own_criteria(action):
+    rule = Rule(allow=True, domains=HERE, **{action: criteria("a")})
+    assert [ask(rule, action=each).allowed for each in (PUBLISH, SUBSCRIBE, RELAY)] == [
+        each == action for each in ("publish", "subscribe", "relay")
+    ]
+
+
+def test_the_first_rule_that_has_the_topic_decides():
+    yes, no = allow(*criteria("*")), deny(*criteria("a"))
+    assert ask(yes, no).allowed
+    denied = ask(no, yes)
+    assert denied.reason == "a deny_rule of grant 'g' forbids it to publish 'a' on domain 0"
+    assert denied.decided_by is no
+    assert ask(no, yes, topic="b").allowed
+
+
+def test_a_rule_for_another_domain_does_not_count():
+    assert not ask(allow(*criteria("a"), domains=ELSEWHERE)).allowed
+    assert ask(deny(*criteria("a"), domains=ELSEWHERE), allow(*criteria("a"))).allowed
+
+
+@pytest.mark.parametrize(
+    ("named", "used", "allowed", "denied"),
+    [
+        ((), (), True, True),
+        ((), ("",), True, True),
+        ((), ("P",), False, True),
+        (("P",), (), False, False),
+        (("P",), ("P",), True, True),
+        (("P",), ("P", "Q"), False, True),
+        (("P", "Q"), ("Q", "P"), True, True),
+        (("P*",), ("P", "PQ"), True, True),
+        (("*",), (), True, True),
+        (("?",), ("PQ",), False, False),
+    ],
+)
+def test_partitions_are_all_allowed_or_one_denied(named, used, allowed, denied):
+    met = criteria("a", partitions=named)
+    assert ask(allow(*met), partitions=used).allowed is allowed
+    assert ask(deny(*met), allow(*criteria("*", partitions=("*",))), partitions=used).allowed is (
+        not denied
+    )
+
+
+@pytest.mark.parametrize(
+    ("named", "used", "allowed", "denied"),
+    [
+        ("", "", True, True),
+        ("", "x", False, True),
+        ("x", "", True, False),
+        ("x", "x", True, True),
+        ("x", "xy", False, True),
+        ("xy", "y", True, True),
+        ("x", "y", False, False),
+    ],
+)
+def test_data_tags_are_all_allowed_or_one_denied(named, used, allowed, denied):
+    tags = tuple(("kind", each) for each in named)
+    asked = {"data_tags": tuple(("kind", each) for each in used)}
+    assert ask(allow(*criteria("a", tags=tags)), **asked).allowed is allowed
+    assert ask(deny(*criteria("a", tags=tags)), default=DefaultAction.ALLOW, **asked).allowed is (
+        not denied
+    )
+
+
+def test_a_near_miss_is_told():
+    decision = ask(allow(*criteria("a", partitions=("P",))), partitions=("Q",))
+    assert "publish 'a' in partition 'Q'" in decision.reason
+    assert "allow_rule has the topic, but for other partitions or data tags" in decision.reason
+
+
+def test_what_governance_opens_needs_no_rule_for_the_topic():
+    member, rule = allow(*criteria("other")), topics("a", write=False)
+    decision = ask(member, governed=governance(rule))
+    assert decision.allowed
+    assert decision.decided_by is rule
+    assert "lets every participant publish 'a'" in decision.reason
+    assert not ask(member, governed=governance(rule), action=SUBSCRIBE).allowed
+
+
+def test_what_governance_opens_is_closed_to_those_who_may_not_join():
+    opened = governance(topics("a", write=False))
+    denied = ask(governed=opened)
+    assert denied.reason == "grant 'g' has no allow_rule for domain 0"
+    assert ask(governed=opened, by=Side.OWN).allowed
+    assert ask(governed=governance(topics("a", write=False), join=False)).allowed
+
+
+def test_the_first_topic_rule_that_has_the_topic_governs():
+    closed, opened = topics("a"), topics("*", write=False)
+    member = allow(*criteria("other"))
+    assert not ask(member, governed=governance(closed, opened)).allowed
+    assert ask(member, governed=governance(opened, closed)).allowed
+
+
+def test_a_topic_that_no_topic_rule_has_cannot_be_used():
+    [rule] = Governance.protected(HERE).domain_rules
+    governed = Governance(domain_rules=(replace(rule, topic_rules=(topics("b"),)),))
+    decision = ask(allow(*criteria("*")), governed=governed)
+    assert decision.reason == "no topic rule of governance covers 'a' on domain 0"
+
+
+def test_a_decision_knows_the_line_of_what_decided():
+    permissions = Permissions(grants=(grant(allow(*criteria("x")), deny(*criteria("a"))),))
+    xml = permissions.to_xml()
+    decision = decide(governance(), Permissions.from_xml(xml), question())
+    lines = xml.decode().splitlines()
+    assert "<deny_rule>" in lines[decision.decided_by.line - 1]
+    assert "<publish>" in lines[decision.criteria.line - 1]
+
+
+def test_a_decision_says_how_traffic_is_protected():
+    decision = ask(allow(*criteria("a")))
+    assert decision.protection == Protection(
+        data=ProtectionKind.ENCRYPT,
+        metadata=ProtectionKind.ENCRYPT,
+        discovery=ProtectionKind.ENCRYPT,
+        liveliness=ProtectionKind.ENCRYPT,
+        rtps=ProtectionKind.SIGN,
+        strangers=False,
+    )
+    assert decision.protection.words == (
+        "payload: encrypted: only members can read it and make it",
+        "submessages: encrypted: only members can read it and make it",
+        "discovery: encrypted: only members can read it and make it",
+        "liveliness: encrypted: only members can read it and make it",
+        "whole messages: signed: anyone on the network can read it, only members can make it",
+        "participants without credentials: are shut out",
+    )
+
+
+def test_a_topic_may_be_announced_in_the_clear_where_others_are_not():
+    rule = replace(topics("a"), enable_discovery_protection=False)
+    protection = ask(governed=governance(rule)).protection
+    assert protection.discovery is ProtectionKind.NONE
+    assert protection.liveliness is ProtectionKind.ENCRYPT
+    joining = ask(governed=governance(rule), action=JOIN).protection
+    assert joining.discovery is ProtectionKind.ENCRYPT
+    assert joining.data is None
+    assert not [words for words in joining.words if words.startswith("payload")]
+
+
+@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+def test_many_questions_of_one_policy_are_answered_as_one_by_one(reading):
+    permissions = Permissions(grants=(grant(allow(*criteria("a")), deny(*criteria("b"))),))
+    policy = Policy(governance(), permissions, reading)
+    for domain in (0, 5):
+        for topic in "abc":
+            asked = question(topic=topic, domain=domain)
+            assert policy.decide(asked) == decide(governance(), permissions, asked, reading)
+
+
+# The stacks. A case is what is asked of which documents, and who says yes.
+
+CASES = {
+    "a deny_rule in another partition": (
+        [deny(*criteria("a", partitions=("Q",))), allow(*criteria("a", partitions=("P",)))],
+        {"partitions": ("P",)},
+        "spec opendds",
+    ),
+    "a deny_rule without partitions, in a partition": (
+        [allow(subscribe=criteria("a")), deny(*criteria("a"))],
+        {"partitions": ("P",), "default": DefaultAction.ALLOW},
+        "cyclonedds",
+    ),
+    "a deny_rule for subscribers": (
+        [deny(subscribe=criteria("a")), allow(*criteria("a"))],
+        {},
+        "spec fastdds opendds",
+    ),
+    "the topic in one place and its partition in another": (
+        [allow(*criteria("a"), *criteria("b", partitions=("P",)))],
+        {"partitions": ("P",)},
+        "fastdds",
+    ),
+    "a second rule for the same topic": (
+        [allow(*criteria("a")), allow(*criteria("a", partitions=("P",)))],
+        {"partitions": ("P",)},
+        "spec cyclonedds opendds",
+    ),
+    "a partition is asked for, and the endpoint has none": (
+        [allow(*criteria("a", partitions=("P",)))],
+        {},
+        "opendds",
+    ),
+    "only the default": (
+        [],
+        {"default": DefaultAction.ALLOW},
+        "spec cyclonedds opendds",
+    ),
+    "the default beside a rule": (
+        [allow(*criteria("b"))],
+        {"default": DefaultAction.ALLOW},
+        "spec cyclonedds opendds",
+    ),
+    "a deny_rule for another domain": (
+        [deny(*criteria("a"), domains=ELSEWHERE), allow(*criteria("a"))],
+        {},
+        "spec cyclonedds opendds",
+    ),
+    "a range without an end": (
+        [allow(*criteria("a"), domains=DomainSet(parts=(DomainRange(first=0),)))],
+        {"domain": 5, "governed": governance(domains=ELSEWHERE)},
+        "spec opendds",
+    ),
+    "an endpoint with data tags": (
+        [allow(*criteria("a"))],
+        {"data_tags": (("kind", "x"),)},
+        "cyclonedds fastdds opendds",
+    ),
+    "relaying": (
+        [allow(relay=criteria("a"))],
+        {"action": RELAY},
+        "spec fastdds",
+    ),
+    "relaying for one who may subscribe": (
+        [allow(subscribe=criteria("a"))],
+        {"action": RELAY},
+        "fastdds",
+    ),
+    "a later topic rule that is open": (
+        [allow(*criteria("b"))],
+        {"governed": governance(topics("a"), topics("*", write=False))},
+        "opendds",
+    ),
+    "a topic rule that is only half open": (
+        [allow(*criteria("b"))],
+        {"governed": governance(topics("a", read=False))},
+        "",
+    ),
+    "a topic that is a pattern": (
+        [allow(*criteria("*"))],
+        {"topic": "o*", "governed": governance(), "action": SUBSCRIBE},
+        "fastdds",
+    ),
+    "everything is closed": (
+        [allow(*criteria("a"))],
+        {"governed": Governance.protected(HERE)},
+        "spec cyclonedds fastdds",
+    ),
+    "a domain that governance does not name": (
+        [allow(*criteria("a"), domains=ELSEWHERE)],
+        {"action": JOIN, "domain": 5},
+        "fastdds",
+    ),
+    "a domain above 230": (
+        [allow(*criteria("a")), allow(*criteria("a"), domains=DomainSet(parts=(231,)))],
+        {},
+        "spec fastdds opendds",
+    ),
+    "an empty topic": (
+        [allow(*criteria("a")), allow(*criteria(""))],
+        {},
+        "spec opendds",
+    ),
+    "a topic with the name of a builtin one": (
+        [allow(*criteria("a"))],
+        {"topic": "DCPSPublication"},
+        "cyclonedds",
+    ),
+    "an escape": (
+        [allow(*criteria("\\*"))],
+        {"topic": "*"},
+        "spec opendds",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_who_says_yes(case):
+    rules, asked, wanted = CASES[case]
+    said = [each.name for each in READINGS if ask(*rules, reading=each, **asked).allowed]
+    assert said == wanted.split()
+
+
+SUBJECTS = {
+    "CN=/robot,O=Lab": "spec cyclonedds fastdds",
+    "O=Lab,CN=/robot": "spec cyclonedds opendds",
+    "CN=/robot, O=Lab": "spec fastdds",
+    "/O=Lab/CN=/robot": "spec cyclonedds opendds",
+    "CN=/robot/admin,O=Lab": "cyclonedds",
+    "CN=/robot": "",
+    "cn=/robot,O=Lab": "",
+    "gibberish": "",
+    "CN=/robot,O=Lab" + ",L=x" * 20: "",
+}
+
+
+@pytest.mark.parametrize("named", SUBJECTS)
+def test_whose_grant_it_is(named):
+    asked = question(subject="CN=/robot,O=Lab")
+    permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
+    found = [
+        each.name for each in READINGS if decide(governance(), permissions, asked, each).allowed
+    ]
+    assert found == SUBJECTS[named].split()
+
+
+def test_a_subject_outside_ascii_is_spelled_for_each_stack():
+    asked = question(subject="CN=ñ")
+    for named, wanted in (("CN=ñ", ["spec", "fastdds", "opendds"]), ("CN=\\C3\\B1", None)):
+        permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
+        found = [
+            each.name for each in READINGS if decide(governance(), permissions, asked, each).allowed
+        ]
+        assert found == (wanted or ["spec", "cyclonedds", "opendds"])
+
+
+@pytest.mark.parametrize(
+    ("times", "wanted"),
+    [
+        ((-1, 1), "spec cyclonedds fastdds opendds"),
+        ((0, 1), "spec fastdds opendds"),
+        ((-1, 0), "spec fastdds opendds"),
+        ((1, 2), ""),
+        ((-2, -1), ""),
+    ],
+)
+def test_a_grant_in_force(times, wanted):
+    start, end = (NOW + DAY * each for each in times)
+    permissions = Permissions(grants=(grant(allow(*criteria("a")), start=start, end=end),))
+    said = [
+        each.name
+        for each in READINGS
+        if decide(governance(), permissions, question(), each).allowed
+    ]
+    assert said == wanted.split()
+
+
+def test_a_grant_for_ever_is_over_for_cyclone_dds():
+    for year, wanted in ((2262, list(READINGS)), (2263, [SPEC, FASTDDS, OPENDDS])):
+        rules = allow(*criteria("a"))
+        ends = grant(rules, end=datetime(year, 1, 1, tzinfo=UTC))
+        permissions = Permissions(grants=(ends,))
+        assert wanted == [
+            each for each in READINGS if decide(governance(), permissions, question(), each).allowed
+        ]
+
+
+def test_of_two_grants_only_fast_dds_takes_the_one_in_force():
+    expired = grant(allow(*criteria("a")), end=NOW - DAY / 2)
+    permissions = Permissions(grants=(expired, grant(allow(*criteria("a")))))
+    decisions = {each: decide(governance(), permissions, question(), each) for each in READINGS}
+    assert [each for each in READINGS if decisions[each].allowed] == [FASTDDS]
+    assert decisions[SPEC].reason.startswith("grant 'g' ended at 2026-05-31")
+
+
+def test_opendds_lets_join_whom_no_time_lets_publish():
+    expired = Permissions(grants=(grant(allow(*criteria("a")), end=NOW - DAY / 2),))
+    assert decide(governance(), expired, question(JOIN), OPENDDS).allowed
+    assert not decide(governance(), expired, question(), OPENDDS).allowed
+
+
+def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
+    rule = allow(*criteria("a"), domains=ELSEWHERE)
+    assert ask(rule, reading=FASTDDS, by=Side.OWN).allowed
+    assert not ask(rule, reading=FASTDDS, by=Side.PEER).allowed
+
+
+@pytest.mark.parametrize(
+    ("documents", "words"),
+    [
+        ((governance(domains=DomainSet(parts=(231,))), grant()), "above 230"),
+        ((governance(domains=DomainSet(parts=(DomainRange(first=3, last=1),))), grant()), "empty"),
+        ((governance(topics("")), grant()), "empty topic"),
+    ],
+)
+def test_cyclone_dds_reads_nothing_of_some_documents(documents, words):
+    governed, of_robot = documents
+    decision = decide(governed, Permissions(grants=(of_robot,)), question(), CYCLONEDDS)
+    assert words in decision.reason
+    assert decision.decided_by is None
+
+
+# Patterns.
+
+COVERED = {  # by whom: the first letters of spec, cyclonedds, fastdds, opendds
+    ("a", "a"): "scfo",
+    ("a", "A"): "",
+    ("*", ""): "scfo",
+    ("*", ".a/b"): "scfo",
+    ("?", "/"): "scfo",
+    ("a*bc", "abbc"): "scf",
+    ("*ab", "aab"): "scf",
+    ("*b", "bb"): "scf",
+    ("*ab", "cab"): "scfo",
+    ("**a**", "bab"): "scfo",
+    ("[ab]", "b"): "scfo",
+    ("[ab]", "]"): "c",
+    ("[a-c]", "b"): "scfo",
+    ("[c-a]", "b"): "",
+    ("[!ab]", "c"): "scfo",
+    ("[!ab]", "]"): "sfo",
+    ("[^a]", "b"): "sf",
+    ("[^a]", "^"): "scfo",
+    ("[]a]", "]"): "sfo",
+    ("[a-]", "-"): "sfo",
+    ("[0-9]-f", "0-f"): "sfo",
+    ("[0-9]-f", "b"): "c",
+    ("[!]", "[!]"): "sf",
+    ("[!]x]", "a"): "sfo",
+    ("[!]x]", "ax]"): "",
+    ("[!]x]", "a]x]"): "c",
+    ("[a", "[a"): "sf",
+    ("{a,b}", "a"): "",
+    ("{a,b}", "{a,b}"): "scfo",
+    ("\\*", "*"): "so",
+    ("\\*", "\\*"): "cf",
+    ("\\a", "a"): "so",
+    ("a\\", "a\\"): "cf",
+    ("[\\]]", "]"): "s",
+    ("[[:digit:]]", "7"): "sf",
+    ("[[:digit:]x]", "x"): "sf",
+    ("[[:nonsense:]x]", "x"): "",
+    ("[[.-.]a]", "-"): "sf",
+    ("[[=a=]]", "a"): "sf",
+    ("?", "ñ"): "",
+    ("??", "ñ"): "scfo",
+}
+
+
+@pytest.mark.parametrize(("pattern", "name"), COVERED)
+def test_a_pattern_covers_a_name(pattern, name):
+    covered = {
+        "s": patterns.posix,
+        "c": patterns.cyclonedds,
+        "f": patterns.posix_without_escapes,
+        "o": patterns.opendds,
+    }
+    assert (
+        "".join(key for key, covers in covered.items() if covers(pattern, name))
+        == (COVERED[pattern, name])
+    )
+
+
+@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+@pytest.mark.parametrize("pattern", ["*a" * 100 + "b", "*a?" * 80 + "b", "*[!b]" * 60 + "b"])
+def test_a_hostile_pattern_costs_little(reading, pattern):
+    hostile = tuple(f"{pattern}{number}" for number in range(200))
+    began = process_time()
+    decision = ask(allow(*criteria(*hostile)), reading=reading, topic="a" * 256)
+    assert not decision.allowed
+    assert process_time() - began < 2
+
+
+# What cannot be asked.
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"topic": ""}, "has a name"),
+        ({"topic": "x" * 257}, "longer than 256"),
+        ({"partitions": ("x" * 257,)}, "longer than 256"),
+        ({"topic": None}, "a topic"),
+        ({"now": NOW.replace(tzinfo=None)}, "no time zone"),
+    ],
+)
+def test_a_question_without_sense_is_refused(changed, words):
+    with pytest.raises(UsageError, match=words):
+        question(**changed)
+
+
+def test_joining_is_asked_without_a_topic():
+    with pytest.raises(UsageError, match="without a topic"):
+        Question(subject=SUBJECT, domain=0, action=JOIN, now=NOW, topic="a")
+
+
+@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+def test_a_subject_that_is_no_name_is_refused(reading):
+    with pytest.raises(MalformedError):
+        ask(allow(*criteria("a")), reading=reading, subject="gibberish")
+
+
+def test_a_reading_is_found_by_its_name():
+    assert tuple(reading_named(name) for name in ALL_NAMES) == READINGS
+    with pytest.raises(UsageError) as error:
+        reading_named("connext")
+    assert "cyclonedds" in error.value.hint
