@@ -8,6 +8,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 from pqsec_pki.errors import VerificationError, shown
@@ -51,7 +52,7 @@ class Introduction:
 
     @property
     def properties(self) -> tuple[BinaryProperty, ...]:
-        return tuple(zip(self.NAMES, _values(self), strict=True))
+        return tuple(zip(self.NAMES, _INTRODUCED(self), strict=True))
 
     @property
     def signature_algorithm_name(self) -> str:
@@ -70,6 +71,9 @@ class Introduction:
         return hashlib.sha256(encode_properties(self.properties)).digest()
 
 
+_INTRODUCED = attrgetter(*(each.name for each in fields(Introduction)))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transcript:
     """What both signatures cover: the same six values, each side's own first."""
@@ -83,7 +87,7 @@ class Transcript:
 
     def values(self) -> dict[str, bytes]:
         """The six by name, as Reply and Final repeat them."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in _NAMES[Transcript]}
 
     def reply_octets(self) -> bytes:
         """What the Reply's signature covers (9.3.2.5.2, table 50)."""
@@ -117,24 +121,22 @@ class _Message:
 
     def to_holder(self) -> DataHolder:
         items: list[BinaryProperty] = []
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name in _NAMES[type(self)]:
+            value = getattr(self, name)
             if isinstance(value, Introduction):
                 items += value.properties
             elif value is not None:
-                items.append((field.name, value))
+                items.append((name, value))
         return DataHolder(self.CLASS_ID, (), tuple(items))
 
     @classmethod
     def from_holder(cls, holder: DataHolder) -> Self:
         """VerificationError, with all that is wrong, if `holder` is no such message."""
         found = dict(holder.binary_properties)
-        values: dict[str, Any] = {field.name: found.get(field.name) for field in fields(cls)}
-        wanted = [field.name for field in fields(cls) if field.default is not None]
+        values: dict[str, Any] = {name: found.get(name) for name in _NAMES[cls]}
         if "introduction" in values:
-            values["introduction"] = Introduction(*(found.get(n, b"") for n in Introduction.NAMES))
-            wanted = [*Introduction.NAMES, *wanted[1:]]
-        problems = [*_class_problems(holder, cls.CLASS_ID), *_problems(holder, found, wanted)]
+            values["introduction"] = Introduction(*[found.get(n, b"") for n in Introduction.NAMES])
+        problems = [*_class_problems(holder, cls.CLASS_ID), *_problems(holder, found, _DUE[cls])]
         if problems:
             raise VerificationError(*problems)
         return cls(**values)
@@ -192,8 +194,18 @@ class AuthRequest(_Message):
     future_challenge: bytes
 
 
-def _values(value: Introduction) -> tuple[bytes, ...]:
-    return tuple(getattr(value, field.name) for field in fields(value))
+def _due(kind: type[_Message]) -> tuple[str, ...]:
+    due = tuple(field.name for field in fields(kind) if field.default is not None)
+    return (*Introduction.NAMES, *due[1:]) if due[0] == "introduction" else due
+
+
+_MESSAGES: tuple[type[_Message], ...] = (Request, Reply, Final, AuthRequest)
+_NAMES: dict[type, tuple[str, ...]] = {
+    Transcript: tuple(field.name for field in fields(Transcript)),
+    **{kind: tuple(field.name for field in fields(kind)) for kind in _MESSAGES},
+}
+_DUE: dict[type, tuple[str, ...]] = {kind: _due(kind) for kind in _MESSAGES}
+"""The properties that a message of this kind must have."""
 
 
 def _name(octets: bytes) -> str:
@@ -213,14 +225,16 @@ def _problems(holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]
         if name not in found:
             yield f"{name} is missing"
     # Cyclone DDS takes the first of a doubled property, others may take the last.
-    for name, count in Counter(name for name, _ in holder.binary_properties).items():
-        if count > 1:
-            yield f"'{shown(name)}' is there {count} times"
+    if len(found) < len(holder.binary_properties):
+        for name, count in Counter(name for name, _ in holder.binary_properties).items():
+            if count > 1:
+                yield f"'{shown(name)}' is there {count} times"
     for name, value in found.items():
-        if len(value) != _SIZES.get(name, len(value)):
-            yield f"{name} has {len(value)} bytes, not {_SIZES[name]}"
-        if len(value) > _MOST.get(name, len(value)):
-            yield f"{name} has {len(value)} bytes, which names no algorithm"
+        size = len(value)
+        if name in _SIZES and size != _SIZES[name]:
+            yield f"{name} has {size} bytes, not {_SIZES[name]}"
+        if name in _MOST and size > _MOST[name]:
+            yield f"{name} has {size} bytes, which names no algorithm"
         # Fast DDS hashes every property of this prefix, the others hash five.
         if name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
             yield f"'{shown(name)}' is not covered by every stack's hash"
