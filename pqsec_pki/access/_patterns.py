@@ -1,8 +1,8 @@
 """Does a pattern cover a name? The fnmatch of each stack.
 
 All compare UTF-8 octets, as fnmatch does in the C locale, and none holds `/` or a leading
-`.` to be special. The stacks try every way to share a name among `*`, so that a pattern
-as `*a*a*a*a*b` can stop them for hours; here the time is linear in the pattern and in
+`.` to be special. Cyclone DDS tries every way to share a name among `*`, so that a
+pattern as `*a*a*a*a*b` can stop it for hours; here the time is linear in the pattern and in
 the name, whatever they are.
 """
 

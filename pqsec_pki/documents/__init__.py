@@ -23,9 +23,11 @@ from pqsec_pki.documents.permissions_yaml import (
 )
 from pqsec_pki.documents.presets import PRESETS, Preset, preset_named
 from pqsec_pki.documents.subject import Subject, parse_subject, same_subject
+from pqsec_pki.documents.tree import Comment, Node, Tree, read_tree
 
 __all__ = [
     "PRESETS",
+    "Comment",
     "Criteria",
     "DefaultAction",
     "DomainRange",
@@ -34,12 +36,14 @@ __all__ = [
     "Governance",
     "Grant",
     "Kind",
+    "Node",
     "Permissions",
     "Preset",
     "ProtectionKind",
     "Rule",
     "Subject",
     "TopicRule",
+    "Tree",
     "governance_from_yaml",
     "governance_to_yaml",
     "lasting",
@@ -49,6 +53,7 @@ __all__ = [
     "permissions_from_yaml",
     "permissions_to_yaml",
     "preset_named",
+    "read_tree",
     "ros",
     "same_subject",
     "sros2",

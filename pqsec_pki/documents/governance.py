@@ -81,10 +81,12 @@ class Governance:
     def protected(cls, domains: DomainSet) -> Self:
         """Everything on these domains is authenticated and encrypted.
 
-        What SROS2 writes, and what every stack takes. The whole RTPS message is signed
-        and not encrypted: what it carries is encrypted already (discovery, liveliness,
-        each submessage and its payload), so ENCRYPT would cost twice and hide no more
-        than submessage headers, while SIGN still refuses what outsiders send.
+        What SROS2 writes, and what every stack takes but OpenDDS, which makes no
+        participant unless some topic is open to all (its issue 5007). The whole RTPS
+        message is signed and not encrypted: what it carries is encrypted already
+        (discovery, liveliness, each submessage and its payload), so ENCRYPT would cost
+        twice and hide no more than submessage headers, while SIGN still refuses what
+        outsiders send.
         """
         topics = TopicRule(
             topic_expression="*",

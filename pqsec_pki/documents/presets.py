@@ -2,7 +2,8 @@
 
 What every stack takes: no element of DDS-Security 1.2, no payload with origin
 authentication, and unauthenticated participants only where RTPS messages are unprotected
-(Fast DDS 3 refuses the one with the other).
+(Fast DDS 3 refuses the one with the other). OpenDDS makes no participant under any of
+them until a topic rule opens some topic to all (its issue 5007).
 """
 
 from collections.abc import Iterable

@@ -33,6 +33,8 @@ class ListedSigner:
     """DER AlgorithmIdentifier of the signature."""
     digest: str
     """Name of the digest, or its dotted OID where it is none that is used here."""
+    has_attributes: bool
+    """Whether attributes are signed, and the document only by its digest among them."""
     signed_at: datetime | None
     countersigners: "tuple[ListedSigner, ...]" = ()
 
@@ -77,6 +79,7 @@ class _Lister:
             key_identifier=key_identifier,
             identifier=encode(info.signature_algorithm),
             digest=_digest(info.digest_algorithm.algorithm.dotted_string),
+            has_attributes=bool(info.signed_attributes),
             signed_at=_signer_info.signing_time(info),
             countersigners=tuple(self.signers(list(_signer_info.countersignatures(info)))),
         )

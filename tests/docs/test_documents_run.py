@@ -1,7 +1,7 @@
 """The documents tell the truth: their commands run, and print what they say.
 
 Every ```console block of README.md, docs/ and examples/ is run, in order, in one empty
-folder per file. In a block, a line
+folder per file; an example's other files are in its folder. In a block, a line
 
     $ command           is a command for bash; the same folder and variables as the last one
     > more              goes on with it
@@ -26,6 +26,7 @@ import pytest
 
 import pqsec_pki
 from pqsec_pki.cli import COMMANDS, pqsec
+from tests.interop.fastdds import find_compiler
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -136,8 +137,27 @@ def same(expected: list[str], printed: str) -> bool:
     return doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS)
 
 
+OTHERS = {
+    "openssl": ("openssl", "apt-get install openssl"),
+    "ddsperf": ("cyclonedds-tools", "apt-get install cyclonedds-tools"),
+    "g++": ("g++ with Fast DDS's headers", "apt-get install g++ libfastrtps-dev"),
+}
+"""Program -> (what must be there to run it, how to get that)."""
+
+
+def others_in(text: str) -> list[str]:
+    """The programs of others that a command runs."""
+    return [name for name in OTHERS if re.search(rf"(?<![\w-]){re.escape(name)} ", text)]
+
+
+def _found(program: str) -> str | None:
+    if program == "g++":
+        return find_compiler()
+    return shutil.which(program)
+
+
 def _parameter(path: Path) -> object:
-    others = any(re.search(r"\bopenssl ", command.text) for command in commands_in(path))
+    others = any(others_in(command.text) for command in commands_in(path))
     marks = [pytest.mark.interop] if others else []
     return pytest.param(path, marks=marks, id=str(path.relative_to(ROOT)))
 
@@ -149,10 +169,14 @@ WITH_COMMANDS = [_parameter(path) for path in DOCUMENTS if blocks(path, "console
 @pytest.mark.parametrize("path", WITH_COMMANDS)
 def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, requires):
     session = Session(tmp_path)
+    if path.parent.parent.name == "examples":
+        for file in path.parent.iterdir():  # what the example brings with it
+            shutil.copy(file, session.work)
+        (session.work / path.name).unlink()
     for command in commands_in(path):
         place = f"{path.relative_to(ROOT)}:{command.line}"
-        if "openssl " in command.text:
-            requires(shutil.which("openssl"), "openssl", "apt-get install openssl")
+        for program in others_in(command.text):
+            requires(_found(program), *OTHERS[program])
         code, printed = session.run(command.text)
         assert code == command.exit_code, f"{place}: {command.text}\nexit {code}\n{printed}"
         if command.output:

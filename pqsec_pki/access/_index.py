@@ -1,0 +1,25 @@
+"""Many names, and those of them that a pattern covers."""
+
+from bisect import bisect_left
+from collections.abc import Iterable
+
+from pqsec_pki.access._patterns import Covers, posix
+from pqsec_pki.access._witnesses import is_wildcard
+
+_LAST = "\U0010ffff"
+
+
+class Names:
+    """Names in order, so that only those are looked at that begin as a pattern does."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.sorted = sorted(set(names))
+        self._all = frozenset(self.sorted)
+
+    def covered(self, pattern: str, covers: Covers = posix) -> frozenset[str]:
+        """Those that the pattern covers."""
+        if not is_wildcard(pattern):
+            return self._all & {pattern}
+        begin = pattern[: min(pattern.index(each) for each in "*?[\\" if each in pattern)]
+        first, last = bisect_left(self.sorted, begin), bisect_left(self.sorted, begin + _LAST)
+        return frozenset(name for name in self.sorted[first:last] if covers(pattern, name))

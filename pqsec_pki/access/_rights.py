@@ -1,0 +1,206 @@
+"""All that a few grants let their subject do, asked of the engine."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import product
+from typing import Any, TypeAlias
+
+from pqsec_pki.access._checks import met
+from pqsec_pki.access._domains import domains_said, stretches
+from pqsec_pki.access._endpoints import Sets, sets_to_try
+from pqsec_pki.access._topics import Universe
+from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.reading import Case
+from pqsec_pki.access.readings import SPEC
+from pqsec_pki.documents import (
+    Criteria,
+    DefaultAction,
+    DomainRange,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+    Rule,
+)
+
+_ALL = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
+_BEGIN, _THEN, _END = (datetime(year, 1, 1, tzinfo=UTC) for year in (2000, 2001, 2002))
+_ACTIONS = (Action.PUBLISH, Action.SUBSCRIBE, Action.RELAY)
+_ANY = "any topic"
+_DEFAULT = ("",)
+_UNTOLD = ("a tag that no rule names", "")
+
+_Partitions: TypeAlias = tuple[str, ...]
+_Tag: TypeAlias = tuple[str, str]
+_Tags: TypeAlias = tuple[_Tag, ...]
+Right: TypeAlias = tuple[Action, DomainRange, _Partitions, _Tags]
+"""To do that, on these domains, with an endpoint in these partitions with these tags."""
+Rights: TypeAlias = dict[Right, frozenset[str]]
+"""The topics for each; joining has none, and so an empty one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Whole:
+    """What several rights have in common: all these actions, in all these places."""
+
+    actions: tuple[Action, ...]
+    domains: tuple[DomainRange, ...]
+    partitions: tuple[_Partitions, ...]
+    tags: tuple[_Tags, ...]
+    names: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """All that some grants can tell apart."""
+
+    topics: Universe
+    domains: tuple[DomainRange, ...]
+    partitions: Universe
+    partition_sets: Sets[str]
+    tag_sets: Sets[_Tag]
+
+    @classmethod
+    def of(cls, grants: Iterable[Grant]) -> "World":
+        """What these can."""
+        grants = tuple(grants)
+        rules = [rule for grant in grants for rule in grant.rules]
+        criteria = list(_criteria(rules))
+        named = (name for each in criteria for name in each.partitions)
+        partitions = Universe(named, "partition", also=_DEFAULT)
+        return cls(
+            topics=Universe(topic for each in criteria for topic in each.topics),
+            domains=stretches(rule.domains for rule in rules),
+            partitions=partitions,
+            partition_sets=_partition_sets(partitions, grants),
+            tag_sets=_tag_sets(grants),
+        )
+
+    @property
+    def complete(self) -> bool:
+        """Whether two grants that agree in this world agree."""
+        parts = (self.topics, self.partitions, self.partition_sets, self.tag_sets)
+        return all(part.complete for part in parts)
+
+    def rights(self, grant: Grant | None) -> Rights:
+        """What a grant gives while it is in force, where governance controls everything."""
+        found: Rights = {}
+        if grant:
+            always = replace(grant, not_before=_BEGIN, not_after=_END)
+            policy = Policy(_ALL, Permissions(grants=(always,)))
+            for stretch in self.domains:
+                found |= self._on(policy, grant, stretch)
+        return found
+
+    def _on(self, policy: Policy, grant: Grant, stretch: DomainRange) -> Rights:
+        subject, domain = grant.subject_name, stretch.first
+        here = tuple(rule for rule in grant.rules if domain in rule.domains)
+        join = Question(subject=subject, domain=domain, action=Action.JOIN, now=_THEN)
+        if not policy.decide(join).allowed:
+            return {}  # who cannot join can do nothing
+        found: Rights = {(Action.JOIN, stretch, _DEFAULT, ()): frozenset({""})}
+        for action, partitions, tags in product(
+            _ACTIONS, self.partition_sets.tried, self.tag_sets.tried
+        ):
+            asked = replace(join, action=action, topic=_ANY, partitions=partitions, data_tags=tags)
+            case = Case(
+                question=asked, reading=SPEC, domain_rules=(), grant=replace(grant, rules=here)
+            )
+            found[action, stretch, partitions, tags] = self._allowed(case)
+        return found
+
+    def _allowed(self, case: Case) -> frozenset[str]:
+        """As the check `by_rules` decides, but for all topics in one go."""
+        allowed, undecided = set[str](), set(self.topics.names)
+        for rule in case.rules:
+            for criteria in case.criteria(rule, case.question.action):
+                if met(case, criteria, rule):
+                    for pattern in criteria.topics:
+                        named = undecided & self.topics.covered[pattern]
+                        undecided -= named
+                        allowed |= named if rule.allow else set()
+        return frozenset(
+            allowed | undecided if case.grant.default is DefaultAction.ALLOW else allowed
+        )
+
+    def where(self, whole: Whole) -> str:
+        """As in `on domain 0 in partition 'A'`."""
+        words = [f"on {domains_said(whole.domains)}"]
+        if whole.partitions == self.partition_sets.tried:
+            words.append("in any partition")
+        elif whole.partitions != (_DEFAULT,):
+            words.append(f"in {' or '.join(self._partitions_said(whole.partitions))}")
+        if whole.tags == self.tag_sets.tried:
+            words.append("whatever its data tags")
+        elif whole.tags != ((),):
+            words.append(f"with {' or '.join(map(_tags_said, whole.tags))}")
+        return " ".join(words)
+
+    def _partitions_said(self, sets: tuple[_Partitions, ...]) -> Iterator[str]:
+        """The partitions that each suffice, and the largest sets that are taken together."""
+        alone = frozenset(name for each in sets if len(each) == 1 for name in each)
+        several = [frozenset(each) for each in sets if len(each) > 1]
+        words = " or ".join(map(str, self.partitions.described(alone)))
+        if alone:
+            yield f"{words}, alone or together" if alone in several else words
+        for each in several:
+            largest = not any(each < other for other in several)
+            if largest and each != alone and (each <= alone or not each & alone):
+                yield f"{' and '.join(map(str, self.partitions.described(each)))} together"
+
+
+def wholes(rights: Rights) -> Iterator[Whole]:
+    """The same, each set of topics with all its actions and places, as far as they combine."""
+    items: list[tuple[Any, ...]] = [(*right, names) for right, names in rights.items() if names]
+    for dimension in (1, 2, 3, 0):
+        groups: dict[tuple[Any, ...], list[Any]] = {}
+        for item in items:
+            rest = (*item[:dimension], *item[dimension + 1 :])
+            groups.setdefault(rest, []).append(item[dimension])
+        items = [
+            (*rest[:dimension], tuple(values), *rest[dimension:]) for rest, values in groups.items()
+        ]
+    for actions, domains, partitions, tags, names in items:
+        yield Whole(actions=actions, domains=domains, partitions=partitions, tags=tags, names=names)
+
+
+def _criteria(rules: Iterable[Rule]) -> Iterator[Criteria]:
+    for rule in rules:
+        yield from (*rule.publish, *rule.subscribe, *rule.relay)
+
+
+def _partition_sets(partitions: Universe, grants: tuple[Grant, ...]) -> Sets[str]:
+    """Those of criteria; allow_rules without partitions are for the default one."""
+    allowed = [
+        partitions.covered_by(each.partitions or _DEFAULT) for each in _of_rules(grants, allow=True)
+    ]
+    if any(grant.default is DefaultAction.ALLOW for grant in grants):
+        allowed.append(frozenset(partitions.names))
+    denied = (partitions.covered_by(each.partitions) for each in _of_rules(grants, allow=False))
+    found = sets_to_try(partitions.names, allowed, filter(None, denied))
+    return replace(found, tried=tuple(filter(None, found.tried)))  # all are in one, at least
+
+
+def _tag_sets(grants: tuple[Grant, ...]) -> Sets[_Tag]:
+    """Those of criteria, and a tag that is in none."""
+    allowed = [frozenset(each.data_tags) for each in _of_rules(grants, allow=True)]
+    denied = [frozenset(each.data_tags) for each in _of_rules(grants, allow=False)]
+    every = tuple(dict.fromkeys([_UNTOLD, *sorted(frozenset().union(*allowed, *denied))]))
+    if any(grant.default is DefaultAction.ALLOW for grant in grants):
+        allowed.append(frozenset(every))
+    return sets_to_try(every, allowed, filter(None, denied))
+
+
+def _of_rules(grants: tuple[Grant, ...], *, allow: bool) -> Iterator[Criteria]:
+    for grant in grants:
+        yield from _criteria(rule for rule in grant.rules if rule.allow is allow)
+
+
+def _tags_said(tags: _Tags) -> str:
+    if not tags:
+        return "no data tags"
+    if tags == (_UNTOLD,):
+        return _UNTOLD[0]
+    return "data tags " + ", ".join(f"{name}={value}" for name, value in tags)

@@ -1,0 +1,77 @@
+"""Changes that only a stack sees: the standard answers both documents alike, and it does not."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import islice, product
+
+from pqsec_pki.access._rights import World
+from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.question import MAX_NAME, Action, Question
+from pqsec_pki.access.reading import Reading
+from pqsec_pki.access.readings import READINGS, SPEC
+from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
+from pqsec_pki.documents.domains import MAX_DOMAIN
+
+MOST_ASKED = 2_000
+"""Questions: of documents that have more only the first are asked, to be done in a second."""
+MOST_WORK = 50_000
+"""Questions times rules, for the same reason."""
+
+_BEGIN, _THEN, _END = (datetime(year, 1, 1, tzinfo=UTC) for year in (2000, 2001, 2002))
+_DOMAINS = DomainSet(parts=(DomainRange(first=0, last=MAX_DOMAIN),))
+
+
+@dataclass(frozen=True, slots=True)
+class StackChange:
+    """A question that a stack answers otherwise than before, though the standard does not."""
+
+    reading: Reading
+    question: Question
+    allowed: bool
+    """What it answers now."""
+
+
+def stack_changes(old: Grant, new: Grant, world: World) -> Iterator[StackChange]:
+    """For each stack the first question it allows, and the first it denies, unlike before."""
+    rules = len(old.rules) + len(new.rules) + 1
+    questions = list(
+        islice(_questions(new.subject_name, world), min(MOST_ASKED, MOST_WORK // rules))
+    )
+    alike = [
+        each for each, (before, after) in _answers(old, new, questions, SPEC) if before == after
+    ]
+    for reading in READINGS:
+        seen = set[bool]()
+        for question, (before, after) in _answers(old, new, alike, reading):
+            if before != after and after not in seen:
+                seen.add(after)
+                yield StackChange(reading, question, allowed=after)
+
+
+def _answers(
+    old: Grant, new: Grant, questions: list[Question], reading: Reading
+) -> Iterator[tuple[Question, tuple[bool, bool]]]:
+    governance = Governance.protected(_DOMAINS)
+    before, after = (
+        Policy(governance, Permissions(grants=(_in_force(grant),)), reading) for grant in (old, new)
+    )
+    for question in questions:
+        yield question, (before.decide(question).allowed, after.decide(question).allowed)
+
+
+def _questions(subject: str, world: World) -> Iterator[Question]:
+    join = Question(subject=subject, domain=0, action=Action.JOIN, now=_THEN)
+    domains = [each.first for each in world.domains if each.first <= MAX_DOMAIN]
+    yield from (replace(join, domain=domain) for domain in domains)
+    names = [name for name in world.topics.names if len(name) <= MAX_NAME]
+    actions = (Action.PUBLISH, Action.SUBSCRIBE)
+    for partitions, domain, topic, action in product(
+        world.partition_sets.tried, domains, names, actions
+    ):
+        if all(len(name) <= MAX_NAME for name in partitions):
+            yield replace(join, domain=domain, action=action, topic=topic, partitions=partitions)
+
+
+def _in_force(grant: Grant) -> Grant:
+    return replace(grant, not_before=_BEGIN, not_after=_END)

@@ -1,0 +1,133 @@
+"""Sets of topics, or of partitions, said with the patterns of the documents."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from pqsec_pki.access._index import Names
+from pqsec_pki.access._witnesses import is_wildcard, witnesses
+
+MOST_SAID = 6
+"""Exceptions to a pattern that are named in a sentence."""
+
+
+class Extent(StrEnum):
+    """How much of a pattern is meant."""
+
+    ONE = "one"
+    ALL = "all"
+    SOME = "some"
+    OTHER = "other"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Topics:
+    """A topic, all or some of those that a pattern covers, or those that no pattern does.
+
+    Or partitions, of which one has an empty name.
+    """
+
+    name: str
+    """The topic or the pattern; empty for topics that no pattern covers."""
+    extent: Extent
+    such_as: str = ""
+    but: tuple[str, ...] = ()
+    """Patterns whose topics are not meant."""
+    what: str = "topic"
+
+    def __str__(self) -> str:
+        name = self._said(self.name)
+        words = {
+            Extent.ONE: name,
+            Extent.ALL: f"every {self.what}" if self.name == "*" else f"all of {name}",
+            Extent.SOME: f"some of {name}, such as '{self.such_as}'",
+            Extent.OTHER: f"{self.what}s that no rule names, such as '{self.such_as}'",
+        }[self.extent]
+        but = list(map(self._said, self.but))
+        if len(but) > MOST_SAID:
+            but[MOST_SAID - 1 :] = [f"{len(but) - MOST_SAID + 1} more"]
+        return f"{words}, but none of {' and '.join(but)}" if but else words
+
+    def _said(self, name: str) -> str:
+        if self.what == "topic":
+            return f"'{name}'"
+        return f"{self.what} '{name}'" if name else f"the default {self.what}"
+
+
+class Universe:
+    """All topics (or else `what`), as far as these patterns can tell them apart.
+
+    Where it is not `complete` there may be topics that meet the patterns as none of its
+    names does. So nothing is said then of all that a pattern covers. `also` are names that
+    are there beside what the patterns tell apart.
+    """
+
+    def __init__(
+        self, patterns: Iterable[str], what: str = "topic", also: tuple[str, ...] = ()
+    ) -> None:
+        each = tuple(dict.fromkeys([*also, *patterns]))
+        found = witnesses(each)
+        self.names, self.complete = (*also, *found.names), found.complete
+        self._what = what
+        known = Names(self.names)
+        self.covered = {pattern: known.covered(pattern) for pattern in each}
+        self._literals = {pattern for pattern in each if not is_wildcard(pattern)}
+        wildcards = (pattern for pattern in each if is_wildcard(pattern))
+        self._wildcards = sorted(wildcards, key=lambda each: -len(self.covered[each]))
+        self._covering: dict[str, list[str]] = {}
+        """The wildcards for each name, the widest first."""
+        for pattern in self._wildcards:
+            for name in self.covered[pattern]:
+                self._covering.setdefault(name, []).append(pattern)
+
+    def covered_by(self, patterns: Iterable[str]) -> frozenset[str]:
+        """Those of the names that one of the patterns covers."""
+        return frozenset[str]().union(*(self.covered[pattern] for pattern in patterns))
+
+    def described(self, chosen: frozenset[str]) -> tuple[Topics, ...]:
+        """These of the names, in the fewest words."""
+        return tuple(self._described(chosen))
+
+    def _described(self, chosen: frozenset[str]) -> Iterator[Topics]:
+        left = set(chosen)
+        for pattern in self._wildcards if self.complete else ():
+            covered = self.covered[pattern]
+            if covered <= chosen and covered & left:
+                yield Topics(name=pattern, extent=Extent.ALL, what=self._what)
+                left -= covered
+        for name in self.names:
+            if name in left and name in self._literals:
+                yield Topics(name=name, extent=Extent.ONE, what=self._what)
+                left.discard(name)
+        yield from self._parts(chosen, left)
+
+    def _parts(self, chosen: frozenset[str], left: set[str]) -> Iterator[Topics]:
+        """Of patterns that are not chosen as a whole, the narrowest first."""
+        for pattern in reversed(self._wildcards):
+            if found := self.covered[pattern] & left:
+                left -= found
+                yield Topics(
+                    name=pattern,
+                    extent=Extent.SOME,
+                    such_as=_shortest(found),
+                    but=tuple(self._but(pattern, chosen)) if self.complete else (),
+                    what=self._what,
+                )
+        if left:
+            yield Topics(name="", extent=Extent.OTHER, such_as=_shortest(left), what=self._what)
+
+    def _but(self, pattern: str, chosen: frozenset[str]) -> Iterator[str]:
+        """The widest patterns, or else names, within that one of which nothing is chosen."""
+        within = self.covered[pattern]
+        left = set(within - chosen)
+        others = dict.fromkeys(other for name in left for other in self._covering[name])
+        wider_first = sorted(others, key=lambda other: (-len(self.covered[other]), other))
+        for other in [*wider_first, *sorted(left & self._literals)]:
+            covered = self.covered[other]
+            if covered & left and covered < within and not covered & chosen:
+                yield other
+                left -= covered
+
+
+def _shortest(names: Iterable[str]) -> str:
+    return min(names, key=lambda name: (len(name), name))

@@ -1,0 +1,145 @@
+"""What a change of permissions grants and takes away, in meaning and not in text.
+
+Both documents are asked about the same topics, partitions, data tags and domains: at least
+one for each way in which their patterns can meet. So what is said to change does, with a
+witness; and where nothing is found nothing changes, within the limits of
+`Difference.complete`. Governance is taken to control everything. All this is by the
+standard; what changes for a stack alone is looked for among the same questions.
+"""
+
+from collections.abc import Iterator
+from datetime import datetime
+from itertools import product
+
+from pqsec_pki.access._rights import Rights, Whole, World, wholes
+from pqsec_pki.access._stack_diff import StackChange, stack_changes
+from pqsec_pki.access._topics import Topics, Universe
+from pqsec_pki.access.change import Change, Difference, Sense
+from pqsec_pki.access.question import Action
+from pqsec_pki.documents import Grant, Permissions, parse_subject
+from pqsec_pki.errors import MalformedError
+
+MOST_RESHAPED = 8
+"""Patterns of an action that came or went: of more, each with each is no help to anyone."""
+
+
+def permissions_diff(old: Permissions | None, new: Permissions | None) -> Difference:
+    """For each subject, what `new` lets it do and `old` did not, and the other way round.
+
+    None is a document that is not there. Of several grants for a subject the first counts,
+    in force or not.
+    """
+    before, after = _by_subject(old), _by_subject(new)
+    found = [
+        _grants_diff(before.get(key), after.get(key)) for key in dict.fromkeys([*before, *after])
+    ]
+    return Difference(
+        tuple(change for each in found for change in each.changes),
+        complete=all(each.complete for each in found),
+        same_text=old == new,
+    )
+
+
+def _by_subject(permissions: Permissions | None) -> dict[object, Grant]:
+    found: dict[object, Grant] = {}
+    for grant in permissions.grants if permissions else ():
+        try:
+            subject = parse_subject(grant.subject_name)
+        except MalformedError:
+            continue  # no certificate has such a subject
+        found.setdefault(frozenset({subject, subject[::-1]}), grant)
+    return found
+
+
+def _grants_diff(old: Grant | None, new: Grant | None) -> Difference:
+    grants = [grant for grant in (old, new) if grant]
+    changes = list(_validity_changes(old, new)) if old and new else []
+    if old and new and (old.rules, old.default) == (new.rules, new.default):
+        return Difference(tuple(changes), complete=True)
+    world = World.of(grants)
+    before, after = world.rights(old), world.rights(new)
+    subject = grants[-1].subject_name
+    for sense, less, more in ((Sense.GRANTED, before, after), (Sense.TAKEN, after, before)):
+        changes += (_change(subject, sense, world, each) for each in wholes(_beyond(less, more)))
+    if old and new:
+        for action in dict.fromkeys(action for change in changes for action in change.actions):
+            if action is not Action.JOIN and world.topics.complete:
+                changes += _reshaped(old, new, action, world.topics)
+        changes += map(_of_stack, stack_changes(old, new, world))
+    return Difference(tuple(changes), complete=world.complete)
+
+
+def _beyond(less: Rights, more: Rights) -> Rights:
+    return {right: names - less.get(right, frozenset()) for right, names in more.items()}
+
+
+def _change(subject: str, sense: Sense, world: World, whole: Whole) -> Change:
+    topics: tuple[Topics, ...] = ()
+    what = " and ".join(whole.actions)
+    if whole.actions != (Action.JOIN,):
+        topics = world.topics.described(whole.names)
+        what += f" {'; '.join(map(str, topics))}"
+    where = world.where(whole)
+    return Change(
+        sense=sense,
+        subject=subject,
+        text=f"{what}{',' if any(each.such_as for each in topics) else ''} {where}",
+        actions=whole.actions,
+        topics=topics,
+        domains=where,
+    )
+
+
+def _of_stack(found: StackChange) -> Change:
+    question = found.question
+    topic = f" '{question.topic}'" if question.topic else ""
+    partitions = [f"partition '{name}'" for name in question.partitions if name]
+    where = f"on domain {question.domain}"
+    if partitions:
+        where += f" in {' and '.join(partitions)}"
+    what = f"{question.action}{topic} {where}"
+    return Change(
+        sense=Sense.GRANTED if found.allowed else Sense.TAKEN,
+        subject=question.subject,
+        text=f"in {found.reading.title}, unlike the standard, for one: {what}",
+        actions=(question.action,),
+        domains=where,
+        reading=found.reading.name,
+    )
+
+
+def _validity_changes(old: Grant, new: Grant) -> Iterator[Change]:
+    edges = (
+        ("begins", old.not_before, new.not_before, new.not_before < old.not_before),
+        ("ends", old.not_after, new.not_after, new.not_after > old.not_after),
+    )
+    for verb, before, after, longer in edges:
+        if before != after:
+            yield Change(
+                sense=Sense.GRANTED if longer else Sense.TAKEN,
+                subject=new.subject_name,
+                text=f"validity {verb} {_said(after)} instead of {_said(before)}",
+            )
+
+
+def _reshaped(old: Grant, new: Grant, action: Action, topics: Universe) -> Iterator[Change]:
+    """Patterns of allow rules that took the place of wider or narrower ones."""
+    before, after = _patterns(old, action), _patterns(new, action)
+    gone, come = sorted(before - after), sorted(after - before)
+    if max(len(gone), len(come)) > MOST_RESHAPED:
+        return
+    for was, now in product(gone, come):
+        one, other = topics.covered[was], topics.covered[now]
+        if one < other or other < one:
+            word = "wider" if one < other else "narrower"
+            text = f"{action}: '{now}' is {word} than '{was}' was"
+            yield Change(sense=Sense.OTHER, subject=new.subject_name, text=text, actions=(action,))
+
+
+def _patterns(grant: Grant, action: Action) -> set[str]:
+    criteria = (each for rule in grant.rules if rule.allow for each in getattr(rule, action.value))
+    return {topic for each in criteria for topic in each.topics}
+
+
+def _said(time: datetime) -> str:
+    return f"{time:%Y-%m-%d %H:%M:%S} UTC"

@@ -1,0 +1,147 @@
+"""Who may publish and subscribe to what: many participants, many topics."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from pqsec_pki.access._index import Names
+from pqsec_pki.access._witnesses import is_wildcard, sample
+from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.reading import Reading
+from pqsec_pki.access.readings import SPEC
+from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, Permissions, Rule
+
+_ANYONE = "CN=anyone"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Member:
+    """A participant and its permissions document."""
+
+    name: str
+    subject: str
+    permissions: Permissions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """Who may use a topic, by name.
+
+    A pattern is asked with one topic of it, `asked`, rather one that no rule names; None if
+    none was found.
+    """
+
+    topic: str
+    asked: str | None
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+
+    @property
+    def is_pattern(self) -> bool:
+        """Whether it stands for several topics."""
+        return is_wildcard(self.topic)
+
+
+def topics_named(members: Iterable[Member]) -> tuple[str, ...]:
+    """All topics and patterns for publishing and subscribing in any rule, sorted."""
+    return tuple(sorted({topic for each in members for topic in _own_patterns(each)} - {""}))
+
+
+def who_may(  # noqa: PLR0913 -- what is asked, by name
+    governance: Governance,
+    members: Sequence[Member],
+    topics: Iterable[str],
+    *,
+    domain: int,
+    now: datetime,
+    reading: Reading = SPEC,
+) -> tuple[Row, ...]:
+    """A row for each topic, with the members in their order.
+
+    A member is asked only about topics that its rules or governance may let it use, so
+    that a thousand of them take seconds.
+    """
+    wanted = tuple(dict.fromkeys(topics))
+    literals = frozenset(topic for topic in (*wanted, *topics_named(members)) if topic)
+    asked = {topic: sample(topic, literals) for topic in wanted}
+    names = [name for name in asked.values() if name]
+    may = _Asking(governance, reading, domain, now)
+    publishers: dict[str, list[str]] = {name: [] for name in names}
+    subscribers: dict[str, list[str]] = {name: [] for name in names}
+    index = _Index(names, reading, may.everyone(names))
+    for member in members:
+        policy = Policy(governance, member.permissions, reading)
+        for topic in index.worth_asking(member):
+            for action, found in ((Action.PUBLISH, publishers), (Action.SUBSCRIBE, subscribers)):
+                if may.do(policy, member.subject, action, topic):
+                    found[topic].append(member.name)
+    return tuple(
+        Row(
+            topic=topic,
+            asked=name,
+            publishers=tuple(publishers.get(name or "", ())),
+            subscribers=tuple(subscribers.get(name or "", ())),
+        )
+        for topic, name in asked.items()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Asking:
+    """What all questions have in common."""
+
+    governance: Governance
+    reading: Reading
+    domain: int
+    now: datetime
+
+    def do(self, policy: Policy, subject: str, action: Action, topic: str) -> bool:
+        """Whether it may."""
+        question = Question(
+            subject=subject, domain=self.domain, action=action, now=self.now, topic=topic
+        )
+        return policy.decide(question).allowed
+
+    def everyone(self, topics: Iterable[str]) -> frozenset[str]:
+        """Those of the topics that a member may use of whom no rule says anything."""
+        rule = Rule(allow=True, domains=DomainSet(parts=(self.domain,)))
+        day = timedelta(days=1)
+        grant = Grant(
+            name=_ANYONE,
+            subject_name=_ANYONE,
+            not_before=self.now - day,
+            not_after=self.now + day,
+            rules=(rule,),
+        )
+        policy = Policy(self.governance, Permissions(grants=(grant,)), self.reading)
+        either = (Action.PUBLISH, Action.SUBSCRIBE)
+        return frozenset(
+            topic
+            for topic in topics
+            if any(self.do(policy, _ANYONE, action, topic) for action in either)
+        )
+
+
+class _Index:
+    """The topics that are asked about, and who is worth asking about which."""
+
+    def __init__(self, names: Iterable[str], reading: Reading, free: frozenset[str]) -> None:
+        self._known = Names(names)
+        self._reading = reading
+        self._free = free
+
+    def worth_asking(self, member: Member) -> Iterable[str]:
+        """The topics that this member might be allowed."""
+        if any(grant.default is DefaultAction.ALLOW for grant in member.permissions.grants):
+            return self._known.sorted
+        covers = self._reading.covers
+        found = (self._known.covered(each, covers) for each in _own_patterns(member))
+        return sorted(self._free.union(*found))
+
+
+def _own_patterns(member: Member) -> Iterator[str]:
+    for grant in member.permissions.grants:
+        for rule in grant.rules:
+            for criteria in (*rule.publish, *rule.subscribe):
+                yield from criteria.topics

@@ -1,0 +1,193 @@
+"""Documents as questions need them: read, believed for a reason, and with their places."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Generic, TypeAlias, TypeVar
+
+from pqsec_pki._files import read
+from pqsec_pki.access import Decision
+from pqsec_pki.certificates import Certificate, verify_authority, verify_chain
+from pqsec_pki.documents import (
+    DomainRule,
+    Governance,
+    Kind,
+    Permissions,
+    TopicRule,
+    governance_from_yaml,
+    permissions_from_yaml,
+    validate,
+)
+from pqsec_pki.errors import UsageError, VerificationError, located, shown
+from pqsec_pki.keystore import Keystore, load_certificate
+from pqsec_pki.selfcheck import required_signatures
+from pqsec_pki.smime import Require, document_in, is_signed
+from pqsec_pki.smime import verify as verify_signed
+
+Value = TypeVar("Value", Governance, Permissions)
+Judge: TypeAlias = Callable[[bytes], bytes]
+"""The document of an S/MIME file whose signatures hold; VerificationError otherwise."""
+
+YAML = (".yaml", ".yml")
+_ENCLAVES, _CERTIFICATE = "enclaves", "cert.pem"
+_PERMISSIONS, _GOVERNANCE = "permissions.p7s", "governance.p7s"
+_GRANTS = re.compile(rb"(?m)^\s*\{?\s*[\"']?grants[\"']?\s*:")
+"""What permissions in YAML must have, and governance cannot."""
+_BOUNDARY = re.compile(rb'(?i);\s*boundary="?([^";\s]+)')
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded(Generic[Value]):
+    """What a file says."""
+
+    path: Path
+    value: Value
+    signed: bool
+    verified: bool
+    before: int
+    """Lines of the file that stand before the document."""
+
+    def line(self, line: int | None) -> int | None:
+        """The line of the file where that line of the document is."""
+        return None if line is None else line + self.before
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Papers:
+    """Who asks, and the documents that answer."""
+
+    who: str
+    subject: str
+    governance: Loaded[Governance]
+    permissions: Loaded[Permissions]
+
+    def place(self, decision: Decision) -> tuple[Path, int] | None:
+        """The file and line of what decided."""
+        part = decision.decided_by
+        source = self.governance if isinstance(part, DomainRule | TopicRule) else self.permissions
+        line = source.line(part.line) if part else None
+        return (source.path, line) if line else None
+
+    def criteria_line(self, decision: Decision) -> int | None:
+        """The line, in that file, of those criteria of the rule that were met."""
+        return self.permissions.line(decision.criteria.line) if decision.criteria else None
+
+
+def plain(text: str) -> str:
+    """A name from outside, whole, without control characters."""
+    return shown(text, limit=len(text))
+
+
+def judge_of(ca: Certificate, now: datetime) -> Judge:
+    """Believes what `ca`, a CA that is good now, signed."""
+    verify_authority(ca, now=now)
+    return lambda message: verify_signed(message, ca).document
+
+
+def judge_in(keystore: Keystore, now: datetime) -> Judge:
+    """Believes what the keystore's permissions CA signed as its profile promises."""
+    ca, second = keystore.permissions_ca, keystore.permissions_alt_ca
+    for each in (ca, second) if second else (ca,):
+        verify_authority(each, now=now)
+    required: Require = required_signatures(keystore.profile)
+    return lambda message: (
+        verify_signed(message, ca, alternative_ca=second, require=required).document
+    )
+
+
+def governance_in(path: Path, judge: Judge | None = None) -> Loaded[Governance]:
+    """A governance document: XML, signed or not, or YAML."""
+    return _load(path, judge, Governance.from_xml, governance_from_yaml)
+
+
+def permissions_in(path: Path, now: datetime, judge: Judge | None = None) -> Loaded[Permissions]:
+    """A permissions document: XML, signed or not, or YAML; `1y` in it counts from `now`."""
+    return _load(path, judge, Permissions.from_xml, partial(permissions_from_yaml, now=now))
+
+
+def kind_of(path: Path) -> Kind:
+    """Which of the two documents the file is."""
+    data = read(path)
+    with located(path):
+        if path.suffix in YAML:
+            return Kind.PERMISSIONS if _GRANTS.search(data) else Kind.GOVERNANCE
+        return validate(document_in(data) if is_signed(data) else data)
+
+
+def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
+    """That file of a participant; KeystoreError if there is no such participant."""
+    keystore.refuse_unknown(name)
+    return keystore.root / _ENCLAVES / name.strip("/") / file
+
+
+def identity(keystore: Keystore, name: str, now: datetime) -> Certificate:
+    """The participant's certificate, if the identity CA stands for it."""
+    path = enclave_file(keystore, name, _CERTIFICATE)
+    certificate = load_certificate(path)
+    twice = keystore.profile.alternative_key is not None
+    with located(path):
+        verify_chain(certificate, keystore.identity_ca, now=now, require_alternative=twice)
+    return certificate
+
+
+def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
+    """A participant's own; VerificationError if a signature on them does not hold."""
+    judge = judge_in(keystore, now)
+    return Papers(
+        who="/" + "/".join(filter(None, name.split("/"))),
+        subject=identity(keystore, name, now).subject_name,
+        governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), judge),
+        permissions=own_permissions(keystore, name, now, judge),
+    )
+
+
+def own_permissions(
+    keystore: Keystore, name: str, now: datetime, judge: Judge | None
+) -> Loaded[Permissions]:
+    """A participant's."""
+    return permissions_in(enclave_file(keystore, name, _PERMISSIONS), now, judge)
+
+
+def shared_governance(keystore: Keystore, judge: Judge | None) -> Loaded[Governance]:
+    """The keystore's."""
+    return governance_in(keystore.root / _ENCLAVES / _GOVERNANCE, judge)
+
+
+def only_subject(permissions: Loaded[Permissions]) -> str:
+    """The subject of all grants; UsageError if they are for several."""
+    subjects = {grant.subject_name for grant in permissions.value.grants}
+    if len(subjects) > 1:
+        raise UsageError(
+            f"{permissions.path} has grants for {len(subjects)} subjects",
+            hint="say whom you ask about: --subject " + repr(min(subjects)),
+        )
+    return subjects.pop()
+
+
+def _load(
+    path: Path,
+    judge: Judge | None,
+    from_xml: Callable[[bytes], Value],
+    from_yaml: Callable[[bytes], Value],
+) -> Loaded[Value]:
+    data = read(path)
+    with located(path):
+        if is_signed(data):
+            xml = judge(data) if judge else document_in(data)
+            verified = judge is not None
+            return Loaded(path, from_xml(xml), True, verified, _lines_before(data))  # noqa: FBT003 -- field
+        if judge:
+            raise VerificationError("it is not signed")
+        value = from_yaml(data) if path.suffix in YAML else from_xml(data)
+        return Loaded(path, value, False, False, 0)  # noqa: FBT003 -- fields
+
+
+def _lines_before(message: bytes) -> int:
+    """How many lines of an S/MIME file stand before its document."""
+    text = message.replace(b"\r\n", b"\n")
+    found = _BOUNDARY.search(text)
+    begin = text.find(b"\n--" + found[1]) if found else -1
+    return text.count(b"\n", 0, text.find(b"\n\n", begin + 1) + 2)

@@ -1,0 +1,164 @@
+"""pqsec check: what is wrong or risky in a keystore, a folder or files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.errors import UsageError
+from pqsec_pki.lint import (
+    Finding,
+    Report,
+    Rule,
+    Severity,
+    Suppression,
+    Target,
+    from_option,
+    rule_named,
+    to_sarif,
+)
+from pqsec_pki.lint import check as check_all
+
+# A file or a folder; like FILE and FOLDER it takes no empty path.
+_PATH = type(_common.FILE)(path_type=Path, readable=False)
+
+
+class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
+    """Names of stacks between commas."""
+
+    name = "targets"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[Target, ...]:
+        """The targets; click's own error for an unknown one."""
+        if isinstance(value, tuple):
+            return value
+        words = [word.strip().lower() for word in str(value).split(",")]
+        for word in words:
+            if word not in set(Target):
+                self.fail(f"{word!r} is none of {', '.join(Target)}", param, ctx)
+        return tuple(map(Target, words))
+
+
+@click.command()
+@click.argument("paths", nargs=-1, type=_PATH, metavar="[PATH]...")
+@click.option(
+    "--target",
+    "targets",
+    type=_Targets(),
+    default=(),
+    metavar="STACK,...",
+    help=f"Ask only what matters to these stacks: {', '.join(Target)}.",
+)
+@click.option("--strict", is_flag=True, help="Exit 1 on warnings too.")
+@click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
+@click.option("--explain", metavar="ID", help="Tell about one rule: why, and how to mend it.")
+@click.option(
+    "--ignore",
+    "ignored",
+    multiple=True,
+    metavar="ID=REASON",
+    help="Leave out the findings of a rule; say why. Also in .pqsec-check.yaml.",
+)
+@_common.command_options
+def check(  # noqa: PLR0913 -- one for each option
+    paths: tuple[Path, ...],
+    targets: tuple[Target, ...],
+    ignored: tuple[str, ...],
+    explain: str | None,
+    *,
+    strict: bool,
+    sarif: bool,
+) -> None:
+    """Tell what is wrong or risky in keystores, folders and files.
+
+    PATH is a keystore, a folder, or a certificate, key or document; without it, the
+    keystore. Nothing is changed, and no private key is decrypted. An error does not work
+    on some stack, or is a hole; a warning is a risk; what is info may be meant.
+    """
+    if explain:
+        _explain(rule_named(explain))
+        return
+    if sarif and _common.settings().json:
+        raise UsageError("--json and --sarif exclude each other")
+    report = check_all(
+        paths or (_common.keystore_path(),),
+        now=_common.now(),
+        targets=targets,
+        ignore=map(_suppression, ignored),
+    )
+    if sarif:
+        _common.emit(to_sarif(report), [json.dumps(to_sarif(report), indent=2)])
+    else:
+        _common.emit(_value(report, strict=strict), _lines(report))
+    if not report.is_clean(strict=strict):
+        click.get_current_context().exit(1)
+
+
+def _suppression(text: str) -> Suppression:
+    suppression = from_option(text)
+    suppression.rule = rule_named(suppression.rule).id
+    return suppression
+
+
+def _lines(report: Report) -> list[str]:
+    counts = [
+        f"{number} {severity}{'s' if number != 1 and severity is not Severity.INFO else ''}"
+        for severity in Severity
+        if (number := report.count(severity))
+    ]
+    files = len(report.inventory.files)
+    checked = f"{files} file{'s' if files != 1 else ''} checked"
+    ignored = [f"{len(report.ignored)} ignored"] if report.ignored else []
+    summary = f"{checked}: {', '.join([*(counts or ['nothing to complain of']), *ignored])}"
+    return [*map(_printable, report.findings), summary]
+
+
+def _printable(finding: Finding) -> str:
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in str(finding))
+
+
+def _value(report: Report, *, strict: bool) -> dict[str, Any]:
+    return {
+        "ok": report.is_clean(strict=strict),
+        "files": len(report.inventory.files),
+        "counts": {severity.value: report.count(severity) for severity in Severity},
+        "findings": [_finding(each) for each in report.findings],
+        "ignored": [_finding(each) | {"reason": reason} for each, reason in report.ignored],
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "rule": finding.rule.id,
+        "severity": finding.rule.severity.value,
+        "path": str(finding.path),
+        "line": finding.line,
+        "message": finding.message,
+        "title": finding.rule.title,
+        "mend": finding.rule.mend,
+    }
+
+
+def _explain(rule: Rule) -> None:
+    value = {
+        "rule": rule.id,
+        "severity": rule.severity.value,
+        "family": rule.family,
+        "title": rule.title,
+        "why": rule.why,
+        "mend": rule.mend,
+        "stacks": sorted(rule.stacks),
+        "measured": rule.measured,
+        "only_when_asked": rule.only_when_asked,
+    }
+    lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
+    lines += [f"To mend it: {rule.mend}"]
+    lines += [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
+    lines += [f"Known from: {rule.measured}"] if rule.measured else []
+    if rule.only_when_asked:
+        lines.append(f"Asked only with --target {' or '.join(sorted(rule.stacks))}")
+    _common.emit(value, lines)

@@ -1,0 +1,216 @@
+"""pqsec explain: may this participant do that, and why?"""
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pqsec_pki.access import READINGS, SPEC, Action, Decision, Question, reading_named
+from pqsec_pki.cli import _common
+from pqsec_pki.cli._answers import Answer, answer_of
+from pqsec_pki.cli._documents import (
+    Papers,
+    governance_in,
+    judge_of,
+    only_subject,
+    papers_of,
+    permissions_in,
+    plain,
+)
+from pqsec_pki.documents import parse_subject, ros
+from pqsec_pki.errors import MalformedError, UsageError, VerificationError
+from pqsec_pki.keystore import load_certificate
+
+
+@click.command()
+@click.option("--participant", metavar="NAME", help="A participant of the keystore: /talker.")
+@click.option("--governance", type=_common.FILE, help="Without a keystore: the governance,")
+@click.option("--permissions", type=_common.FILE, help="the permissions (.xml, .p7s or .yaml),")
+@click.option("--subject", metavar="NAME", help="whose certificate asks: CN=robot,O=Lab,")
+@click.option("--permissions-ca", type=_common.FILE, help="and who must have signed both.")
+@click.option("--publish", metavar="TOPIC", help="May it publish this DDS topic?")
+@click.option("--subscribe", metavar="TOPIC", help="May it subscribe to this DDS topic?")
+@click.option("--relay", metavar="TOPIC", help="May it relay this DDS topic?")
+@click.option("--ros-publish", metavar="TOPIC", help="May it publish this ROS 2 topic: /chatter?")
+@click.option("--ros-subscribe", metavar="TOPIC", help="May it subscribe to this ROS 2 topic?")
+@click.option("--join", is_flag=True, help="May it join the domain?")
+@click.option(
+    "--domain", type=click.IntRange(0), default=0, show_default=True, help="On this DDS domain."
+)
+@click.option("--partition", "partitions", multiple=True, help="In this partition, and ...")
+@click.option("--tag", "tags", multiple=True, metavar="NAME=VALUE", help="With this data tag.")
+@click.option(
+    "--as",
+    "stack",
+    type=click.Choice([each.name for each in READINGS]),
+    help="As this stack reads the documents. [default: the standard, and where stacks differ]",
+)
+@_common.command_options
+def explain(stack: str | None, **asked: Any) -> int:
+    """Tell whether a participant may do something, which rule decided, and why.
+
+    The exit code is 0 for yes and 1 for no. A participant of the keystore is believed only
+    what the CAs have signed.
+    """
+    now = _common.now()
+    try:
+        papers = _papers(asked, now)
+    except VerificationError as error:
+        if _common.settings().json:
+            _common.emit({"allowed": False, "problems": list(error.lines)}, [])
+        raise
+    question = _question(asked, papers.subject, now)
+    answer = answer_of(papers, question, reading_named(stack) if stack else SPEC)
+    others = [answer_of(papers, question, each) for each in READINGS if each is not SPEC]
+    _tell(papers, question, answer, [] if stack else others)
+    return 0 if answer.decision.allowed else 1
+
+
+def _papers(asked: dict[str, Any], now: datetime) -> Papers:
+    name, files = asked["participant"], ("governance", "permissions")
+    if name and any(asked[each] for each in (*files, "subject", "permissions_ca")):
+        raise UsageError("--participant is of the keystore; it goes without files and --subject")
+    if name:
+        return papers_of(_common.open_keystore(), name, now)
+    if not all(asked[each] for each in files):
+        raise UsageError(
+            "nobody is asked about",
+            hint="say --participant NAME, or --governance FILE and --permissions FILE",
+        )
+    return _papers_in_files(asked, now)
+
+
+def _papers_in_files(asked: dict[str, Any], now: datetime) -> Papers:
+    ca: Path | None = asked["permissions_ca"]
+    judge = judge_of(load_certificate(ca), now) if ca else None
+    permissions = permissions_in(asked["permissions"], now, judge)
+    governance = governance_in(asked["governance"], judge)
+    for each in (governance, permissions):
+        if each.signed and not each.verified:
+            _common.note(f"who signed {each.path} was not checked: say --permissions-ca FILE")
+    subject = _subject(asked["subject"]) if asked["subject"] else only_subject(permissions)
+    return Papers(who=subject, subject=subject, governance=governance, permissions=permissions)
+
+
+def _subject(text: str) -> str:
+    try:
+        parse_subject(text)
+    except MalformedError as error:
+        raise UsageError(f"--subject: {error}", hint=error.hint) from None
+    return text
+
+
+def _question(asked: dict[str, Any], subject: str, now: datetime) -> Question:
+    wanted: list[tuple[Action, str | None]] = [
+        (action, asked[action]) for action in Action if asked[action] and action != Action.JOIN
+    ]
+    wanted += [
+        (action, ros.topic(asked[f"ros_{action}"]))
+        for action in (Action.PUBLISH, Action.SUBSCRIBE)
+        if asked[f"ros_{action}"]
+    ]
+    if asked["join"]:
+        wanted.append((Action.JOIN, None))
+    if len(wanted) != 1:
+        raise UsageError(
+            f"{len(wanted) or 'no'} questions were asked, and one is answered",
+            hint="ask --publish TOPIC, --subscribe TOPIC, --relay TOPIC or --join",
+        )
+    action, topic = wanted[0]
+    return Question(
+        subject=subject,
+        domain=asked["domain"],
+        action=action,
+        now=now,
+        topic=topic,
+        partitions=asked["partitions"],
+        data_tags=tuple(map(_tag, asked["tags"])),
+    )
+
+
+def _tag(text: str) -> tuple[str, str]:
+    name, found, value = text.partition("=")
+    if not found:
+        raise UsageError(f"{text!r} is not a data tag", hint="write --tag NAME=VALUE")
+    return name, value
+
+
+# Printing
+
+
+def _tell(papers: Papers, question: Question, answer: Answer, others: list[Answer]) -> None:
+    value = {
+        "participant": papers.who,
+        "subject": question.subject,
+        "action": question.action.value,
+        "topic": question.topic,
+        "domain": question.domain,
+        "partitions": list(question.partitions),
+        "data_tags": list(map("=".join, question.data_tags)),
+        "at": question.now.isoformat(),
+        "verified": papers.governance.verified and papers.permissions.verified,
+        **_as_json(papers, answer),
+        "protection": _protection(answer.decision),
+        "others": [
+            _as_json(papers, other) | {"differs": other.differs(answer)} for other in others
+        ],
+    }
+    _common.emit(value, _lines(papers, question, answer, others))
+
+
+def _as_json(papers: Papers, answer: Answer) -> dict[str, Any]:
+    place = papers.place(answer.decision)
+    return {
+        "as": answer.reading.name,
+        "allowed": answer.decision.allowed,
+        "reason": answer.decision.reason,
+        "file": str(place[0]) if place else None,
+        "line": place[1] if place else None,
+        "criteria_line": papers.criteria_line(answer.decision),
+        "own_stack": answer.own,
+        "peers": answer.peers,
+        "hazard": answer.hazard or None,
+    }
+
+
+def _protection(decision: Decision) -> list[str]:
+    return list(decision.protection.words) if decision.protection and decision.allowed else []
+
+
+def _lines(
+    papers: Papers, question: Question, answer: Answer, others: list[Answer]
+) -> Iterator[str]:
+    what = "join" if question.topic is None else f"{question.action} {plain(question.topic)}"
+    title = f"{plain(papers.who)}: {what}, domain {question.domain}"
+    yield f"{answer.word.upper():<4}  {title}, by {answer.reading.title}"
+    yield from _why(papers, answer, "      ")
+    words = _protection(answer.decision)
+    for number, word in enumerate(words):
+        yield f"{'' if number else '      protected':<17} {word}"
+    if others:
+        yield from _compared(papers, answer, others)
+
+
+def _compared(papers: Papers, answer: Answer, others: list[Answer]) -> Iterator[str]:
+    alike = [other.reading.title for other in others if not other.differs(answer)]
+    if alike:
+        yield f"same  {', '.join(alike)}"
+    for other in others:
+        if other.differs(answer):
+            yield f"{other.word.upper():<4}  {other.reading.title} decides otherwise"
+            yield from _why(papers, other, "      ")
+        elif other.whose:
+            yield f"note  {other.reading.title}: {other.whose}"
+        if other.hazard:
+            yield f"note  {other.reading.title}: {other.hazard}"
+
+
+def _why(papers: Papers, answer: Answer, indent: str) -> Iterator[str]:
+    whose = f"; {answer.whose}" if answer.whose else ""
+    yield f"{indent}{plain(answer.decision.reason)}{whose}"
+    if place := papers.place(answer.decision):
+        criteria = papers.criteria_line(answer.decision)
+        topics = f" (its topics from line {criteria})" if criteria else ""
+        yield f"{indent}{place[0]}:{place[1]}{topics}"

@@ -1,0 +1,26 @@
+"""What is wrong or risky in certificates, documents and keystores, told before a robot is.
+
+For `pqsec check`, and for whoever wants its findings as values. Rules are written down in
+families, one module each (`rule` says how); `check` asks them.
+"""
+
+from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
+from pqsec_pki.lint.run import Report, check
+from pqsec_pki.lint.sarif import to_sarif
+from pqsec_pki.lint.suppress import Suppression, from_option
+from pqsec_pki.lint.table import FAMILIES, RULES, rule_named
+
+__all__ = [
+    "FAMILIES",
+    "RULES",
+    "Finding",
+    "Report",
+    "Rule",
+    "Severity",
+    "Suppression",
+    "Target",
+    "check",
+    "from_option",
+    "rule_named",
+    "to_sarif",
+]

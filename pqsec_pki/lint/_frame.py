@@ -1,0 +1,76 @@
+"""Rules about the check itself: files it could not read, and suppressions."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.lint.rule import Family, Found, Severity
+from pqsec_pki.lint.subjects import File, Inventory
+from pqsec_pki.lint.suppress import SuppressionFile
+
+FAMILY = Family("frame")
+
+
+@FAMILY.rule(
+    "PQS001", Severity.WARNING, File, "a file could not be read",
+    why="What cannot be read is not checked, and may be wrong.",
+    mend="Run the check as the owner of the files, or leave the file out.",
+)  # fmt: skip
+def unreadable(file: File) -> Iterator[Found]:
+    if file.unreadable:
+        yield Found(f"cannot be read, so it was not checked: {file.unreadable}")
+
+
+@FAMILY.rule(
+    "PQS002", Severity.ERROR, SuppressionFile, "a suppression gives no reason",
+    why="Whoever comes later cannot tell whether the finding may still stay. It is not applied.",
+    mend="Write `reason:` beside it: who decided, and why it is safe.",
+)  # fmt: skip
+def without_reason(file: SuppressionFile) -> Iterator[Found]:
+    for entry in file.entries:
+        if not entry.reason:
+            yield Found(f"the suppression of {entry.rule} gives no reason", entry.line)
+
+
+@FAMILY.rule(
+    "PQS003", Severity.WARNING, SuppressionFile, "a suppression has run out",
+    why="Its `until:` has passed. It is not applied any more.",
+    mend="Mend what it hid, or decide again and write a later day.",
+)  # fmt: skip
+def run_out(file: SuppressionFile) -> Iterator[Found]:
+    for entry in file.entries:
+        if entry.is_over(file.today):
+            yield Found(f"the suppression of {entry.rule} ended on {entry.until}", entry.line)
+
+
+@FAMILY.rule(
+    "PQS004", Severity.WARNING, SuppressionFile, "a suppression is not needed",
+    why="It would hide the flaw when it comes back.",
+    mend="Take the entry out.",
+)  # fmt: skip
+def unused(file: SuppressionFile) -> Iterator[Found]:
+    for entry in file.entries if file.is_complete else ():
+        holds = entry.reason and not entry.is_over(file.today) and entry.rule in file.asked
+        if holds and not entry.used:
+            yield Found(f"the suppression of {entry.rule} is not needed any more", entry.line)
+
+
+@FAMILY.rule(
+    "PQS005", Severity.ERROR, SuppressionFile, "a suppression cannot be understood",
+    why="What was meant to be suppressed is not, or another rule is.",
+    mend="Write entries with rule, reason and, where wanted, path and until.",
+)  # fmt: skip
+def not_understood(file: SuppressionFile) -> Iterator[Found]:
+    yield from file.broken
+    for entry in file.entries:
+        if entry.rule not in file.known:
+            yield Found(f"there is no rule {entry.rule}", entry.line)
+
+
+@FAMILY.rule(
+    "PQS006", Severity.WARNING, Inventory, "a change of the keystore was cut off",
+    why="A command was killed while it moved files into place: what is here is not what it"
+    " wanted. The check changes nothing, so it does not finish it either.",
+    mend="Run `pqsec ca show` on the keystore, which finishes it, and check again.",
+)  # fmt: skip
+def cut_off(inventory: Inventory) -> Iterator[Found]:
+    if inventory.cut_off:
+        yield Found("a change of the keystore was not finished", path=inventory.cut_off)

@@ -1,0 +1,32 @@
+"""Subjects as rules look at them: read, cut as Cyclone DDS cuts them, shown in messages."""
+
+import re
+from collections import Counter
+from functools import lru_cache
+
+from pqsec_pki.documents import Grant, Subject, parse_subject
+from pqsec_pki.errors import PqsecError
+
+CUTS = re.compile("[,/|]")
+"""Where Cyclone DDS cuts a name, be it escaped or not."""
+
+
+@lru_cache(maxsize=8192)
+def parsed(text: str) -> Subject:
+    """Its parts; none if it is no name."""
+    try:
+        return parse_subject(text)
+    except PqsecError:
+        return ()
+
+
+def repeated(name: Subject) -> str | None:
+    """The word that two parts have, DC apart, which comes in several."""
+    counts = Counter(word for part in name for word, _ in part)
+    return next((word for word, count in counts.items() if count > 1 and word != "DC"), None)
+
+
+def shown(grant: Grant) -> str:
+    """Whose grant it is, fit for a message."""
+    name = grant.subject_name[:80]
+    return name if name.isprintable() else ascii(name)

@@ -1,0 +1,163 @@
+"""What a certificate is there for, and what kind of key it is about.
+
+The name of its file says the former, as SROS2 and every stack's examples name files.
+"""
+
+from enum import StrEnum
+from functools import lru_cache
+from typing import TypeVar
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+
+from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, decode, encode
+from pqsec_pki.algorithms import Family, PublicKey, load_public_key
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
+from pqsec_pki.lint.subjects import CertificateFile
+
+Value = TypeVar("Value", bound=x509.ExtensionType)
+
+UNREADABLE = "unreadable"
+_RSA, _EC = "1.2.840.113549.1.1.1", "1.2.840.10045.2.1"
+_KINDS = {"1.3.101.112": "ed25519", "1.3.101.113": "ed448", "1.2.840.10040.4.1": "dsa"}
+_CURVES = {
+    "1.3.36.3.3.2.8.1.1.7": "brainpoolP256r1",
+    "1.3.36.3.3.2.8.1.1.11": "brainpoolP384r1",
+    "1.3.36.3.3.2.8.1.1.13": "brainpoolP512r1",
+    "1.3.132.0.10": "secp256k1",
+    "1.3.132.0.33": "ecdsa-p224",
+    "1.3.132.0.35": "ecdsa-p521",
+}
+
+
+class Role(StrEnum):
+    """What a certificate is there for, in the words of messages."""
+
+    PARTICIPANT = "participant"
+    IDENTITY_CA = "identity CA"
+    PERMISSIONS_CA = "permissions CA"
+    COUNTERSIGNER = "countersigner"
+    CA = "CA"
+    """One CA, or whatever else issued itself; SROS2 has one for both purposes."""
+
+    @property
+    def identifies(self) -> bool:
+        """Whether authentication looks at it."""
+        return self in {Role.PARTICIPANT, Role.IDENTITY_CA, Role.CA}
+
+    @property
+    def issues(self) -> bool:
+        """Whether participants' certificates are signed by it."""
+        return self in {Role.IDENTITY_CA, Role.CA}
+
+    @property
+    def signs_documents(self) -> bool:
+        """Whether stacks check documents against it."""
+        return self in {Role.PERMISSIONS_CA, Role.CA}
+
+
+_NAMES = {
+    "identity_ca": Role.IDENTITY_CA,
+    "permissions_ca.alt": Role.COUNTERSIGNER,
+    "permissions_ca": Role.PERMISSIONS_CA,
+    "ca.": Role.CA,
+    "cert.": Role.PARTICIPANT,
+}
+
+
+def role_of(file: CertificateFile) -> Role:
+    """By the file's name; where that says nothing, by whether it is marked as a CA's."""
+    for start, role in _NAMES.items():
+        if file.path.name.startswith(start):
+            return role
+    return Role.CA if file.first and _looks_like_ca(file.first) else Role.PARTICIPANT
+
+
+def extension(certificate: Certificate, kind: type[Value]) -> Value | None:
+    """The value of that extension, if it is there."""
+    try:
+        return certificate.extensions.get_extension_for_class(kind).value
+    except x509.ExtensionNotFound:
+        return None
+
+
+def key_of(certificate: Certificate) -> PublicKey | None:
+    """Its key, if there is a row for such keys."""
+    try:
+        return certificate.public_key
+    except PqsecError:
+        return None
+
+
+def is_signed_by(certificate: Certificate, issuer: Certificate) -> bool:
+    """Whether `issuer` signed it; True too where nobody here can tell."""
+    key = key_of(issuer)
+    is_marked_for_it = key is not None and key.algorithm.accepts(certificate.identifier)
+    if key is None or (family_of(issuer) is Family.CLASSICAL and not is_marked_for_it):
+        return _is_signed_otherwise(certificate, issuer)
+    try:
+        key.verify(certificate.signature, certificate.tbs, certificate.identifier)
+    except PqsecError:
+        return False
+    return True
+
+
+def _is_signed_otherwise(certificate: Certificate, issuer: Certificate) -> bool:
+    """With what pqsec does not sign: other curves, RSASSA-PSS, SHA-1."""
+    try:
+        signer = x509.load_der_x509_certificate(issuer.der)
+        x509.load_der_x509_certificate(certificate.der).verify_directly_issued_by(signer)
+    except (InvalidSignature, ValueError):
+        return False
+    except (TypeError, UnsupportedAlgorithm):
+        return True
+    return True
+
+
+def family_of(certificate: Certificate) -> Family:
+    """What the key's strength rests on; what has no row is classical."""
+    key = key_of(certificate)
+    return key.algorithm.family if key else Family.CLASSICAL
+
+
+def key_kind(certificate: Certificate) -> str:
+    """The row's name, or what others call a key that has no row here, such as rsa-1024."""
+    return _kind(certificate.spki, certificate.der)
+
+
+@lru_cache(maxsize=256)
+def _kind(spki: bytes, der: bytes) -> str:
+    try:
+        return load_public_key(spki).algorithm.name
+    except UnknownAlgorithmError:
+        return _foreign_kind(spki, der)
+    except PqsecError:
+        return UNREADABLE
+
+
+def _foreign_kind(spki: bytes, der: bytes) -> str:
+    try:
+        info = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
+        oid = info.algorithm.algorithm.dotted_string
+        if oid == _EC:
+            curve = decode(Oid, encode(info.algorithm.parameters), "curve").dotted_string
+            return _CURVES.get(curve, f"EC curve {curve}")
+        if oid == _RSA:
+            # For these alone: the library tests the primes of other kinds, which takes long.
+            return f"rsa-{_size(der)}"
+    except PqsecError:
+        return UNREADABLE
+    return _KINDS.get(oid, f"algorithm {oid}")
+
+
+def _size(der: bytes) -> int:
+    try:
+        return int(getattr(x509.load_der_x509_certificate(der).public_key(), "key_size", 0))
+    except (ValueError, TypeError):
+        return 0
+
+
+def _looks_like_ca(certificate: Certificate) -> bool:
+    constraints = extension(certificate, x509.BasicConstraints)
+    return constraints.ca if constraints else certificate.is_self_issued

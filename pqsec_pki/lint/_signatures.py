@@ -1,0 +1,197 @@
+"""Signed documents with the CA that should have signed them; what speaks against each."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+from pqsec_pki.certificates import Certificate, name_text
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.lint._roles import Role, key_kind, key_of, role_of
+from pqsec_pki.lint.subjects import (
+    CERTIFICATE,
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+    Enclave,
+    File,
+    Inventory,
+)
+from pqsec_pki.smime import Listed, ListedSigner, document_in, signers_in, verify
+
+PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
+_COUNTER = "the countersignature"
+"""How problems of a countersignature begin, in what verify() says."""
+_PSS = bytes.fromhex("06092a864886f70d01010a")
+"""DER of its object identifier."""
+_BROKEN = {"1.3.14.3.2.26": "SHA-1", "1.2.840.113549.2.5": "MD5", "1.2.840.113549.2.2": "MD2"}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A document, and who should have signed it."""
+
+    file: File
+    ca: Certificate
+    alternative_ca: Certificate | None
+    others: tuple[tuple[str, Certificate], ...]
+    """Certificates near by, with what they are: perhaps one of them signed it."""
+
+
+def pairs(inventory: Inventory) -> Iterator[Pair]:
+    """Each document with each CA that it is checked against, once."""
+    seen = set()
+    for pair in (*_in_enclaves(inventory), *_outside(inventory)):
+        key = (pair.file.path, pair.ca.fingerprint)
+        if key not in seen:
+            seen.add(key)
+            yield pair
+
+
+def listed(file: File) -> Listed | None:
+    """What the document says of its signatures; None if it cannot be read."""
+    return _read(file).listed if file.is_signed else None
+
+
+def signers(file: File) -> tuple[ListedSigner, ...]:
+    """Those it names; none if it cannot be read."""
+    found = listed(file)
+    return found.signers if found else ()
+
+
+def trouble(file: File) -> str | None:
+    """Why the document cannot be read, if it cannot."""
+    return _read(file).reason
+
+
+def text(file: File) -> bytes | None:
+    """What is signed; None if that is not text/plain, as PKCS7_TEXT wants it."""
+    return _read(file).text
+
+
+def broken_digests(file: File) -> tuple[str, ...]:
+    """Digests it is signed with for which a second document can be made."""
+    return tuple(_BROKEN[each.digest] for each in signers(file) if each.digest in _BROKEN)
+
+
+def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
+    """Whether the signature says that it is by `certificate`."""
+    if signer.key_identifier is not None:
+        return signer.key_identifier == certificate.subject_key_identifier
+    same_issuer = signer.issuer == name_text(certificate.issuer)
+    return same_issuer and signer.serial_number == certificate.serial_number
+
+
+def uncheckable(pair: Pair) -> str | None:
+    """Why nobody here can tell whether the CA's signature holds, if so."""
+    if not _is_ours(pair):
+        return None
+    if key_of(pair.ca) is None:
+        return f"a key of kind {key_kind(pair.ca)}"
+    [signer] = signers(pair.file)
+    if not signer.has_attributes:
+        return "no signed attributes"
+    if _PSS in signer.identifier:
+        return "RSASSA-PSS"
+    return f"the digest {signer.digest}" if "." in signer.digest else None
+
+
+def plain_problems(pair: Pair) -> Iterator[str]:
+    """What is wrong with the signature that names the CA."""
+    return (each for each in _problems(pair) if not each.startswith(_COUNTER))
+
+
+def counter_problems(pair: Pair) -> Iterator[str]:
+    """What is wrong with countersignatures."""
+    return (each for each in _problems(pair) if each.startswith(_COUNTER))
+
+
+def countersigners(file: File) -> tuple[ListedSigner, ...]:
+    """Who signed the signature."""
+    return tuple(each for signer in signers(file) for each in signer.countersigners)
+
+
+def _in_enclaves(inventory: Inventory) -> Iterator[Pair]:
+    for enclave in inventory.enclaves:
+        ca = enclave.certificate(PERMISSIONS_CA)
+        for name in (PERMISSIONS, GOVERNANCE):
+            if ca and name in enclave.files:
+                alternative = enclave.certificate(PERMISSIONS_ALT_CA)
+                yield Pair(enclave.files[name], ca, alternative, tuple(_near(enclave)))
+
+
+def _near(enclave: Enclave) -> Iterator[tuple[str, Certificate]]:
+    for role, name in (("the identity CA", IDENTITY_CA), ("the participant itself", CERTIFICATE)):
+        if certificate := enclave.certificate(name):
+            yield role, certificate
+
+
+def _outside(inventory: Inventory) -> Iterator[Pair]:
+    """Documents that no enclave has, if only one permissions CA is there to have signed them."""
+    in_enclaves = {file.path for each in inventory.enclaves for file in each.files.values()}
+    roles = [(role_of(each), each.first) for each in inventory.certificates if each.first]
+    signers = {each.fingerprint: each for role, each in roles if role is Role.PERMISSIONS_CA}
+    counters = [each for role, each in roles if role is Role.COUNTERSIGNER]
+    if len(signers) != 1:
+        return
+    for file in inventory.files:
+        if file.is_signed and file.path not in in_enclaves:
+            [ca] = signers.values()
+            yield Pair(file, ca, counters[0] if counters else None, ())
+
+
+def _is_ours(pair: Pair) -> bool:
+    """Whether there is one signature, and the CA's; other rules are about other cases."""
+    named = signers(pair.file)
+    return len(named) == 1 and is_by(named[0], pair.ca) and text(pair.file) is not None
+
+
+def _problems(pair: Pair) -> tuple[str, ...]:
+    if not _is_ours(pair) or uncheckable(pair):
+        return ()
+    known = _REFUSALS.setdefault(pair.file, {})
+    second = pair.alternative_ca.fingerprint if pair.alternative_ca else None
+    key = (pair.ca.fingerprint, second)
+    if key not in known:
+        known[key] = _refusal(pair)
+    return known[key]
+
+
+def _refusal(pair: Pair) -> tuple[str, ...]:
+    try:
+        verify(pair.file.data, pair.ca, alternative_ca=pair.alternative_ca)
+    except VerificationError as error:
+        return error.problems
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    listed: Listed | None
+    text: bytes | None
+    reason: str | None
+
+
+# Several rules ask, and all enclaves share one governance. Forgotten with the file.
+_READ: WeakKeyDictionary[File, _Reading] = WeakKeyDictionary()
+_REFUSALS: WeakKeyDictionary[File, dict[tuple[str, str | None], tuple[str, ...]]] = (
+    WeakKeyDictionary()
+)
+
+
+def _read(file: File) -> _Reading:
+    found = _READ.get(file)
+    if found is None:
+        found = _READ[file] = _parsed(file.data)
+    return found
+
+
+def _parsed(data: bytes) -> _Reading:
+    try:
+        found = signers_in(data)
+    except PqsecError as error:
+        return _Reading(None, None, str(error))
+    try:
+        return _Reading(found, document_in(data), None)
+    except PqsecError:
+        return _Reading(found, None, None)

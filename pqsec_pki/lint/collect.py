@@ -1,0 +1,219 @@
+"""From paths to an inventory: every file is found, read once and known for what it is."""
+
+import os
+import re
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint.subjects import (
+    CERTIFICATE,
+    KEY,
+    PERMISSIONS,
+    SIX,
+    CertificateFile,
+    Document,
+    Enclave,
+    File,
+    Inventory,
+    document_of,
+)
+
+MAX_FILES = 100_000
+"""A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""
+SETTINGS, JOURNAL = "pqsec.json", ".journal"
+ENCLAVES = "enclaves"
+
+# In a folder only files with such a name are read, backup copies (key.pem~) with them.
+_OURS = re.compile(r"\.(pem|crt|cer|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
+_DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
+_TWO_OF_SIX = 2
+
+
+def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
+    """What is in these files and folders, links followed to files.
+
+    FileError if a path is not there, if there is nothing to check, or too much.
+    """
+    search = _Search(now)
+    named = list(paths)
+    for path in named:
+        search.add(path)
+    files = tuple(search.files.values())
+    if not files and not search.enclaves:
+        where = ", ".join(map(str, named))
+        raise FileError(
+            f"{where}: nothing to check there",
+            hint="name a keystore, or files: .pem, .p7s and .xml",
+        )
+    documents = tuple(document_of(file) for file in files if _is_document(file, search))
+    certificates = tuple(CertificateFile(file) for file in files if "CERTIFICATE" in file.labels)
+    subjects: dict[Path, Document | CertificateFile] = {each.path: each for each in certificates}
+    subjects |= {each.path: each for each in documents}
+    return Inventory(
+        path=named[0],
+        files=files,
+        folders=search.folders,
+        documents=tuple(each for each in documents if not _is_copy(each, subjects)),
+        certificates=certificates,
+        enclaves=tuple(_enclaves(search, subjects)),
+        keystore=search.keystore,
+        cut_off=search.cut_off,
+        now=now,
+    )
+
+
+@dataclass(slots=True)
+class _Search:
+    """What has been found so far, by device and inode: a link is not a second file."""
+
+    now: datetime
+    files: dict[tuple[int, int], File] = field(default_factory=dict)
+    folders: dict[Path, int] = field(default_factory=dict)
+    enclaves: dict[Path, dict[str, tuple[int, int] | None]] = field(default_factory=dict)
+    """Folder -> its files by name; None for a link that leads nowhere."""
+    named: set[Path] = field(default_factory=set)
+    keystore: Keystore | None = None
+    cut_off: Path | None = None
+
+    def add(self, path: Path) -> None:
+        """A file, or a folder with all in it."""
+        try:
+            found = path.stat()
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else None
+            raise FileError(f"{path}: {(reason or str(error)).lower()}") from error
+        if not stat.S_ISDIR(found.st_mode):
+            self.named.add(path)
+            if not stat.S_ISREG(found.st_mode):
+                raise FileError(f"{path}: not a file")
+            self._file(path, found)
+            return
+        if (path / SETTINGS).is_file() and self.keystore is None:
+            self._settings(path)
+        links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
+        for link in links:  # after all files, which so have their own paths
+            self._link(link)
+
+    def _settings(self, root: Path) -> None:
+        """What is chosen for a keystore. To open one finishes a change that was cut off, and
+        that is not for a check to do."""
+        path = root / SETTINGS
+        if (root / JOURNAL).exists():
+            self.cut_off = root / JOURNAL
+            return
+        try:
+            self.keystore = Keystore.open(root)
+        except PqsecError as error:
+            self._unread(path, str(error).removeprefix(f"{path}: "))
+
+    def _unread(self, path: Path, reason: str) -> None:
+        """It is there, and could not be looked into; its rule tells."""
+        with suppress(OSError):  # gone meanwhile
+            found = path.stat()
+            key = (found.st_dev, found.st_ino)
+            self.files[key] = File(path, b"", found.st_mode, self.now, reason)
+
+    def _unlisted(self, error: OSError) -> None:
+        self._unread(Path(error.filename), (error.strerror or str(error)).lower())
+
+    def _walk(self, root: Path) -> Iterator[tuple[Path, list[str]]]:
+        for folder, folders, names in os.walk(root, onerror=self._unlisted):
+            folders.sort()
+            path = Path(folder)
+            self.folders[path] = path.stat().st_mode
+            yield path, sorted(names)
+
+    def _here(self, folder: Path, names: list[str]) -> Iterator[Path]:
+        """Take the files of a folder; the links are given back."""
+        ours = {name: (folder / name).lstat() for name in names if _OURS.search(name)}
+        links = {name for name, found in ours.items() if stat.S_ISLNK(found.st_mode)}
+        if _is_enclave(folder, ours):
+            self.enclaves[folder] = {
+                name: (found.st_dev, found.st_ino)
+                for name, found in ours.items()
+                if name not in links
+            }
+        for name, found in ours.items():
+            if name not in links and stat.S_ISREG(found.st_mode):
+                self._file(folder / name, found)
+        return (folder / name for name in sorted(links))
+
+    def _link(self, link: Path) -> None:
+        try:
+            found = link.stat()
+        except OSError:
+            found = None
+        is_file = found is not None and stat.S_ISREG(found.st_mode)
+        if found and is_file:
+            self._file(link, found)
+        if link.parent in self.enclaves:
+            key = (found.st_dev, found.st_ino) if found and is_file else None
+            self.enclaves[link.parent][link.name] = key
+
+    def _file(self, path: Path, found: os.stat_result) -> None:
+        key = (found.st_dev, found.st_ino)
+        if key in self.files:
+            return
+        if len(self.files) >= MAX_FILES:
+            raise FileError(f"more than {MAX_FILES} files to check", hint="name a smaller folder")
+        data, reason = b"", None
+        try:
+            data = read(path)
+        except PqsecError as error:
+            reason = str(error).removeprefix(f"{path}: ")
+        self.files[key] = File(path, data, found.st_mode, self.now, reason)
+
+
+def _is_enclave(folder: Path, names: Iterable[str]) -> bool:
+    """A folder with files of a participant: one of its own below enclaves/, else two of six."""
+    here = set(names)
+    if ENCLAVES in folder.parts:
+        return bool(here & {CERTIFICATE, KEY, PERMISSIONS})
+    return len(here & set(SIX)) >= _TWO_OF_SIX and bool(here & {CERTIFICATE, PERMISSIONS})
+
+
+def _is_document(file: File, search: _Search) -> bool:
+    if file.unreadable:
+        return False
+    if file.looks_like_document or _DOCUMENT.fullmatch(file.path.name):
+        return True
+    return file.path in search.named and not file.labels  # named, so it is meant to be one
+
+
+def _is_copy(document: Document, subjects: Mapping[Path, Document | CertificateFile]) -> bool:
+    """Whether it is the signed form of an XML file beside it, with the same text.
+
+    Then what is wrong is told of the XML, where it is mended.
+    """
+    beside = subjects.get(document.path.with_suffix(".xml"))
+    if not document.file.is_signed or not isinstance(beside, Document):
+        return False
+    return document.xml is not None and _lines(document.xml) == _lines(beside.xml)
+
+
+def _lines(xml: bytes | None) -> list[bytes]:
+    return (xml or b"").strip().splitlines()
+
+
+def _enclaves(
+    search: _Search, subjects: Mapping[Path, Document | CertificateFile]
+) -> Iterator[Enclave]:
+    for folder, names in search.enclaves.items():
+        files = {name: search.files[key] for name, key in names.items() if key in search.files}
+        lost = tuple(name for name, key in names.items() if key is None)
+        yield Enclave(folder, _name(folder), files, lost, search.now, subjects)
+
+
+def _name(folder: Path) -> str:
+    parts = folder.parts
+    if ENCLAVES in parts:
+        place = len(parts) - 1 - parts[::-1].index(ENCLAVES)
+        return "/" + "/".join(parts[place + 1 :])
+    return "/" + folder.name

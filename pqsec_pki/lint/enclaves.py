@@ -1,0 +1,165 @@
+"""Rules about enclaves among each other: what all of a keystore share."""
+
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.lint._roles import Role, role_of
+from pqsec_pki.lint.cross import ENCLAVES
+from pqsec_pki.lint.revocation import lists_of
+from pqsec_pki.lint.rule import Family, Found, Severity
+from pqsec_pki.lint.subjects import (
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS_CA,
+    CertificateFile,
+    Enclave,
+    Inventory,
+)
+
+FAMILY = Family("cross-artefact")
+
+
+@FAMILY.rule(
+    "PQS310", Severity.WARNING, Inventory, "enclaves have different governance",
+    why="Participants that protect a domain or topic differently do not talk there, and no"
+    " stack says so.",
+    mend="Give all the same governance.p7s: link it, as pqsec and SROS2 do.",
+)  # fmt: skip
+def different_governance(inventory: Inventory) -> Iterator[Found]:
+    def text(enclave: Enclave) -> Hashable:
+        document = enclave.governance()
+        return document.governance if document else None
+
+    for enclave, other in _odd_ones(inventory, text):
+        place = enclave.files[GOVERNANCE].path
+        yield Found(f"not the governance that {other.name} and others have", path=place)
+
+
+@FAMILY.rule(
+    "PQS311", Severity.WARNING, Inventory, "enclaves trust different CAs",
+    why="Participants that trust another CA refuse each other.",
+    mend="Give all the same CA certificates, unless these domains shall stay apart.",
+)  # fmt: skip
+def different_cas(inventory: Inventory) -> Iterator[Found]:
+    for name in (IDENTITY_CA, PERMISSIONS_CA):
+
+        def key(enclave: Enclave, name: str = name) -> Hashable:
+            ca = enclave.certificate(name)
+            return ca.fingerprint if ca else None
+
+        for enclave, other in _odd_ones(inventory, key):
+            place = enclave.files[name].path
+            yield Found(f"not the {name} that {other.name} and others have", path=place)
+
+
+@FAMILY.rule(
+    "PQS312", Severity.ERROR, Inventory, "one key is identity CA and permissions CA",
+    why="Where the CA is one, stacks that do not pin the signer (Cyclone DDS 0.10, Fast DDS"
+    " 2.9) let any participant sign its own permissions (CVE-2023-24010).",
+    mend="Make two CAs: `pqsec ca init`. SROS2 makes one unless told otherwise.",
+    rows=("document signed by leaf or intermediate under the CA, CA file = root",),
+    measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
+)  # fmt: skip
+def shared_ca(inventory: Inventory) -> Iterator[Found]:
+    signers = {ca.spki for ca in _cas(inventory, PERMISSIONS_CA, Role.PERMISSIONS_CA).values()}
+    for path, ca in _cas(inventory, IDENTITY_CA, Role.IDENTITY_CA).items():
+        if ca.spki in signers:
+            yield Found("this key is identity CA and permissions CA (CVE-2023-24010)", path=path)
+
+
+@FAMILY.rule(
+    "PQS317", Severity.WARNING, Inventory, "not everybody has the latest revocation list",
+    why="A participant without it, or with an older one, lets in whoever was revoked since.",
+    mend="Give the latest crl.pem to all, and start them again: stacks read it at their start.",
+)  # fmt: skip
+def old_list(inventory: Inventory) -> Iterator[Found]:
+    newest: dict[Path, tuple[datetime, Enclave]] = {}
+    for enclave in inventory.enclaves:
+        made, root = _latest(enclave), _root(enclave.folder)
+        if made and (root not in newest or made > newest[root][0]):
+            newest[root] = made, enclave
+    for enclave in inventory.enclaves:
+        latest, other = newest.get(_root(enclave.folder), (None, enclave))
+        own = _latest(enclave)
+        if latest and (own is None or own < latest):
+            has = f"a revocation list of {own:%Y-%m-%d %H:%M}" if own else "no revocation list"
+            words = f"has {has}; {other.name} has one of {latest:%Y-%m-%d %H:%M} UTC"
+            yield Found(words, path=enclave.folder)
+
+
+@FAMILY.rule(
+    "PQS314", Severity.WARNING, Inventory, "two participants have one key",
+    why="Whoever opens one of the robots has the key of both, and neither can be revoked alone."
+    " Copying an enclave folder to a second robot does this.",
+    mend="Issue each participant with its own key: `pqsec issue NAME`.",
+)  # fmt: skip
+def shared_key(inventory: Inventory) -> Iterator[Found]:
+    first: dict[bytes, Enclave] = {}
+    for enclave in inventory.enclaves:
+        for key in _own_keys(enclave):
+            other = first.setdefault(key, enclave)
+            if other is not enclave:
+                yield Found(f"has the key of {other.name} too", path=enclave.folder)
+                break
+
+
+@FAMILY.rule(
+    "PQS315", Severity.WARNING, Inventory, "two certificates have one serial number",
+    why="Revocation lists name certificates by their number: with one, the other is revoked"
+    " too. RFC 5280 4.1.2.2 wants it to be unique in a CA.",
+    mend="Issue one of them again, and let the CA choose numbers (no -set_serial).",
+)  # fmt: skip
+def same_serial(inventory: Inventory) -> Iterator[Found]:
+    first: dict[tuple[bytes, int], CertificateFile] = {}
+    for file in inventory.certificates:
+        if certificate := file.first:
+            number = (certificate.issuer_der, certificate.serial_number)
+            other = first.setdefault(number, file)
+            if other.first and other.first.der != certificate.der:
+                yield Found(f"has the serial number of {other.path} too", path=file.path)
+
+
+def _latest(enclave: Enclave) -> datetime | None:
+    """When its revocation list was made, if it has one."""
+    return max((each.this_update for _, each in lists_of(enclave)), default=None)
+
+
+def _own_keys(enclave: Enclave) -> Iterator[bytes]:
+    certificate = enclave.certificate()
+    if certificate:
+        yield certificate.spki
+        if certificate.alternative and certificate.alternative.spki:
+            yield certificate.alternative.spki
+
+
+def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certificate]:
+    """Those in files of that name, or that enclaves know by it (SROS2 links both to one)."""
+    found = {each.path: each.first for each in inventory.certificates if role_of(each) is role}
+    for enclave in inventory.enclaves:
+        if name in enclave.files:
+            found[enclave.files[name].path] = enclave.certificate(name)
+    return {path: ca for path, ca in found.items() if ca}
+
+
+def _odd_ones(
+    inventory: Inventory, key: Callable[[Enclave], Hashable]
+) -> Iterator[tuple[Enclave, Enclave]]:
+    """Enclaves that differ from most of their keystore, each with one of the many."""
+    keystores: dict[Path, dict[Hashable, list[Enclave]]] = {}
+    for enclave in inventory.enclaves:
+        value = key(enclave)
+        if value is not None:
+            keystores.setdefault(_root(enclave.folder), {}).setdefault(value, []).append(enclave)
+    for groups in keystores.values():
+        most, *others = sorted(groups.values(), key=len, reverse=True)
+        for enclave in (each for group in others for each in group):
+            yield enclave, most[0]
+
+
+def _root(folder: Path) -> Path:
+    parts = folder.parts
+    if ENCLAVES not in parts:
+        return folder.parent
+    return Path(*parts[: len(parts) - parts[::-1].index(ENCLAVES)])

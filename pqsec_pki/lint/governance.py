@@ -1,0 +1,208 @@
+"""What a governance document means: holes in the protection, and what stacks read otherwise."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.documents import DomainRule, ProtectionKind, TopicRule
+from pqsec_pki.lint._shadows import Patterns, covers_domains
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import GovernanceFile
+
+FAMILY = Family("documents")
+
+ERROR, WARNING, INFO = Severity
+_NONE = ProtectionKind.NONE
+_CIPHER = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
+MAX_COMPARED = 64
+"""Domain rules that a later one is compared with; nobody has more."""
+
+
+def _rules(document: GovernanceFile) -> tuple[DomainRule, ...]:
+    return document.governance.domain_rules if document.governance else ()
+
+
+def _topics(document: GovernanceFile) -> Iterator[tuple[DomainRule, TopicRule]]:
+    for rule in _rules(document):
+        for topic in rule.topic_rules:
+            yield rule, topic
+
+
+def _is_open(topic: TopicRule) -> bool:
+    kinds = (topic.metadata_protection_kind, topic.data_protection_kind)
+    return set(kinds) == {_NONE}
+
+
+@FAMILY.rule(
+    "PQS221", WARNING, GovernanceFile, "participants without identity are let in",
+    why="Whoever is on the network joins the domain, and uses every topic whose rule has no"
+    " access control.",
+    mend="Set allow_unauthenticated_participants to false once all participants are secured.",
+)  # fmt: skip
+def unauthenticated(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        if rule.allow_unauthenticated_participants:
+            yield document.at(rule.line, f"domains {rule.domains} let in whoever has no identity")
+
+
+@FAMILY.rule(
+    "PQS222", ERROR, GovernanceFile, "participants without identity, and protected messages",
+    why="Who has no identity cannot read protected RTPS messages: the two exclude each other,"
+    " and Fast DDS 3 refuses the governance.",
+    mend="Set rtps_protection_kind to NONE, or allow_unauthenticated_participants to false.",
+    stacks=(Target.FASTDDS,), rows=("allow_unauthenticated=true with rtps_protection≠NONE",),
+    measured="Fast DDS 3.1.2 and 3.6.2 refuse, 2.9.1 and Cyclone DDS take it",
+)  # fmt: skip
+def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        if rule.allow_unauthenticated_participants and rule.rtps_protection_kind is not _NONE:
+            yield document.at(
+                rule.line, "Fast DDS 3 refuses allow_unauthenticated_participants with"
+                f" rtps_protection_kind {rule.rtps_protection_kind}",
+            )  # fmt: skip
+
+
+@FAMILY.rule(
+    "PQS223", WARNING, GovernanceFile, "anybody with an identity may join",
+    why="Without join access control the permissions are not asked when a participant joins.",
+    mend="Set enable_join_access_control to true.",
+)  # fmt: skip
+def no_join_control(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        if not rule.enable_join_access_control:
+            yield document.at(rule.line, f"domains {rule.domains} have no join access control")
+
+
+@FAMILY.rule(
+    "PQS224", WARNING, GovernanceFile, "topics without any protection",
+    why="Neither the data nor the messages around it are protected: whoever is on the network"
+    " reads, forges and alters it.",
+    mend="Set metadata_protection_kind or data_protection_kind to ENCRYPT.",
+)  # fmt: skip
+def clear_topic(document: GovernanceFile) -> Iterator[Found]:
+    for rule, topic in _topics(document):
+        if _is_open(topic) and rule.rtps_protection_kind is _NONE:
+            yield document.at(
+                topic.line, f"topics {topic.topic_expression!a} are sent in the clear"
+            )
+
+
+@FAMILY.rule(
+    "PQS225", INFO, GovernanceFile, "topics are signed and can be read",
+    why="Nobody can forge the data; everybody on the network can read it. That may be meant.",
+    mend="To hide it, set data_protection_kind (or metadata_protection_kind) to ENCRYPT.",
+)  # fmt: skip
+def readable_topic(document: GovernanceFile) -> Iterator[Found]:
+    for rule, topic in _topics(document):
+        kinds = {topic.metadata_protection_kind, topic.data_protection_kind}
+        whole = rule.rtps_protection_kind
+        protected = not _is_open(topic) or whole is not _NONE
+        if protected and not (kinds | {whole}) & _CIPHER:
+            yield document.at(
+                topic.line, f"topics {topic.topic_expression!a} can be read by anyone"
+            )
+
+
+@FAMILY.rule(
+    "PQS226", INFO, GovernanceFile, "topics for whoever joins",
+    why="Without read or write access control the permissions are not asked for the topic.",
+    mend="Set enable_read_access_control and enable_write_access_control to true.",
+)  # fmt: skip
+def no_topic_control(document: GovernanceFile) -> Iterator[Found]:
+    for _, topic in _topics(document):
+        open_to = [
+            word
+            for word, controlled in (
+                ("read", topic.enable_read_access_control),
+                ("write", topic.enable_write_access_control),
+            )
+            if not controlled
+        ]
+        if open_to:
+            words = " and ".join(open_to)
+            yield document.at(
+                topic.line,
+                f"whoever is in the domain may {words} topics {topic.topic_expression!a}",
+            )
+
+
+@FAMILY.rule(
+    "PQS227", WARNING, GovernanceFile, "a topic rule that is never reached",
+    why="The first topic rule that matches decides: an earlier one covers all of this one.",
+    mend="Put the narrower rule first.",
+)  # fmt: skip
+def shadowed_topic(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        before = Patterns[TopicRule]()
+        for topic in rule.topic_rules:
+            if earlier := next(before.covering(topic.topic_expression), None):
+                yield document.at(
+                    topic.line,
+                    f"{topic.topic_expression!a} is never reached:"
+                    f" {earlier.topic_expression!a} above covers it",
+                )
+            before.add(topic.topic_expression, topic)
+
+
+@FAMILY.rule(
+    "PQS228", WARNING, GovernanceFile, "a domain rule that is never reached",
+    why="The first domain rule that names a domain governs it: an earlier one names all of these.",
+    mend="Take the domains out of one of the two.",
+)  # fmt: skip
+def shadowed_domains(document: GovernanceFile) -> Iterator[Found]:
+    rules = _rules(document)
+    for place, rule in enumerate(rules):
+        if any(covers_domains(each.domains, rule.domains) for each in rules[:place][:MAX_COMPARED]):
+            yield document.at(rule.line, f"domains {rule.domains} are governed by a rule above")
+
+
+@FAMILY.rule(
+    "PQS229", WARNING, GovernanceFile, "topics that no rule names",
+    why="A topic that no topic rule matches cannot be used: stacks refuse to create its endpoints.",
+    mend="End the topic rules with one for *, with the strictest protection.",
+    measured="read in Cyclone DDS's and Fast DDS's source",
+)  # fmt: skip
+def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        if not any(topic.topic_expression.strip("*") == "" for topic in rule.topic_rules):
+            yield document.at(rule.line, "no topic rule is for all other topics (*)")
+
+
+@FAMILY.rule(
+    "PQS230", ERROR, GovernanceFile, "governance with which OpenDDS makes no participant",
+    why="OpenDDS creates a participant only where join access control is off or some topic rule"
+    " leaves reading or writing open, whatever the permissions say (OpenDDS issue 5007). All"
+    " other stacks take such governance, and it is what pqsec writes.",
+    mend="For OpenDDS put a topic rule for a name that nobody uses before the others, with"
+    " enable_read_access_control false: it opens nothing else.",
+    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+)  # fmt: skip
+def nobody_joins(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        if rule.enable_join_access_control and not any(map(_is_half_open, rule.topic_rules)):
+            yield document.at(
+                rule.line, f"OpenDDS makes no participant on domains {rule.domains}:"
+                " joining and every topic are controlled",
+            )  # fmt: skip
+
+
+@FAMILY.rule(
+    "PQS240", WARNING, GovernanceFile, "a topic rule that opens protected topics in OpenDDS",
+    why="OpenDDS asks for permissions only where all topic rules that match want them: an open"
+    " rule further down opens what a rule above it protects.",
+    mend="For OpenDDS, let the open rule's expression not cover the protected topics.",
+    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+)  # fmt: skip
+def opened_below(document: GovernanceFile) -> Iterator[Found]:
+    for rule in _rules(document):
+        open_below = Patterns[TopicRule]()
+        for topic in reversed(rule.topic_rules):
+            if _is_half_open(topic):
+                open_below.add(topic.topic_expression, topic)
+            elif wider := next(open_below.covering(topic.topic_expression), None):
+                yield document.at(
+                    topic.line, f"{topic.topic_expression!a} is open in OpenDDS: so is"
+                    f" {wider.topic_expression!a} below",
+                )  # fmt: skip
+
+
+def _is_half_open(topic: TopicRule) -> bool:
+    return not (topic.enable_read_access_control and topic.enable_write_access_control)

@@ -1,0 +1,245 @@
+"""What a permissions document means: holes, rules that do nothing, what stacks skip."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from pqsec_pki.documents import DefaultAction, DomainSet, Grant, Rule
+from pqsec_pki.lint._names import parsed, shown
+from pqsec_pki.lint._shadows import Patterns, covers_domains
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import PermissionsFile
+
+FAMILY = Family("documents")
+
+ERROR, WARNING, INFO = Severity
+MAX_DOMAIN_SETS = 16
+"""Different sets of domains in one grant that rules are compared under."""
+_CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
+_ACTIONS = ("publish", "subscribe", "relay")
+
+
+@FAMILY.rule(
+    "PQS251", WARNING, PermissionsFile, "what no rule names is allowed",
+    why="Default ALLOW turns a forgotten rule into a permission; in Fast DDS it does not work"
+    " either: its default is never asked for a topic.",
+    mend="Write <default>DENY</default>, and an allow_rule for what is needed.",
+)  # fmt: skip
+def default_allow(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        if grant.default is DefaultAction.ALLOW:
+            yield document.at(grant.line, f"{shown(grant)}: whatever no rule names is allowed")
+
+
+@FAMILY.rule(
+    "PQS252", ERROR, PermissionsFile, "default ALLOW without an allow_rule",
+    why="Fast DDS lets a participant join only where an allow_rule names the domain, whatever"
+    " the default says.",
+    mend="Add an allow_rule for the domain.",
+    stacks=(_FAST,),
+    rows=("`<default>ALLOW` and no rule", "no rule for the domain, default ALLOW"),
+    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def nothing_allowed(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        if grant.default is DefaultAction.ALLOW and not any(rule.allow for rule in grant.rules):
+            yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants an allow_rule to join")
+
+
+@FAMILY.rule(
+    "PQS253", WARNING, PermissionsFile, "everything is allowed",
+    why="A participant that is taken over may then publish, or read, any topic.",
+    mend="Name the topics it needs; `pqsec permissions new` starts from a node's own.",
+)  # fmt: skip
+def allow_all(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        for rule in grant.rules:
+            for action in _ACTIONS if rule.allow else ():
+                for criteria in getattr(rule, action):
+                    if any(topic.strip("*") == "" for topic in criteria.topics):
+                        yield document.at(
+                            criteria.line, f"{shown(grant)} may {action} every topic (*)"
+                        )
+
+
+@FAMILY.rule(
+    "PQS254", ERROR, PermissionsFile, "a deny_rule that comes too late",
+    why="The first rule that matches decides: an allow_rule above covers what is denied here, so"
+    " it is allowed. Measured in all stacks.",
+    mend="Put the deny_rule above the allow_rule.",
+    rows=("allow(*) then deny(T)", "deny(T) then allow(*)"), measured="all six stacks",
+)  # fmt: skip
+def late_deny(document: PermissionsFile) -> Iterator[Found]:
+    for line, action, topic, rule, earlier in _shadowed(document):
+        if not rule.allow:
+            yield document.at(
+                line, f"{action} of {topic!a} is not denied:"
+                f" the allow_rule in line {document.line(earlier.line)} covers it",
+            )  # fmt: skip
+
+
+@FAMILY.rule(
+    "PQS255", WARNING, PermissionsFile, "an allow_rule that is never reached",
+    why="The first rule that matches decides: a deny_rule above covers what is allowed here.",
+    mend="Put the allow_rule above the deny_rule, or take it out.",
+    rows=("deny(T) then allow(*)",), measured="all six stacks",
+)  # fmt: skip
+def late_allow(document: PermissionsFile) -> Iterator[Found]:
+    for line, action, topic, rule, earlier in _shadowed(document):
+        if rule.allow:
+            yield document.at(
+                line, f"{action} of {topic!a} is not allowed:"
+                f" the deny_rule in line {document.line(earlier.line)} covers it",
+            )  # fmt: skip
+
+
+_Shadow = tuple[int | None, str, str, Rule, Rule]
+"""Line, action, topic, the rule it stands in, and the rule above with the other verdict."""
+
+
+def _shadowed(document: PermissionsFile) -> Iterator[_Shadow]:
+    for grant in document.grants:
+        before: dict[tuple[object, ...], Patterns[Rule]] = {}
+        sets: list[DomainSet] = []
+        for rule in grant.rules:
+            if rule.domains not in sets and len(sets) < MAX_DOMAIN_SETS:
+                sets.append(rule.domains)
+            wider = [each for each in sets if covers_domains(each, rule.domains)]
+            for action in _ACTIONS:
+                yield from _shadowed_in(rule, action, wider, before)
+
+
+def _shadowed_in(
+    rule: Rule,
+    action: str,
+    wider: list[DomainSet],
+    before: dict[tuple[object, ...], Patterns[Rule]],
+) -> Iterator[_Shadow]:
+    for criteria in getattr(rule, action):
+        limits = (action, criteria.partitions, criteria.data_tags)
+        earlier = [before[key] for each in wider if (key := (*limits, each.parts)) in before]
+        for topic in criteria.topics:
+            above = [mark for patterns in earlier for mark in patterns.covering(topic)]
+            first = min(above, key=lambda mark: mark.line or 0, default=None)
+            if first and first is not rule and first.allow != rule.allow:
+                yield criteria.line, action, topic, rule, first
+                break
+        mine = before.setdefault((*limits, rule.domains.parts), Patterns())
+        for topic in criteria.topics:
+            mine.add(topic, rule)
+
+
+@FAMILY.rule(
+    "PQS256", WARNING, PermissionsFile, "a deny_rule for some partitions only",
+    why="Cyclone DDS and Fast DDS deny the topic in every partition, whatever is named; OpenDDS"
+    " denies it in those named.",
+    mend="Name the partitions in an allow_rule instead, and deny the topic without them.",
+    rows=("deny T only in partition Q, endpoint in none",), measured="all six stacks",
+)  # fmt: skip
+def deny_in_partition(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        for rule in grant.rules:
+            for action in () if rule.allow else _ACTIONS:
+                for criteria in getattr(rule, action):
+                    if criteria.partitions:
+                        yield document.at(
+                            criteria.line, "the topics are denied in every partition, not only in"
+                            f" {_some(criteria.partitions)}",
+                        )  # fmt: skip
+
+
+@FAMILY.rule(
+    "PQS257", WARNING, PermissionsFile, "topics and partitions in different criteria",
+    why="Fast DDS puts the criteria of a rule together: a topic of one is allowed in the"
+    " partitions of another. Cyclone DDS and the standard keep them apart.",
+    mend="Write an allow_rule for each.",
+    stacks=(_FAST,), rows=("topic in one `<publish>`, partition in another",),
+    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def mixed_criteria(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        for rule in grant.rules:
+            for action in _ACTIONS if rule.allow else ():
+                for one, other in pairwise(getattr(rule, action)):
+                    if one.partitions != other.partitions and one.topics != other.topics:
+                        yield document.at(
+                            other.line, f"Fast DDS mixes the topics and partitions of the {action}"
+                            " elements of one rule",
+                        )  # fmt: skip
+
+
+@FAMILY.rule(
+    "PQS258", INFO, PermissionsFile, "allowed outside partitions only",
+    why="Other rules of the grant name partitions; an allow_rule without them is for endpoints in"
+    " no partition, not for those in any.",
+    mend="Name the partitions here too; <partition>*</partition> is all of them.",
+    rows=("allow without partitions, endpoint in P", "allow partition P, endpoint in none"),
+    measured="all six stacks",
+)  # fmt: skip
+def default_partition(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        criteria = [
+            each
+            for rule in grant.rules
+            if rule.allow
+            for action in _ACTIONS
+            for each in getattr(rule, action)
+        ]
+        if any(each.partitions for each in criteria):
+            for each in criteria:
+                if not each.partitions:
+                    yield document.at(
+                        each.line, f"{_some(each.topics)}: allowed in no partition only"
+                    )
+
+
+@FAMILY.rule(
+    "PQS259", WARNING, PermissionsFile, "relay rules, which stacks skip",
+    why="Cyclone DDS and OpenDDS never ask it; Fast DDS asks it of a peer only, where it counts"
+    " as a right to subscribe.",
+    mend="Do not count on it.",
+    stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
+    measured="all six stacks; OpenDDS by source",
+)  # fmt: skip
+def relay(document: PermissionsFile) -> Iterator[Found]:
+    for node in document.all("relay"):
+        yield document.at(node, "<relay> is not enforced as such by any stack")
+
+
+@FAMILY.rule(
+    "PQS260", WARNING, PermissionsFile, "data tags, which stacks skip",
+    why="No stack asks them: what they should limit is allowed with any tag.",
+    mend="Use partitions, or other topics.",
+    stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
+    measured="all six stacks; OpenDDS by source",
+)  # fmt: skip
+def data_tags(document: PermissionsFile) -> Iterator[Found]:
+    for node in document.all("data_tags"):
+        yield document.at(node, "<data_tags> are not enforced by any stack")
+
+
+@FAMILY.rule(
+    "PQS261", WARNING, PermissionsFile, "two grants for one subject",
+    why="The first decides, even when it has run out: Cyclone DDS then refuses the participant,"
+    " Fast DDS looks further, OpenDDS forgets the second.",
+    mend="Put their rules into one grant.",
+    rows=("first grant for subject not valid, second valid",),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; OpenDDS by source",
+)  # fmt: skip
+def two_grants(document: PermissionsFile) -> Iterator[Found]:
+    before: dict[object, Grant] = {}
+    for grant in document.grants:
+        # Of a name beyond ASCII each of two spellings is for other stacks (PQS418, PQS425).
+        name: object = (
+            parsed(grant.subject_name) or grant.subject_name,
+            grant.subject_name.isascii(),
+        )
+        if name in before:
+            first = document.line(before[name].line)
+            yield document.at(grant.line, f"{shown(grant)} has a grant in line {first} already")
+        before.setdefault(name, grant)
+
+
+def _some(words: tuple[str, ...]) -> str:
+    """The first few of them."""
+    rest = f" and {len(words) - 3} more" if len(words) > 3 else ""  # noqa: PLR2004 -- a few
+    return ", ".join(ascii(word)[1:-1] for word in words[:3]) + rest

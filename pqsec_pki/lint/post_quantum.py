@@ -1,0 +1,207 @@
+"""Rules about what shall withstand a quantum computer, and what stock stacks make of it."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.algorithms import Family as Strength
+from pqsec_pki.algorithms import PublicKey, SignatureAlgorithm
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.lint import _signatures
+from pqsec_pki.lint._roles import Role, family_of, key_kind, role_of
+from pqsec_pki.lint._signatures import PERMISSIONS_ALT_CA
+from pqsec_pki.lint.cross import ALT_KEY
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import (
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    CertificateFile,
+    Enclave,
+    Inventory,
+)
+
+FAMILY = Family("post-quantum")
+STOCK = (Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS, Target.CONNEXT, Target.ROS2)
+_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+
+
+@FAMILY.rule(
+    "PQS601", Severity.ERROR, CertificateFile, "no stock stack takes a post-quantum identity",
+    why="With ML-DSA or composite keys as identity CA or participant every stack refused,"
+    " also on OpenSSL 3.5: it is their own code that knows RSA and ECDSA only.",
+    mend="Use the transition profile: classical keys that stacks take, ML-DSA beside them.",
+    stacks=STOCK, only_when_asked=True,
+    rows=("identity all ML-DSA-65", "ML-DSA CA, EC leaf", "EC CA, ML-DSA leaf"),
+    measured=_ALL + "; OpenDDS by source",
+)  # fmt: skip
+def identity_for_no_stack(file: CertificateFile) -> Iterator[Found]:
+    role = role_of(file)
+    if file.first and role.identifies and family_of(file.first) is not Strength.CLASSICAL:
+        yield Found(f"the {role} has a key of kind {key_kind(file.first)}, for pqsec peers only")
+
+
+@FAMILY.rule(
+    "PQS602", Severity.ERROR, CertificateFile, "no stock stack can verify these documents",
+    why="Stacks verify with PKCS7_verify, which knows RSA and ECDSA only, in OpenSSL 3.5 and"
+    " 4.0 too: 'provider signature not supported'.",
+    mend="Use the transition profile: an ECDSA signature, and ML-DSA's over it.",
+    stacks=STOCK, only_when_asked=True,
+    rows=("governance/permissions CMS-signed ML-DSA-65",),
+    measured=_ALL + "; OpenDDS by source",
+)  # fmt: skip
+def documents_for_no_stack(file: CertificateFile) -> Iterator[Found]:
+    role = role_of(file)
+    if file.first and role.signs_documents and family_of(file.first) is not Strength.CLASSICAL:
+        yield Found(f"the {role} signs documents with {key_kind(file.first)}, for pqsec peers only")
+
+
+@FAMILY.rule(
+    "PQS603", Severity.ERROR, Enclave, "the alternative signature does not hold",
+    why="Only stock stacks, which pass over it, will take this certificate. It may be forged.",
+    mend="Issue the participant again: `pqsec issue NAME --force`.",
+)  # fmt: skip
+def alternative_does_not_hold(enclave: Enclave) -> Iterator[Found]:
+    certificate, key = enclave.certificate(), _alternative_key(enclave.certificate(IDENTITY_CA))
+    if certificate is None or key is None or not _has_signature(certificate):
+        return
+    try:
+        if certificate.alternative:
+            certificate.alternative.verify(key)
+    except PqsecError as error:
+        yield Found(f"the certificate's alternative signature: {error}")
+
+
+@FAMILY.rule(
+    "PQS604", Severity.ERROR, Enclave, "the certificate has no alternative key or signature",
+    why="Its CA has one, and pqsec peers ask for it: without, whoever breaks ECDSA could make"
+    " this certificate.",
+    mend="Issue the participant again: `pqsec issue NAME --force`.",
+)  # fmt: skip
+def no_alternative(enclave: Enclave) -> Iterator[Found]:
+    certificate = enclave.certificate()
+    if certificate is None or _alternative_key(enclave.certificate(IDENTITY_CA)) is None:
+        return
+    missing = [
+        name
+        for name, there in (
+            ("key", _alternative_key(certificate)),
+            ("signature", _has_signature(certificate)),
+        )
+        if not there
+    ]
+    if missing:
+        yield Found(f"the certificate lacks an alternative {' and '.join(missing)}; its CA has one")
+
+
+@FAMILY.rule(
+    "PQS605", Severity.ERROR, Inventory, "a countersignature is missing",
+    why="Beside the permissions CA there is a post-quantum one that countersigns. Without its"
+    " signature pqsec peers refuse the document; somebody may have taken it off.",
+    mend="Sign the document again.",
+)  # fmt: skip
+def stripped(inventory: Inventory) -> Iterator[Found]:
+    for pair in _signatures.pairs(inventory):
+        ca, signers = pair.alternative_ca, _signatures.countersigners(pair.file)
+        if ca and not any(_signatures.is_by(signer, ca) for signer in signers):
+            yield Found(f"lacks the countersignature of {ca.subject_name}", path=pair.file.path)
+
+
+@FAMILY.rule(
+    "PQS606", Severity.ERROR, Inventory, "a countersignature does not hold",
+    why="The post-quantum signature is not over this document's signature.",
+    mend="Sign the document again, and find out who changed it.",
+)  # fmt: skip
+def counter_does_not_hold(inventory: Inventory) -> Iterator[Found]:
+    for pair in _signatures.pairs(inventory):
+        for problem in _signatures.counter_problems(pair):
+            yield Found(problem, path=pair.file.path)
+
+
+@FAMILY.rule(
+    "PQS607", Severity.ERROR, Enclave, "the certificate of the countersigner is missing",
+    why="Documents here are countersigned, and without it nobody can check that: a document"
+    " without the countersignature would look as good.",
+    mend=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
+)  # fmt: skip
+def no_countersigner(enclave: Enclave) -> Iterator[Found]:
+    if enclave.certificate(PERMISSIONS_ALT_CA):
+        return
+    files = (enclave.files.get(name) for name in (PERMISSIONS, GOVERNANCE))
+    if any(file and _signatures.countersigners(file) for file in files):
+        yield Found(f"documents are countersigned, and {PERMISSIONS_ALT_CA} is not there")
+    elif _alternative_key(enclave.certificate(IDENTITY_CA)):
+        yield Found(f"the identity CA has an alternative key, and {PERMISSIONS_ALT_CA} is missing")
+
+
+@FAMILY.rule(
+    "PQS608", Severity.ERROR, Enclave, "the alternative private key is missing",
+    why="The certificate names it, and pqsec peers ask the participant to sign with it.",
+    mend=f"Copy {ALT_KEY} with the rest of the enclave, or issue the participant again.",
+)  # fmt: skip
+def no_alternative_key(enclave: Enclave) -> Iterator[Found]:
+    if _alternative_key(enclave.certificate()) and ALT_KEY not in enclave.files:
+        yield Found(f"{ALT_KEY} is not there, and the certificate has an alternative key")
+
+
+@FAMILY.rule(
+    "PQS609", Severity.WARNING, Inventory, "weaker than the profile promises",
+    why="A keystore is made with a profile so that everything in it holds what it promises.",
+    mend="Issue the participant again, or make the keystore again with the profile you mean.",
+)  # fmt: skip
+def below_profile(inventory: Inventory) -> Iterator[Found]:
+    if inventory.keystore is None:
+        return
+    profile = inventory.keystore.profile
+    wanted = {
+        Role.PARTICIPANT: (profile.participant_key, profile.alternative_key),
+        Role.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
+        Role.PERMISSIONS_CA: (profile.permissions_key, None),
+        Role.COUNTERSIGNER: (profile.alternative_key, None),
+    }
+    for file in inventory.certificates:
+        role = role_of(file)
+        rows = wanted.get(role, (None, None))
+        for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
+            if row and (level := _level(found)) < row.level:
+                words = f"the {role}'s {what} is of security level {level}, not {row.level}"
+                yield Found(f"{words} as in profile {profile.name} ({row.name})", path=file.path)
+
+
+@FAMILY.rule(
+    "PQS610", Severity.INFO, Inventory, "nothing here withstands a quantum computer",
+    why="Who records the traffic now can read it once ECDH is broken (harvest now, decrypt"
+    " later). A keystore made with `--profile classical` has chosen so and is not told.",
+    mend="For data that matters in ten years use profile transition: it runs in stock stacks,"
+    " and between pqsec peers the key agreement is hybrid.",
+)  # fmt: skip
+def classical_only(inventory: Inventory) -> Iterator[Found]:
+    certificates = [each.first for each in inventory.certificates if each.first]
+    if inventory.keystore or not inventory.enclaves or not certificates:
+        return
+    if all(family_of(each) is Strength.CLASSICAL and not each.alternative for each in certificates):
+        yield Found("all keys here are classical")
+
+
+def _alternative_key(certificate: Certificate | None) -> PublicKey | None:
+    try:
+        return certificate.alternative_key if certificate else None
+    except PqsecError:
+        return None
+
+
+def _has_signature(certificate: Certificate) -> bool:
+    return certificate.alternative is not None and certificate.alternative.signature is not None
+
+
+def _keys(file: CertificateFile) -> tuple[SignatureAlgorithm | None, SignatureAlgorithm | None]:
+    if file.first is None:
+        return None, None
+    second = _alternative_key(file.first)
+    try:
+        return file.first.public_key.algorithm, second.algorithm if second else None
+    except PqsecError:
+        return None, second.algorithm if second else None
+
+
+def _level(row: SignatureAlgorithm | None) -> int:
+    return row.level if row else 0

@@ -1,0 +1,61 @@
+"""What a node of ROS 2 cannot do without: asked with `--target ros2`."""
+
+import re
+from collections.abc import Iterator
+
+from pqsec_pki.documents import DefaultAction, Rule, ros
+from pqsec_pki.lint._names import shown
+from pqsec_pki.lint._shadows import Patterns
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import PermissionsFile
+
+FAMILY = Family("documents")
+
+ERROR = Severity.ERROR
+_TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
+
+
+@FAMILY.rule(
+    "PQS267", ERROR, PermissionsFile, "a ROS 2 node without get_type_description",
+    why="Since Iron every node offers that service, and dies in its constructor when it may not;"
+    " SROS2's own sample policy lacks it.",
+    mend="Allow its topics, or import the policy with `pqsec permissions import`, which adds them.",
+    stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
+    only_when_asked=True,
+)  # fmt: skip
+def no_type_description(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        patterns = Patterns[Rule]()
+        topics = {
+            topic: (criteria.line, rule)
+            for rule in grant.rules
+            if rule.allow
+            for criteria in rule.publish
+            for topic in criteria.topics
+        }
+        for topic, (_, rule) in topics.items():
+            patterns.add(topic, rule)
+        for topic, (line, _) in topics.items():
+            found = _TYPE_DESCRIPTION.fullmatch(topic)
+            wanted = f"rr/{found['node']}/get_type_descriptionReply" if found else ""
+            if found and not next(patterns.covering(wanted), None):
+                yield document.at(line, f"node /{found['node']} may not publish {wanted}")
+
+
+@FAMILY.rule(
+    "PQS268", ERROR, PermissionsFile, f"a ROS 2 participant without {ros.DISCOVERY}",
+    why="Every ROS 2 participant publishes and subscribes to it, and cannot start otherwise.",
+    mend=f"Allow it to publish and to subscribe to {ros.DISCOVERY}.",
+    stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
+    only_when_asked=True,
+)  # fmt: skip
+def no_ros_discovery(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        for action in ("publish", "subscribe"):
+            patterns = Patterns[Rule]()
+            for rule in grant.rules:
+                for criteria in getattr(rule, action) if rule.allow else ():
+                    for topic in criteria.topics:
+                        patterns.add(topic, rule)
+            if grant.default is DefaultAction.DENY and not any(patterns.covering(ros.DISCOVERY)):
+                yield document.at(grant.line, f"{shown(grant)} may not {action} {ros.DISCOVERY}")

@@ -1,0 +1,111 @@
+"""Ask every rule about every subject; set aside what somebody has given a reason for."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki.lint.collect import take_inventory
+from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
+from pqsec_pki.lint.subjects import Inventory
+from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
+from pqsec_pki.lint.table import RULES
+
+COMMAND_LINE = Path("--ignore")
+_RANK = {severity: rank for rank, severity in enumerate(Severity)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What a check found."""
+
+    findings: tuple[Finding, ...]
+    """By path and line; within a line the worst first."""
+    ignored: tuple[tuple[Finding, str], ...]
+    """Those suppressed, with the reason."""
+    inventory: Inventory = field(repr=False)
+
+    def count(self, severity: Severity) -> int:
+        """How many findings are of that severity."""
+        return sum(finding.rule.severity is severity for finding in self.findings)
+
+    def is_clean(self, *, strict: bool = False) -> bool:
+        """Whether there is no error; with `strict`, no warning either."""
+        warnings = self.count(Severity.WARNING) if strict else 0
+        return not self.count(Severity.ERROR) and not warnings
+
+
+def check(
+    paths: Iterable[Path],
+    *,
+    now: datetime,
+    targets: Iterable[Target] = (),
+    ignore: Iterable[Suppression] = (),
+) -> Report:
+    """Everything that is wrong or risky in these files, folders and keystores.
+
+    Without `targets`, all stacks are meant. FileError if a path cannot be looked into;
+    what is wrong inside is a finding.
+    """
+    named = list(paths)
+    inventory = take_inventory(named, now=now)
+    meant = frozenset(targets)
+    asked = [rule for rule in RULES.values() if rule.matters_to(meant)]
+    files = [replace(file, asked=frozenset(rule.id for rule in asked), known=frozenset(RULES))
+             for file in _suppression_files(named, tuple(ignore), now)]  # fmt: skip
+    kept: list[Finding] = []
+    ignored: list[tuple[Finding, str]] = []
+    for finding in _findings(asked, inventory):
+        taken = next((entry for file in files if (entry := file.take(finding))), None)
+        if taken:
+            ignored.append((finding, taken.reason))
+        else:
+            kept.append(finding)
+    kept += _answers(asked, files)
+    return Report(
+        findings=tuple(sorted(kept, key=_order)), ignored=tuple(ignored), inventory=inventory
+    )
+
+
+def _order(finding: Finding) -> tuple[Path, int, int, str, str]:
+    rule = finding.rule
+    return (finding.path, finding.line or 0, _RANK[rule.severity], rule.id, finding.message)
+
+
+def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
+    yield from _answers(
+        asked,
+        (
+            *inventory.files,
+            *inventory.documents,
+            *inventory.certificates,
+            *inventory.enclaves,
+            inventory,
+        ),
+    )
+
+
+def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:
+    rules = list(asked)
+    of_class: dict[type, list[Rule]] = {}
+    for subject in subjects:
+        kind = type(subject)
+        if kind not in of_class:
+            of_class[kind] = [rule for rule in rules if issubclass(kind, rule.scope)]
+        for rule in of_class[kind]:
+            for found in rule.check(subject):
+                path = found.path or subject.path  # type: ignore[attr-defined] # all have one
+                yield Finding(rule=rule, path=path, line=found.line, message=found.message)
+
+
+def _suppression_files(
+    named: list[Path], options: tuple[Suppression, ...], now: datetime
+) -> Iterator[SuppressionFile]:
+    today = now.date()
+    yield SuppressionFile(COMMAND_LINE, None, options, today=today)
+    folders = {path if path.is_dir() else path.parent: path.is_dir() for path in named}
+    for folder, whole in folders.items():
+        path = folder / FILE_NAME
+        if path.is_file():
+            entries, broken = read_suppressions(path)
+            yield SuppressionFile(path, folder, entries, broken, today, is_complete=whole)

@@ -1,0 +1,59 @@
+"""Findings as SARIF 2.1.0 (OASIS): what code scanning services and editors read."""
+
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from pqsec_pki import __version__
+from pqsec_pki.lint.rule import Finding, Rule, Severity
+from pqsec_pki.lint.run import Report
+from pqsec_pki.lint.table import RULES
+
+SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}
+
+
+def to_sarif(report: Report) -> dict[str, Any]:
+    """The log with one run, for json.dumps; suppressed findings are in it, marked so."""
+    places = {rule.id: place for place, rule in enumerate(RULES.values())}
+    results = [_result(each, places) for each in report.findings]
+    for finding, reason in report.ignored:
+        suppression = {"kind": "external", "justification": reason}
+        results.append(_result(finding, places) | {"suppressions": [suppression]})
+    driver = {
+        "name": "pqsec check",
+        "version": __version__,
+        "rules": [_descriptor(rule) for rule in RULES.values()],
+    }
+    run = {"tool": {"driver": driver}, "columnKind": "unicodeCodePoints", "results": results}
+    return {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
+
+
+def _descriptor(rule: Rule) -> dict[str, Any]:
+    return {
+        "id": rule.id,
+        "shortDescription": {"text": rule.title},
+        "fullDescription": {"text": rule.why},
+        "help": {"text": rule.mend},
+        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+        "properties": {"family": rule.family, "stacks": sorted(rule.stacks)},
+    }
+
+
+def _result(finding: Finding, places: dict[str, int]) -> dict[str, Any]:
+    location: dict[str, Any] = {"artifactLocation": {"uri": _uri(finding.path)}}
+    if finding.line:
+        location["region"] = {"startLine": finding.line}
+    return {
+        "ruleId": finding.rule.id,
+        "ruleIndex": places[finding.rule.id],
+        "level": _LEVELS[finding.rule.severity],
+        "message": {"text": finding.message},
+        "locations": [{"physicalLocation": location}],
+    }
+
+
+def _uri(path: Path) -> str:
+    """A relative path stays one, so that a service finds it in the checkout."""
+    octets = path.as_posix().encode(errors="surrogateescape")
+    return ("file://" if path.is_absolute() else "") + quote(octets, safe="/")

@@ -1,0 +1,223 @@
+"""Rules about signed documents: their S/MIME form, and whose signature it is.
+
+Every stack reads them with OpenSSL's SMIME_read_PKCS7 and PKCS7_verify. Measured with
+each form in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
+"""
+
+import re
+from collections.abc import Iterator
+
+from pqsec_pki.algorithms import Family as Strength
+from pqsec_pki.certificates import Certificate, name_text
+from pqsec_pki.lint import _signatures
+from pqsec_pki.lint._roles import family_of
+from pqsec_pki.lint._signatures import Pair
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import File, Inventory
+
+FAMILY = Family("cross-artefact")
+_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+_SIGN = "Sign the XML with `pqsec sign-governance` or `pqsec sign-permissions`."
+_SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
+
+
+@FAMILY.rule(
+    "PQS330", Severity.ERROR, File, "a signed document is not in S/MIME",
+    why="Stacks read multipart/signed only: not PEM, not DER, not a message that wraps the"
+    " text up (without OpenSSL's -nodetach, or DetachedSignature), and no bare XML.",
+    mend=_SIGN,
+    rows=("PEM or DER p7 instead of S/MIME", "no DetachedSignature (opaque)"), measured=_ALL,
+)  # fmt: skip
+def not_smime(file: File) -> Iterator[Found]:
+    if file.is_signed or file.unreadable or not _SIGNED_NAME.fullmatch(file.path.name):
+        return
+    if form := _form(file):
+        yield Found(f"{form}, where stacks read S/MIME (multipart/signed)")
+
+
+@FAMILY.rule(
+    "PQS331", Severity.ERROR, File, "the signed text is not text/plain",
+    why="Stacks verify with PKCS7_TEXT: without exactly this header they say 'SMIME_text:"
+    " mime no content type', or nothing.",
+    mend="Sign with -text (OpenSSL) or PKCS7Options.Text, or with pqsec.",
+    rows=(
+        "no Text flag (`Detached` only)", "`Detached+Binary`",
+        "inner `text/xml` or `application/xml`", "inner Content-Type absent",
+    ),
+    measured=_ALL,
+)  # fmt: skip
+def not_text(file: File) -> Iterator[Found]:
+    if _signatures.listed(file) and _signatures.text(file) is None:
+        yield Found("the signed text has no header 'Content-Type: text/plain'")
+
+
+@FAMILY.rule(
+    "PQS332", Severity.ERROR, File, "a signed document begins with a blank line",
+    why="OpenSSL takes the blank line for the end of the header, and finds no content type.",
+    mend="Take the blank line out; it is not under the signature.",
+    rows=("blank first line",), measured=_ALL,
+)  # fmt: skip
+def blank_first(file: File) -> Iterator[Found]:
+    if file.is_signed and re.match(rb"[ \t]*\r?\n", file.data):
+        yield Found("begins with a blank line, so stacks find no header", 1)
+
+
+@FAMILY.rule(
+    "PQS333", Severity.ERROR, File, "a signed document is broken",
+    why="No stack can read it.",
+    mend=_SIGN,
+)  # fmt: skip
+def broken(file: File) -> Iterator[Found]:
+    if file.is_signed and (reason := _signatures.trouble(file)):
+        yield Found(f"cannot be read: {reason}")
+
+
+@FAMILY.rule(
+    "PQS334", Severity.ERROR, File, "the signer is named by a key identifier",
+    why="The structure that stacks read (PKCS #7 1.5) names signers by issuer and serial only.",
+    mend="Sign without -keyid.",
+    rows=("SignerInfo by key id (`cms -keyid`)",), measured=_ALL,
+)  # fmt: skip
+def by_key_identifier(file: File) -> Iterator[Found]:
+    signers = _signatures.signers(file)
+    if any(signer.key_identifier is not None for signer in signers):
+        yield Found("names its signer by key identifier, which no stack reads")
+
+
+@FAMILY.rule(
+    "PQS335", Severity.ERROR, File, "not exactly one signature",
+    why="With two signers, such as ECDSA and ML-DSA, every stack refuses the document, in any"
+    " order. A second signature can stand in an unsigned attribute, as pqsec writes it.",
+    mend=_SIGN,
+    rows=(
+        "two SignerInfos EC + ML-DSA (any order, any CA arrangement)",
+        "two SignerInfos EC + EC, same CA",
+    ),
+    measured=_ALL,
+)  # fmt: skip
+def not_one_signer(file: File) -> Iterator[Found]:
+    listed = _signatures.listed(file)
+    if listed and len(listed.signers) != 1:
+        yield Found(f"has {len(listed.signers)} signatures; stacks take exactly one")
+
+
+@FAMILY.rule(
+    "PQS336", Severity.ERROR, Inventory, "the signer's certificate is not in the document",
+    why="Cyclone DDS 0.10 and Fast DDS 2.9 look for it there, and nowhere else.",
+    mend="Sign without -nocerts; `pqsec sign-permissions --embed-certificate`.",
+    stacks=(Target.CYCLONEDDS, Target.FASTDDS),
+    rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
+)  # fmt: skip
+def without_certificate(inventory: Inventory) -> Iterator[Found]:
+    for pair in _signatures.pairs(inventory):
+        listed = _signatures.listed(pair.file)
+        if listed and not listed.certificates and _is_for_stock(pair):
+            words = "the signer's certificate is not inside: Cyclone DDS 0.10 and Fast DDS 2.9"
+            yield Found(f"{words} refuse that", path=pair.file.path)
+
+
+@FAMILY.rule(
+    "PQS337", Severity.ERROR, File, "the document is signed with a broken hash",
+    why="Somebody who may have one document signed can make a second one with the same SHA-1"
+    " or MD5 digest, and the signature holds for both. Stacks take it; pqsec peers refuse it.",
+    mend=_SIGN,
+)  # fmt: skip
+def broken_digest(file: File) -> Iterator[Found]:
+    for digest in _signatures.broken_digests(file):
+        yield Found(f"signed with {digest}")
+
+
+@FAMILY.rule(
+    "PQS338", Severity.WARNING, Inventory, "nobody here can check the signature",
+    why="Stacks may take it: OpenSSL knows more keys and digests than pqsec, and signatures"
+    " without signed attributes. pqsec peers refuse it, and this check does not know whether"
+    " the document was changed.",
+    mend="Sign it without -noattr, with SHA-256 and an ecdsa-p256 or RSA key, or with pqsec.",
+    measured="`NoAttributes` is taken by " + _ALL,
+)  # fmt: skip
+def cannot_be_checked(inventory: Inventory) -> Iterator[Found]:
+    for pair in _signatures.pairs(inventory):
+        reason = _signatures.uncheckable(pair)
+        if reason and not _signatures.broken_digests(pair.file):
+            yield Found(f"the signature was not checked: it has {reason}", path=pair.file.path)
+
+
+@FAMILY.rule(
+    "PQS340", Severity.ERROR, Inventory, "the permissions CA did not sign the document",
+    why="Cyclone DDS 11, Fast DDS 3 and OpenDDS refuse documents of delegates. Where stacks"
+    " take them, any certificate under the CA can give itself permissions.",
+    mend="Sign with the permissions CA itself.",
+    rows=("document signed by leaf or intermediate under the CA, CA file = root",),
+    measured=_ALL,
+)  # fmt: skip
+def of_another_signer(inventory: Inventory) -> Iterator[Found]:
+    for pair in _signatures.pairs(inventory):
+        signers = _signatures.signers(pair.file)
+        if signers and not any(_signatures.is_by(signer, pair.ca) for signer in signers):
+            who = _who(pair) or signers[0].issuer or "another key"
+            yield Found(f"signed by {who}, not by {pair.ca.subject_name}", path=pair.file.path)
+
+
+@FAMILY.rule(
+    "PQS341", Severity.ERROR, Inventory, "the signature does not hold",
+    why="The document was changed after it was signed, or another key signed it in the CA's"
+    " name. Every stack refuses it.",
+    mend="Sign it again, and find out who changed it.",
+    rows=("tampered",), measured=_ALL,
+)  # fmt: skip
+def does_not_hold(inventory: Inventory) -> Iterator[Found]:
+    for pair in _signatures.pairs(inventory):
+        for problem in _signatures.plain_problems(pair):
+            yield Found(problem, path=pair.file.path)
+
+
+@FAMILY.rule(
+    "PQS342", Severity.WARNING, Inventory, "the XML beside a signed document is another one",
+    why="Stacks read the signed one. Who reads or changes the XML is misled.",
+    mend="Sign the XML again, or take it away.",
+)  # fmt: skip
+def differs_from_xml(inventory: Inventory) -> Iterator[Found]:
+    files = {file.path: file for file in inventory.files}
+    for file in inventory.files:
+        plain = files.get(file.path.with_suffix(".xml"))
+        text = _signatures.text(file) if file.is_signed and plain else None
+        if plain and text is not None and _lines(text) != _lines(plain.data):
+            yield Found(f"is not what {plain.path.name} beside it says", path=file.path)
+
+
+def _is_for_stock(pair: Pair) -> bool:
+    """What has post-quantum keys no stock stack reads, with that certificate or without."""
+    certificates = (pair.ca, *(each for _, each in pair.others))
+    return all(family_of(each) is Strength.CLASSICAL for each in certificates)
+
+
+def _form(file: File) -> str | None:
+    """What it is instead; None if nobody knows (PQS201 says so)."""
+    if file.data.lstrip()[:1] == b"<":
+        return "not signed at all"
+    if "PKCS7" in file.labels or "CMS" in file.labels:
+        return "a signature in PEM"
+    if b"pkcs7-mime" in file.data[:4096]:
+        return "an S/MIME message that wraps its text up"
+    return "a signature in DER" if file.data[:1] == b"\x30" else None
+
+
+def _who(pair: Pair) -> str | None:
+    """The signer, if it is among the certificates that the enclave knows."""
+    signers = _signatures.signers(pair.file)
+    known: list[tuple[str, Certificate]] = [
+        (f"{role}, {certificate.subject_name}", certificate) for role, certificate in pair.others
+    ]
+    named = (who for who, each in known for one in signers if _signatures.is_by(one, each))
+    return next(named, None) or _issued(pair)
+
+
+def _issued(pair: Pair) -> str | None:
+    for signer in _signatures.signers(pair.file):
+        if signer.issuer == name_text(pair.ca.subject):
+            return f"a certificate that {pair.ca.subject_name} issued"
+    return None
+
+
+def _lines(text: bytes) -> list[bytes]:
+    return text.strip().splitlines()

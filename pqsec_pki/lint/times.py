@@ -1,0 +1,100 @@
+"""The times of a grant, as they are written: stacks read them each in its own way."""
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from pqsec_pki.lint._names import shown
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import PermissionsFile
+
+FAMILY = Family("documents")
+
+ERROR, WARNING, INFO = Severity
+LAST_YEAR = 2261
+_CYCLONE, _FAST = Target.CYCLONEDDS, Target.FASTDDS
+_TIMES = ("not_before", "not_after")
+_INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\d:\d\d)?", re.ASCII)
+
+
+@FAMILY.rule(
+    "PQS262", ERROR, PermissionsFile, "a grant that is never in force",
+    why="It ends before it starts.",
+    mend="Set not_before before not_after.",
+    rows=("expired / future",), measured="all six stacks",
+)  # fmt: skip
+def never_in_force(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        if grant.not_before >= grant.not_after:
+            yield document.at(
+                grant.line, f"{shown(grant)}: not_after does not come after not_before"
+            )
+
+
+@FAMILY.rule(
+    "PQS263", ERROR, PermissionsFile, f"a time after {LAST_YEAR}",
+    why="Cyclone DDS counts nanoseconds in 64 bits: a later time has passed already, and the"
+    " participant is refused.",
+    mend=f"End before {LAST_YEAR + 1}; better, in a year or two.",
+    stacks=(_CYCLONE,), rows=("not_after year ≥ 2262 (9999, 2300)",),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
+)  # fmt: skip
+def too_late(document: PermissionsFile) -> Iterator[Found]:
+    for node in document.all(*_TIMES):
+        year = re.match(r"\d{4,}(?=-)", node.value, re.ASCII)
+        if year and int(year[0][:9]) > LAST_YEAR:
+            yield document.at(node, f"Cyclone DDS takes the year {year[0][:9]} for the past")
+
+
+@FAMILY.rule(
+    "PQS264", ERROR, PermissionsFile, "a time that cannot be read",
+    why="Cyclone DDS takes a not_before it cannot read without a word, so the grant is in force"
+    " from the start of time; Fast DDS refuses the document.",
+    mend="Write it as 2030-01-31T00:00:00Z.",
+    rows=("garbage not_before (silently accepted!)", "date only", "`2026-01-01 00:00:00`"),
+    measured="all six stacks",
+)  # fmt: skip
+def no_time(document: PermissionsFile) -> Iterator[Found]:
+    for node in document.all(*_TIMES):
+        if not _is_time(node.value):
+            shown = node.value[:40]
+            yield document.at(node, f"<{node.tag}>: {shown!a} is no time as 2030-01-31T00:00:00Z")
+
+
+@FAMILY.rule(
+    "PQS265", INFO, PermissionsFile, "a time without zone",
+    why="The standard reads it as UTC. Fast DDS reads every time as that of the robot's own zone.",
+    mend="End it with Z, and keep a day of reserve at both ends.",
+    rows=("no zone / `Z` / `+00:00` / `.000` / surrounding spaces",), measured="all six stacks",
+)  # fmt: skip
+def no_zone(document: PermissionsFile) -> Iterator[Found]:
+    for node in document.all(*_TIMES):
+        found = _INSTANT.fullmatch(node.value)
+        if found and not found["zone"]:
+            yield document.at(node, f"<{node.tag}> has no zone; end it with Z")
+
+
+@FAMILY.rule(
+    "PQS266", WARNING, PermissionsFile, "a time in another zone than UTC",
+    why="Fast DDS skips the zone and reads the time as local, hours away from what is meant.",
+    mend="Write the time in UTC, with Z.",
+    stacks=(_FAST,),
+    rows=("TZ=America/Los_Angeles, not_before = now-1h Z",
+          "TZ=America/Los_Angeles, not_after expired 1 h ago Z"),
+    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def other_zone(document: PermissionsFile) -> Iterator[Found]:
+    for node in document.all(*_TIMES):
+        found = _INSTANT.fullmatch(node.value)
+        if found and found["zone"] not in {None, "Z", "+00:00", "-00:00"}:
+            yield document.at(node, f"Fast DDS skips the zone {found['zone']}; write UTC with Z")
+
+
+def _is_time(text: str) -> bool:
+    if not _INSTANT.fullmatch(text):
+        return False
+    try:
+        datetime.fromisoformat(text).replace(tzinfo=UTC)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,144 @@
+"""Rules about time in permissions: over, nearly over, not begun, and other clocks."""
+
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+
+from pqsec_pki.documents import Grant
+from pqsec_pki.lint.cross import own_grants
+from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.subjects import Enclave, PermissionsFile
+from pqsec_pki.lint.x509 import ends_soon
+
+FAMILY = Family("cross-artefact")
+WEST = timedelta(hours=12)
+"""How far local time is behind UTC."""
+TOGETHER = timedelta(days=2)
+"""What ends so close to each other ends together: a day is often kept for time zones."""
+_LOCAL = "Fast DDS 2.9.1, 3.1.2, 3.6.2, in the zone of Los Angeles"
+_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+
+
+@FAMILY.rule(
+    "PQS320", Severity.ERROR, PermissionsFile, "a grant has expired",
+    why="Stacks refuse the participant that it is for.",
+    mend="Sign permissions with a later not_after: `pqsec renew NAME`.",
+    rows=("expired / future",), measured=_ALL,
+)  # fmt: skip
+def expired(document: PermissionsFile) -> Iterator[Found]:
+    for grant in _grants(document):
+        if document.now > grant.not_after:
+            yield _found(document, grant, f"expired on {_day(grant.not_after)}")
+
+
+@FAMILY.rule(
+    "PQS321", Severity.WARNING, PermissionsFile, "a grant expires soon",
+    why="From then on its participant is refused, though its certificate may be good.",
+    mend="Sign permissions with a later not_after: `pqsec renew NAME`.",
+)  # fmt: skip
+def expires_soon(document: PermissionsFile) -> Iterator[Found]:
+    for grant in _grants(document):
+        if ends_soon(document.now, grant.not_before, grant.not_after):
+            yield _found(document, grant, f"expires on {_day(grant.not_after)}")
+
+
+@FAMILY.rule(
+    "PQS322", Severity.ERROR, PermissionsFile, "a grant is not in force yet",
+    why="Stacks refuse the participant that it is for until then.",
+    mend="Set the clock right, or sign permissions with an earlier not_before.",
+    rows=("expired / future",), measured=_ALL,
+)  # fmt: skip
+def not_yet(document: PermissionsFile) -> Iterator[Found]:
+    for grant in _grants(document):
+        if document.now < grant.not_before:
+            yield _found(document, grant, f"is in force from {_day(grant.not_before)}")
+
+
+@FAMILY.rule(
+    "PQS323", Severity.WARNING, PermissionsFile, "a grant is too fresh for other time zones",
+    why="Fast DDS passes over the zone and reads the time as local: west of Greenwich a grant"
+    " that began an hour ago has not begun.",
+    mend="Let not_before be a day back, as pqsec does.",
+    stacks=(Target.FASTDDS,),
+    rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
+)  # fmt: skip
+def too_fresh(document: PermissionsFile) -> Iterator[Found]:
+    for grant in _grants(document):
+        if timedelta() <= document.now - grant.not_before < WEST:
+            words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS takes for local time"
+            yield _found(document, grant, words)
+
+
+@FAMILY.rule(
+    "PQS324", Severity.WARNING, PermissionsFile, "a grant is over, but not in every time zone",
+    why="Fast DDS passes over the zone and reads the time as local: west of Greenwich it takes"
+    " a grant for hours after its end.",
+    mend="Let not_after be a day earlier than is wanted.",
+    stacks=(Target.FASTDDS,),
+    rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
+)  # fmt: skip
+def lingers(document: PermissionsFile) -> Iterator[Found]:
+    for grant in _grants(document):
+        if timedelta() < document.now - grant.not_after < WEST:
+            words = f"ended at {grant.not_after:%H:%M} UTC, which Fast DDS takes for local time"
+            yield _found(document, grant, words)
+
+
+@FAMILY.rule(
+    "PQS325", Severity.WARNING, Enclave, "the permissions end before the certificate",
+    why="The participant is refused from that day, with a certificate that looks good.",
+    mend="Let both end together, as `pqsec issue` does.",
+)  # fmt: skip
+def end_first(enclave: Enclave) -> Iterator[Found]:
+    certificate, grants = enclave.certificate(), own_grants(enclave)
+    if certificate is None or not grants:
+        return
+    end = max(grant.not_after for grant in grants)
+    if certificate.not_after - end > TOGETHER:
+        days = (certificate.not_after - end).days
+        yield _of(enclave, f"ends {days} days before the certificate, on {_day(end)}")
+
+
+@FAMILY.rule(
+    "PQS326", Severity.INFO, Enclave, "the permissions outlive the certificate",
+    why="They would hold for the next certificate of that name too, whatever is meant then.",
+    mend="Let both end together, as `pqsec issue` does.",
+)  # fmt: skip
+def end_last(enclave: Enclave) -> Iterator[Found]:
+    certificate, grants = enclave.certificate(), own_grants(enclave)
+    if certificate is None or not grants:
+        return
+    end = max(grant.not_after for grant in grants)
+    if end - certificate.not_after > TOGETHER:
+        days = (end - certificate.not_after).days
+        yield _of(enclave, f"ends {days} days after the certificate, on {_day(end)}")
+
+
+@FAMILY.rule(
+    "PQS327", Severity.ERROR, Enclave, "certificate and permissions are never good together",
+    why="The one ends before the other begins.",
+    mend="Issue the participant again: `pqsec issue NAME --force`.",
+)  # fmt: skip
+def never_together(enclave: Enclave) -> Iterator[Found]:
+    certificate, grants = enclave.certificate(), own_grants(enclave)
+    if certificate is None or not grants:
+        return
+    first, last = certificate.not_before, certificate.not_after
+    if all(grant.not_after < first or grant.not_before > last for grant in grants):
+        yield _of(enclave, "is in force at no time when the certificate is")
+
+
+def _grants(document: PermissionsFile) -> tuple[Grant, ...]:
+    return document.permissions.grants if document.permissions else ()
+
+
+def _found(document: PermissionsFile, grant: Grant, words: str) -> Found:
+    return Found(f"the grant for {grant.subject_name} {words}", document.line(grant.line))
+
+
+def _of(enclave: Enclave, words: str) -> Found:
+    document = enclave.permissions()
+    return Found(f"the participant's grant {words}", path=document.path if document else None)
+
+
+def _day(time: datetime) -> str:
+    return f"{time:%Y-%m-%d %H:%M} UTC"

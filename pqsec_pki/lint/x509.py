@@ -1,0 +1,220 @@
+"""Rules about certificates alone: kinds of keys, how they are signed, and how long.
+
+Measured with each kind as identity CA, permissions CA and participant in Cyclone DDS
+0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
+"""
+
+import re
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+
+from pqsec_pki.algorithms import Family, is_encrypted
+from pqsec_pki.certificates.authority import LAST_YEAR
+from pqsec_pki.lint import _roles
+from pqsec_pki.lint._roles import Role, role_of
+from pqsec_pki.lint.rule import Family as Rules
+from pqsec_pki.lint.rule import Found, Severity, Target
+from pqsec_pki.lint.subjects import CertificateFile, File
+
+FAMILY = Rules("x509")
+SOON = timedelta(days=30)
+WEAKEST_RSA = 2048
+"""Bits: the least of DDS-Security 1.1 and of NIST SP 800-131A."""
+
+_KEY = re.compile(r"(alt\.)?key\.pem")
+_CYCLONE = {"ecdsa-p256", "rsa-2048"}
+_LET_IN = {"brainpoolP256r1", "secp256k1"}
+_NOWHERE = {"ed25519", "ed448", "dsa", _roles.UNREADABLE}
+_NOT_SHA256 = {
+    "1.2.840.10045.4.3.3": "ecdsa-with-SHA384",
+    "1.2.840.10045.4.3.4": "ecdsa-with-SHA512",
+    "1.2.840.113549.1.1.10": "RSASSA-PSS",
+    "1.2.840.113549.1.1.12": "sha384WithRSAEncryption",
+    "1.2.840.113549.1.1.13": "sha512WithRSAEncryption",
+}
+_BROKEN = {
+    "1.2.840.113549.1.1.2": "MD2 with RSA",
+    "1.2.840.113549.1.1.4": "MD5 with RSA",
+    "1.2.840.113549.1.1.5": "SHA-1 with RSA",
+    "1.2.840.10045.4.1": "SHA-1 with ECDSA",
+    "1.2.840.10040.4.3": "SHA-1 with DSA",
+}
+
+
+@FAMILY.rule(
+    "PQS101", Severity.ERROR, CertificateFile, "Cyclone DDS takes no identity key of this kind",
+    why="Cyclone DDS knows P-256 and RSA-2048 for identity CAs and participants, whatever"
+    " OpenSSL it is built with; anything else is 'algorithm unknown (code: 125)'.",
+    mend="Make identity CA and participants with ecdsa-p256, the default of pqsec.",
+    stacks=(Target.CYCLONEDDS,),
+    rows=(
+        "identity CA P-384, leaf P-256", "leaf P-384", "all RSA-3072", "all RSA-4096",
+        "identity CA RSA-4096, leaf P-256",
+    ),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
+)  # fmt: skip
+def not_for_cyclonedds(file: CertificateFile) -> Iterator[Found]:
+    certificate, role = file.first, role_of(file)
+    if certificate is None or not role.identifies:
+        return
+    kind = _roles.key_kind(certificate)
+    known = _CYCLONE | _LET_IN | _NOWHERE
+    is_classical = _roles.family_of(certificate) is Family.CLASSICAL
+    if is_classical and kind not in known and not kind.startswith("algorithm "):
+        yield Found(f"the {role} has a key of kind {kind}, which Cyclone DDS does not take")
+
+
+@FAMILY.rule(
+    "PQS102", Severity.ERROR, CertificateFile, "no stack takes a key of this kind",
+    why="Every stack refused Ed25519, as identity CA, participant and permissions CA; their"
+    " code has no name for it in the handshake, and PKCS7_verify cannot check it.",
+    mend="Make the key with ecdsa-p256, or with a post-quantum profile for pqsec peers.",
+    rows=(
+        "identity CA Ed25519", "leaf Ed25519",
+        "permissions CA Ed25519 (CMS by OpenSSL 3.5)",
+    ),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def for_no_stack(file: CertificateFile) -> Iterator[Found]:
+    if file.first is None:
+        return
+    kind = _roles.key_kind(file.first)
+    if kind in _NOWHERE or kind.startswith("algorithm "):
+        yield Found(f"the {role_of(file)} has a key of kind {kind}, which no stack takes")
+
+
+@FAMILY.rule(
+    "PQS103", Severity.WARNING, CertificateFile, "a curve that stacks take by mistake",
+    why="Stacks announce this key as P-256, because it has 256 bits too. It is in no version"
+    " of DDS-Security, and the next version of a stack may look closer.",
+    mend="Make the key with ecdsa-p256.",
+    rows=("leaf brainpoolP256r1 / secp256k1 (wrongly let in)",),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def let_in_by_mistake(file: CertificateFile) -> Iterator[Found]:
+    if file.first and (kind := _roles.key_kind(file.first)) in _LET_IN:
+        yield Found(f"the {role_of(file)} has a key on {kind}, which stacks take for P-256")
+
+
+@FAMILY.rule(
+    "PQS104", Severity.ERROR, CertificateFile, "Fast DDS does not know how this is signed",
+    why="Fast DDS tells the algorithm from the certificate's signature and knows SHA-256 with"
+    " ECDSA or RSA (PKCS #1 v1.5) only. It prints an empty error.",
+    mend="Sign certificates with SHA-256: -sha256, and no -sigopt rsa_padding_mode:pss.",
+    stacks=(Target.FASTDDS,),
+    rows=("certs signed ecdsa-with-SHA384 or SHA512", "certs signed RSASSA-PSS"),
+    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def signed_otherwise(file: CertificateFile) -> Iterator[Found]:
+    role = role_of(file)
+    name = _NOT_SHA256.get(file.first.signature_algorithm) if file.first else None
+    if name and role is not Role.COUNTERSIGNER:
+        yield Found(f"the certificate of the {role} is signed with {name}, unknown to Fast DDS")
+
+
+@FAMILY.rule(
+    "PQS105", Severity.ERROR, CertificateFile, "signed with a broken hash",
+    why="Two certificates with one SHA-1 or MD5 digest can be made; the second one would be"
+    " signed by your CA without its knowledge.",
+    mend="Issue it again with SHA-256.",
+)  # fmt: skip
+def broken_hash(file: CertificateFile) -> Iterator[Found]:
+    name = _BROKEN.get(file.first.signature_algorithm) if file.first else None
+    if name:
+        yield Found(f"the certificate of the {role_of(file)} is signed with {name}")
+
+
+@FAMILY.rule(
+    "PQS106", Severity.ERROR, CertificateFile, "a weak key",
+    why="RSA keys below 2048 bits and curves below 256 have been or can be broken.",
+    mend="Make the key with ecdsa-p256, or rsa-2048 at least.",
+)  # fmt: skip
+def weak_key(file: CertificateFile) -> Iterator[Found]:
+    kind = _roles.key_kind(file.first) if file.first else ""
+    bits = kind.removeprefix("rsa-")
+    if kind == "ecdsa-p224" or (bits.isdigit() and int(bits) < WEAKEST_RSA):
+        yield Found(f"the key of the {role_of(file)} is weak: {kind}")
+
+
+@FAMILY.rule(
+    "PQS107", Severity.ERROR, CertificateFile, "a certificate with an empty subject",
+    why="No permissions document can name it: Cyclone DDS refuses it, and Fast DDS crashes"
+    " (std::length_error).",
+    mend="Issue it with a common name, such as CN=/fleet/robot1.",
+    rows=("cert with empty subject",),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def empty_subject(file: CertificateFile) -> Iterator[Found]:
+    if file.first and not file.first.subject_name:
+        yield Found(f"the certificate of the {role_of(file)} has an empty subject")
+
+
+@FAMILY.rule(
+    "PQS110", Severity.ERROR, CertificateFile, "a certificate has expired",
+    why="No stack starts with it. Only of an expired permissions CA does Cyclone DDS (master)"
+    " not ask.",
+    mend="Renew it: `pqsec renew NAME` for a participant; for a CA, make a new keystore.",
+    rows=("leaf expired / not yet valid; CA expired", "permissions CA expired"),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def expired(file: CertificateFile) -> Iterator[Found]:
+    if file.first and file.now > file.first.not_after:
+        end = file.first.not_after
+        yield Found(f"the certificate of the {role_of(file)} expired on {end:%Y-%m-%d %H:%M} UTC")
+
+
+@FAMILY.rule(
+    "PQS111", Severity.WARNING, CertificateFile, "a certificate expires soon",
+    why="From that day on participants that start, or start again, are refused.",
+    mend="Renew it before: `pqsec renew NAME` for a participant; for a CA, make a new keystore.",
+)  # fmt: skip
+def expires_soon(file: CertificateFile) -> Iterator[Found]:
+    if file.first and ends_soon(file.now, file.first.not_before, file.first.not_after):
+        end = file.first.not_after
+        yield Found(f"the certificate of the {role_of(file)} expires on {end:%Y-%m-%d %H:%M} UTC")
+
+
+@FAMILY.rule(
+    "PQS112", Severity.ERROR, CertificateFile, "a certificate is not valid yet",
+    why="No stack starts with it until then.",
+    mend="Set the clock right, or issue it again; pqsec dates certificates a day back.",
+    rows=("leaf expired / not yet valid; CA expired",),
+    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def not_yet_valid(file: CertificateFile) -> Iterator[Found]:
+    if file.first and file.now < file.first.not_before:
+        start = file.first.not_before
+        yield Found(f"the {role_of(file)}'s certificate is valid from {start:%Y-%m-%d %H:%M} UTC")
+
+
+@FAMILY.rule(
+    "PQS113", Severity.ERROR, CertificateFile, "a certificate outlives what stacks can count",
+    why="Fast DDS (3.6.2) counts nanoseconds in 64 bits, which end in 2262: it says 'Local"
+    " identity certificate has expired' and crashes.",
+    mend=f"Let it end in {LAST_YEAR} at the latest.",
+    stacks=(Target.FASTDDS,),
+    rows=("cert notAfter 9999 (or 2500)",),
+    measured="Fast DDS 3.6.2",
+)  # fmt: skip
+def ends_too_late(file: CertificateFile) -> Iterator[Found]:
+    if file.first and file.first.not_after.year > LAST_YEAR:
+        year = file.first.not_after.year
+        yield Found(f"the certificate of the {role_of(file)} ends in {year}: Fast DDS crashes")
+
+
+@FAMILY.rule(
+    "PQS150", Severity.ERROR, File, "ROS 2 cannot open an encrypted private key",
+    why="No ROS 2 setting gives the passphrase to the middleware.",
+    mend="Keep the key unencrypted, mode 0600, on an encrypted disk.",
+    stacks=(Target.ROS2,), only_when_asked=True,
+    rows=("wrong / missing password",),
+    measured="source of rmw_dds_common (security.cpp)",
+)  # fmt: skip
+def encrypted_for_ros(file: File) -> Iterator[Found]:
+    if file.is_private_key and _KEY.fullmatch(file.path.name) and is_encrypted(file.data):
+        yield Found("the participant's private key is encrypted, and ROS 2 cannot open it")
+
+
+def ends_soon(now: datetime, start: datetime, end: datetime) -> bool:
+    """Whether what is good until `end` needs a thought: for what is short-lived, later."""
+    return timedelta() <= end - now < min(SOON, (end - start) / 5)

@@ -1,0 +1,169 @@
+"""pqsec check: what is wrong or risky, with file, line and rule."""
+
+import json
+
+import pytest
+
+from pqsec_pki.lint import RULES
+from tests.cli.conftest import NAMES, snapshot
+
+PERMISSIONS = "k/enclaves/talker/permissions.xml"
+GOVERNANCE = "k/enclaves/governance.xml"
+OPEN_KEYS = "--ignore 'PQS707=CA keys of tests and demos are not encrypted'"
+
+
+@pytest.fixture
+def flawed(keystore, tmp_path):
+    """flawed(old, new) is a keystore whose talker's permissions.xml was changed so."""
+
+    def change(old=">DENY<", new=">ALLOW<", file=PERMISSIONS):
+        keystore()
+        path = tmp_path / file
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+        return text[: text.index(old)].count("\n") + 1
+
+    return change
+
+
+@pytest.mark.parametrize("profile", NAMES)
+def test_nothing_is_told_of_what_pqsec_writes(pqsec, keystore, profile):
+    keystore(profile)
+    result = pqsec(f"-k k check --strict --json {OPEN_KEYS}").done().json
+    worse = [each for each in result["findings"] if each["severity"] != "info"]
+    assert worse == []
+    ours = [each for each in result["findings"] if each["rule"] < "PQS3" and each["rule"] > "PQS2"]
+    assert ours == []
+    assert result["ok"] is True
+
+
+def test_nothing_is_told_of_the_demo(pqsec):
+    pqsec("demo k")
+    result = pqsec(f"-k k check --strict --json {OPEN_KEYS}").done().json
+    assert [each for each in result["findings"] if each["severity"] != "info"] == []
+
+
+def test_the_keystore_is_meant_where_no_path_is_named_and_nothing_is_written(
+    pqsec, keystore, tmp_path
+):
+    keystore()
+    before = snapshot(tmp_path)
+    one = pqsec("check", PQSEC_KEYSTORE="k").done().out
+    assert one == pqsec("check k").done().out
+    assert "files checked: " in one
+    assert snapshot(tmp_path) == before
+    pqsec("check").refused(2, "no keystore is named")
+
+
+def test_a_finding_is_told_with_file_line_severity_and_rule(pqsec, flawed):
+    line = flawed("<id>0</id>", "<id_range><min>0</min></id_range>")
+    said = pqsec(f"check {PERMISSIONS}")
+    assert said.code == 1
+    assert f"{PERMISSIONS}:{line}: error PQS231 the range has no <max>" in said.out
+    assert said.out.splitlines()[-1] == "1 file checked: 1 error"
+
+
+def test_warnings_make_it_a_no_with_strict_only(pqsec, flawed):
+    line = flawed()
+    said = pqsec(f"check {PERMISSIONS}")
+    assert said.code == 0
+    assert f"{PERMISSIONS}:4: warning PQS251 " in said.out
+    assert line > 4
+    assert pqsec(f"check --strict {PERMISSIONS}").code == 1
+    assert pqsec(f"check --strict --ignore PQS251=bench {PERMISSIONS}").code == 0
+
+
+def test_the_result_as_json_has_all_of_it(pqsec, flawed):
+    flawed()
+    result = pqsec(f"check --json --strict {PERMISSIONS}").json
+    assert result["ok"] is False
+    assert result["counts"] == {"error": 0, "warning": 1, "info": 0}
+    [finding] = result["findings"]
+    assert finding["rule"] == "PQS251"
+    assert finding["path"] == PERMISSIONS
+    assert finding["line"] == 4
+    assert finding["mend"]
+    result = pqsec(f"--json check --ignore PQS251=bench {PERMISSIONS}").done().json
+    assert result["findings"] == []
+    assert [each["reason"] for each in result["ignored"]] == ["bench"]
+
+
+def test_the_result_as_sarif_is_one_log(pqsec, flawed):
+    flawed("<id>0</id>", "<id>999</id>")
+    said = pqsec(f"check --sarif {PERMISSIONS}")
+    assert said.code == 1
+    log = json.loads(said.out)
+    assert log["version"] == "2.1.0"
+    [result] = log["runs"][0]["results"]
+    assert result["ruleId"] == "PQS233"
+    pqsec(f"check --sarif --json {PERMISSIONS}").refused(2, "exclude each other")
+
+
+def test_only_the_stacks_that_are_meant_are_asked(pqsec, flawed):
+    flawed("<id>0</id>", "<id>999</id>")
+    assert pqsec(f"check --target fastdds {PERMISSIONS}").code == 0
+    assert pqsec(f"check --target fastdds,cyclonedds {PERMISSIONS}").code == 1
+    pqsec(f"check --target fast {PERMISSIONS}").refused(2, "'fast' is none of cyclonedds")
+
+
+def test_ros_2_asks_for_the_topics_a_node_needs(pqsec, keystore):
+    keystore()
+    assert "may not publish ros_discovery_info" in pqsec(f"check --target ros2 {PERMISSIONS}").out
+
+
+def test_a_suppression_file_beside_the_files_is_read(pqsec, flawed, tmp_path):
+    flawed()
+    text = "ignore:\n- rule: PQS251\n  path: enclaves/talker/*\n  reason: bench\n"
+    (tmp_path / "k/.pqsec-check.yaml").write_text(text)
+    said = pqsec("check k").done()
+    assert "PQS251" not in said.out
+    assert "1 ignored" in said.out
+
+
+def test_a_rule_is_explained(pqsec):
+    said = pqsec("check --explain pqs401").done().out
+    assert said.startswith("PQS401 (error, naming): ")
+    assert "CN=/robot/admin" in said
+    assert "To mend it: " in said
+    assert pqsec("check --explain PQS401 --json").done().json["rule"] == "PQS401"
+    pqsec("check --explain PQS999").refused(2, "no rule PQS999")
+
+
+@pytest.mark.parametrize("id_", RULES)
+def test_every_rule_can_be_explained(pqsec, id_):
+    assert RULES[id_].mend in pqsec(f"check --explain {id_}").done().out
+
+
+def test_what_cannot_be_asked_for_is_refused(pqsec, keystore):
+    keystore()
+    pqsec("check nowhere").refused(3, "nowhere: no such file")
+    pqsec("check k --ignore PQS401").refused(2, "say why")
+    pqsec("check k --ignore PQS999=x").refused(2, "no rule PQS999")
+    pqsec("check ''").refused(2)
+
+
+def test_control_characters_of_a_document_do_not_reach_a_terminal(pqsec, flawed):
+    flawed("rt/chatter", "[^\u009b2J\u202e]")
+    said = pqsec(f"check {PERMISSIONS}")
+    assert said.code == 1
+    assert said.out.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize(
+    ("target", "told"),
+    [
+        ("cyclonedds", set()),
+        ("fastdds", {"PQS501"}),  # some versions cannot send so large a handshake
+        ("opendds", {"PQS230"}),  # makes no participant with such governance
+        ("connext", set()),
+        ("ros2", {"PQS268"}),  # the participants were not issued as nodes
+    ],
+)
+def test_of_what_pqsec_writes_each_stack_is_told_what_does_not_suit_it(
+    pqsec, keystore, target, told
+):
+    keystore("transition")
+    result = pqsec(f"-k k check --json --target {target} {OPEN_KEYS}").json
+    worse = {each["rule"] for each in result["findings"] if each["severity"] != "info"}
+    assert worse == told

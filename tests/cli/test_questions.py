@@ -1,0 +1,562 @@
+"""pqsec explain, who-may and diff: questions to a policy, and their answers."""
+
+import re
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from pqsec_pki.access import READINGS
+from pqsec_pki.algorithms import load_private_key
+from pqsec_pki.documents import (
+    Criteria,
+    DomainRange,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+    Rule,
+    governance_to_yaml,
+    permissions_to_yaml,
+)
+from pqsec_pki.keystore import load_certificate
+from pqsec_pki.smime import Signer, sign
+
+NOW = datetime.now(UTC)
+ZERO = DomainSet.of(0)
+FILES = "explain --governance g.xml --permissions p.xml"
+HOSTILE_TOPICS = ('a"];x&lt;<b>|`_\n', "*[label=\\N")
+HOSTILE_SUBJECT = r"CN=a\"];x\N&lt;<b>|`*_"
+QUOTED = r'"(?:[^"\\]|\\.)*"'
+DOT_LINE = re.compile(
+    rf"  (rankdir=LR|(?P<node>[pt]\d+) \[(shape=box, )?label=(?P<label>{QUOTED})\]"
+    r"|(?P<tail>[pt]\d+) -> (?P<head>[pt]\d+));"
+)
+
+
+def grant(*rules, subject="CN=/robot", days=300):
+    return Grant(
+        name="g",
+        subject_name=subject,
+        not_before=NOW - timedelta(2),
+        not_after=NOW + timedelta(days),
+        rules=rules,
+    )
+
+
+def rule(*topics, allow=True, domains=ZERO, partitions=()):
+    criteria = Criteria(topics=topics, partitions=partitions)
+    return Rule(allow=allow, domains=domains, publish=(criteria,))
+
+
+def permissions(*rules, **more):
+    return Permissions(grants=(grant(*rules, **more),))
+
+
+@pytest.fixture
+def put(tmp_path):
+    """put("p", document) writes p.xml; put("p.yaml", ...) YAML."""
+
+    def write(name, document):
+        as_yaml = permissions_to_yaml if isinstance(document, Permissions) else governance_to_yaml
+        is_yaml = name.endswith(".yaml")
+        path = tmp_path / (name if is_yaml else f"{name}.xml")
+        path.write_bytes(as_yaml(document) if is_yaml else document.to_xml())
+        return path
+
+    return write
+
+
+@pytest.fixture
+def policy(put):
+    """Governance `g` of domain 0, and permissions `p` to publish chatter and rt/*."""
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule("chatter", "rt/*")))
+
+
+# explain
+
+
+@pytest.mark.parametrize(
+    ("question", "code"),
+    [
+        ("--publish rt/chatter", 0),
+        ("--ros-publish /chatter", 0),
+        ("--ros-subscribe /chatter", 0),
+        ("--join", 0),
+        ("--publish rt/other", 1),
+        ("--relay rt/chatter", 1),
+        ("--publish rt/chatter --partition A", 1),
+        ("--publish rt/chatter --tag a=b", 1),
+        ("--join --domain 7", 1),
+    ],
+)
+def test_a_participant_may_or_may_not(pqsec, keystore, question, code):
+    keystore()
+    said = pqsec(f"-k k explain --participant /talker {question}")
+    assert said.code == code
+    assert said.out.startswith(("NO    ", "YES   ")[code == 0])
+    assert pqsec(f"-k k explain --participant talker {question} --json").json[
+        "allowed"
+    ] is not bool(code)
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n"], ids=["lf", "crlf"])
+def test_the_rule_that_decided_is_told_with_its_line_in_the_signed_file(pqsec, keystore, ends):
+    path = keystore() / "enclaves/talker/permissions.p7s"
+    text = path.read_text().replace("\n", ends)
+    path.write_bytes(text.encode())
+    found = pqsec("-k k explain --participant /talker --publish rt/chatter --json").done().json
+    lines = text.split(ends)
+    assert lines[found["line"] - 1].strip() == "<allow_rule>"
+    assert lines[found["criteria_line"] - 1].strip() == "<publish>"
+    said = pqsec("-k k explain --participant /talker --publish rt/chatter").done().out
+    assert f"k/enclaves/talker/permissions.p7s:{found['line']} " in said
+
+
+def test_a_decoy_before_the_document_does_not_move_the_line(pqsec, policy, tmp_path, keystore):
+    signed = (keystore() / "enclaves/talker/permissions.p7s").read_text()
+    document = signed.partition("text/plain\n\n")[2].partition("\n------")[0]
+    decoy = signed.replace("This is an S/MIME", f"{document}\nThis is an S/MIME")
+    (tmp_path / "p.xml").write_text(decoy)
+    line = pqsec(f"{FILES} --publish rt/chatter --json").done().json["line"]
+    lines = decoy.split("\n")
+    assert lines[line - 1].strip() == "<allow_rule>"
+    assert line > lines.index("Content-Type: text/plain")
+
+
+@pytest.mark.parametrize(
+    ("rules", "asked", "line"),
+    [
+        ([rule("a")], "--publish a", "<allow_rule>"),
+        ([rule("a"), rule("b", allow=False)], "--publish b", "<deny_rule>"),
+        ([rule("a")], "--publish z", '<grant name="g">'),
+        ([rule("a")], "--publish a --domain 3", None),
+    ],
+)
+def test_what_decided_is_told_by_file_and_line(pqsec, put, rules, asked, line):
+    put("g", Governance.protected(ZERO))
+    lines = put("p", permissions(*rules)).read_text().split("\n")
+    found = pqsec(f"{FILES} {asked} --json").json
+    assert found["file"] == ("p.xml" if line else None)
+    assert (lines[found["line"] - 1].strip() if line else found["line"]) == line
+
+
+def test_governance_that_opens_a_topic_decides(pqsec, put, tmp_path):
+    [domain] = Governance.protected(ZERO).domain_rules
+    [topics] = domain.topic_rules
+    opened = replace(domain, topic_rules=(replace(topics, enable_write_access_control=False),))
+    put("g", Governance(domain_rules=(opened,)))
+    put("p", permissions(rule("a")))
+    found = pqsec(f"{FILES} --publish z --json").done().json
+    assert found["file"] == "g.xml"
+    assert "<topic_rule>" in (tmp_path / "g.xml").read_text().split("\n")[found["line"] - 1]
+
+
+def test_what_governance_adds_is_told(pqsec, policy):
+    said = pqsec(f"{FILES} --publish chatter").done().out
+    assert "payload: encrypted: only members can read it" in said
+    assert "participants without credentials: are shut out" in said
+    assert pqsec(f"{FILES} --publish other --json").json["protection"] == []
+
+
+def test_yaml_is_answered_too(pqsec, put):
+    put("g.yaml", Governance.protected(ZERO))
+    put("p.yaml", permissions(rule("a")))
+    asked = "explain --governance g.yaml --permissions p.yaml --publish"
+    found = pqsec(f"{asked} a --json").done().json
+    assert (found["file"], found["line"] > 1) == ("p.yaml", True)
+    assert pqsec(f"{asked} b").code == 1
+
+
+@pytest.mark.parametrize(
+    ("rules", "asked", "otherwise"),
+    [
+        ([rule("a", partitions=("P",)), rule("a")], "a --partition P", {"opendds"}),
+        (
+            [rule("a", allow=False, partitions=("P",)), rule("a")],
+            "a",
+            {"cyclonedds", "fastdds", "opendds"},
+        ),
+        ([rule("a")], "a --tag k=v", {"cyclonedds", "fastdds"}),
+        ([rule("a", domains=DomainSet(parts=(DomainRange(first=0),)))], "a --domain 1", set()),
+        ([rule("[^b]")], "a", {"cyclonedds", "opendds"}),
+    ],
+)
+def test_stacks_that_decide_otherwise_are_told_with_the_reason(pqsec, put, rules, asked, otherwise):
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(*rules))
+    found = pqsec(f"{FILES} --publish {asked} --json").json
+    differing = {other["as"] for other in found["others"] if other["differs"]}
+    assert differing - {"opendds"} == otherwise - {"opendds"}
+    said = pqsec(f"{FILES} --publish {asked}").out
+    for reading in READINGS[1:]:
+        assert (f"{reading.title} decides otherwise" in said) is (reading.name in differing)
+    for other in found["others"]:
+        assert (other["reason"] in said) or not other["differs"]
+
+
+@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+def test_one_reading_alone_may_be_asked(pqsec, policy, reading):
+    found = pqsec(f"{FILES} --publish chatter --partition P --as {reading.name} --json").json
+    assert (found["as"], found["others"]) == (reading.name, [])
+    said = pqsec(f"{FILES} --publish chatter --partition P --as {reading.name}").out
+    assert f"by {reading.title}" in said
+    assert "otherwise" not in said
+
+
+def test_a_stack_of_which_only_one_side_refuses_is_told_so(pqsec, policy):
+    said = pqsec(f"{FILES} --publish chatter --as opendds")
+    assert said.code == 1
+    assert "its peers would accept it, its own stack refuses" in said.out
+
+
+def test_a_stack_that_would_let_it_on_its_own_side_is_noted(pqsec, policy):
+    said = pqsec(f"{FILES} --join --domain 7")
+    assert "same  Cyclone DDS 0.10.2, Fast DDS 2.9.1" in said.out
+    assert "note  Fast DDS 2.9.1: its own stack would let it, its peers refuse" in said.out
+
+
+@pytest.mark.parametrize(("days", "told"), [(0.3, True), (300, False)])
+def test_a_grant_that_ends_soon_is_a_hazard_away_from_utc(pqsec, put, days, told):
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule("a"), days=days))
+    assert ("reads the times of a grant as local" in pqsec(f"{FILES} --publish a").out) is told
+
+
+def test_names_cannot_break_the_output(pqsec, put):
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule("a\x85b")))
+    said = pqsec(FILES, "--publish", "a\x1b[31m").out
+    assert "\x1b" not in said
+
+
+# What explain believes
+
+
+@pytest.mark.parametrize("file", ["permissions.p7s", "governance.p7s"])
+def test_a_tampered_document_of_an_enclave_is_not_believed(pqsec, keystore, file):
+    path = (keystore() / "enclaves/talker" / file).resolve()
+    path.write_bytes(path.read_bytes().replace(b"DENY", b"ALLOW").replace(b">true<", b">false<"))
+    asked = "-k k explain --participant /talker --publish rt/secret"
+    pqsec(asked).refused(1, file, "changed after it was signed")
+    said = pqsec(f"{asked} --json")
+    assert (said.code, said.json["allowed"]) == (1, False)
+    assert file in said.json["problems"][0]
+
+
+def test_a_document_without_signature_is_not_believed(pqsec, keystore):
+    enclave = keystore() / "enclaves/talker"
+    (enclave / "permissions.p7s").write_bytes((enclave / "permissions.xml").read_bytes())
+    pqsec("-k k explain --participant /talker --join").refused(1, "permissions.p7s", "not signed")
+
+
+def test_a_document_without_its_countersignature_is_not_believed(pqsec, keystore):
+    k = keystore("transition")
+    pqsec("-k k explain --participant /talker --join").done()
+    signer = Signer(
+        load_certificate(k / "public/permissions_ca.cert.pem"),
+        load_private_key((k / "private/permissions_ca.key.pem").read_bytes(), None),
+    )
+    enclave = k / "enclaves/talker"
+    stripped = sign((enclave / "permissions.xml").read_bytes(), signer, now=NOW)
+    (enclave / "permissions.p7s").write_bytes(stripped)
+    words = "no post-quantum signature that could be checked"
+    pqsec("-k k explain --participant /talker --join").refused(1, "permissions.p7s", words)
+
+
+def test_the_certificate_of_another_domain_is_not_believed(pqsec, keystore):
+    other = keystore(name="other", label="another") / "enclaves/talker/cert.pem"
+    (keystore() / "enclaves/talker/cert.pem").write_bytes(other.read_bytes())
+    pqsec("-k k explain --participant /talker --join").refused(1, "cert.pem")
+
+
+def test_no_private_key_is_needed(pqsec, keystore):
+    k = keystore()
+    for path in [*k.rglob("*key.pem")]:
+        path.unlink()
+    pqsec("-k k explain --participant /talker --join").done()
+    pqsec("-k k who-may").done()
+
+
+def test_signed_files_are_unverified_unless_a_ca_is_named(pqsec, keystore):
+    k = keystore()
+    other = keystore(name="other", label="another")
+    asked = (
+        f"explain --governance {k}/enclaves/governance.p7s"
+        f" --permissions {k}/enclaves/talker/permissions.p7s --join"
+    )
+    said = pqsec(f"{asked} --json").done()
+    assert (said.json["verified"], said.err.count("was not checked")) == (False, 2)
+    good = pqsec(f"{asked} --permissions-ca {k}/public/permissions_ca.cert.pem --json").done()
+    assert (good.json["verified"], good.err) == (True, "")
+    wrong = f"{asked} --permissions-ca {other}/public/permissions_ca.cert.pem"
+    pqsec(wrong).refused(1, "permissions.p7s")
+
+
+# What makes no sense
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"{FILES}", "no questions"),
+        (f"{FILES} --join --publish a", "2 questions"),
+        (f"{FILES} --publish a --tag x", "not a data tag"),
+        (f"{FILES} --publish a --subject nobody", "--subject: 'nobody' is no subject name"),
+        (f"{FILES} --ros-publish chatter", "no full ROS 2 name"),
+        (f"{FILES} --publish a --participant /x", "goes without files"),
+        ("explain --governance g.xml --publish a", "nobody is asked about"),
+        ("explain --publish a", "nobody is asked about"),
+        ("explain --participant /x --publish a", "no keystore"),
+        (f"{FILES} --publish a --domain -1", "--domain"),
+        (f"{FILES} --publish a --as rti", "--as"),
+    ],
+)
+def test_a_question_that_makes_no_sense_is_refused(pqsec, policy, line, words):
+    pqsec(line).refused(2, words)
+
+
+def test_of_several_subjects_one_is_asked(pqsec, put):
+    put("g", Governance.protected(ZERO))
+    grants = (grant(rule("a")), grant(rule("b"), subject="CN=/other"))
+    put("p", Permissions(grants=grants))
+    pqsec(f"{FILES} --publish b").refused(2, "grants for 2 subjects", hint="--subject")
+    pqsec(f"{FILES} --publish b --subject CN=/other").done()
+    assert pqsec(f"{FILES} --publish b --subject CN=/robot").code == 1
+
+
+def test_a_participant_that_is_not_there_is_an_error(pqsec, keystore):
+    keystore()
+    pqsec("-k k explain --participant /nobody --join").refused(3, "no participant /nobody")
+
+
+# who-may
+
+
+def test_the_matrix_of_a_keystore(pqsec, keystore):
+    keystore()
+    found = pqsec("-k k who-may --format json").done().json
+    both = ["/listener", "/talker"]
+    assert found["participants"] == both
+    [row] = found["topics"]
+    assert row == {
+        "topic": "rt/chatter",
+        "pattern": False,
+        "asked": "rt/chatter",
+        "publish": both,
+        "subscribe": both,
+    }
+    assert pqsec("-k k who-may --json").json == found
+    said = pqsec("who-may k").done().out
+    assert said.splitlines()[1].split() == ["rt/chatter", *["/listener,", "/talker"] * 2]
+
+
+@pytest.mark.parametrize("option", ["--topic rt/chatter", "--ros-topic /chatter", "--topic 'rt/*'"])
+def test_one_topic_alone_may_be_asked(pqsec, keystore, option):
+    keystore()
+    [row] = pqsec(f"-k k who-may {option} --json").done().json["topics"]
+    assert (row["publish"] != []) is ("*" not in option)
+
+
+def test_a_participant_whose_documents_do_not_hold_is_left_out(pqsec, keystore):
+    path = keystore() / "enclaves/talker/permissions.p7s"
+    path.write_bytes(path.read_bytes().replace(b"DENY", b"ALLOW"))
+    said = pqsec("-k k who-may --json").done()
+    assert said.json["participants"] == ["/listener"]
+    assert "changed after it was signed" in said.json["left_out"]["/talker"]
+    assert "note: /talker is left out" in said.err
+
+
+def test_a_domain_that_governance_does_not_name_is_noted(pqsec, keystore):
+    keystore()
+    said = pqsec("-k k who-may --domain 9 --json").done()
+    assert "does not name domain 9" in said.err
+    assert said.json["topics"][0]["publish"] == []
+
+
+def test_a_folder_of_documents_is_asked_too(pqsec, tmp_path, keystore):
+    (keystore() / "pqsec.json").unlink()
+    (tmp_path / "k/enclaves/broken.xml").write_text("<dds/>")
+    said = pqsec("who-may k/enclaves --json").done()
+    assert said.json["participants"] == ["CN=/listener", "CN=/talker"]
+    assert "who signed the documents was not checked" in said.err
+    assert list(said.json["left_out"]) == ["k/enclaves/broken.xml"]
+    pqsec("who-may k/enclaves/broken.xml").refused(1, "broken.xml")
+
+
+def test_files_without_governance_are_taken_as_controlled(pqsec, policy):
+    said = pqsec("who-may p.xml --topic chatter --json").done()
+    assert "no governance document" in said.err
+    assert said.json["topics"][0]["publish"] == ["CN=/robot"]
+    with_it = pqsec("who-may p.xml --governance g.xml --topic chatter --json").done()
+    assert (with_it.err, with_it.json) == ("", said.json)
+    pqsec("who-may g.xml").refused(3, "no permissions document")
+
+
+def test_two_governance_documents_are_one_too_many(pqsec, policy, put):
+    put("g2", Governance.protected(DomainSet.of(0, 1)))
+    pqsec("who-may p.xml g.xml g2.xml").refused(2, "more than one governance", hint="--governance")
+
+
+def test_a_stack_may_be_asked_for_the_matrix(pqsec, put):
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule("[^b]")))
+    for stack, names in {"spec": ["CN=/robot"], "cyclonedds": []}.items():
+        found = pqsec(f"who-may p.xml g.xml --topic a --as {stack} --json").done().json
+        assert found["topics"][0]["publish"] == names
+
+
+def graph(text):
+    """(labels by node, edges) of a graph in the few forms of dot that are used."""
+    first, *lines, last = text.splitlines()
+    assert (first, last) == ("digraph who_may {", "}")
+    found = [DOT_LINE.fullmatch(line) for line in lines]
+    assert all(found), lines
+    labels = {each["node"]: each["label"][1:-1] for each in found if each["node"]}
+    edges = {(each["tail"], each["head"]) for each in found if each["tail"]}
+    assert labels.keys() >= {node for edge in edges for node in edge}
+    return labels, {(labels[one], labels[other]) for one, other in edges}
+
+
+def test_the_graph_goes_from_publishers_to_subscribers(pqsec, keystore):
+    keystore()
+    pqsec("-k k issue /eye --publish rt/image --subscribe rt/chatter").done()
+    _, edges = graph(pqsec("-k k who-may --format dot").done().out)
+    assert ("/eye", "rt/image") in edges
+    assert ("rt/image", "/eye") not in edges
+    assert ("rt/chatter", "/eye") in edges
+    assert len(edges) == 6
+
+
+@pytest.fixture
+def hostile(put):
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule(*HOSTILE_TOPICS), subject=HOSTILE_SUBJECT))
+
+
+def test_hostile_names_cannot_break_the_graph(pqsec, hostile):
+    labels, edges = graph(pqsec("who-may p.xml g.xml --format dot").done().out)
+    assert (len(labels), len(edges)) == (3, 2)
+    for label in labels.values():
+        assert re.search(r"&(?!amp;)", label) is None
+        assert set(re.findall(r"\\(.)", label)) <= set('\\"')
+
+
+def test_hostile_names_cannot_break_the_markdown_table(pqsec, hostile):
+    asked = pqsec("who-may p.xml g.xml --format md --topic", HOSTILE_TOPICS[0]).done()
+    *_, row = asked.out.splitlines()
+    assert len(re.findall(r"(?<!\\)\|", row)) == 4
+    assert re.search(r"(?<!\\)[<>`*\[&]", row) is None
+
+
+def test_a_grant_for_no_possible_subject_is_left_out(pqsec, policy, put):
+    put("q", permissions(rule("a"), subject="nobody at all"))
+    found = pqsec("who-may p.xml q.xml g.xml --json").done().json
+    assert found["participants"] == ["CN=/robot"]
+    assert "no subject name" in found["left_out"]["nobody at all"]
+
+
+def test_a_subject_of_several_documents_is_asked_with_each(pqsec, policy, put):
+    put("q", permissions(rule("other")))
+    found = pqsec("who-may p.xml q.xml g.xml --json").done().json
+    assert found["participants"] == ["CN=/robot (p.xml)", "CN=/robot (q.xml)"]
+    publishers = {row["topic"]: row["publish"] for row in found["topics"]}
+    assert publishers["other"] == ["CN=/robot (q.xml)"]
+
+
+def test_the_table_is_short_where_names_are_many(pqsec, put):
+    put("g", Governance.protected(ZERO))
+    every = [grant(rule("all", f"own{n}"), subject=f"CN=/p{n}") for n in range(20)]
+    some = [grant(rule("some"), subject=f"CN=/q{n}") for n in range(10)]
+    put("p", Permissions(grants=tuple(every)))
+    assert "all 20" in pqsec("who-may p.xml g.xml --topic all").done().out
+    put("p", Permissions(grants=tuple(every + some)))
+    assert "CN=/p5 and 14 more" in pqsec("who-may p.xml g.xml --topic all").done().out
+
+
+# diff
+
+
+@pytest.fixture
+def broken(tmp_path, keystore):
+    """A keystore `k`, and a document that breaks its schema."""
+    keystore()
+    (tmp_path / "broken.xml").write_text("<dds><permissions/></dds>")
+
+
+@pytest.mark.parametrize(
+    ("rules", "code", "words"),
+    [
+        ([rule("chatter", "rt/*")], 0, "no change in what is allowed"),
+        ([rule("rt/*"), rule("chatter")], 0, "the documents differ in form or order only"),
+        ([rule("chatter", "rt/*", "new")], 1, "granted:\n  CN=/robot: publish 'new' on domain 0"),
+        ([rule("rt/*")], 1, "taken away:\n  CN=/robot: publish 'chatter' on domain 0"),
+    ],
+)
+def test_permissions_are_compared_by_meaning(pqsec, put, rules, code, words):
+    put("p", permissions(rule("chatter", "rt/*")))
+    for name in ("new", "new.yaml"):
+        path = put(name, permissions(*rules))
+        said = pqsec("diff p.xml", path.name)
+        assert (said.code, said.err) == (code, "")
+        assert words in said.out
+        found = pqsec("diff p.xml --json", path.name).json
+        assert (found["same"], found["complete"]) == (code == 0, True)
+
+
+def test_a_change_of_order_that_only_stacks_see_is_told(pqsec, put):
+    rules = [rule("a", allow=False, partitions=("P",)), rule("a")]
+    put("p", permissions(*rules))
+    put("q", permissions(*rules[::-1]))
+    said = pqsec("diff p.xml q.xml")
+    assert said.code == 1
+    assert said.out.startswith("no change by the standard, but in stacks")
+    assert "in Cyclone DDS 0.10.2, unlike the standard, for one: publish 'a'" in said.out
+    found = pqsec("diff p.xml q.xml --json").json
+    assert {change["as"] for change in found["changes"]} == {"cyclonedds", "fastdds"}
+
+
+def test_a_signed_document_is_compared_with_its_xml(pqsec, keystore):
+    keystore()
+    said = pqsec("diff k/enclaves/governance.xml k/enclaves/governance.p7s").done()
+    assert said.out == "no change in what is allowed and how it is protected\n"
+
+
+def test_governance_is_compared_by_strength(pqsec):
+    for preset in ("strict", "open-discovery"):
+        pqsec(f"governance new --preset {preset} -o {preset}.yaml").done()
+    there = pqsec("diff strict.yaml open-discovery.yaml --json")
+    back = pqsec("diff open-discovery.yaml strict.yaml --json")
+    assert (there.code, back.code) == (1, 1)
+    senses = [[each["sense"] for each in said.json["changes"]] for said in (there, back)]
+    assert len(senses[0]) == len(senses[1])
+    assert senses[0].count("weaker") == senses[1].count("stronger") > 0
+
+
+def test_keystores_are_compared_participant_by_participant(pqsec, keystore):
+    keystore()
+    keystore(name="new")
+    assert pqsec("diff k new").done().out.startswith("no change")
+    pqsec("-k new issue /eye --publish rt/image").done()
+    said = pqsec("diff k new --json")
+    assert said.code == 1
+    assert {(each["document"], each["sense"]) for each in said.json["changes"]} == {
+        ("permissions of /eye", "granted")
+    }
+    assert {each["sense"] for each in pqsec("diff new k --json").json["changes"]} == {"taken away"}
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [
+        ("diff p.xml g.xml", 2, "a governance one"),
+        ("diff p.xml k", 2, "a folder and a file"),
+        ("diff p.xml nothing.xml", 3, "nothing.xml"),
+        ("diff p.xml broken.xml", 1, "broken.xml"),
+        ("diff p.xml", 2, "NEW"),
+    ],
+)
+@pytest.mark.usefixtures("policy", "broken")
+def test_what_cannot_be_compared_is_refused(pqsec, line, code, words):
+    pqsec(line).refused(code, words)

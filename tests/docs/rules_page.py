@@ -1,0 +1,123 @@
+"""Makes docs/rules.md of the rules themselves: run `python tests/docs/rules_page.py`."""
+
+import json
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from pathlib import Path
+from textwrap import fill
+
+ROOT = Path(__file__).parents[2]
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
+
+from pqsec_pki.lint import RULES, Rule, Severity  # noqa: E402 -- after the path
+from tests.docs.dissent import HABITS, Habit  # noqa: E402
+
+PAGE = ROOT / "docs" / "rules.md"
+MEASURED = json.loads((Path(__file__).parent / "measured.json").read_text())
+STACKS = ("Cyclone 0.10.2", "0.10.5", "11.0.1", "Fast 2.9.1", "3.1.2", "3.6.2")
+FAMILIES = {
+    "0": ("The check itself", "files that cannot be read, and suppressions"),
+    "1": ("Certificates, revocation lists, private keys", "one file by itself"),
+    "2": ("Documents", "governance and permissions: how they are written, and what they mean"),
+    "3": ("Files that belong together", "an enclave, a keystore, a document and its signature"),
+    "4": ("Names", "subjects that stacks confuse, refuse, or cannot read"),
+    "5": ("Size", "of what is sent in the handshake"),
+    "6": ("Post-quantum", "what is missing, weak, or not for stock stacks"),
+    "7": ("Files on disk", "who can read and change them"),
+}
+HEAD = """# Rules
+
+What [`pqsec check`](commands.md#what-check-tells) looks for. This page is made of the rules
+themselves by `tests/docs/rules_page.py`; `pqsec check --explain ID` prints one of them.
+
+An **error** does not work on some stack, or is a hole. A **warning** is a risk. What is **info**
+may be meant. A rule that names stacks is left out where `--target` names none of them; one that
+is *asked only with* a target complains of what is right for other stacks.
+
+Versions in "Known from" were run; what was only read in a stack's source says so."""
+ACCEPTED = """## What stacks accept
+
+Two processes met, secured, with files in which one thing was different. A: they met, and a sample
+arrived. R: they did not. X: a process crashed. The last column has the rules that tell of it, or
+why there is none."""
+READ = """## What stacks do otherwise
+
+Than the standard, or than each other: measured through their plugins (Cyclone DDS, Fast DDS), or
+read in their source (OpenDDS)."""
+
+
+def page() -> str:
+    """The text of docs/rules.md."""
+    parts = [HEAD]
+    for digit, rules in groupby(RULES.values(), lambda rule: rule.id[3]):
+        title, what = FAMILIES[digit]
+        parts += [f"## {title}", f"{digit}xx: {what}.", *map(_section, rules)]
+    parts += [ACCEPTED, _accepted(), READ, _read()]
+    return "\n\n".join(parts) + "\n"
+
+
+def rules_of(variant: str) -> list[str]:
+    """The rules that stand on that row of the measurements."""
+    return [rule.id for rule in RULES.values() if variant in rule.rows]
+
+
+def is_refused(row: dict[str, str]) -> bool:
+    """Whether some stack did not take it."""
+    return bool(set(row["verdicts"]) & set("RX"))
+
+
+def _section(rule: Rule) -> str:
+    stacks = ", ".join(sorted(rule.stacks)) or "all stacks"
+    asked = f", asked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
+    kind = f"**{Severity(rule.severity)}**, {stacks}{asked if rule.only_when_asked else ''}."
+    known = [f"Known from: {_plain(rule.measured)}."] if rule.measured else []
+    texts = [f"{kind} {_plain(rule.why)}", f"To mend it: {_plain(rule.mend)}", *known]
+    return "\n\n".join([f"### {rule.id}: {_plain(rule.title)}", *map(_wrapped, texts)])
+
+
+def _accepted() -> str:
+    lines = [_row(("Variant", *STACKS, "Told by")), _row(["---"] * (len(STACKS) + 2))]
+    for group, rows in groupby(MEASURED, lambda row: row["group"]):
+        lines.append(_row((f"**{group}**", *[""] * (len(STACKS) + 1))))
+        for row in rows:
+            told = row.get("why") or (_ids(rules_of(row["variant"])) if is_refused(row) else "")
+            lines.append(_row((row["variant"], *row["verdicts"], told)))
+    return "\n".join(lines)
+
+
+def _read() -> str:
+    lines = [_row(("Stack", "What it does", "Told by")), _row(["---"] * 3)]
+    return "\n".join([*lines, *map(_habit, HABITS)])
+
+
+def _habit(habit: Habit) -> str:
+    return _row((habit.stack, _plain(habit.what), _ids(habit.rules) or habit.told_by))
+
+
+def _ids(ids: Iterable[str]) -> str:
+    return ", ".join(ids)
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def _wrapped(text: str) -> str:
+    return fill(text, 100, break_long_words=False, break_on_hyphens=False)
+
+
+def _plain(text: str) -> str:
+    """With the marks of Markdown taken for what they are, but for `code`."""
+    return "".join(_escaped(re.split("(`[^`]*`)", text)))
+
+
+def _escaped(parts: Iterable[str]) -> Iterator[str]:
+    for part in parts:
+        yield part if part.startswith("`") else re.sub(r"([\\<*\[\]])", r"\\\1", part)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())
