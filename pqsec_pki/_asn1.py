@@ -44,6 +44,7 @@ __all__ = [
     "PBKDF2Params",
     "PreTBSCertList",
     "PreTBSCertificate",
+    "RevokedEntry",
     "SeedAndExpandedKey",
     "SetOf",
     "Signed",
@@ -299,6 +300,13 @@ class CertificationRequestInfo:
     subject: TLV
     subject_public_key_info: TLV
     attributes: Annotated[list[Attribute], Implicit(0)]
+
+
+@sequence
+class RevokedEntry:
+    user_certificate: int
+    revocation_date: Time
+    crl_entry_extensions: list[Extension] | None
 
 
 @sequence

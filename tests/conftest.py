@@ -6,6 +6,7 @@ PQSEC_REQUIRE_INTEROP=1, as in .ci/run, such a skip is a failure.
 """
 
 import os
+import signal
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import TypeVar
@@ -13,6 +14,9 @@ from typing import TypeVar
 import pytest
 
 Found = TypeVar("Found")
+
+# A shell has what it starts in the background ignore it, and programs under test inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 

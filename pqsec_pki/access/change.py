@@ -30,7 +30,7 @@ class Change:
     topics: tuple[Topics, ...] = ()
     domains: str = ""
     reading: str = "spec"
-    """By whose reading of the documents."""
+    """By whose reading of the documents; `stacks` where that is for each stack to say."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,10 @@ from pqsec_pki.access.question import Action
 from pqsec_pki.documents import Grant, Permissions, parse_subject
 from pqsec_pki.errors import MalformedError
 
+STACKS = "stacks"
+"""The reading of a change that no row has looked at, and the standard does not see."""
+_SECOND = "one above it counts, but some stacks look further, or for another spelling"
+_NAMELESS = "its subject is no name, but some stacks compare pieces only"
 MOST_RESHAPED = 8
 """Patterns of an action that came or went: of more, each with each is no help to anyone."""
 
@@ -33,8 +37,10 @@ def permissions_diff(old: Permissions | None, new: Permissions | None) -> Differ
     found = [
         _grants_diff(before.get(key), after.get(key)) for key in dict.fromkeys([*before, *after])
     ]
+    changes = [change for each in found for change in each.changes]
+    changes += _passed_over(old, before, new, after)
     return Difference(
-        tuple(change for each in found for change in each.changes),
+        tuple(changes),
         complete=all(each.complete for each in found),
         same_text=old == new,
     )
@@ -43,17 +49,48 @@ def permissions_diff(old: Permissions | None, new: Permissions | None) -> Differ
 def _by_subject(permissions: Permissions | None) -> dict[object, Grant]:
     found: dict[object, Grant] = {}
     for grant in permissions.grants if permissions else ():
-        try:
-            subject = parse_subject(grant.subject_name)
-        except MalformedError:
-            continue  # no certificate has such a subject
-        found.setdefault(frozenset({subject, subject[::-1]}), grant)
+        if subject := _subject(grant):
+            found.setdefault(subject, grant)
     return found
+
+
+def _passed_over(
+    old: Permissions | None,
+    before: dict[object, Grant],
+    new: Permissions | None,
+    after: dict[object, Grant],
+) -> Iterator[Change]:
+    """Grants that count for nobody by the standard, but may for a stack."""
+    had, has = _others(old, before), _others(new, after)
+    for verb, grants, others in (("comes", has, had), ("goes", had, has)):
+        for grant in (each for each in grants if each not in others):
+            yield Change(
+                sense=Sense.OTHER,
+                subject=grant.subject_name,
+                text=f"a grant {verb} that by the standard is nobody's: {grants[grant]}",
+                reading=STACKS,
+            )
+
+
+def _others(permissions: Permissions | None, first: dict[object, Grant]) -> dict[Grant, str]:
+    """Grants that are not the first of their subject, each with what stacks make of it."""
+    counted = {id(grant) for grant in first.values()}
+    grants = [each for each in permissions.grants if id(each) not in counted] if permissions else []
+    return {each: _SECOND if _subject(each) else _NAMELESS for each in grants}
+
+
+def _subject(grant: Grant) -> object:
+    """Its name in either order; None if it is none, as no certificate has."""
+    try:
+        subject = parse_subject(grant.subject_name)
+    except MalformedError:
+        return None
+    return frozenset({subject, subject[::-1]})
 
 
 def _grants_diff(old: Grant | None, new: Grant | None) -> Difference:
     grants = [grant for grant in (old, new) if grant]
-    changes = list(_validity_changes(old, new)) if old and new else []
+    changes = [*_spelling_changes(old, new), *_validity_changes(old, new)] if old and new else []
     if old and new and (old.rules, old.default) == (new.rules, new.default):
         return Difference(tuple(changes), complete=True)
     world = World.of(grants)
@@ -106,6 +143,16 @@ def _of_stack(found: StackChange) -> Change:
         domains=where,
         reading=found.reading.name,
     )
+
+
+def _spelling_changes(old: Grant, new: Grant) -> Iterator[Change]:
+    if old.subject_name != new.subject_name:
+        yield Change(
+            sense=Sense.OTHER,
+            subject=new.subject_name,
+            text=f"written '{old.subject_name}' before, which not all stacks take for the same",
+            reading=STACKS,
+        )
 
 
 def _validity_changes(old: Grant, new: Grant) -> Iterator[Change]:

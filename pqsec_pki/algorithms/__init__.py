@@ -24,6 +24,7 @@ from pqsec_pki.algorithms.profile import (
     Profile,
     profile_named,
 )
+from pqsec_pki.algorithms.sealing import SealingPrivateKey, SealingPublicKey
 from pqsec_pki.algorithms.signature import SIGNATURES
 
 __all__ = [
@@ -41,6 +42,8 @@ __all__ = [
     "PrivateKey",
     "Profile",
     "PublicKey",
+    "SealingPrivateKey",
+    "SealingPublicKey",
     "SignatureAlgorithm",
     "digest_of",
     "first_pem",

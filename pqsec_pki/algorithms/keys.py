@@ -1,5 +1,6 @@
 """Keys to bytes and back: SubjectPublicKeyInfo, PKCS#8, PEM, with a passphrase or not."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -45,6 +46,13 @@ def load_public_key(spki: bytes) -> PublicKey:
     except ValueError as error:
         raise MalformedError(f"not a public key: {error}") from error
     return PublicKey(row or _row_of(handle), spki, handle)
+
+
+_DEK_INFO = re.compile(
+    rb"^DEK-Info: (?:AES-(?:128|192|256)-CBC,[0-9A-F]{32}|DES-EDE3-CBC,[0-9A-F]{16})\r?$",
+    re.MULTILINE | re.IGNORECASE,
+)
+"""How a traditional PEM was encrypted (RFC 1421, 4.6.1.3)."""
 
 
 def load_private_key(data: bytes, passphrase: bytes | None = None) -> PrivateKey:
@@ -110,6 +118,9 @@ def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:
         raise PassphraseError("the private key is encrypted and no passphrase was given")
     if not is_encrypted(data):
         return _wrap(_native(lambda: load_pem_private_key(data, None)))
+    # Before the library looks: an initial value of another length makes it panic.
+    if data.count(b"DEK-Info") != 1 or not _DEK_INFO.search(data):
+        raise MalformedError("not an encrypted private key: its DEK-Info line is damaged")
     try:
         return _wrap(_native(lambda: load_pem_private_key(data, passphrase)))
     except MalformedError:

@@ -4,21 +4,32 @@ For everyone who has to know who a participant is: issuing, the handshake, repor
 """
 
 from pqsec_pki.certificates._names import name_text
-from pqsec_pki.certificates.authority import Authority, common_name, end_of
+from pqsec_pki.certificates.authority import BACKDATE, Authority, common_name, end_of
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.certificates.chain import verify_authority, verify_chain
 from pqsec_pki.certificates.request import CertificateRequest
-from pqsec_pki.certificates.revocation import RevocationList, RevokedCertificate
+from pqsec_pki.certificates.requesting import certificate_request
+from pqsec_pki.certificates.revocation import (
+    RevocationList,
+    RevokedCertificate,
+    verify_not_revoked,
+)
+from pqsec_pki.certificates.revoking import Reason, revocation_list
 
 __all__ = [
+    "BACKDATE",
     "Authority",
     "Certificate",
     "CertificateRequest",
+    "Reason",
     "RevocationList",
     "RevokedCertificate",
+    "certificate_request",
     "common_name",
     "end_of",
     "name_text",
+    "revocation_list",
     "verify_authority",
     "verify_chain",
+    "verify_not_revoked",
 ]

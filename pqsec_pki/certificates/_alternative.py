@@ -22,6 +22,7 @@ from pqsec_pki._asn1 import (
     PreTBSCertList,
     TBSCertificate,
     TBSCertList,
+    attribute,
     bits,
     decode,
     encode,
@@ -106,9 +107,35 @@ def add_signature(tbs: TBSCertificate, issuer: PrivateKey) -> None:
     _add(tbs, ALT_SIGNATURE_VALUE, encode(bits(issuer.sign(covered_by(tbs)))))
 
 
+def add_list_signature(tbs: TBSCertList, issuer: PrivateKey) -> None:
+    """Sign a revocation list with the issuer's alternative key; nothing may change after."""
+    plain = tbs.crl_extensions or []
+    algorithm = _extension(ALT_SIGNATURE_ALGORITHM, issuer.algorithm.identifier)
+    tbs.crl_extensions = [*plain, algorithm]
+    signature = encode(bits(issuer.sign(_covered_by_list(tbs))))
+    tbs.crl_extensions = [*plain, algorithm, _extension(ALT_SIGNATURE_VALUE, signature)]
+
+
+def add_request_proof(info: CertificationRequestInfo, alternative: PrivateKey) -> None:
+    """Ask for an alternative key too, and prove to have it; nothing may change after."""
+    asked = [
+        attribute(SUBJECT_ALT_PUBLIC_KEY_INFO, alternative.public_key.spki),
+        attribute(ALT_SIGNATURE_ALGORITHM, alternative.algorithm.identifier),
+    ]
+    # A SET OF: DER sorts it
+    info.attributes = sorted(asked, key=encode)
+    proof = attribute(
+        ALT_SIGNATURE_VALUE, encode(bits(alternative.sign(_covered_by_request(info))))
+    )
+    info.attributes = sorted([*asked, proof], key=encode)
+
+
 def _add(tbs: TBSCertificate, oid: str, value: bytes) -> None:
-    extension = Extension(extn_id=Oid(oid), critical=False, extn_value=value)
-    tbs.extensions = [*(tbs.extensions or []), extension]
+    tbs.extensions = [*(tbs.extensions or []), _extension(oid, value)]
+
+
+def _extension(oid: str, value: bytes) -> Extension:
+    return Extension(extn_id=Oid(oid), critical=False, extn_value=value)
 
 
 def _covered_by_request(info: CertificationRequestInfo) -> bytes:

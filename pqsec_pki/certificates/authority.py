@@ -88,24 +88,34 @@ class Authority:
         """A participant's certificate for CN=`name` and `key`, and its alternative key.
 
         It never outlives this authority: a longer `validity` is cut. UsageError if the
-        name cannot be used, PqsecError if the authority has expired.
+        name cannot be used, PqsecError if the authority is not in its time.
         """
-        end = min(end_of(now, validity), self.certificate.not_after)
-        if end <= now:
-            raise PqsecError(
-                f"the identity CA expired on {end:%Y-%m-%d}",
-                hint="make a new keystore, or set the clock right",
-            )
+        end = cut(end_of(now, validity), self.certificate, now)
         tbs = _tbs(
             subject=common_name(name),
             issuer=self.certificate.subject_der,
             key=key,
             window=(max(now - BACKDATE, self.certificate.not_before), end),
-            extensions=_participant_extensions(key, self.key.public_key),
+            extensions=_participant_extensions(key, self.certificate),
         )
         if alternative:
             _alternative.add_key(tbs, alternative)
         return _sign(tbs, self.key, self.alternative_key)
+
+
+def cut(end: datetime, authority: Certificate, now: datetime) -> datetime:
+    """`end`, or that of `authority` if it is earlier; PqsecError outside of its time."""
+    if end <= authority.not_before:
+        raise PqsecError(
+            f"the identity CA begins on {authority.not_before:%Y-%m-%d}: it is not in its time",
+            hint="set the clock right",
+        )
+    if authority.not_after <= now:
+        raise PqsecError(
+            f"the identity CA expired on {authority.not_after:%Y-%m-%d}",
+            hint="make new CAs with `pqsec ca rotate`, or set the clock right",
+        )
+    return min(end, authority.not_after)
 
 
 def common_name(name: str) -> bytes:
@@ -184,8 +194,10 @@ def _authority_extensions(key: PublicKey) -> list[Extension]:
     return [_CA, _CA_USAGE, _extension(x509.SubjectKeyIdentifier(key_identifier(key)))]
 
 
-def _participant_extensions(key: PublicKey, issuer: PublicKey) -> list[Extension]:
-    authority_key = x509.AuthorityKeyIdentifier(key_identifier(issuer), None, None)
+def _participant_extensions(key: PublicKey, issuer: Certificate) -> list[Extension]:
+    # RFC 5280 4.2.1.1: as the issuer's certificate has it, which others may have made
+    known = issuer.subject_key_identifier or key_identifier(issuer.public_key)
+    authority_key = x509.AuthorityKeyIdentifier(known, None, None)
     return [
         _NOT_CA,
         _PARTICIPANT_USAGE,

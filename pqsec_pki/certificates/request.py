@@ -4,10 +4,12 @@ A request is signed with the key it asks a certificate for, which proves that wh
 asks has that key. With an alternative key it carries a second proof (see _alternative).
 """
 
+import hashlib
 from dataclasses import dataclass, field
 from typing import Self
 
 from cryptography import x509
+from cryptography.x509.oid import NameOID
 
 from pqsec_pki._asn1 import CertificationRequestInfo, Signed, decode, encode, whole_bytes
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem
@@ -79,6 +81,20 @@ class CertificateRequest:
         if self.alternative is None or self.alternative.spki is None:
             return None
         return load_public_key(self.alternative.spki)
+
+    @property
+    def common_name(self) -> str | None:
+        """The subject's CN, if the subject is that and nothing else."""
+        parts = list(self.subject)
+        if len(parts) != 1 or parts[0].oid != NameOID.COMMON_NAME:
+            return None
+        value = parts[0].value
+        return value if isinstance(value, str) else None
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the DER, in hex."""
+        return hashlib.sha256(self.der).hexdigest()
 
     @property
     def subject_name(self) -> str:

@@ -7,6 +7,7 @@ some certificates only says so in a critical extension, and is refused.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property, lru_cache
 from typing import Self
 
 from cryptography import x509
@@ -34,7 +35,7 @@ class RevokedCertificate:
     """Critical extensions of the entry, dotted."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # no slots: what is worked out once is kept
 class RevocationList:
     """A certificate revocation list. Its text is nowhere trusted: see verify."""
 
@@ -94,8 +95,11 @@ class RevocationList:
         """The entry that takes `certificate` back, if its issuer's list has one."""
         if certificate.issuer_der != self.issuer_der:
             return None
-        serial = certificate.serial_number
-        return next((each for each in self.revoked if each.serial_number == serial), None)
+        return self._by_serial.get(certificate.serial_number)
+
+    @cached_property
+    def _by_serial(self) -> dict[int, RevokedCertificate]:
+        return {each.serial_number: each for each in reversed(self.revoked)}
 
     def verify(self, ca: Certificate, *, require_alternative: bool = False) -> None:
         """Return if `ca` issued this list and it can be understood.
@@ -104,13 +108,54 @@ class RevocationList:
         `require_alternative` it must also be there. Whether the list is still current,
         and `ca` good, is not looked at. VerificationError lists everything that is wrong.
         """
-        problems = [
-            *_issuer_problems(self, ca),
-            *_alternative_problems(self, ca, required=require_alternative),
-            *_critical_problems(self),
-        ]
+        problems = _lasting_problems(self, ca, required=require_alternative)
         if problems:
             raise VerificationError(*problems)
+
+
+def verify_not_revoked(
+    certificate: Certificate,
+    revoked: RevocationList,
+    ca: Certificate,
+    *,
+    now: datetime,
+    require_alternative: bool = False,
+) -> None:
+    """Return if `ca`'s list `revoked` is good at `now` and does not take `certificate` back.
+
+    As in every measured stack, with a list that is not good nobody is. VerificationError
+    lists everything that is wrong.
+    """
+    problems = [
+        *_lasting_problems(revoked, ca, required=require_alternative),
+        *_currency_problems(revoked, now),
+    ]
+    entry = revoked.revocation_of(certificate)
+    if entry:
+        reason = f" ({entry.reason})" if entry.reason else ""
+        when = f"{entry.revoked_at:%Y-%m-%d}"
+        who = certificate.subject_name
+        problems.append(f"the certificate of {who} was revoked on {when}{reason}")
+    if problems:
+        raise VerificationError(*problems)
+
+
+@lru_cache(maxsize=16)
+def _lasting_problems(crl: RevocationList, ca: Certificate, *, required: bool) -> tuple[str, ...]:
+    """Once for each list that is loaded: a handshake asks it for every peer."""
+    return (
+        *_issuer_problems(crl, ca),
+        *_alternative_problems(crl, ca, required=required),
+        *_critical_problems(crl),
+    )
+
+
+def _currency_problems(crl: RevocationList, now: datetime) -> Iterator[str]:
+    # RFC 5280 6.3.3 (a): a list that is in force
+    if now < crl.this_update:
+        yield f"the revocation list is not in force before {crl.this_update:%Y-%m-%d %H:%M} UTC"
+    if crl.next_update and now > crl.next_update:
+        yield f"the revocation list ended on {crl.next_update:%Y-%m-%d %H:%M} UTC"
 
 
 def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[str]:

@@ -8,19 +8,58 @@ import signal
 import sys
 import warnings
 from importlib import import_module
+from keyword import iskeyword
 
 import click
 
 from pqsec_pki import __version__
-from pqsec_pki.cli._common import command_options
+from pqsec_pki.cli._common import command_options, printable
 from pqsec_pki.errors import PqsecError
 
 __all__ = ["main", "pqsec"]
 
 COMMANDS = {
     "demo": ("demo", "Make a secured domain of two participants and prove that it works."),
-    "ca": ("ca", "Make and show the identity CA and the permissions CA."),
+    "ca": ("ca", "Make, show and change the CAs, and the identity CA's revocation list."),
+    "plan": (
+        "plan",
+        "Tell what FILE wants and the keystore has not: what `pqsec apply` would do.",
+    ),
+    "apply": ("apply", "Make the keystore as FILE wants it: what `pqsec plan` tells is done."),
+    "adopt": (
+        "adopt",
+        "Make a keystore of SROS2, or one in its layout, a keystore of pqsec's, and check it.",
+    ),
     "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
+    "request": ("request", "Make keys on the robot, and the request for their certificate."),
+    "bundle-key": ("request", "Make the key on the robot with which it opens sealed bundles."),
+    "bundle": (
+        "bundle",
+        "Write a bundle: all that one robot needs of the keystore, in one file.",
+    ),
+    "install": ("install", "Check a bundle, and let it be what this robot runs with."),
+    "rollback": ("install", "Go back to what was installed before the last bundle."),
+    "sign-request": (
+        "sign_request",
+        "Have requests signed by CAs on a machine without a network.",
+    ),
+    "renew": (
+        "renew",
+        "Renew participants: certificate and permissions together, allowed the same as before.",
+    ),
+    "needs-renewal": (
+        "renew",
+        "Tell whether participants, or the revocation list, should be renewed.",
+    ),
+    "revoke": (
+        "revoke",
+        "Take certificates back: a new revocation list, linked into every enclave.",
+    ),
+    "status": (
+        "status",
+        "Show every participant, how long it lasts and its state, the most urgent first.",
+    ),
+    "log": ("log", "Show the ledger: every certificate, document and revocation made here."),
     "governance": ("governance", "Write the governance document in YAML, with presets."),
     "permissions": (
         "permissions",
@@ -32,9 +71,17 @@ COMMANDS = {
     "check": ("check", "Tell what is wrong or risky in keystores, folders and files."),
     "verify": ("verify", "Check who signed a governance or permissions document."),
     "verify-handshake": ("handshake", "Run the authentication handshake between two participants."),
+    "export": ("export", "Write the configuration with which a DDS stack runs as a participant."),
+    "try": ("try_", "Let two participants meet in a real DDS stack on this machine."),
+    "plugin": ("plugin", "Install the security plugin that Cyclone DDS loads."),
+    "agent": ("agent", "Look after the agent, which holds the keys for the plugin."),
     "explain": (
         "explain",
         "Tell whether a participant may do something, which rule decided, and why.",
+    ),
+    "explain-error": (
+        "explain_error",
+        "Tell what a DDS stack's security error means, and the way out.",
     ),
     "who-may": ("who_may", "Tell who may publish and subscribe to what."),
     "diff": ("diff", "Tell what a change of policy grants and takes away."),
@@ -57,7 +104,8 @@ class _Lazy(click.Group):
         if name not in COMMANDS:
             return None
         module = import_module(f"pqsec_pki.cli.{COMMANDS[name][0]}")
-        command: click.Command = getattr(module, name.replace("-", "_"))
+        function = name.replace("-", "_") + "_" * iskeyword(name)
+        command: click.Command = getattr(module, function)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -111,6 +159,6 @@ def _complain_of_usage(error: click.ClickException) -> None:
 
 def _complain(*messages: str, hint: str | None = None) -> None:
     for message in messages:
-        click.echo(f"pqsec: error: {message}", err=True)
+        click.echo(f"pqsec: error: {printable(message)}", err=True)
     if hint:
-        click.echo(f"pqsec: hint: {hint}", err=True)
+        click.echo(f"pqsec: hint: {printable(hint)}", err=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pqsec_pki.errors import FileError, PassphraseError, UsageError
+from pqsec_pki.errors import FileError, PassphraseError, UsageError, shown
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore import Authorities, Keystore
@@ -111,10 +111,12 @@ def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
     return keystore.unlock(_asked("CA passphrase"))
 
 
-def new_passphrase(passphrase_file: Path | None, *, none: bool) -> bytes | None:
+def new_passphrase(
+    passphrase_file: Path | None, *, none: bool, option: str = "--passphrase-file"
+) -> bytes | None:
     """The passphrase for new CA keys; None only if the user says so."""
     if none and passphrase_file:
-        raise UsageError("--passphrase-file and --no-passphrase exclude each other")
+        raise UsageError(f"{option} and --no-passphrase exclude each other")
     if none:
         return None
     if passphrase_file:
@@ -122,7 +124,7 @@ def new_passphrase(passphrase_file: Path | None, *, none: bool) -> bytes | None:
     if not sys.stdin.isatty():
         raise UsageError(
             "the CA keys need a passphrase, and there is no terminal to ask for one",
-            hint="use --passphrase-file FILE, or --no-passphrase to leave them unencrypted",
+            hint=f"use {option} FILE, or --no-passphrase to leave them unencrypted",
         )
     return _asked("New CA passphrase", twice=True)
 
@@ -146,6 +148,16 @@ def read_passphrase(path: Path) -> bytes:
     if not passphrase:
         raise PassphraseError(f"{path}: no passphrase in its first line")
     return passphrase
+
+
+def key_password(path: Path | None) -> str | None:
+    """The passphrase of a participant's key, as stacks take it; None without a file."""
+    if path is None:
+        return None
+    try:
+        return read_passphrase(path).decode()
+    except UnicodeDecodeError:
+        raise PassphraseError(f"{path}: the passphrase is not UTF-8") from None
 
 
 def passphrase_option(command: Command) -> Command:
@@ -173,7 +185,12 @@ def emit(value: object, lines: Iterable[str]) -> None:
 
 def note(text: str) -> None:
     """Tell the user something that is not the result."""
-    click.echo(f"pqsec: note: {text}", err=True)
+    click.echo(f"pqsec: note: {printable(text)}", err=True)
+
+
+def printable(text: str) -> str:
+    """`text` without what a terminal would obey: names of files are anybody's choice."""
+    return shown(text, len(text))
 
 
 def now() -> datetime:

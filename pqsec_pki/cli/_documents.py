@@ -10,7 +10,12 @@ from typing import Generic, TypeAlias, TypeVar
 
 from pqsec_pki._files import read
 from pqsec_pki.access import Decision
-from pqsec_pki.certificates import Certificate, verify_authority, verify_chain
+from pqsec_pki.certificates import (
+    Certificate,
+    verify_authority,
+    verify_chain,
+    verify_not_revoked,
+)
 from pqsec_pki.documents import (
     DomainRule,
     Governance,
@@ -36,6 +41,7 @@ _ENCLAVES, _CERTIFICATE = "enclaves", "cert.pem"
 _PERMISSIONS, _GOVERNANCE = "permissions.p7s", "governance.p7s"
 _GRANTS = re.compile(rb"(?m)^\s*\{?\s*[\"']?grants[\"']?\s*:")
 """What permissions in YAML must have, and governance cannot."""
+_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe|\xfe\xff")
 _BOUNDARY = re.compile(rb'(?i);\s*boundary="?([^";\s]+)')
 
 
@@ -53,6 +59,9 @@ class Loaded(Generic[Value]):
     def line(self, line: int | None) -> int | None:
         """The line of the file where that line of the document is."""
         return None if line is None else line + self.before
+
+
+Document: TypeAlias = Loaded[Governance] | Loaded[Permissions]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,21 +109,30 @@ def judge_in(keystore: Keystore, now: datetime) -> Judge:
 
 def governance_in(path: Path, judge: Judge | None = None) -> Loaded[Governance]:
     """A governance document: XML, signed or not, or YAML."""
-    return _load(path, judge, Governance.from_xml, governance_from_yaml)
+    return _governance(path, read(path), judge)
 
 
 def permissions_in(path: Path, now: datetime, judge: Judge | None = None) -> Loaded[Permissions]:
     """A permissions document: XML, signed or not, or YAML; `1y` in it counts from `now`."""
-    return _load(path, judge, Permissions.from_xml, partial(permissions_from_yaml, now=now))
+    return _permissions(path, read(path), now, judge)
 
 
-def kind_of(path: Path) -> Kind:
-    """Which of the two documents the file is."""
+def document_at(path: Path, now: datetime) -> Document:
+    """A document of either kind, read once: it may be a pipe."""
     data = read(path)
     with located(path):
-        if path.suffix in YAML:
-            return Kind.PERMISSIONS if _GRANTS.search(data) else Kind.GOVERNANCE
-        return validate(document_in(data) if is_signed(data) else data)
+        if _is_yaml(path, data):
+            kind = Kind.PERMISSIONS if _GRANTS.search(data) else Kind.GOVERNANCE
+        else:
+            kind = validate(document_in(data) if is_signed(data) else data)
+    if kind is Kind.GOVERNANCE:
+        return _governance(path, data)
+    return _permissions(path, data, now)
+
+
+def kind_of(document: Document) -> Kind:
+    """Which of the two it is."""
+    return Kind.GOVERNANCE if isinstance(document.value, Governance) else Kind.PERMISSIONS
 
 
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
@@ -123,14 +141,21 @@ def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     return keystore.root / _ENCLAVES / name.strip("/") / file
 
 
-def identity(keystore: Keystore, name: str, now: datetime) -> Certificate:
-    """The participant's certificate, if the identity CA stands for it."""
-    path = enclave_file(keystore, name, _CERTIFICATE)
-    certificate = load_certificate(path)
+def identities_in(keystore: Keystore, now: datetime) -> Callable[[str], Certificate]:
+    """A participant's certificate, if the identity CA stands for it and did not revoke it."""
+    ca, revoked = keystore.identity_ca, keystore.revocation_list
     twice = keystore.profile.alternative_key is not None
-    with located(path):
-        verify_chain(certificate, keystore.identity_ca, now=now, require_alternative=twice)
-    return certificate
+
+    def identity(name: str) -> Certificate:
+        path = enclave_file(keystore, name, _CERTIFICATE)
+        certificate = load_certificate(path)
+        with located(path):
+            verify_chain(certificate, ca, now=now, require_alternative=twice)
+            if revoked:
+                verify_not_revoked(certificate, revoked, ca, now=now, require_alternative=twice)
+        return certificate
+
+    return identity
 
 
 def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
@@ -138,7 +163,7 @@ def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
     judge = judge_in(keystore, now)
     return Papers(
         who="/" + "/".join(filter(None, name.split("/"))),
-        subject=identity(keystore, name, now).subject_name,
+        subject=identities_in(keystore, now)(name).subject_name,
         governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), judge),
         permissions=own_permissions(keystore, name, now, judge),
     )
@@ -156,6 +181,13 @@ def shared_governance(keystore: Keystore, judge: Judge | None) -> Loaded[Governa
     return governance_in(keystore.root / _ENCLAVES / _GOVERNANCE, judge)
 
 
+def own_governance(keystore: Keystore, name: str, shared: Loaded[Governance]) -> Governance:
+    """A participant's, which should be the one that all share."""
+    path = enclave_file(keystore, name, _GOVERNANCE)
+    is_shared = not path.exists() or path.samefile(shared.path)
+    return shared.value if is_shared else governance_in(path).value
+
+
 def only_subject(permissions: Loaded[Permissions]) -> str:
     """The subject of all grants; UsageError if they are for several."""
     subjects = {grant.subject_name for grant in permissions.value.grants}
@@ -167,13 +199,24 @@ def only_subject(permissions: Loaded[Permissions]) -> str:
     return subjects.pop()
 
 
-def _load(
+def _governance(path: Path, data: bytes, judge: Judge | None = None) -> Loaded[Governance]:
+    return _loaded(path, data, judge, Governance.from_xml, governance_from_yaml)
+
+
+def _permissions(
+    path: Path, data: bytes, now: datetime, judge: Judge | None = None
+) -> Loaded[Permissions]:
+    from_yaml = partial(permissions_from_yaml, now=now)
+    return _loaded(path, data, judge, Permissions.from_xml, from_yaml)
+
+
+def _loaded(
     path: Path,
+    data: bytes,
     judge: Judge | None,
     from_xml: Callable[[bytes], Value],
     from_yaml: Callable[[bytes], Value],
 ) -> Loaded[Value]:
-    data = read(path)
     with located(path):
         if is_signed(data):
             xml = judge(data) if judge else document_in(data)
@@ -181,8 +224,13 @@ def _load(
             return Loaded(path, from_xml(xml), True, verified, _lines_before(data))  # noqa: FBT003 -- field
         if judge:
             raise VerificationError("it is not signed")
-        value = from_yaml(data) if path.suffix in YAML else from_xml(data)
+        value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)
         return Loaded(path, value, False, False, 0)  # noqa: FBT003 -- fields
+
+
+def _is_yaml(path: Path, data: bytes) -> bool:
+    """By its ending; of what has none, as a pipe, by whether it begins as XML does."""
+    return path.suffix in YAML or not (path.suffix or _XML.match(data))
 
 
 def _lines_before(message: bytes) -> int:

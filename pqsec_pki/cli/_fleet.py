@@ -1,5 +1,7 @@
 """Whom who-may asks about: the participants of a keystore, or of permissions documents."""
 
+import os
+import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -9,17 +11,17 @@ from pathlib import Path
 from pqsec_pki.access.matrix import Member
 from pqsec_pki.cli import _common
 from pqsec_pki.cli._documents import (
-    Loaded,
+    Document,
+    document_at,
     governance_in,
-    identity,
+    identities_in,
     judge_in,
-    kind_of,
+    own_governance,
     own_permissions,
-    permissions_in,
     shared_governance,
 )
-from pqsec_pki.documents import DomainRange, DomainSet, Governance, Kind, Permissions, parse_subject
-from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
+from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
+from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 
 _SETTINGS = "pqsec.json"
@@ -43,7 +45,8 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
     """
     if not paths:
         paths = (_common.keystore_path(),)
-    if len(paths) == 1 and (paths[0] / _SETTINGS).is_file():
+    # Path.is_file raises where the folder is closed.
+    if len(paths) == 1 and os.path.isfile(paths[0] / _SETTINGS):  # noqa: PTH113 -- see above
         if governance:
             raise UsageError("--governance is for files; a keystore has its own")
         return _in_keystore(Keystore.open(paths[0]), now)
@@ -51,13 +54,15 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
 
 
 def _in_keystore(keystore: Keystore, now: datetime) -> Fleet:
-    judge = judge_in(keystore, now)
+    judge, identity = judge_in(keystore, now), identities_in(keystore, now)
     governance = shared_governance(keystore, judge)
     members, refused = list[Member](), dict[str, str]()
     for name in keystore.names():
         try:
-            subject = identity(keystore, name, now).subject_name
+            subject = identity(name).subject_name
             permissions = own_permissions(keystore, name, now, judge).value
+            if own_governance(keystore, name, governance) != governance.value:
+                raise VerificationError("it has a governance of its own, unlike the others")
         except PqsecError as error:
             refused[name] = str(error)
         else:
@@ -66,48 +71,57 @@ def _in_keystore(keystore: Keystore, now: datetime) -> Fleet:
 
 
 def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> Fleet:
-    found: list[Loaded[Permissions]] = []
-    governing = [governance_in(governance)] if governance else []
-    refused: dict[str, str] = {}
-    for path, is_named in _files(paths):
-        try:
-            if kind_of(path) is Kind.PERMISSIONS:
-                found.append(permissions_in(path, now))
-            elif not governance:
-                governing.append(governance_in(path))
-        except PqsecError as error:
-            if is_named:
-                raise
-            refused[str(path)] = str(error)
+    documents, refused = _documents(paths, now)
+    found = [(each.path, each.value) for each in documents if isinstance(each.value, Permissions)]
     if not found:
         raise FileError("there is no permissions document", hint="name files, or their folder")
-    if len({each.value for each in governing}) > 1:
+    if governance:
+        documents = [each for each in documents if isinstance(each.value, Permissions)]
+        documents.append(governance_in(governance))
+    governing = [each.value for each in documents if isinstance(each.value, Governance)]
+    if len(set(governing)) > 1:
         raise UsageError(
             "there is more than one governance document", hint="say which: --governance FILE"
         )
     if not governing:
         _common.note("there is no governance document: taken as if it controlled everything")
-    if any(each.signed for each in found) or any(each.signed for each in governing):
+        governing = [Governance.protected(DomainSet(parts=(DomainRange(first=0),)))]
+    if any(each.signed for each in documents):
         _common.note("who signed the documents was not checked")
-    everywhere = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
     members = list(_members(found, refused))
-    return Fleet(governing[0].value if governing else everywhere, members, refused)
+    return Fleet(governing[0], members, refused)
 
 
-def _members(documents: list[Loaded[Permissions]], refused: dict[str, str]) -> Iterator[Member]:
+def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], dict[str, str]]:
+    """Those that can be read, and why others in folders cannot."""
+    found: list[Document] = []
+    refused: dict[str, str] = {}
+    for path, is_named in _files(paths):
+        try:
+            found.append(document_at(path, now))
+        except PqsecError as error:
+            if is_named:
+                raise
+            refused[str(path)] = str(error)
+    return found, refused
+
+
+def _members(found: list[tuple[Path, Permissions]], refused: dict[str, str]) -> Iterator[Member]:
     """Each subject of each document; with the file where it is in several."""
-    subjects = [dict.fromkeys(each.subject_name for each in one.value.grants) for one in documents]
-    times = Counter(subject for one in subjects for subject in one)
-    for document, subject in (
-        (document, each) for document, one in zip(documents, subjects, strict=True) for each in one
-    ):
-        name = subject if times[subject] == 1 else f"{subject} ({document.path})"
+    subjects = [
+        (path, permissions, subject)
+        for path, permissions in found
+        for subject in dict.fromkeys(each.subject_name for each in permissions.grants)
+    ]
+    times = Counter(subject for *_, subject in subjects)
+    for path, permissions, subject in subjects:
+        name = subject if times[subject] == 1 else f"{subject} ({path})"
         try:
             parse_subject(subject)
         except MalformedError as error:
             refused[name] = str(error)
         else:
-            yield Member(name=name, subject=subject, permissions=document.value)
+            yield Member(name=name, subject=subject, permissions=permissions)
 
 
 def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
@@ -118,6 +132,14 @@ def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
             continue
         by_name: dict[Path, Path] = {}
         every = (each for ending in _SIGNED_FIRST for each in sorted(path.rglob(f"*{ending}")))
-        for each in every:
+        for each in filter(_may_be_read, every):
             by_name.setdefault(each.with_suffix(""), each)
         yield from ((each, False) for each in sorted(by_name.values()))
+
+
+def _may_be_read(path: Path) -> bool:
+    """Whether it is no folder, and no pipe that would never end; reading tells the rest."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return True

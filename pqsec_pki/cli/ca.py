@@ -1,23 +1,30 @@
-"""pqsec ca: make and show the two CAs."""
+"""pqsec ca: make and show the two CAs, and the list of what the identity CA took back."""
 
 from datetime import timedelta
 from pathlib import Path
 
 import click
 
+from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _common
+from pqsec_pki.cli.passphrase import passphrase
+from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
+from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import FileError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore import Keystore, renew_list
 
 
 @click.group()
 @_common.command_options
 def ca() -> None:
-    """Make and show the identity CA and the permissions CA."""
+    """Make, show and change the CAs, and the identity CA's revocation list."""
 
+
+ca.add_command(passphrase)
+ca.add_command(rotate)
 
 profile_option = click.option(
     "--profile",
@@ -94,6 +101,43 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 def show() -> None:
     """Show the CAs, the profile and the participants of a keystore."""
     _show(_common.open_keystore())
+
+
+@ca.command()
+@click.option("--show", is_flag=True, help="Tell of the list there is, and make none.")
+@list_validity_option
+@click.option("-o", "--out", type=_common.FILE, help="Write the list there too, in PEM.")
+@click.option("--force", is_flag=True, help="Replace the file at --out.")
+@_common.passphrase_option
+@_common.command_options
+def crl(
+    validity: timedelta,
+    out: Path | None,
+    passphrase_file: Path | None,
+    *,
+    show: bool,
+    force: bool,
+) -> None:
+    """Make the revocation list anew, so that it lasts longer.
+
+    Without revoked certificates the list is empty; stacks that are given it refuse
+    everybody once it has ended, so make one early only if you will keep it up.
+    """
+    keystore = _common.open_keystore()
+    if out and not force:
+        refuse_existing(out)
+    found = keystore.revocation_list if show else None
+    if show and found is None:
+        raise KeystoreError(
+            "there is no revocation list",
+            hint="`pqsec revoke` makes it, or `pqsec ca crl` an empty one",
+        )
+    if found is None:
+        authorities = _common.unlock(keystore, passphrase_file)
+        found = renew_list(keystore, authorities, now=_common.now(), validity=validity)
+    if out:
+        write(out, found.pem, force=force)
+    _common.emit(list_value(keystore, found), [list_line(keystore, found)])
 
 
 def _show(keystore: Keystore) -> None:

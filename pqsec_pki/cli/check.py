@@ -93,7 +93,7 @@ def check(  # noqa: PLR0913 -- one for each option
     if sarif:
         _common.emit(to_sarif(report), [json.dumps(to_sarif(report), indent=2)])
     else:
-        _common.emit(_value(report, strict=strict), _lines(report))
+        _common.emit(report_value(report, strict=strict), report_lines(report))
     if not report.is_clean(strict=strict):
         click.get_current_context().exit(1)
 
@@ -104,7 +104,8 @@ def _suppression(text: str) -> Suppression:
     return suppression
 
 
-def _lines(report: Report) -> list[str]:
+def report_lines(report: Report) -> list[str]:
+    """The report for a person."""
     counts = [
         f"{number} {severity}{'s' if number != 1 and severity is not Severity.INFO else ''}"
         for severity in Severity
@@ -121,7 +122,8 @@ def _printable(finding: Finding) -> str:
     return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in str(finding))
 
 
-def _value(report: Report, *, strict: bool) -> dict[str, Any]:
+def report_value(report: Report, *, strict: bool) -> dict[str, Any]:
+    """The report for --json."""
     return {
         "ok": report.is_clean(strict=strict),
         "files": len(report.inventory.files),

@@ -13,14 +13,15 @@ from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff
 from pqsec_pki.cli import _common
 from pqsec_pki.cli._documents import (
-    governance_in,
+    Loaded,
+    document_at,
     kind_of,
+    own_governance,
     own_permissions,
-    permissions_in,
     plain,
     shared_governance,
 )
-from pqsec_pki.documents import Kind, Permissions
+from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
 
@@ -33,6 +34,8 @@ class _Part:
 
     about: str
     difference: Difference
+    whose: str = ""
+    """The participant that has a document of its own where others share one."""
 
 
 @click.command()
@@ -70,30 +73,54 @@ def diff(old: Path, new: Path) -> int:
 
 
 def _files(old: Path, new: Path, now: datetime) -> Iterator[_Part]:
-    kind, other = kind_of(old), kind_of(new)
-    if kind is not other:
-        raise UsageError(f"{old} is a {kind} document, and {new} a {other} one")
-    if kind is Kind.GOVERNANCE:
-        difference = governance_diff(governance_in(old).value, governance_in(new).value)
+    before, after = document_at(old, now), document_at(new, now)
+    one, other = before.value, after.value
+    if isinstance(one, Governance) and isinstance(other, Governance):
+        difference = governance_diff(one, other)
+    elif isinstance(one, Permissions) and isinstance(other, Permissions):
+        difference = permissions_diff(one, other)
     else:
-        before, after = permissions_in(old, now), permissions_in(new, now)
-        difference = permissions_diff(before.value, after.value)
-    yield _Part(kind.value, difference)
+        kinds = kind_of(before), kind_of(after)
+        raise UsageError(f"{old} is a {kinds[0]} document, and {new} a {kinds[1]} one")
+    yield _Part(kind_of(before).value, difference)
 
 
 def _keystores(old: Path, new: Path, now: datetime) -> Iterator[_Part]:
-    before, after = Keystore.open(old), Keystore.open(new)
-    governances = (shared_governance(each, None).value for each in (before, after))
-    yield _Part("governance", governance_diff(*governances))
-    for name in sorted({*before.names(), *after.names()}):
-        documents = (_own(each, name, now) for each in (before, after))
+    before, after = _Kept.of(old), _Kept.of(new)
+    shared = before.governance.value, after.governance.value
+    yield _Part("governance", governance_diff(*shared))
+    for name in sorted(before.names | after.names):
+        documents = (each.permissions_of(name, now) for each in (before, after))
         yield _Part(f"permissions of {name}", permissions_diff(*documents))
+        own = before.governance_of(name), after.governance_of(name)
+        if own != shared and name in after.names:
+            yield _Part(f"governance of {name}", governance_diff(*own), name)
 
 
-def _own(keystore: Keystore, name: str, now: datetime) -> Permissions | None:
-    if name not in keystore.names():
-        return None
-    return own_permissions(keystore, name, now, None).value
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What a keystore holds."""
+
+    keystore: Keystore
+    names: frozenset[str]
+    governance: Loaded[Governance]
+    """The one that all share."""
+
+    @classmethod
+    def of(cls, root: Path) -> "_Kept":
+        keystore = Keystore.open(root)
+        return cls(keystore, frozenset(keystore.names()), shared_governance(keystore, None))
+
+    def permissions_of(self, name: str, now: datetime) -> Permissions | None:
+        if name not in self.names:
+            return None
+        return own_permissions(self.keystore, name, now, None).value
+
+    def governance_of(self, name: str) -> Governance:
+        """Its own, if it has one."""
+        if name not in self.names:
+            return self.governance.value
+        return own_governance(self.keystore, name, self.governance)
 
 
 def _as_json(change: Change) -> dict[str, object]:
@@ -125,9 +152,13 @@ def _lines(parts: list[_Part]) -> Iterator[str]:
     elif all(change.reading != SPEC.name for change in changes):
         yield "no change by the standard, but in stacks that read the documents otherwise"
     for sense in Sense:
-        alike = [change for change in changes if change.sense is sense]
+        alike = [
+            (change.subject or part.whose, change.text)
+            for part in parts
+            for change in part.difference.changes
+            if change.sense is sense
+        ]
         if alike:
             yield f"{sense}:"
-        for change in alike:
-            subject = f"{change.subject}: " if change.subject else ""
-            yield f"  {plain(subject + change.text)}"
+        for whose, text in alike:
+            yield f"  {plain(f'{whose}: {text}' if whose else text)}"

@@ -89,7 +89,9 @@ def _papers_in_files(asked: dict[str, Any], now: datetime) -> Papers:
     governance = governance_in(asked["governance"], judge)
     for each in (governance, permissions):
         if each.signed and not each.verified:
-            _common.note(f"who signed {each.path} was not checked: say --permissions-ca FILE")
+            _common.note(
+                f"who signed {plain(str(each.path))} was not checked: say --permissions-ca FILE"
+            )
     subject = _subject(asked["subject"]) if asked["subject"] else only_subject(permissions)
     return Papers(who=subject, subject=subject, governance=governance, permissions=permissions)
 
@@ -213,4 +215,4 @@ def _why(papers: Papers, answer: Answer, indent: str) -> Iterator[str]:
     if place := papers.place(answer.decision):
         criteria = papers.criteria_line(answer.decision)
         topics = f" (its topics from line {criteria})" if criteria else ""
-        yield f"{indent}{place[0]}:{place[1]}{topics}"
+        yield f"{indent}{plain(str(place[0]))}:{place[1]}{topics}"

@@ -1,105 +1,115 @@
 """pqsec issue: participants of a domain."""
 
-from datetime import timedelta
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
-from pqsec_pki.cli import _common, _policy
-from pqsec_pki.documents import DomainSet, Governance, ros
-from pqsec_pki.errors import UsageError
+from pqsec_pki.algorithms import SealingPublicKey
+from pqsec_pki.cli import _bundles, _common
+from pqsec_pki.cli._wishes import Wanted, wish_options
+from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.enrolment import Bundle
+from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.keystore import Issued, Keystore, Wish
 from pqsec_pki.keystore import issue as issue_participants
 from pqsec_pki.smime import document_in
 
-_ROS = {
-    "ros_node": ros.node_minimum,
-    "ros_service": ros.service_server,
-    "ros_client": ros.service_client,
-    "ros_action_server": ros.action_server,
-    "ros_action_client": ros.action_client,
-}
-"""Option -> what it lets a participant publish and subscribe to."""
-
 
 @click.command()
-@click.argument("names", nargs=-1, required=True, metavar="NAME...")
+@click.argument("names", nargs=-1, metavar="NAME...")
 @click.option("--domain", "domains", help="DDS domains: 0, or 0-3, or 0,5. [default: the CA's]")
-@click.option("--publish", multiple=True, metavar="TOPIC", help="A DDS topic expression.")
-@click.option("--subscribe", multiple=True, metavar="TOPIC", help="A DDS topic expression.")
-@click.option("--ros-publish", multiple=True, metavar="TOPIC", help="A ROS 2 topic: /chatter.")
-@click.option("--ros-subscribe", multiple=True, metavar="TOPIC", help="A ROS 2 topic.")
-@click.option("--ros-service", multiple=True, metavar="NAME", help="A ROS 2 service it serves.")
-@click.option("--ros-client", multiple=True, metavar="NAME", help="A ROS 2 service it calls.")
-@click.option("--ros-action-server", multiple=True, metavar="NAME", help="An action it serves.")
-@click.option("--ros-action-client", multiple=True, metavar="NAME", help="An action it calls.")
+@wish_options
 @click.option(
-    "--ros-node", multiple=True, metavar="NODE", help="What a ROS 2 node needs to start: /talker."
-)
-@click.option(
-    "--policy",
+    "--csr",
+    "requests",
+    multiple=True,
     type=_common.FILE,
-    help="Take what each NAME may do from permissions in YAML, or a policy of SROS2.",
+    metavar="FILE",
+    help="Certify the keys of this request, made on the robot, and write a bundle for it.",
 )
-@click.option("--validity", type=_common.Duration(), default="1y", show_default=True)
+@click.option(
+    "--allow-name",
+    "patterns",
+    multiple=True,
+    metavar="PATTERN",
+    help="With --csr: names that requests may have, such as '/fleet/*'; else they are NAME...",
+)
+@_bundles.folder_option
+@_bundles.seal_option
 @click.option("--force", is_flag=True, help="Replace participants that are there already.")
+@click.option("--after-revocation", is_flag=True, help="Also those that were revoked.")
 @_common.passphrase_option
 @_common.command_options
 def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     names: tuple[str, ...],
     domains: str | None,
-    publish: tuple[str, ...],
-    subscribe: tuple[str, ...],
-    ros_publish: tuple[str, ...],
-    ros_subscribe: tuple[str, ...],
-    policy: Path | None,
-    validity: timedelta,
+    requests: tuple[Path, ...],
+    patterns: tuple[str, ...],
+    folder: Path | None,
+    seal_for: Path | None,
     passphrase_file: Path | None,
     *,
     force: bool,
-    **ros_names: tuple[str, ...],
+    after_revocation: bool,
+    **wanted: Any,
 ) -> None:
     """Issue participants: key, certificate and signed permissions.
 
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
     expressions as they stand on the wire (rt/chatter); --ros-... takes ROS names. Each
-    NAME may do what is named here, or in its grant of --policy, and nothing else.
+    NAME may do what is named here, or in its grant of --policy, and nothing else. With
+    --csr the keys were made elsewhere, and the answers are bundles for `pqsec install`.
     """
+    if not requests:
+        _refuse_without_requests(names, patterns, folder, seal_for)
     keystore = _common.open_keystore()
-    publish += tuple(map(ros.topic, ros_publish))
-    subscribe += tuple(map(ros.topic, ros_subscribe))
-    for option, given in ros_names.items():
-        for name in given:
-            also = _ROS[option](name)
-            publish, subscribe = publish + also.publish, subscribe + also.subscribe
+    asked = _bundles.read_requests(requests, keystore.profile, names, patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
-    wishes = [
-        Wish(
-            name=name,
-            domains=domain_set,
-            publish=tuple(dict.fromkeys(publish)),
-            subscribe=tuple(dict.fromkeys(subscribe)),
-            validity=validity,
-        )
-        for name in names
-    ]
-    if policy:
-        if publish or subscribe:
-            raise UsageError("--policy says which topics there are: name none beside it")
-        wishes = _policy.granted(wishes, policy, now=_common.now())
+    wishes = Wanted.of(**wanted).wishes(tuple(asked) or names, domain_set)
+    wishes = [_bundles.with_keys(wish, asked) for wish in wishes]
+    goals = _bundles.goals(asked, folder, force=force)
     governance = Governance.from_xml(document_in(keystore.governance))
+    recipient = _bundles.recipient(seal_for)
     authorities = _common.unlock(keystore, passphrase_file)
-    issued = issue_participants(keystore, authorities, wishes, now=_common.now(), force=force)
-    _warn(governance, issued, wishes)
-    _tell(keystore, issued)
+    issued = issue_participants(
+        keystore,
+        authorities,
+        wishes,
+        now=_common.now(),
+        force=force,
+        after_revocation=after_revocation,
+    )
+    _warn(governance, wishes)
+    for name, goal in goals.items():
+        _answer(keystore, name, goal, recipient, force=force)
+    tell(keystore, issued, goals)
 
 
-def _warn(governance: Governance, issued: list[Issued], wishes: list[Wish]) -> None:
+def _refuse_without_requests(
+    names: tuple[str, ...], patterns: tuple[str, ...], *others: Path | None
+) -> None:
+    if patterns or any(others):
+        raise UsageError("--allow-name, --bundles and --seal-for are for requests: --csr FILE")
+    if not names:
+        raise UsageError("whom to issue is not said", hint="name them, or a request: --csr FILE")
+
+
+def _answer(
+    keystore: Keystore, name: str, goal: Path, recipient: SealingPublicKey | None, *, force: bool
+) -> None:
+    bundle = Bundle.of(keystore, [name], now=_common.now())
+    try:
+        _bundles.write(bundle, goal, recipient, force=force)
+    except FileError as error:
+        error.hint = f"{name} is issued all the same: `pqsec bundle {name}` makes its bundle"
+        raise
+
+
+def _warn(governance: Governance, wishes: list[Wish]) -> None:
     if not any(wish.publish or wish.subscribe or wish.grants for wish in wishes):
         _common.note("no topic was named: the permissions deny everything, even to join")
-    if issued[0].shortened:
-        end = issued[0].not_after
-        _common.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
     wanted = sorted({domain for wish in wishes for domain in wish.domains.ids()})
     ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]
     if ungoverned:
@@ -109,7 +119,14 @@ def _warn(governance: Governance, issued: list[Issued], wishes: list[Wish]) -> N
         )
 
 
-def _tell(keystore: Keystore, issued: list[Issued]) -> None:
+def tell(
+    keystore: Keystore, issued: list[Issued], bundles: Mapping[str, Path] | None = None
+) -> None:
+    """What was made, one line for each participant; where its bundle is, if it has one."""
+    bundles = bundles or {}
+    if issued and issued[0].shortened:
+        end = issued[0].not_after
+        _common.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
     value = {
         "keystore": str(keystore.root),
         "issued": [
@@ -120,11 +137,13 @@ def _tell(keystore: Keystore, issued: list[Issued]) -> None:
                 "not_after": each.not_after.isoformat(),
                 "certificate_bytes": each.certificate_size,
                 "permissions_bytes": each.permissions_size,
+                **({"bundle": str(bundles[each.name])} if each.name in bundles else {}),
             }
             for each in issued
         ],
     }
+    places = {each.name: bundles.get(each.name, each.folder) for each in issued}
     _common.emit(
         value,
-        [f"{each.name}  until {each.not_after:%Y-%m-%d}  {each.folder}" for each in issued],
+        [f"{each.name}  until {each.not_after:%Y-%m-%d}  {places[each.name]}" for each in issued],
     )

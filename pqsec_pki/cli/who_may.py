@@ -62,7 +62,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     now = _common.now()
     fleet = fleet_of(paths, governance, now)
     for name, reason in fleet.refused.items():
-        _common.note(f"{plain(name)} is left out: {reason}")
+        _common.note(f"{plain(name)} is left out: {plain(reason)}")
     if fleet.governance.rule_for(domain) is None:
         _common.note(f"the governance does not name domain {domain}: nobody can join there")
     wanted = (*topics, *map(ros.topic, ros_topics)) or topics_named(fleet.members)

@@ -27,8 +27,13 @@ def read(data: bytes, reader: Callable[[Item], Value]) -> Value:
     InvalidDocumentError lists what is wrong, each with its line, and the key where there
     is one.
     """
+    return told(lambda: reader(parse(data)))
+
+
+def told(reading: Callable[[], Value]) -> Value:
+    """The result; InvalidDocumentError as people are told it, not too long."""
     try:
-        return reader(parse(data))
+        return reading()
     except InvalidDocumentError as error:
         problems = [_worded(problem) for problem in error.problems]
     if (rest := len(problems) - MAX_PROBLEMS) > 0:

@@ -40,6 +40,7 @@ from pqsec_pki.documents.presets import PRESETS, STRICT, Preset, preset_named
 
 _Readers: TypeAlias = dict[str, Callable[[Item], Any]]
 
+_DOMAIN_0 = DomainSet.of(0)
 _kind = partial(one_of, ProtectionKind)
 _DOMAIN_KEYS: _Readers = {
     "allow_unauthenticated_participants": boolean,
@@ -67,7 +68,7 @@ _NAMES: Mapping[str, Callable[[str], tuple[str, ...]]] = {
 
 def governance_from_yaml(data: bytes) -> Governance:
     """What the document says; InvalidDocumentError with all that is wrong in it."""
-    return read(data, _governance)
+    return read(data, governance_in)
 
 
 def governance_to_yaml(value: Governance) -> bytes:
@@ -90,9 +91,10 @@ def new_governance(preset: Preset, domains: DomainSet) -> bytes:
 # Reading
 
 
-def _governance(item: Item) -> Governance:
+def governance_in(item: Item, default_domains: DomainSet = _DOMAIN_0) -> Governance:
+    """What the item says; for `default_domains` where it names none."""
     if "rules" not in table(item).entries:
-        return Governance(domain_rules=(_rule(STRICT, item, DomainSet.of(0)),))
+        return Governance(domain_rules=(_rule(STRICT, item, default_domains),))
     preset = peeked(item, "preset", _preset, STRICT)
     readers: _Readers = {
         "preset": _preset,

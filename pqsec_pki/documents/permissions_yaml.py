@@ -111,7 +111,7 @@ def _grant(defaults: _Defaults, item: Item) -> Grant:
         "domains": domains,
         "default": partial(one_of, DefaultAction),
     }
-    rules, said = _rules(defaults, item, common)
+    rules, said = rules_in(defaults.domains, item, common)
     if not said.keys() & {"name", "subject"}:
         raise refused(item, "a grant needs a name, the enclave path of its participant: /talker")
     subject = said.get("subject", f"CN={said.get('name')}")
@@ -129,10 +129,10 @@ def _grant(defaults: _Defaults, item: Item) -> Grant:
     )
 
 
-def _rules(
-    defaults: _Defaults, item: Item, common: Readers
+def rules_in(
+    default_domains: DomainSet, item: Item, common: Readers
 ) -> tuple[tuple[Rule, ...], dict[str, Any]]:
-    """The grant's rules, and what else it says."""
+    """The rules of a grant, and what else it says: what the readers in `common` make of it."""
     keys = table(item).entries
     short = [key for key in ALLOWED if key in keys]
     if "rules" not in keys and not short:
@@ -143,9 +143,9 @@ def _rules(
     if "rules" not in keys:
         said = fields(item, common | ALLOWED)
         allowed = {key: said.pop(key) for key in ALLOWED if key in said}
-        domain_set = said.get("domains", defaults.domains)
+        domain_set = said.get("domains", default_domains)
         return (built_rule(item, domain_set, allowed, allow=True),), said
-    domain_set = peeked(item, "domains", domains, defaults.domains)
+    domain_set = peeked(item, "domains", domains, default_domains)
     said = fields(item, {**common, "rules": partial(each, reader=partial(rule, domain_set))})
     return said.pop("rules"), said
 
@@ -156,13 +156,19 @@ def _rules(
 def _validity(now: datetime, item: Item) -> tuple[datetime, datetime]:
     """A duration, or its two ends; without a beginning it is in force already."""
     if isinstance(item, Text):
-        found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", item.text)
-        if not found:
-            raise refused(item, f"'{item.text}' is no duration; write 1y, 26w, 90d or 12h")
-        return build(item, lasting, now=now, duration=int(found[1]) * _UNITS[found[2]])
+        return build(item, lasting, now=now, duration=duration(item))
     ends = fields(item, {"not_before": time, "not_after": time}, required=("not_after",))
     before, after = ends.get("not_before", now - BACKDATE), ends["not_after"]
     return before, after
+
+
+def duration(item: Item) -> timedelta:
+    """1y, 26w, 90d or 12h. A year has 365 days."""
+    written = item.text if isinstance(item, Text) else ""
+    found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", written)
+    if not found:
+        raise refused(item, f"'{written}' is no duration; write 1y, 26w, 90d or 12h")
+    return int(found[1]) * _UNITS[found[2]]
 
 
 def lasting(now: datetime, duration: timedelta) -> tuple[datetime, datetime]:

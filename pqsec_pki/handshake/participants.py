@@ -7,7 +7,12 @@ from datetime import datetime
 from typing import Self
 
 from pqsec_pki.algorithms import KeyAgreement, PrivateKey, PublicKey
-from pqsec_pki.certificates import Certificate, verify_chain
+from pqsec_pki.certificates import (
+    Certificate,
+    RevocationList,
+    verify_chain,
+    verify_not_revoked,
+)
 from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
@@ -27,6 +32,8 @@ class Identity:
     """16 bytes; see adjusted_guid."""
     permissions: bytes = field(repr=False)
     """The signed permissions document."""
+    revocation_list: RevocationList | None = field(default=None, repr=False)
+    """The identity CA's, if there is one; then it must be good, and not name the peer."""
 
     def introduction(self, agreement: KeyAgreement, *, nul: bool) -> Introduction:
         """What we say of ourselves; with `nul`, names end in NUL."""
@@ -145,6 +152,7 @@ class Terms:
             verify_chain(peer.certificate, self.own.ca, now=now, require_alternative=required)
         except VerificationError as error:
             yield from error.problems
+        yield from self._revocation_problems(peer, now)
         # c.pdata: the GUID is made from the certificate's subject name
         if not belongs_to(peer.guid, peer.certificate.subject_der):
             yield "the GUID in c.pdata does not belong to the certificate's subject"
@@ -153,3 +161,18 @@ class Terms:
             yield "the GUID in c.pdata is not the one that was discovered"
         if peer.guid == self.own.guid:
             yield "the GUID in c.pdata is our own: the message was reflected"
+
+    def _revocation_problems(self, peer: Peer, now: datetime) -> Iterator[str]:
+        if self.own.revocation_list is None:
+            return
+        required = self.policy.require_alternative
+        try:
+            verify_not_revoked(
+                peer.certificate,
+                self.own.revocation_list,
+                self.own.ca,
+                now=now,
+                require_alternative=required,
+            )
+        except VerificationError as error:
+            yield from error.problems

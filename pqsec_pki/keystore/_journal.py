@@ -5,25 +5,31 @@ made durable, before anything else happens. Renaming that folder to `.journal` i
 commitment. Then the drafted folders are moved into place and the ledger is written.
 Killed before the commitment, the draft is swept away; killed after it, whoever opens
 the keystore next finishes the moves. A new participant's folder moves in one rename.
+
+Links into folders that are there already are only written down, and made when the moves
+are: ten thousand enclaves need not be drafted to give each a link.
 """
 
 import errno
 import fcntl
 import json
 import os
+import pwd
 import secrets
 import shutil
 import stat
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create, sync_filesystem, sync_folder
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._ledger import Entry, Ledger
+from pqsec_pki.keystore import _layout, _shredding
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import Ledger
 
 JOURNAL = ".journal"
 DRAFT = ".draft-"
@@ -58,6 +64,9 @@ class Draft:
     root: Path
     path: Path
     targets: list[str] = field(default_factory=list)
+    links: list[tuple[str, str]] = field(default_factory=list)
+    """Where, and what it will show, relative to its folder."""
+    removed: list[str] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
 
     def folder(self, target: str, *, private: bool) -> DraftedFolder:
@@ -69,6 +78,34 @@ class Draft:
         self.targets.append(target)
         return DraftedFolder(path)
 
+    def link(self, place: str, target: str) -> None:
+        """A symbolic link at `place`, in a folder that is there; another link is replaced.
+
+        KeystoreError if a file or folder is there.
+        """
+        _refuse_detours(self.root, [os.path.dirname(place)])
+        with suppress(FileNotFoundError):
+            if not stat.S_ISLNK(os.lstat(f"{self.root}/{place}").st_mode):
+                raise KeystoreError(
+                    f"{self.root}/{place} should be a link, and is not", hint="move it away"
+                )
+        self.links.append((place, target))
+
+    def remove(self, place: str) -> None:
+        """The file or link at `place`, if there is one, goes when the change is done.
+
+        KeystoreError if that is a folder.
+        """
+        _refuse_detours(self.root, [os.path.dirname(place)])
+        with suppress(FileNotFoundError):
+            if stat.S_ISDIR(os.lstat(f"{self.root}/{place}").st_mode):
+                raise KeystoreError(f"{self.root}/{place} should be a file, and is a folder")
+        self.removed.append(place)
+
+    def shred(self, place: str) -> None:
+        """What the file at `place` held is overwritten, once the change has replaced it."""
+        _shredding.hold(self.path, f"{self.root}/{place}")
+
     def record(self, *entries: Entry) -> None:
         """Lines for the ledger, written when the change is.
 
@@ -76,7 +113,8 @@ class Draft:
         """
         if not self.entries:
             _check_ledger(self.root)
-        self.entries += entries
+        operator = _operator()
+        self.entries += [replace(entry, operator=operator) for entry in entries]
 
 
 @contextmanager
@@ -121,8 +159,22 @@ def disk_errors(root: Path) -> Iterator[None]:
         raise FileError(f"{error.filename or root}: {reason.lower()}") from error
 
 
+@cache
+def _operator() -> str:
+    """Who runs this, as the system calls them."""
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return f"uid {os.getuid()}"
+
+
 def _commit(draft: Draft) -> None:
-    moves = {"targets": draft.targets, "entries": [astuple(entry) for entry in draft.entries]}
+    moves = {
+        "targets": draft.targets,
+        "links": draft.links,
+        "removed": draft.removed,
+        "entries": [astuple(entry) for entry in draft.entries],
+    }
     create(draft.path / _MOVES, json.dumps(moves).encode(), mode=PRIVATE_MODE)
     sync_filesystem(draft.path)
     draft.path.rename(draft.root / JOURNAL)
@@ -145,30 +197,52 @@ def _finish(root: Path) -> None:
     journal = root / JOURNAL
     if not journal.is_dir():
         return
-    targets, entries = _read_moves(journal / _MOVES)
-    _refuse_detours(root, targets)
+    targets, links, removed, entries = _read_moves(journal / _MOVES)
+    others = (*(place for place, _ in links), *removed)
+    _refuse_detours(root, (*targets, *map(os.path.dirname, others)))
     for parent in {os.path.dirname(f"{root}/{target}") for target in targets}:
         _make_folders(Path(parent))
     for number, target in enumerate(targets):
         _move(f"{journal}/{number}", f"{root}/{target}")
+    for place, target in links:
+        _link(journal, f"{root}/{place}", target)
+    for place in removed:
+        Path(root, place).unlink(missing_ok=True)
     if entries:
         with Ledger(root / _layout.PRIVATE / _layout.LEDGER) as ledger:
             ledger.add(entries)
     sync_filesystem(root)
+    _shredding.shred(journal)
     spent = journal.rename(root / f"{DRAFT}{secrets.token_hex(8)}")
     shutil.rmtree(spent)
 
 
-def _read_moves(path: Path) -> tuple[list[str], list[Entry]]:
+def _link(journal: Path, place: str, target: str) -> None:
+    made = journal / "link"
+    made.unlink(missing_ok=True)
+    made.symlink_to(target)
+    with suppress(FileNotFoundError):  # the folder was removed since, and needs no link
+        made.replace(place)
+
+
+_Moves = tuple[list[str], list[tuple[str, str]], list[str], list[Entry]]
+"""Folders, links, what is removed, and the ledger's new lines."""
+
+
+def _read_moves(path: Path) -> _Moves:
     try:
         moves = json.loads(path.read_bytes())
         targets = [str(target) for target in moves["targets"]]
+        links = [(str(place), str(target)) for place, target in moves.get("links", [])]
+        removed = [str(place) for place in moves.get("removed", [])]
         entries = [Entry(*entry) for entry in moves["entries"]]
+        entries = [replace(entry, details=dict(entry.details)) for entry in entries]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise _unreadable(path) from None
-    if any("\0" in each or each.startswith("/") or ".." in each.split("/") for each in targets):
+    places = (*targets, *(place for place, _ in links), *removed)
+    if any("\0" in each or each.startswith("/") or ".." in each.split("/") for each in places):
         raise _unreadable(path)
-    return targets, entries
+    return targets, links, removed, entries
 
 
 def _unreadable(path: Path) -> KeystoreError:

@@ -2,10 +2,12 @@
 
 pqsec.json                          profile and default domains
 public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
+          [identity_ca.crl.pem]
 private/  identity_ca.key.pem permissions_ca.key.pem [*.alt.key.pem] ledger.sqlite3
+          [generations/<number>/]
 enclaves/ governance.xml governance.p7s
 enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
-                  and links to the governance and the CA certificates
+                  and links to the governance, the CA certificates, and as crl.pem to the list
 """
 
 import re
@@ -15,6 +17,8 @@ from pqsec_pki.errors import UsageError
 
 SETTINGS = "pqsec.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", "enclaves"
+GENERATIONS = f"{PRIVATE}/generations"
+"""CAs that made way for others, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
 
 IDENTITY_CA, PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem"
@@ -23,6 +27,12 @@ IDENTITY_KEY, IDENTITY_ALT_KEY = "identity_ca.key.pem", "identity_ca.alt.key.pem
 PERMISSIONS_KEY, PERMISSIONS_ALT_KEY = "permissions_ca.key.pem", "permissions_ca.alt.key.pem"
 
 CERTIFICATE, KEY, ALT_KEY = "cert.pem", "key.pem", "alt.key.pem"
+KEYS = (KEY, ALT_KEY)
+"""The private ones; not there if they were made elsewhere, for a request."""
+REQUEST = "request.pem"
+"""The request that the certificate answers, if its keys were made elsewhere."""
+CA_LIST, LIST = "identity_ca.crl.pem", "crl.pem"
+"""The identity CA's revocation list, and the link to it in each enclave, once there is one."""
 PERMISSIONS_XML, PERMISSIONS = "permissions.xml", "permissions.p7s"
 GOVERNANCE_XML, GOVERNANCE = "governance.xml", "governance.p7s"
 
@@ -51,6 +61,11 @@ def enclave_name(text: str) -> str:
 def enclave_folder(name: str) -> str:
     """The folder of the enclave `name`, relative to the keystore."""
     return f"{ENCLAVES}{name}"
+
+
+CA_TARGETS = {name: f"{PUBLIC}/{name}" for name in (IDENTITY_CA, PERMISSIONS_CA)}
+ALT_TARGET = {PERMISSIONS_ALT_CA: f"{PUBLIC}/{PERMISSIONS_ALT_CA}"}
+LIST_TARGET = {LIST: f"{PUBLIC}/{CA_LIST}"}
 
 
 def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:

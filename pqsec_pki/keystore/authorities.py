@@ -11,6 +11,7 @@ from typing import Self
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import (
+    Family,
     PrivateKey,
     Profile,
     PublicKey,
@@ -20,10 +21,10 @@ from pqsec_pki.algorithms import (
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import KeystoreError, PassphraseError, located
 from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._journal import DraftedFolder
-from pqsec_pki.keystore._ledger import Entry
 from pqsec_pki.keystore.participant import load_certificate
-from pqsec_pki.smime import Signer, sign
+from pqsec_pki.smime import Require, Signer, sign
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,12 +91,28 @@ class Authorities:
         """Draft the certificates and, encrypted under `passphrase`, the keys."""
         for name, certificate in _certificates(self):
             public.public(name, certificate.pem)
+        self.write_keys(private, passphrase)
+
+    def write_keys(self, private: DraftedFolder, passphrase: bytes | None) -> None:
+        """Draft the keys, encrypted under `passphrase`; None leaves them open."""
         keys = list(_keys(self))
         # Each encryption costs 600,000 hashes, and does not hold the interpreter.
         with ThreadPoolExecutor() as pool:
             pems = pool.map(lambda item: private_key_pem(item[1], passphrase), keys)
             for (name, _), pem in zip(keys, pems, strict=True):
                 private.private(name, pem)
+
+    def refuse_outdated(self, root: Path) -> None:
+        """KeystoreError if the keystore at `root` has other CAs now: they were rotated.
+
+        To be asked while the keystore is locked.
+        """
+        for name, certificate in _certificates(self):
+            if load_certificate(root / _layout.PUBLIC / name).der != certificate.der:
+                raise KeystoreError(
+                    f"{certificate.subject_name} has made way for another CA meanwhile",
+                    hint="run the command again",
+                )
 
     def entries(self, now: datetime) -> Iterator[Entry]:
         """The lines for the ledger."""
@@ -136,7 +153,24 @@ def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authoritie
     return authorities
 
 
-def certificate_entry(kind: str, name: str, certificate: Certificate, now: datetime) -> Entry:
+def required_signatures(profile: Profile) -> Require:
+    """Which signatures a document must have under that profile."""
+    if profile.alternative_key or profile.permissions_key.family is Family.HYBRID:
+        return Require.BOTH
+    if profile.permissions_key.family is Family.PQ:
+        return Require.PQ
+    return Require.CLASSICAL
+
+
+def certificate_entry(  # noqa: PLR0913 -- what the line says, the rarer things by name
+    kind: str,
+    name: str,
+    certificate: Certificate,
+    now: datetime,
+    *,
+    issuer: Certificate | None = None,
+    details: dict[str, str] | None = None,
+) -> Entry:
     """The ledger's line on a certificate."""
     return Entry(
         at=now.isoformat(timespec="seconds"),
@@ -145,6 +179,8 @@ def certificate_entry(kind: str, name: str, certificate: Certificate, now: datet
         serial=f"{certificate.serial_number:x}",
         sha256=certificate.fingerprint,
         not_after=certificate.not_after.isoformat(),
+        issuer=issuer.fingerprint if issuer else None,
+        details=details or {},
     )
 
 
@@ -188,7 +224,10 @@ def _load_key(path: Path, passphrase: bytes | None) -> PrivateKey:
 def _check_pairs(authorities: Authorities) -> None:
     """A key that is not its certificate's would sign what nobody can verify."""
     if authorities.identity.certificate.spki == authorities.permissions.certificate.spki:
-        raise KeystoreError("one key is identity CA and permissions CA (CVE-2023-24010)")
+        raise KeystoreError(
+            "one key is identity CA and permissions CA (CVE-2023-24010)",
+            hint="make two that are distinct, and everything anew with them: `pqsec ca rotate`",
+        )
     for authority in (authorities.identity, authorities.permissions, authorities.countersigner):
         if authority is None:
             continue

@@ -4,16 +4,15 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from pathlib import Path
+from functools import partial
 
-from pqsec_pki.algorithms import private_key_pem
 from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
-from pqsec_pki.errors import ExistsError, UsageError
+from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._journal import DraftedFolder
-from pqsec_pki.keystore._ledger import Entry
-from pqsec_pki.keystore.authorities import Authorities, certificate_entry, document_entry
+from pqsec_pki.keystore._journal import Draft, DraftedFolder
+from pqsec_pki.keystore._making import Issued, Keys, Maker, PublicKeys
+from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.keystore import Keystore
 
 _SHARED = {
@@ -37,95 +36,89 @@ class Wish:
     validity: timedelta
     grants: tuple[Grant, ...] = ()
     """Of a policy: their rules hold in place of the domains and topics above."""
+    keys: PublicKeys | None = None
+    """Of a request that was checked; None to make new keys here."""
+    mark: str = ""
+    """What the caller wants to find again in the ledger and in `status`, renewed or not."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Issued:
-    """What was made for one participant."""
-
-    name: str
-    folder: Path
-    serial: str
-    not_after: datetime
-    shortened: bool
-    """Whether it ends earlier than asked, because the identity CA does."""
-    certificate_size: int
-    """Bytes of cert.pem; it travels in every handshake."""
-    permissions_size: int
-    """Bytes of permissions.p7s; it travels in every handshake."""
-    entries: tuple[Entry, Entry]
-
-
-def issue(
+def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,
     authorities: Authorities,
     wishes: Sequence[Wish],
     *,
     now: datetime,
     force: bool = False,
+    after_revocation: bool = False,
 ) -> list[Issued]:
     """Make every participant wished for; on any failure, none.
 
     Names are taken as `Wish.name` says and must differ. ExistsError for participants
-    that are there already, unless `force`; UsageError for a name, topic or validity
-    that cannot be used.
+    that are there already, unless `force`; KeystoreError for those that were revoked,
+    unless `after_revocation`; UsageError for a name, topic or validity that cannot be
+    used.
     """
     wishes = _checked(keystore, wishes, force=force)
-    maker = _Maker(keystore, authorities, now)
+    maker = Maker(keystore, authorities, now)
     with _journal.change(keystore.root) as draft, ThreadPoolExecutor() as pool:
+        authorities.refuse_outdated(keystore.root)
         _refuse_issued(keystore, wishes, force=force)  # by another command, since
+        if not after_revocation:
+            _refuse_revoked(keystore, wishes)
+        shared = _shared(keystore, authorities)
         folders = [draft.folder(_layout.enclave_folder(wish.name), private=True) for wish in wishes]
+        for wish in wishes:
+            _clear(draft, wish)
         # Signing does not hold the interpreter, so threads use every core.
-        issued = list(pool.map(maker.make, wishes, folders))
+        issued = list(pool.map(partial(_make, maker, shared), wishes, folders))
         for each in issued:
             draft.record(*each.entries)
     return issued
 
 
-@dataclass(frozen=True, slots=True)
-class _Maker:
-    keystore: Keystore
-    authorities: Authorities
-    now: datetime
+def _make(maker: Maker, shared: dict[str, str], wish: Wish, folder: DraftedFolder) -> Issued:
+    keys = wish.keys or _new_keys(maker, folder)
+    certificate = maker.authorities.identity.issue(
+        wish.name, keys.key, alternative=keys.alternative, now=maker.now, validity=wish.validity
+    )
+    if keys.csr:
+        folder.public(_layout.REQUEST, keys.csr)
+    for link, target in _layout.shared_links(wish.name, shared).items():
+        folder.link(link, target)
+    permissions = permissions_for(wish, certificate)
+    asked = end_of(maker.now, wish.validity)
+    return maker.draft(
+        folder,
+        wish.name,
+        certificate,
+        permissions,
+        asked=asked,
+        mark=wish.mark,
+        request=keys.request,
+    )
 
-    def make(self, wish: Wish, folder: DraftedFolder) -> Issued:
-        profile, now = self.keystore.profile, self.now
-        key = profile.participant_key.generate()
-        second = profile.alternative_key.generate() if profile.alternative_key else None
-        certificate = self.authorities.identity.issue(
-            wish.name,
-            key.public_key,
-            alternative=second.public_key if second else None,
-            now=now,
-            validity=wish.validity,
-        )
-        permissions = permissions_for(wish, certificate).to_xml()
-        signed = self.authorities.sign(permissions, now=now)
-        folder.private(_layout.KEY, private_key_pem(key))
-        if second:
-            folder.private(_layout.ALT_KEY, private_key_pem(second))
-        folder.public(_layout.CERTIFICATE, certificate.pem)
-        folder.public(_layout.PERMISSIONS_XML, permissions)
-        folder.public(_layout.PERMISSIONS, signed)
-        self._link(wish.name, folder)
-        return Issued(
-            name=wish.name,
-            folder=self.keystore.root / _layout.enclave_folder(wish.name),
-            serial=f"{certificate.serial_number:x}",
-            not_after=certificate.not_after,
-            shortened=certificate.not_after < end_of(now, wish.validity),
-            certificate_size=len(certificate.pem),
-            permissions_size=len(signed),
-            entries=(
-                certificate_entry("participant", wish.name, certificate, now),
-                document_entry("permissions", wish.name, signed, now),
-            ),
-        )
 
-    def _link(self, name: str, folder: DraftedFolder) -> None:
-        shared = _SHARED | (_SHARED_ALT if self.authorities.countersigner else {})
-        for link, target in _layout.shared_links(name, shared).items():
-            folder.link(link, target)
+def _new_keys(maker: Maker, folder: DraftedFolder) -> PublicKeys:
+    keys = Keys.generate(maker.keystore.profile)
+    keys.draft(folder)
+    return keys.public
+
+
+def _clear(draft: Draft, wish: Wish) -> None:
+    """What was there for other keys, if anything was: it would pass for its own."""
+    folder = _layout.enclave_folder(wish.name)
+    if wish.keys is None:
+        draft.remove(f"{folder}/{_layout.REQUEST}")
+        return
+    for key in _layout.KEYS:
+        draft.shred(f"{folder}/{key}")
+        draft.remove(f"{folder}/{key}")
+
+
+def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
+    """What all enclaves link to."""
+    shared = _SHARED | (_SHARED_ALT if authorities.countersigner else {})
+    return shared | (_layout.LIST_TARGET if keystore.has_revocation_list else {})
 
 
 def permissions_for(wish: Wish, certificate: Certificate) -> Permissions:
@@ -175,9 +168,21 @@ def _checked(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -> list
 
 
 def _refuse_issued(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -> None:
-    there = [] if force else sorted({wish.name for wish in wishes} & set(keystore.names()))
+    there = [] if force else sorted(wish.name for wish in wishes if keystore.has(wish.name))
     if there:
         raise ExistsError(
             f"already issued: {', '.join(there)}",
             hint="choose another name, or --force to replace key, certificate and permissions",
+        )
+
+
+def _refuse_revoked(keystore: Keystore, wishes: Iterable[Wish]) -> None:
+    with keystore.open_ledger() as ledger:
+        dead = {each.sha256 for each in ledger.of_kind("revocation")}
+        newest = [ledger.of_name("participant", wish.name)[-1:] for wish in wishes if dead]
+    names = sorted(each.name for [each] in filter(None, newest) if each.sha256 in dead)
+    if names:
+        raise KeystoreError(
+            f"revoked: {', '.join(names)}",
+            hint="if it may come back, issue it with --force --after-revocation",
         )

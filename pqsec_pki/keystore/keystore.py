@@ -1,6 +1,7 @@
 """A keystore: made once, opened by every command after."""
 
 import json
+import os
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -8,16 +9,18 @@ from typing import Self
 
 from pqsec_pki._files import read, write
 from pqsec_pki.algorithms import Profile, is_encrypted
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.documents import DomainSet, Governance, Kind
 from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._ledger import Entry, Ledger
+from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, document_entry, unlock
 from pqsec_pki.keystore.participant import (
     Participant,
     load_certificate,
     load_participant,
+    load_revocation_list,
     refuse_unknown,
 )
 
@@ -63,7 +66,7 @@ class Keystore:
             enclaves.public(_layout.GOVERNANCE_XML, governance)
             enclaves.public(_layout.GOVERNANCE, signed)
             settings = draft.folder(".", private=False)
-            settings.public(_layout.SETTINGS, _settings(profile, domains))
+            settings.public(_layout.SETTINGS, settings_file(profile, domains))
             draft.record(*authorities.entries(now), document_entry("governance", "", signed, now))
         return cls(root, profile, domains)
 
@@ -126,6 +129,21 @@ class Keystore:
         """The signed governance document."""
         return read(self.root / _layout.ENCLAVES / _layout.GOVERNANCE)
 
+    @property
+    def revocation_list(self) -> RevocationList | None:
+        """The identity CA's revocation list, once there is one."""
+        return load_revocation_list(self.revocation_list_path) if self.has_revocation_list else None
+
+    @property
+    def has_revocation_list(self) -> bool:
+        """Whether there is one; whether it can be read is not looked at."""
+        return self.revocation_list_path.exists()
+
+    @property
+    def revocation_list_path(self) -> Path:
+        """Where it is, or will be; each enclave has a link to it, crl.pem."""
+        return self.root / _layout.PUBLIC / _layout.CA_LIST
+
     def unlock(self, passphrase: bytes | None) -> Authorities:
         """The CAs with their private keys; PassphraseError if `passphrase` is not theirs."""
         return unlock(self.root, self.profile, passphrase)
@@ -138,6 +156,11 @@ class Keystore:
     def names(self) -> list[str]:
         """The participants' names, sorted."""
         return _layout.names_in(self.root)
+
+    def has(self, name: str) -> bool:
+        """Whether there is a participant called `name`."""
+        folder = _layout.enclave_folder(_layout.enclave_name(name))
+        return os.path.lexists(f"{self.root}/{folder}/{_layout.CERTIFICATE}")
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`."""
@@ -164,16 +187,26 @@ class Keystore:
         """
         signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
         with _journal.change(self.root) as draft:
+            authorities.refuse_outdated(self.root)
             draft.record(document_entry(kind.value, str(goal), signed, now))
             write(goal, signed, force=force)
         return signed
 
     def ledger(self) -> list[Entry]:
-        """Everything that was ever issued here, oldest first."""
-        with Ledger(self.root / _layout.PRIVATE / _layout.LEDGER) as ledger:
-            return ledger.entries()
+        """Everything that was ever issued or taken back here, oldest first."""
+        return [line.entry for line in self.lines()]
+
+    def lines(self) -> list[Line]:
+        """The ledger's lines with their chain, oldest first."""
+        with self.open_ledger() as ledger:
+            return list(ledger.lines())
+
+    def open_ledger(self) -> Ledger:
+        """The ledger, for the modules of this room."""
+        return Ledger(self.root / _layout.PRIVATE / _layout.LEDGER)
 
 
-def _settings(profile: Profile, domains: DomainSet) -> bytes:
+def settings_file(profile: Profile, domains: DomainSet) -> bytes:
+    """What pqsec.json holds."""
     settings = {"format": FORMAT, "algorithms": profile.to_names(), "domains": str(domains)}
     return json.dumps(settings, indent=2).encode() + b"\n"

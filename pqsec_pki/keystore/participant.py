@@ -1,11 +1,12 @@
 """A participant as it lies in its enclave: keys, certificate, documents, and whom it trusts."""
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.errors import FileError, KeystoreError, located
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._journal import disk_errors
@@ -27,6 +28,8 @@ class Participant:
     permissions_ca: Certificate
     permissions_alt_ca: Certificate | None
     """Signer of countersignatures, where the profile has them."""
+    revocation_list: RevocationList | None = None
+    """The identity CA's, once it has taken certificates back."""
 
 
 def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> Participant:
@@ -45,6 +48,7 @@ def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Part
     _check_complete(folder)
     alternative = folder / _layout.ALT_KEY
     alt_ca = folder / _layout.PERMISSIONS_ALT_CA
+    revoked = folder / _layout.LIST
     return Participant(
         name=name,
         certificate=load_certificate(folder / _layout.CERTIFICATE),
@@ -55,6 +59,7 @@ def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Part
         identity_ca=load_certificate(folder / _layout.IDENTITY_CA),
         permissions_ca=load_certificate(folder / _layout.PERMISSIONS_CA),
         permissions_alt_ca=load_certificate(alt_ca) if alt_ca.exists() else None,
+        revocation_list=load_revocation_list(revoked) if revoked.exists() else None,
     )
 
 
@@ -77,17 +82,38 @@ def load_certificate(path: Path) -> Certificate:
         return Certificate.from_pem(read(path))
 
 
+def load_revocation_list(path: Path) -> RevocationList:
+    """The revocation list in PEM file `path`; errors name the file."""
+    with located(path):
+        return _revocation_list(read(path))
+
+
+@lru_cache(maxsize=8)
+def _revocation_list(data: bytes) -> RevocationList:
+    """All participants of a keystore share one, which may be long."""
+    return RevocationList.from_pem(data)
+
+
 def _check_complete(folder: Path) -> None:
-    """The six files that every stack reads; ROS 2 does not say which one it misses."""
+    """The six files that every stack reads; ROS 2 does not say which one it misses.
+
+    Nor does it say that a link to a revocation list leads nowhere: it takes everybody.
+    """
     needed = (
         _layout.KEY,
         _layout.PERMISSIONS,
         _layout.GOVERNANCE,
         _layout.IDENTITY_CA,
         _layout.PERMISSIONS_CA,
+        *([_layout.LIST] if (folder / _layout.LIST).is_symlink() else []),
     )
     missing = [name for name in needed if not (folder / name).is_file()]
     lost = [str((folder / name).readlink()) for name in missing if (folder / name).is_symlink()]
+    if missing == [_layout.KEY] and (folder / _layout.REQUEST).is_file():
+        raise KeystoreError(
+            f"{folder} lacks {_layout.KEY}: its keys are on its robot",
+            hint="what is here can be checked without them: `pqsec check`, `pqsec explain`",
+        )
     if missing:
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}",

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 
+from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family, Found, Severity
-from pqsec_pki.lint.subjects import File, Inventory
+from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import SuppressionFile
 
 FAMILY = Family("frame")

@@ -5,7 +5,7 @@ from weakref import WeakKeyDictionary
 
 from pqsec_pki.algorithms import is_encrypted, load_private_key
 from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
-from pqsec_pki.lint.subjects import File
+from pqsec_pki.lint.file import File
 
 
 @dataclass(frozen=True, slots=True)

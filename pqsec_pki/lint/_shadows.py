@@ -8,9 +8,9 @@ import re
 from bisect import bisect_left, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from typing import Generic, TypeVar
 
+from pqsec_pki.access import SPEC
 from pqsec_pki.documents import DomainRange, DomainSet
 
 ODD_PATTERNS = 32
@@ -19,6 +19,11 @@ MAX_NAME = 256
 _WILD = re.compile(r"[*?\[\]\\]")
 
 Mark = TypeVar("Mark")
+
+
+def covers_all(pattern: str) -> bool:
+    """Whether it matches every topic: as all names have a letter, `?*` does."""
+    return "*" in pattern and pattern.replace("?", "", 1).strip("*") == ""
 
 
 @dataclass(slots=True)
@@ -49,7 +54,7 @@ class Patterns(Generic[Mark]):
             if fixed[:length] in self.prefixes:
                 yield self.prefixes[fixed[:length]]
         if not wild:
-            yield from (mark for other, mark in self.odd if fnmatchcase(pattern, other))
+            yield from (mark for other, mark in self.odd if SPEC.covers(other, pattern))
 
 
 @dataclass(slots=True)
@@ -100,10 +105,11 @@ def _overlap(part: int | DomainRange, other: int | DomainRange) -> bool:
 
 
 def covers_domains(earlier: DomainSet, later: DomainSet) -> bool:
-    """Whether each part of `later` lies within one part of `earlier`."""
-    return earlier == later or all(
-        any(_within(part, other) for other in earlier.parts[:ODD_PATTERNS])
-        for part in later.parts[:ODD_PATTERNS]
+    """Whether each part of `later` lies within one part of `earlier`; no if there are too many."""
+    if earlier == later or len(later.parts) > ODD_PATTERNS:
+        return earlier == later
+    return all(
+        any(_within(part, other) for other in earlier.parts[:ODD_PATTERNS]) for part in later.parts
     )
 
 

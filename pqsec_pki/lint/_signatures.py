@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.lint._roles import Role, key_kind, key_of, role_of
+from pqsec_pki.lint.file import File
 from pqsec_pki.lint.subjects import (
     CERTIFICATE,
     GOVERNANCE,
@@ -14,10 +16,9 @@ from pqsec_pki.lint.subjects import (
     PERMISSIONS,
     PERMISSIONS_CA,
     Enclave,
-    File,
     Inventory,
 )
-from pqsec_pki.smime import Listed, ListedSigner, document_in, signers_in, verify
+from pqsec_pki.smime import Listed, ListedSigner, signers_in, verify
 
 PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
 _COUNTER = "the countersignature"
@@ -38,19 +39,20 @@ class Pair:
     """Certificates near by, with what they are: perhaps one of them signed it."""
 
 
-def pairs(inventory: Inventory) -> Iterator[Pair]:
+def pairs(inventory: Inventory) -> tuple[Pair, ...]:
     """Each document with each CA that it is checked against, once."""
-    seen = set()
-    for pair in (*_in_enclaves(inventory), *_outside(inventory)):
-        key = (pair.file.path, pair.ca.fingerprint)
-        if key not in seen:
-            seen.add(key)
-            yield pair
+    found = _PAIRS.get(inventory)
+    if found is None:
+        first: dict[tuple[Path, str], Pair] = {}
+        for pair in (*_in_enclaves(inventory), *_outside(inventory)):
+            first.setdefault((pair.file.path, pair.ca.fingerprint), pair)
+        found = _PAIRS[inventory] = tuple(first.values())
+    return found
 
 
 def listed(file: File) -> Listed | None:
     """What the document says of its signatures; None if it cannot be read."""
-    return _read(file).listed if file.is_signed else None
+    return _listed(file)[0] if file.is_signed else None
 
 
 def signers(file: File) -> tuple[ListedSigner, ...]:
@@ -61,12 +63,12 @@ def signers(file: File) -> tuple[ListedSigner, ...]:
 
 def trouble(file: File) -> str | None:
     """Why the document cannot be read, if it cannot."""
-    return _read(file).reason
+    return _listed(file)[1]
 
 
 def text(file: File) -> bytes | None:
     """What is signed; None if that is not text/plain, as PKCS7_TEXT wants it."""
-    return _read(file).text
+    return file.signed_text[0]
 
 
 def broken_digests(file: File) -> tuple[str, ...]:
@@ -78,8 +80,9 @@ def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
     """Whether the signature says that it is by `certificate`."""
     if signer.key_identifier is not None:
         return signer.key_identifier == certificate.subject_key_identifier
-    same_issuer = signer.issuer == name_text(certificate.issuer)
-    return same_issuer and signer.serial_number == certificate.serial_number
+    if signer.serial_number != certificate.serial_number:
+        return False
+    return signer.issuer == name_text(certificate.issuer)
 
 
 def uncheckable(pair: Pair) -> str | None:
@@ -165,33 +168,21 @@ def _refusal(pair: Pair) -> tuple[str, ...]:
     return ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    listed: Listed | None
-    text: bytes | None
-    reason: str | None
-
-
-# Several rules ask, and all enclaves share one governance. Forgotten with the file.
-_READ: WeakKeyDictionary[File, _Reading] = WeakKeyDictionary()
+# Several rules ask, and all enclaves share one governance. Forgotten with the subject.
+_PAIRS: WeakKeyDictionary[Inventory, tuple[Pair, ...]] = WeakKeyDictionary()
+_LISTED: WeakKeyDictionary[File, tuple[Listed | None, str | None]] = WeakKeyDictionary()
 _REFUSALS: WeakKeyDictionary[File, dict[tuple[str, str | None], tuple[str, ...]]] = (
     WeakKeyDictionary()
 )
 
 
-def _read(file: File) -> _Reading:
-    found = _READ.get(file)
+def _listed(file: File) -> tuple[Listed | None, str | None]:
+    """What it says of its signatures, or why it cannot be read."""
+    found = _LISTED.get(file)
     if found is None:
-        found = _READ[file] = _parsed(file.data)
+        try:
+            found = signers_in(file.data), None
+        except PqsecError as error:
+            found = None, str(error)
+        _LISTED[file] = found
     return found
-
-
-def _parsed(data: bytes) -> _Reading:
-    try:
-        found = signers_in(data)
-    except PqsecError as error:
-        return _Reading(None, None, str(error))
-    try:
-        return _Reading(found, document_in(data), None)
-    except PqsecError:
-        return _Reading(found, None, None)

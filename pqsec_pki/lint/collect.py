@@ -12,26 +12,27 @@ from pathlib import Path
 from pqsec_pki._files import read
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint.document import Document, document_of
+from pqsec_pki.lint.file import File
 from pqsec_pki.lint.subjects import (
     CERTIFICATE,
     KEY,
     PERMISSIONS,
     SIX,
     CertificateFile,
-    Document,
     Enclave,
-    File,
     Inventory,
-    document_of,
 )
 
 MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""
+MAX_BYTES = 1 << 30
+"""In all files together, which are kept: that keystore has 0.2 GB."""
 SETTINGS, JOURNAL = "pqsec.json", ".journal"
 ENCLAVES = "enclaves"
 
 # In a folder only files with such a name are read, backup copies (key.pem~) with them.
-_OURS = re.compile(r"\.(pem|crt|cer|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
+_OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
 _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
 _TWO_OF_SIX = 2
 
@@ -39,7 +40,7 @@ _TWO_OF_SIX = 2
 def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
     """What is in these files and folders, links followed to files.
 
-    FileError if a path is not there, if there is nothing to check, or too much.
+    FileError if a path is not there or closed, if there is nothing to check, or too much.
     """
     search = _Search(now)
     named = list(paths)
@@ -79,6 +80,8 @@ class _Search:
     enclaves: dict[Path, dict[str, tuple[int, int] | None]] = field(default_factory=dict)
     """Folder -> its files by name; None for a link that leads nowhere."""
     named: set[Path] = field(default_factory=set)
+    size: int = 0
+    """Bytes read."""
     keystore: Keystore | None = None
     cut_off: Path | None = None
 
@@ -89,13 +92,13 @@ class _Search:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
             raise FileError(f"{path}: {(reason or str(error)).lower()}") from error
+        self.named.add(path)
         if not stat.S_ISDIR(found.st_mode):
-            self.named.add(path)
             if not stat.S_ISREG(found.st_mode):
                 raise FileError(f"{path}: not a file")
             self._file(path, found)
             return
-        if (path / SETTINGS).is_file() and self.keystore is None:
+        if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
             self._settings(path)
         links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
         for link in links:  # after all files, which so have their own paths
@@ -114,9 +117,20 @@ class _Search:
             self._unread(path, str(error).removeprefix(f"{path}: "))
 
     def _unread(self, path: Path, reason: str) -> None:
-        """It is there, and could not be looked into; its rule tells."""
-        with suppress(OSError):  # gone meanwhile
+        """It is there, and could not be looked into; its rule tells.
+
+        In a folder that is closed nothing can be asked about, so the folder is told. What
+        the user named was to be checked: FileError.
+        """
+        if path in self.named:
+            raise FileError(f"{path}: {reason}")
+        try:
             found = path.stat()
+        except PermissionError:
+            self._unread(path.parent, reason)
+        except OSError:
+            pass  # gone meanwhile
+        else:
             key = (found.st_dev, found.st_ino)
             self.files[key] = File(path, b"", found.st_mode, self.now, reason)
 
@@ -125,14 +139,15 @@ class _Search:
 
     def _walk(self, root: Path) -> Iterator[tuple[Path, list[str]]]:
         for folder, folders, names in os.walk(root, onerror=self._unlisted):
-            folders.sort()
             path = Path(folder)
-            self.folders[path] = path.stat().st_mode
+            folders[:] = sorted(name for name in folders if not _is_past(path / name))
+            with suppress(OSError):  # gone meanwhile
+                self.folders[path] = path.stat().st_mode
             yield path, sorted(names)
 
     def _here(self, folder: Path, names: list[str]) -> Iterator[Path]:
         """Take the files of a folder; the links are given back."""
-        ours = {name: (folder / name).lstat() for name in names if _OURS.search(name)}
+        ours = dict(self._looked_at(folder, names))
         links = {name for name, found in ours.items() if stat.S_ISLNK(found.st_mode)}
         if _is_enclave(folder, ours):
             self.enclaves[folder] = {
@@ -144,6 +159,13 @@ class _Search:
             if name not in links and stat.S_ISREG(found.st_mode):
                 self._file(folder / name, found)
         return (folder / name for name in sorted(links))
+
+    def _looked_at(self, folder: Path, names: list[str]) -> Iterator[tuple[str, os.stat_result]]:
+        for name in filter(_OURS.search, names):
+            try:
+                yield name, (folder / name).lstat()
+            except OSError as error:
+                self._unlisted(error)
 
     def _link(self, link: Path) -> None:
         try:
@@ -168,7 +190,17 @@ class _Search:
             data = read(path)
         except PqsecError as error:
             reason = str(error).removeprefix(f"{path}: ")
+            if path in self.named:
+                raise
+        self.size += len(data)
+        if self.size > MAX_BYTES:
+            raise FileError(f"more than {MAX_BYTES} bytes to check", hint="name a smaller folder")
         self.files[key] = File(path, data, found.st_mode, self.now, reason)
+
+
+def _is_past(folder: Path) -> bool:
+    """Whether CAs lie there that made way for others: nobody trusts them any more."""
+    return folder.parts[-2:] == ("private", "generations")
 
 
 def _is_enclave(folder: Path, names: Iterable[str]) -> bool:

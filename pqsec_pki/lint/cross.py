@@ -1,20 +1,20 @@
 """Rules about what lies together in an enclave, and has to fit."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from cryptography import x509
 
 from pqsec_pki.certificates import Certificate, common_name
-from pqsec_pki.documents import DomainSet, Grant, parse_subject, same_subject
-from pqsec_pki.documents.domains import MAX_DOMAIN, DomainRange
+from pqsec_pki.documents import DefaultAction, Grant, parse_subject, same_subject
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import held
 from pqsec_pki.lint._roles import extension, is_signed_by, key_of
+from pqsec_pki.lint._shadows import domains_meet
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
 from pqsec_pki.lint.subjects import CERTIFICATE, IDENTITY_CA, KEY, SIX, CertificateFile, Enclave
 
 FAMILY = Family("cross-artefact")
-ALT_KEY = "alt.key.pem"
+ALT_KEY, REQUEST = "alt.key.pem", "request.pem"
 ENCLAVES = "enclaves"
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
@@ -27,7 +27,7 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 )  # fmt: skip
 def incomplete(enclave: Enclave) -> Iterator[Found]:
     there = {*enclave.files, *enclave.lost}
-    missing = [name for name in SIX if name not in there and not _is_in_token(enclave, name)]
+    missing = [name for name in SIX if name not in there and not _is_elsewhere(enclave, name)]
     if missing:
         yield Found(f"lacks {', '.join(missing)}")
 
@@ -176,9 +176,12 @@ def no_common_domain(enclave: Enclave) -> Iterator[Found]:
     governance, permissions = enclave.governance(), enclave.permissions()
     if not (governance and governance.governance and permissions):
         return
-    governed = _bounds(rule.domains for rule in governance.governance.domain_rules)
-    granted = _bounds(rule.domains for grant in own_grants(enclave) for rule in grant.rules)
-    if granted and not any(_meet(one, other) for one in governed for other in granted):
+    governed = [rule.domains for rule in governance.governance.domain_rules]
+    grants = own_grants(enclave)
+    if any(grant.default is DefaultAction.ALLOW for grant in grants):
+        return  # on every domain
+    granted = dict.fromkeys(rule.domains for grant in grants for rule in grant.rules)
+    if granted and not any(domains_meet(one, other) for one in governed for other in granted):
         yield Found("permits no domain that the governance governs", path=permissions.path)
 
 
@@ -197,9 +200,16 @@ def _is_issued_by(certificate: Certificate, ca: Certificate) -> bool:
     return certificate.issuer_der == ca.subject_der and is_signed_by(certificate, ca)
 
 
-def _is_in_token(enclave: Enclave, name: str) -> bool:
-    """Whether ROS 2 finds the address of a PKCS #11 token in its place."""
+def _is_elsewhere(enclave: Enclave, name: str) -> bool:
+    """Whether ROS 2 finds the address of a PKCS #11 token in its place; or it is on the robot."""
+    if name == KEY and has_keys_on_robot(enclave):
+        return True
     return (enclave.folder / name).with_suffix(".p11").exists()
+
+
+def has_keys_on_robot(enclave: Enclave) -> bool:
+    """Whether this is where the CAs are, and the keys were made for a request."""
+    return REQUEST in enclave.files and KEY not in enclave.files
 
 
 def own_grants(enclave: Enclave) -> list[Grant]:
@@ -233,17 +243,3 @@ def _certified(certificate: Certificate) -> Iterator[tuple[str, bytes]]:
         yield KEY, certificate.spki
     if certificate.alternative and certificate.alternative.spki:
         yield ALT_KEY, certificate.alternative.spki
-
-
-def _bounds(domains: Iterable[DomainSet]) -> list[tuple[int, int]]:
-    return [_ends(part) for each in domains for part in each.parts]
-
-
-def _ends(part: int | DomainRange) -> tuple[int, int]:
-    if not isinstance(part, DomainRange):
-        return part, part
-    return part.first, MAX_DOMAIN if part.last is None else part.last
-
-
-def _meet(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    return one[0] <= other[1] and other[0] <= one[1]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Rule
 from pqsec_pki.lint._shadows import Patterns, Starts, covers_domains, domains_meet
+from pqsec_pki.lint.document import Document, PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import Document, PermissionsFile
 
 FAMILY = Family("documents")
 

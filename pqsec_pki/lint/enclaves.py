@@ -10,8 +10,10 @@ from pqsec_pki.lint.cross import ENCLAVES
 from pqsec_pki.lint.revocation import lists_of
 from pqsec_pki.lint.rule import Family, Found, Severity
 from pqsec_pki.lint.subjects import (
+    CERTIFICATE,
     GOVERNANCE,
     IDENTITY_CA,
+    PERMISSIONS,
     PERMISSIONS_CA,
     CertificateFile,
     Enclave,
@@ -58,7 +60,7 @@ def different_cas(inventory: Inventory) -> Iterator[Found]:
     "PQS312", Severity.ERROR, Inventory, "one key is identity CA and permissions CA",
     why="Where the CA is one, stacks that do not pin the signer (Cyclone DDS 0.10, Fast DDS"
     " 2.9) let any participant sign its own permissions (CVE-2023-24010).",
-    mend="Make two CAs: `pqsec ca init`. SROS2 makes one unless told otherwise.",
+    mend="Make two CAs: `pqsec ca rotate`, of SROS2's keystore after `pqsec adopt`.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
 )  # fmt: skip
@@ -87,6 +89,24 @@ def old_list(inventory: Inventory) -> Iterator[Found]:
             has = f"a revocation list of {own:%Y-%m-%d %H:%M}" if own else "no revocation list"
             words = f"has {has}; {other.name} has one of {latest:%Y-%m-%d %H:%M} UTC"
             yield Found(words, path=enclave.folder)
+
+
+@FAMILY.rule(
+    "PQS318", Severity.ERROR, Enclave, "a file is not what its name says",
+    why="Under each of the six names stacks look for a certificate in PEM, or for one of the two"
+    " documents, and find none. Whatever should fit to it was not checked either.",
+    mend="Put the right file there (`openssl x509 -inform DER` makes PEM of DER), or issue the"
+    " participant again.",
+)  # fmt: skip
+def misnamed(enclave: Enclave) -> Iterator[Found]:
+    for name, file in enclave.files.items():
+        is_certificate = name == CERTIFICATE or name.endswith(f".{CERTIFICATE}")
+        if is_certificate and "CERTIFICATE" not in file.labels and not file.unreadable:
+            yield Found("there is no certificate in PEM in it", path=enclave.folder / name)
+    if enclave.governance(PERMISSIONS):
+        yield Found("is governance, not permissions", path=enclave.folder / PERMISSIONS)
+    if enclave.permissions(GOVERNANCE):
+        yield Found("is permissions, not governance", path=enclave.folder / GOVERNANCE)
 
 
 @FAMILY.rule(

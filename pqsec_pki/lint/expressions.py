@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterator
 
 from pqsec_pki.documents import Node
+from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import Document
 
 FAMILY = Family("documents")
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 from pqsec_pki.algorithms import is_encrypted
 from pqsec_pki.lint._keys import held
 from pqsec_pki.lint._roles import Role, role_of
+from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family, Found, Severity
-from pqsec_pki.lint.subjects import File, Inventory
+from pqsec_pki.lint.subjects import Inventory
 
 FAMILY = Family("files")
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 from pqsec_pki.documents import DomainRule, ProtectionKind, TopicRule
-from pqsec_pki.lint._shadows import Patterns, covers_domains
+from pqsec_pki.lint._shadows import Patterns, covers_all, covers_domains
+from pqsec_pki.lint.document import GovernanceFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import GovernanceFile
 
 FAMILY = Family("documents")
 
@@ -162,7 +162,7 @@ def shadowed_domains(document: GovernanceFile) -> Iterator[Found]:
 )  # fmt: skip
 def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Found]:
     for rule in _rules(document):
-        if not any(topic.topic_expression.strip("*") == "" for topic in rule.topic_rules):
+        if not any(covers_all(topic.topic_expression) for topic in rule.topic_rules):
             yield document.at(rule.line, "no topic rule is for all other topics (*)")
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint._names import CUTS, parsed, repeated
+from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import CertificateFile, Inventory, PermissionsFile
+from pqsec_pki.lint.subjects import CertificateFile, Inventory
 
 FAMILY = Family("naming")
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 from pqsec_pki.documents import DefaultAction, DomainSet, Grant, Rule
 from pqsec_pki.lint._names import parsed, shown
-from pqsec_pki.lint._shadows import Patterns, covers_domains
+from pqsec_pki.lint._shadows import Patterns, covers_all, covers_domains
+from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import PermissionsFile
 
 FAMILY = Family("documents")
 
@@ -55,7 +55,7 @@ def allow_all(document: PermissionsFile) -> Iterator[Found]:
         for rule in grant.rules:
             for action in _ACTIONS if rule.allow else ():
                 for criteria in getattr(rule, action):
-                    if any(topic.strip("*") == "" for topic in criteria.topics):
+                    if any(map(covers_all, criteria.topics)):
                         yield document.at(
                             criteria.line, f"{shown(grant)} may {action} every topic (*)"
                         )

@@ -9,7 +9,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import _signatures
 from pqsec_pki.lint._roles import Role, family_of, key_kind, role_of
 from pqsec_pki.lint._signatures import PERMISSIONS_ALT_CA
-from pqsec_pki.lint.cross import ALT_KEY
+from pqsec_pki.lint.cross import ALT_KEY, has_keys_on_robot
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
 from pqsec_pki.lint.subjects import (
     GOVERNANCE,
@@ -139,6 +139,8 @@ def no_countersigner(enclave: Enclave) -> Iterator[Found]:
     mend=f"Copy {ALT_KEY} with the rest of the enclave, or issue the participant again.",
 )  # fmt: skip
 def no_alternative_key(enclave: Enclave) -> Iterator[Found]:
+    if has_keys_on_robot(enclave):
+        return
     if _alternative_key(enclave.certificate()) and ALT_KEY not in enclave.files:
         yield Found(f"{ALT_KEY} is not there, and the certificate has an alternative key")
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pqsec_pki.documents import DefaultAction, Rule, ros
 from pqsec_pki.lint._names import shown
 from pqsec_pki.lint._shadows import Patterns
+from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import PermissionsFile
 
 FAMILY = Family("documents")
 

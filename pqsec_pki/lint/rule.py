@@ -15,7 +15,8 @@ A family is a module with one table of rules, each the function that looks for a
         yield Found("this rule names no domains", line)
 
 The class a function takes is its scope: it is asked about every subject of that class (see
-`subjects`), and of classes that inherit from it. The page of the rule is made of its text.
+`file`, `document` and `subjects`), and of classes that inherit from it. The page of the rule
+is made of its text.
 Numbers: 0xx frame, 1xx X.509, 2xx documents, 3xx cross-artefact, 4xx naming, 5xx size,
 6xx post-quantum, 7xx files.
 """

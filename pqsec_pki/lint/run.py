@@ -1,8 +1,10 @@
 """Ask every rule about every subject; set aside what somebody has given a reason for."""
 
+import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from datetime import datetime
+from dataclasses import dataclass, field
+from datetime import date, datetime
+from functools import partial
 from pathlib import Path
 
 from pqsec_pki.lint.collect import take_inventory
@@ -45,14 +47,13 @@ def check(
     """Everything that is wrong or risky in these files, folders and keystores.
 
     Without `targets`, all stacks are meant. FileError if a path cannot be looked into;
-    what is wrong inside is a finding.
+    what is wrong, or closed, inside is a finding.
     """
     named = list(paths)
     inventory = take_inventory(named, now=now)
     meant = frozenset(targets)
     asked = [rule for rule in RULES.values() if rule.matters_to(meant)]
-    files = [replace(file, asked=frozenset(rule.id for rule in asked), known=frozenset(RULES))
-             for file in _suppression_files(named, tuple(ignore), now)]  # fmt: skip
+    files = list(_suppression_files(named, tuple(ignore), asked, now.date()))
     kept: list[Finding] = []
     ignored: list[tuple[Finding, str]] = []
     for finding in _findings(asked, inventory):
@@ -99,13 +100,13 @@ def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Find
 
 
 def _suppression_files(
-    named: list[Path], options: tuple[Suppression, ...], now: datetime
+    named: list[Path], options: tuple[Suppression, ...], asked: list[Rule], today: date
 ) -> Iterator[SuppressionFile]:
-    today = now.date()
-    yield SuppressionFile(COMMAND_LINE, None, options, today=today)
-    folders = {path if path.is_dir() else path.parent: path.is_dir() for path in named}
-    for folder, whole in folders.items():
+    ids = frozenset(rule.id for rule in asked)
+    made = partial(SuppressionFile, today=today, known=frozenset(RULES), asked=ids)
+    yield made(COMMAND_LINE, None, options)
+    for folder in dict.fromkeys(path if path.is_dir() else path.parent for path in named):
         path = folder / FILE_NAME
-        if path.is_file():
+        if os.path.isfile(path):  # noqa: PTH113 -- Path.is_file raises where the folder is closed
             entries, broken = read_suppressions(path)
-            yield SuppressionFile(path, folder, entries, broken, today, is_complete=whole)
+            yield made(path, folder, entries, broken, is_complete=folder in named)

@@ -12,8 +12,9 @@ from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.lint import _signatures
 from pqsec_pki.lint._roles import family_of
 from pqsec_pki.lint._signatures import Pair
+from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import File, Inventory
+from pqsec_pki.lint.subjects import Inventory
 
 FAMILY = Family("cross-artefact")
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from pqsec_pki.documents import Grant, Subject
 from pqsec_pki.lint._names import CUTS, parsed, repeated, shown
+from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import PermissionsFile
 
 FAMILY = Family("naming")
 

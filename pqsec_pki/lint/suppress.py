@@ -9,6 +9,7 @@ In `.pqsec-check.yaml`, in the folder that is checked:
         until: 2027-06-30            # optional: the last day it holds
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import date
 from fnmatch import fnmatchcase
@@ -44,7 +45,10 @@ class Suppression:
         """Whether it speaks of this finding, has a reason and has not run out."""
         if self.rule != finding.rule.id or not self.reason or self.is_over(today):
             return False
-        return folder is None or fnmatchcase(_below(finding.path, folder), self.path)
+        if folder is None:
+            return True
+        below = _below(finding.path, folder)
+        return below is not None and fnmatchcase(below, self.path)
 
     def is_over(self, today: date) -> bool:
         """Whether its last day has passed."""
@@ -128,6 +132,8 @@ def _members(root: "Node | None") -> _Members:
             unknown.append((_text(key), key.start_mark.line + 1))
         elif not isinstance(value, SequenceNode):
             raise ValueError("`ignore:` wants a list under it")
+        elif items:  # with aliases, a small file could so say millions
+            raise ValueError("`ignore:` comes twice")
         else:
             items += value.value
     if not all(isinstance(item, MappingNode) for item in items):
@@ -138,6 +144,8 @@ def _members(root: "Node | None") -> _Members:
 def _entry(item: "MappingNode") -> Suppression:
     """One entry; ValueError says what it lacks. A missing reason is a rule's business."""
     words = {_text(key): _text(value) for key, value in item.value}
+    if len(words) < len(item.value):
+        raise ValueError("an entry says something twice")
     if unknown := sorted(words.keys() - _KEYS):
         raise ValueError(f"knows no {unknown[0]!r}, only {', '.join(sorted(_KEYS))}")
     if not words.get("rule"):
@@ -166,8 +174,10 @@ def _day(text: str) -> date:
         raise ValueError(f"until: {text!r} is no day such as 2027-06-30") from None
 
 
-def _below(path: Path, folder: Path) -> str:
-    try:
-        return path.resolve().relative_to(folder.resolve()).as_posix()
-    except (ValueError, OSError):
-        return path.as_posix()
+def _below(path: Path, folder: Path) -> str | None:
+    """The path from the folder on, as it is named or else where links lead; None outside."""
+    with suppress(OSError):
+        for found, root in ((path, folder), (path.resolve(), folder.resolve())):
+            if found.is_relative_to(root) and ".." not in found.relative_to(root).parts:
+                return found.relative_to(root).as_posix()
+    return None

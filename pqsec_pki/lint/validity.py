@@ -5,8 +5,9 @@ from datetime import datetime, timedelta
 
 from pqsec_pki.documents import Grant
 from pqsec_pki.lint.cross import own_grants
+from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import Enclave, PermissionsFile
+from pqsec_pki.lint.subjects import Enclave
 from pqsec_pki.lint.x509 import ends_soon
 
 FAMILY = Family("cross-artefact")
@@ -25,7 +26,7 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     rows=("expired / future",), measured=_ALL,
 )  # fmt: skip
 def expired(document: PermissionsFile) -> Iterator[Found]:
-    for grant in _grants(document):
+    for grant in document.grants:
         if document.now > grant.not_after:
             yield _found(document, grant, f"expired on {_day(grant.not_after)}")
 
@@ -36,7 +37,7 @@ def expired(document: PermissionsFile) -> Iterator[Found]:
     mend="Sign permissions with a later not_after: `pqsec renew NAME`.",
 )  # fmt: skip
 def expires_soon(document: PermissionsFile) -> Iterator[Found]:
-    for grant in _grants(document):
+    for grant in document.grants:
         if ends_soon(document.now, grant.not_before, grant.not_after):
             yield _found(document, grant, f"expires on {_day(grant.not_after)}")
 
@@ -48,7 +49,7 @@ def expires_soon(document: PermissionsFile) -> Iterator[Found]:
     rows=("expired / future",), measured=_ALL,
 )  # fmt: skip
 def not_yet(document: PermissionsFile) -> Iterator[Found]:
-    for grant in _grants(document):
+    for grant in document.grants:
         if document.now < grant.not_before:
             yield _found(document, grant, f"is in force from {_day(grant.not_before)}")
 
@@ -62,7 +63,7 @@ def not_yet(document: PermissionsFile) -> Iterator[Found]:
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
 )  # fmt: skip
 def too_fresh(document: PermissionsFile) -> Iterator[Found]:
-    for grant in _grants(document):
+    for grant in document.grants:
         if timedelta() <= document.now - grant.not_before < WEST:
             words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS takes for local time"
             yield _found(document, grant, words)
@@ -77,7 +78,7 @@ def too_fresh(document: PermissionsFile) -> Iterator[Found]:
     rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
 )  # fmt: skip
 def lingers(document: PermissionsFile) -> Iterator[Found]:
-    for grant in _grants(document):
+    for grant in document.grants:
         if timedelta() < document.now - grant.not_after < WEST:
             words = f"ended at {grant.not_after:%H:%M} UTC, which Fast DDS takes for local time"
             yield _found(document, grant, words)
@@ -125,10 +126,6 @@ def never_together(enclave: Enclave) -> Iterator[Found]:
     first, last = certificate.not_before, certificate.not_after
     if all(grant.not_after < first or grant.not_before > last for grant in grants):
         yield _of(enclave, "is in force at no time when the certificate is")
-
-
-def _grants(document: PermissionsFile) -> tuple[Grant, ...]:
-    return document.permissions.grants if document.permissions else ()
 
 
 def _found(document: PermissionsFile, grant: Grant, words: str) -> Found:

@@ -12,9 +12,10 @@ from pqsec_pki.algorithms import Family, is_encrypted
 from pqsec_pki.certificates.authority import LAST_YEAR
 from pqsec_pki.lint import _roles
 from pqsec_pki.lint._roles import Role, role_of
+from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family as Rules
 from pqsec_pki.lint.rule import Found, Severity, Target
-from pqsec_pki.lint.subjects import CertificateFile, File
+from pqsec_pki.lint.subjects import CertificateFile
 
 FAMILY = Rules("x509")
 SOON = timedelta(days=30)
@@ -153,7 +154,7 @@ def empty_subject(file: CertificateFile) -> Iterator[Found]:
     "PQS110", Severity.ERROR, CertificateFile, "a certificate has expired",
     why="No stack starts with it. Only of an expired permissions CA does Cyclone DDS (master)"
     " not ask.",
-    mend="Renew it: `pqsec renew NAME` for a participant; for a CA, make a new keystore.",
+    mend="Renew it: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
     rows=("leaf expired / not yet valid; CA expired", "permissions CA expired"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -166,7 +167,7 @@ def expired(file: CertificateFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS111", Severity.WARNING, CertificateFile, "a certificate expires soon",
     why="From that day on participants that start, or start again, are refused.",
-    mend="Renew it before: `pqsec renew NAME` for a participant; for a CA, make a new keystore.",
+    mend="Renew it before: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
 )  # fmt: skip
 def expires_soon(file: CertificateFile) -> Iterator[Found]:
     if file.first and ends_soon(file.now, file.first.not_before, file.first.not_after):

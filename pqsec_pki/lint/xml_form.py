@@ -5,8 +5,8 @@ from itertools import pairwise
 from typing import Any
 
 from pqsec_pki.lint._elements import CHILDREN, NEW, SCHEMA_ATTRIBUTES
+from pqsec_pki.lint.document import Document, GovernanceFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import Document, GovernanceFile
 from pqsec_pki.lint.times import no_time
 from pqsec_pki.lint.xml_values import (
     lower_case,

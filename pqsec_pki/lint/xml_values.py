@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from pqsec_pki.lint._elements import BOOLEANS, KINDS, NAMES, NEEDED, WORDS
+from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import Document, GovernanceFile, PermissionsFile
 
 FAMILY = Family("documents")
 

@@ -9,21 +9,18 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from pqsec_pki.access import may_join
-from pqsec_pki.algorithms import Family, Profile
-from pqsec_pki.certificates import Certificate, common_name, verify_authority, verify_chain
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.certificates import (
+    Certificate,
+    common_name,
+    verify_authority,
+    verify_chain,
+    verify_not_revoked,
+)
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import VerificationError, located
-from pqsec_pki.keystore import Participant
-from pqsec_pki.smime import Require, Verified, verify
-
-
-def required_signatures(profile: Profile) -> Require:
-    """Which signatures a document must have under that profile."""
-    if profile.alternative_key or profile.permissions_key.family is Family.HYBRID:
-        return Require.BOTH
-    if profile.permissions_key.family is Family.PQ:
-        return Require.PQ
-    return Require.CLASSICAL
+from pqsec_pki.keystore import Participant, required_signatures
+from pqsec_pki.smime import Verified, verify
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +38,7 @@ def check_identity(participant: Participant, profile: Profile, now: datetime) ->
     certificate, ca = participant.certificate, participant.identity_ca
     twice = profile.alternative_key is not None
     verify_chain(certificate, ca, now=now, require_alternative=twice)
+    _check_not_revoked(participant, now, twice=twice)
     problems = [*_key_problems(participant), *_profile_problems(participant, profile)]
     if certificate.subject_der != common_name(participant.name):
         problems.append(f"cert.pem of {participant.name} is for {certificate.subject_name}")
@@ -84,6 +82,28 @@ def check_permissions(
             f" --domain {domain} --publish TOPIC --force",
         )
     return f"permissions signed by {_signers(verified)}; {decision.reason}"
+
+
+def _check_not_revoked(participant: Participant, now: datetime, *, twice: bool) -> None:
+    """Stacks refuse their own certificate too, and all once the list is not good."""
+    revoked = participant.revocation_list
+    if revoked is None:
+        return
+    try:
+        verify_not_revoked(
+            participant.certificate,
+            revoked,
+            participant.identity_ca,
+            now=now,
+            require_alternative=twice,
+        )
+    except VerificationError as error:
+        error.hint = (
+            f"to let it in again: pqsec issue {participant.name} --force --after-revocation"
+            if revoked.revocation_of(participant.certificate)
+            else "`pqsec ca crl` makes a new list; a robot needs a copy"
+        )
+        raise
 
 
 def _key_problems(participant: Participant) -> Iterator[str]:
@@ -130,7 +150,7 @@ def _check_signers(judge: Participant, now: datetime) -> None:
         raise VerificationError(
             "one key is identity CA and permissions CA: whoever is issued a certificate could"
             " sign permissions (CVE-2023-24010)",
-            hint="make a new keystore: `pqsec ca init` makes two",
+            hint="make two that are distinct: `pqsec ca rotate`",
         )
     verify_authority(judge.permissions_ca, now=now)
     if judge.permissions_alt_ca:

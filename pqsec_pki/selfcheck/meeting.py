@@ -171,6 +171,7 @@ class Meeting:
             ca=participant.identity_ca,
             guid=adjusted_guid(participant.certificate.subject_der, os.urandom(12) + _ENTITY_ID),
             permissions=participant.permissions,
+            revocation_list=participant.revocation_list,
         )
         demands = policy(own, peer, self.occasion.profile, self.occasion.agreement)
         return Side(

@@ -9,7 +9,9 @@ import base64
 import binascii
 import re
 import secrets
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice, pairwise
 
 from pqsec_pki.errors import MalformedError
 
@@ -17,6 +19,8 @@ MAX_MESSAGE = 8 << 20
 """Bytes. The largest document any stack was measured to take is 0.5 MB."""
 TEXT_HEADER = b"Content-Type: text/plain\r\n\r\n"
 _LINE = 64
+_BOUNDARY_END = re.compile(rb"(|--)[ \t]*(?=\r\n|\Z)")
+"""What may follow the boundary in its line: nothing, or that it is the last."""
 _HEADER = """\
 MIME-Version: 1.0
 Content-Type: multipart/signed; protocol="application/x-pkcs7-signature"; \
@@ -102,7 +106,7 @@ def is_signed(data: bytes) -> bool:
 
 
 def _canonical(data: bytes) -> bytes:
-    return re.sub(rb"\r?\n", b"\r\n", data)
+    return data.replace(b"\r\n", b"\n").replace(b"\n", b"\r\n")
 
 
 def _boundary(parameters: bytes) -> bytes:
@@ -114,11 +118,25 @@ def _boundary(parameters: bytes) -> bytes:
 
 def _parts(body: bytes, boundary: bytes) -> list[bytes]:
     """The two parts between boundary lines (RFC 2046 5.1.1)."""
-    pieces = re.split(rb"(?:\A|\r\n)--" + re.escape(boundary) + rb"(--)?[ \t]*(?=\r\n|\Z)", body)
-    texts, closes = pieces[0::2], pieces[1::2]
-    if len(texts) != 4 or closes != [None, None, b"--"]:  # noqa: PLR2004 -- preamble, 2, epilogue
+    body = b"\r\n" + body
+    found = _boundary_lines(body, b"\r\n--" + boundary)
+    lines = list(islice(found, 4))  # a fourth is one too many
+    if [end[1] for _, end in lines] != [b"", b"", b"--"]:
         raise MalformedError("a signed document has two parts: the text and its signature")
-    return [text.removeprefix(b"\r\n") for text in texts[1:3]]
+    return [
+        body[end.end() : start].removeprefix(b"\r\n") for (_, end), (start, _) in pairwise(lines)
+    ]
+
+
+def _boundary_lines(body: bytes, mark: bytes) -> Iterator[tuple[int, re.Match[bytes]]]:
+    """Where each begins, and what follows the boundary in it."""
+    place = body.find(mark)
+    while place >= 0:
+        after = place + len(mark)
+        end = _BOUNDARY_END.match(body, after)
+        if end:  # else the line goes on, and is none
+            yield place, end
+        place = body.find(mark, after)
 
 
 def _decoded(part: bytes) -> bytes:

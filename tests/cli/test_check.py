@@ -1,6 +1,9 @@
 """pqsec check: what is wrong or risky, with file, line and rule."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -9,6 +12,8 @@ from tests.cli.conftest import NAMES, snapshot
 
 PERMISSIONS = "k/enclaves/talker/permissions.xml"
 GOVERNANCE = "k/enclaves/governance.xml"
+PLAIN_USER = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
+"""Root reads everything, until it gives up the capability."""
 OPEN_KEYS = "--ignore 'PQS707=CA keys of tests and demos are not encrypted'"
 
 
@@ -167,3 +172,41 @@ def test_of_what_pqsec_writes_each_stack_is_told_what_does_not_suit_it(
     result = pqsec(f"-k k check --json --target {target} {OPEN_KEYS}").json
     worse = {each["rule"] for each in result["findings"] if each["severity"] != "info"}
     assert worse == told
+
+
+def as_plain_user(folder, closed, mode, *options):
+    """What `pqsec check` says to a user to whom that is closed."""
+    (folder / closed).chmod(mode)
+    done = subprocess.run(
+        [*PLAIN_USER, sys.executable, "-m", "pqsec_pki", "check", *options],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    (folder / closed).chmod(0o700)
+    return done
+
+
+@pytest.mark.parametrize(
+    ("closed", "mode", "told"),
+    [
+        ("k/enclaves/talker/permissions.xml", 0, {"k/enclaves/talker/permissions.xml"}),
+        ("k/enclaves/talker", 0, {"k/enclaves/talker"}),
+        ("k/enclaves/talker", 0o600, {"k/enclaves/talker"}),
+        ("k/enclaves", 0o600, {"k/enclaves"}),
+    ],
+)
+def test_what_is_closed_to_the_user_is_told_and_not_checked(keystore, tmp_path, closed, mode, told):
+    keystore()
+    done = as_plain_user(tmp_path, closed, mode, "k", "--json")
+    assert done.stderr == ""
+    findings = json.loads(done.stdout)["findings"]
+    assert {each["path"] for each in findings if each["rule"] == "PQS001"} == told
+
+
+@pytest.mark.parametrize(
+    ("closed", "mode"), [("k", 0), ("k", 0o600), ("k/enclaves/talker/permissions.xml", 0)]
+)
+def test_what_is_named_and_closed_is_an_error(keystore, tmp_path, closed, mode):
+    keystore()
+    done = as_plain_user(tmp_path, closed, mode, closed)
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr == f"pqsec: error: {closed}: permission denied\n"

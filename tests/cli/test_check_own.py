@@ -81,6 +81,25 @@ def test_a_participant_issued_again_with_the_rest_left(made, pqsec, told):
     assert told() == {}
 
 
+@pytest.mark.parametrize("option", ["--rekey", "--keep-key"])
+def test_participants_renewed(made, pqsec, told, option):
+    made()
+    pqsec(f"-k k renew --all {option}").done()
+    assert told() == {}
+
+
+@pytest.mark.parametrize("profile", NAMES)
+def test_a_revocation_told_as_info_until_the_participant_is_issued_again(
+    made, pqsec, told, profile
+):
+    made(profile)
+    pqsec("-k k revoke /listener").done()
+    assert told() == {"PQS149": "info"}
+    again = "--force --after-revocation"
+    pqsec(f"-k k issue /listener --publish rt/a {again}").done()
+    assert told() == {}
+
+
 @pytest.mark.parametrize("profile", NAMES)
 @pytest.mark.parametrize("option", ["", "--embed-certificate"])
 def test_documents_signed_again(made, pqsec, told, profile, option):

@@ -41,7 +41,7 @@ def allowed(folder, action):
 def ledger(keystore):
     with closing(sqlite3.connect(keystore / "private/ledger.sqlite3")) as database:
         return database.execute(
-            "SELECT kind, name, serial, sha256, not_after FROM issued ORDER BY id"
+            "SELECT kind, name, serial, sha256, not_after FROM ledger ORDER BY number"
         ).fetchall()
 
 
@@ -282,7 +282,7 @@ def test_a_validity_that_is_none_is_refused(pqsec, keystore, text):
 
 def test_an_expired_identity_ca_issues_nothing(pqsec, expired_ca):
     said = pqsec(f"-k k issue /a {TOPIC}")
-    said.refused(3, "the identity CA expired", hint="new keystore")
+    said.refused(3, "the identity CA expired", hint="pqsec ca rotate")
     assert not (expired_ca / "enclaves/a").exists()
 
 

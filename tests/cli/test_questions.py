@@ -1,8 +1,11 @@
 """pqsec explain, who-may and diff: questions to a policy, and their answers."""
 
+import os
 import re
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from threading import Thread
 
 import pytest
 
@@ -231,6 +234,15 @@ def test_names_cannot_break_the_output(pqsec, put):
     assert "\x1b" not in said
 
 
+def test_names_of_files_cannot_break_the_output(pqsec, put, tmp_path):
+    put("g", Governance.protected(ZERO))
+    put("a\x07", permissions(rule("b")))
+    (tmp_path / "c\x07.xml").touch()
+    asked = "explain --governance g.xml --publish b --permissions"
+    assert "a\\u0007.xml:" in pqsec(asked, "a\x07.xml").done().out
+    assert "c\\u0007.xml is left out: c\\u0007.xml" in pqsec("who-may .").done().err
+
+
 # What explain believes
 
 
@@ -269,6 +281,17 @@ def test_the_certificate_of_another_domain_is_not_believed(pqsec, keystore):
     other = keystore(name="other", label="another") / "enclaves/talker/cert.pem"
     (keystore() / "enclaves/talker/cert.pem").write_bytes(other.read_bytes())
     pqsec("-k k explain --participant /talker --join").refused(1, "cert.pem")
+
+
+def test_who_was_revoked_may_do_nothing(pqsec, keystore):
+    keystore()
+    asked = "-k k explain --participant /talker --publish rt/chatter"
+    pqsec("-k k ca crl").done()
+    pqsec(asked).done()
+    pqsec("-k k revoke /talker").done()
+    pqsec(asked).refused(1, "enclaves/talker/cert.pem: the certificate of CN=/talker was revoked")
+    left = pqsec("-k k who-may --json").done().json
+    assert (left["participants"], list(left["left_out"])) == (["/listener"], ["/talker"])
 
 
 def test_no_private_key_is_needed(pqsec, keystore):
@@ -383,6 +406,15 @@ def test_a_folder_of_documents_is_asked_too(pqsec, tmp_path, keystore):
     assert "who signed the documents was not checked" in said.err
     assert list(said.json["left_out"]) == ["k/enclaves/broken.xml"]
     pqsec("who-may k/enclaves/broken.xml").refused(1, "broken.xml")
+
+
+def test_what_cannot_be_read_in_a_folder_does_not_hold_who_may_up(pqsec, policy, tmp_path):
+    os.mkfifo(tmp_path / "endless.xml")
+    (tmp_path / "folder.yaml").mkdir()
+    (tmp_path / "nowhere.xml").symlink_to("gone")
+    said = pqsec("who-may . --json").done()
+    assert said.json["participants"] == ["CN=/robot"]
+    assert list(said.json["left_out"]) == ["nowhere.xml"]
 
 
 def test_files_without_governance_are_taken_as_controlled(pqsec, policy):
@@ -534,6 +566,19 @@ def test_governance_is_compared_by_strength(pqsec):
     assert senses[0].count("weaker") == senses[1].count("stronger") > 0
 
 
+@pytest.mark.parametrize("form", ["old", "old.yaml"])
+def test_a_document_may_come_through_a_pipe(process, put, form, tmp_path):
+    """As in `pqsec diff <(git show HEAD:policy.yaml) policy.yaml`."""
+    put("new", permissions(rule("a", "b")))
+    os.mkfifo(tmp_path / "pipe")
+    data = put(form, permissions(rule("a"))).read_bytes()
+    writer = Thread(target=(tmp_path / "pipe").write_bytes, args=(data,), daemon=True)
+    writer.start()
+    said = process("diff pipe new.xml")
+    assert (said.code, said.err) == (1, "")
+    assert "publish 'b'" in said.out
+
+
 def test_keystores_are_compared_participant_by_participant(pqsec, keystore):
     keystore()
     keystore(name="new")
@@ -545,6 +590,25 @@ def test_keystores_are_compared_participant_by_participant(pqsec, keystore):
         ("permissions of /eye", "granted")
     }
     assert {each["sense"] for each in pqsec("diff new k --json").json["changes"]} == {"taken away"}
+
+
+def test_governance_of_one_participant_alone_is_not_hidden(pqsec, keystore, tmp_path):
+    keystore()
+    shutil.copytree(tmp_path / "k", tmp_path / "new", symlinks=True)
+    own = tmp_path / "new/enclaves/talker/governance.p7s"
+    own.unlink()
+    shutil.copyfile(tmp_path / "k/enclaves/governance.p7s", own)
+    assert "no change" in pqsec("diff k new").done().out  # a copy is what all share, too
+    pqsec("governance new --preset open-discovery -o weak.yaml").done()
+    pqsec("-k new sign-governance weak.yaml --force -o", own).done()
+    said = pqsec("diff k new")
+    assert (said.code, said.out.splitlines()[0]) == (1, "weaker:")
+    assert "  /talker: domain 0: discovery: in the clear" in said.out
+    assert "/listener" not in said.out
+    changes = pqsec("diff k new --json").json["changes"]
+    assert {each["document"] for each in changes} == {"governance of /talker"}
+    left = pqsec("-k new who-may --json").done().json["left_out"]
+    assert left == {"/talker": "it has a governance of its own, unlike the others"}
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ BREAKS = {
 
 def ledger(keystore):
     with closing(sqlite3.connect(keystore / "private/ledger.sqlite3")) as database:
-        return database.execute("SELECT kind, name, sha256 FROM issued ORDER BY id").fetchall()
+        return database.execute("SELECT kind, name, sha256 FROM ledger ORDER BY number").fetchall()
 
 
 def line_of(text, change):

@@ -108,3 +108,9 @@ def test_a_file_that_cannot_be_read_is_an_error_and_not_a_no(pqsec, tmp_path):
     (tmp_path / "huge.xml").write_bytes(b"<dds>" + b" " * (9 << 20))
     pqsec("validate huge.xml").refused(3, "huge.xml: larger than")
     pqsec("validate").refused(2, "FILE...")
+
+
+def test_a_name_of_a_file_does_not_reach_the_terminal_raw(pqsec):
+    said = pqsec("validate \x1b[2Jclear.xml").err
+    assert "\x1b" not in said
+    assert r"\u001b[2Jclear.xml" in said

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from pqsec_pki.errors import PqsecError
-from tests.fuzz import files, messages, mutation
+from tests.fuzz import files, messages, mutation, plugin
 
 
 class Target(NamedTuple):
@@ -24,4 +24,7 @@ class Target(NamedTuple):
             self.take(data)
 
 
-TARGETS = {name: Target(*each) for name, each in (messages.TARGETS | files.TARGETS).items()}
+TARGETS = {
+    name: Target(*each)
+    for name, each in (messages.TARGETS | files.TARGETS | plugin.TARGETS).items()
+}

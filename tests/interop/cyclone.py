@@ -95,6 +95,10 @@ class Participant:
         self._authentication, self._access = authentication, access
         properties = {name: f"file:{enclave / file}" for name, file in _FILES.items()}
         properties["dds.sec.auth.password"] = passphrase
+        if (enclave / "crl.pem").exists():
+            properties["org.eclipse.cyclonedds.sec.auth.crl"] = f"file:{enclave / 'crl.pem'}"
+        if (enclave / "trusted").exists():  # a plain path, no URI
+            properties["dds.sec.auth.trusted_ca_dir"] = str(enclave / "trusted")
         self._qos = Qos(properties=Properties.of(properties.items()))
         self._identity, self.guid = self._validate_identity()
         token = DataHolder()

@@ -7,7 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pqsec_pki.documents import DomainRange, DomainSet
-from pqsec_pki.lint._shadows import Patterns, Starts, covers_domains, domains_meet
+from pqsec_pki.lint._shadows import (
+    ODD_PATTERNS,
+    Patterns,
+    Starts,
+    covers_all,
+    covers_domains,
+    domains_meet,
+)
 
 PATTERNS = st.text("ab*?", max_size=5)
 NAMES = ["".join(letters) for size in range(5) for letters in product("ab", repeat=size)]
@@ -66,3 +73,30 @@ def test_what_is_said_of_sets_of_domains_is_true_of_the_domains(one, other):
 def test_sets_of_other_domains_do_not_meet():
     assert not domains_meet(DomainSet.parse("0-3"), DomainSet.parse("4-9"))
     assert not domains_meet(DomainSet.of(0), DomainSet(parts=(1, DomainRange(first=5))))
+
+
+def test_a_set_of_many_domains_lies_within_another_only_if_all_do():
+    many = tuple(range(0, 2 * ODD_PATTERNS, 2))
+    below, beyond = DomainSet(parts=(*many, 99)), DomainSet(parts=(*many, 101))
+    assert covers_domains(DomainSet.parse("0-100"), DomainSet(parts=many))
+    assert not covers_domains(DomainSet.parse("0-100"), beyond)
+    assert covers_domains(beyond, beyond)
+    assert not covers_domains(below, beyond)
+
+
+def test_a_question_mark_is_one_octet_and_not_a_letter_of_two():
+    patterns = Patterns[str]()
+    patterns.add("rt/?", "one octet")
+    patterns.add("rt/??", "two octets")
+    assert list(patterns.covering("rt/é")) == ["two octets"]
+
+
+@given(PATTERNS)
+def test_a_pattern_is_for_all_only_if_it_matches_every_name(pattern):
+    if covers_all(pattern):
+        assert matched(pattern) >= set(NAMES) - {""}
+
+
+def test_patterns_for_all_are_known():
+    everything = ["*", "**", "?*", "*?", "*?*"]
+    assert list(filter(covers_all, [*everything, "", "?", "??*", "a*", "[*]"])) == everything

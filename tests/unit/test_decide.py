@@ -324,6 +324,11 @@ CASES = {
         {"domain": 5, "governed": governance(domains=ELSEWHERE)},
         "spec opendds",
     ),
+    "a range that ends at 0": (
+        [allow(*criteria("a"), domains=DomainSet(parts=(DomainRange(first=5, last=0),)))],
+        {"domain": 5, "governed": governance(domains=ELSEWHERE)},
+        "fastdds",
+    ),
     "an endpoint with data tags": (
         [allow(*criteria("a"))],
         {"data_tags": (("kind", "x"),)},
@@ -415,6 +420,12 @@ def test_whose_grant_it_is(named):
         each.name for each in READINGS if decide(governance(), permissions, asked, each).allowed
     ]
     assert found == SUBJECTS[named].split()
+
+
+def test_a_subject_that_ends_in_a_separator_is_whole_for_every_stack():
+    permissions = Permissions(grants=(grant(allow(*criteria("a")), subject="CN=/robot/"),))
+    for reading in READINGS:
+        assert decide(governance(), permissions, question(subject="CN=/robot/"), reading).allowed
 
 
 def test_a_subject_outside_ascii_is_spelled_for_each_stack():

@@ -168,6 +168,11 @@ def topic_rule(expression="*", **settings):
             [allow("a", publish=(), relay=(Criteria(topics=("a",)),))],
             ["taken away: relay 'b' on domain 0"],
         ),
+        (
+            [allow("a*", "q")],
+            [allow("a**")],
+            ["taken away: publish 'q' on domain 0"],
+        ),
     ],
 )
 def test_a_change_of_rules_is_told_by_what_it_does(old, new, changes):
@@ -209,6 +214,15 @@ def test_a_change_of_form_that_changes_no_right_is_none(old, new):
             ],
         ),
         ([allow("a"), allow("b")], [allow("b", "a")], []),
+        (
+            [deny("a", partitions=("P",)), allow("a"), allow("b"), deny("b", partitions=("P",))],
+            [allow("a"), deny("a", partitions=("P",)), deny("b", partitions=("P",)), allow("b")],
+            [
+                f"{sense}: in {title}, unlike the standard, for one: publish '{topic}' on domain 0"
+                for title in ("Cyclone DDS 0.10.2", "Fast DDS 2.9.1")
+                for sense, topic in (("granted", "a"), ("taken away", "b"))
+            ],
+        ),
     ],
 )
 def test_what_changes_for_a_stack_alone_is_told_as_that(old, new, words):
@@ -261,6 +275,33 @@ def test_of_two_grants_for_a_subject_the_first_counts():
     old = Permissions(grants=(grant(allow("a")), grant(allow("b"))))
     new = Permissions(grants=(grant(allow("a")), grant(allow("c"))))
     assert told(permissions_diff(old, new)) == []
+
+
+SECOND = "that by the standard is nobody's: one above it counts"
+NAMELESS = "that by the standard is nobody's: its subject is no name"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (["CN=/a"], ["/CN=/a"], ["written 'CN=/a' before"]),
+        (["CN=/a,O=Lab"], ["O=Lab,CN=/a"], ["written 'CN=/a,O=Lab' before"]),
+        (["CN=/a"], ["CN=/a", "CN=/a"], [f"a grant comes {SECOND}"]),
+        (["CN=/a,O=b", "O=b,CN=/a"], ["CN=/a,O=b"], [f"a grant goes {SECOND}"]),
+        (["CN=/a"], ["a|CN=", "CN=/a"], [f"a grant comes {NAMELESS}"]),
+        (["CN=/a", "nobody"], ["CN=/a"], [f"a grant goes {NAMELESS}"]),
+        (["CN=/a", "nobody"], ["nobody", "CN=/a"], []),
+    ],
+)
+def test_a_grant_that_only_stacks_may_find_an_owner_for_is_not_hidden(old, new, words):
+    documents = (
+        Permissions(grants=tuple(grant(allow("a"), subject=subject) for subject in subjects))
+        for subjects in (old, new)
+    )
+    changes = permissions_diff(*documents).changes
+    assert {(change.sense, change.reading) for change in changes} <= {(Sense.OTHER, "stacks")}
+    assert len(changes) == len(words)
+    assert all(map(str.startswith, (change.text for change in changes), words))
 
 
 @pytest.mark.parametrize("sense", [Sense.GRANTED, Sense.TAKEN])

@@ -290,6 +290,22 @@ def test_an_encrypted_traditional_pem_is_read_with_its_passphrase_only(row):
         load_private_key(text, b"other")
 
 
+@pytest.mark.parametrize(
+    ("found", "damage"),
+    [
+        (b"DEK-Info: ", b"DEK-Info: X"),
+        (b"CBC,", b"CBC,0"),
+        (b"DEK-Info: ", b"DEK-Info: AES-256-CBC,00\nDEK-Info: "),
+    ],
+    ids=["cipher", "initial value", "twice"],
+)
+def test_an_encrypted_traditional_pem_with_a_damaged_header_is_malformed(found, damage):
+    row = SIGNATURES.named("p256")
+    text = native(key_of(row).handle, PrivateFormat.TraditionalOpenSSL, PASSPHRASE)
+    with pytest.raises(MalformedError, match="its DEK-Info line is damaged"):
+        load_private_key(text.replace(found, damage), PASSPHRASE)
+
+
 @each_row
 def test_a_passphrase_for_a_key_that_needs_none_does_no_harm(row):
     assert same(load_private_key(private_key_pem(key_of(row)), PASSPHRASE), key_of(row))

@@ -5,184 +5,32 @@ every N until the work is done; writes are cut in half. Then the parent looks.
 """
 
 import errno
-import hashlib
-import os
 import shutil
-import signal
-import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from pqsec_pki.algorithms import profile_named
-from pqsec_pki.certificates import verify_chain
-from pqsec_pki.documents import DomainSet, Permissions
-from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
-from pqsec_pki.keystore import Keystore, Wish, issue
-from pqsec_pki.smime import Require, verify
+from pqsec_pki.errors import ExistsError
+from pqsec_pki.keystore import Keystore
+from tests.unit.killing import (
+    at_once,
+    check_commitment,
+    check_ledger,
+    check_no_halves,
+    check_whole,
+    copies,
+    create,
+    drafts,
+    fails_with,
+    is_keystore,
+    issue_to,
+    survives,
+)
 
 pytestmark = pytest.mark.slow
-
-NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
-YEAR = timedelta(days=365)
-KILLED = 9
-CALLS = (*("open", "write", "mkdir", "chmod", "rename", "replace", "symlink", "unlink", "rmdir"),)
-
-
-def create(root):
-    return Keystore.create(
-        root,
-        profile_named("transition"),
-        name="Lab",
-        domains=DomainSet.of(0),
-        validity=10 * YEAR,
-        passphrase=None,
-        now=NOW,
-    )
-
-
-def issue_to(root, *names, force=False):
-    keystore = Keystore.open(root)
-    wishes = [Wish(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
-    return issue(keystore, keystore.unlock(None), wishes, now=NOW, force=force)
-
-
-# Killing
-
-
-class Countdown:
-    """Counts the calls that change something, and ends the process at the last."""
-
-    def __init__(self, calls: int) -> None:
-        self.left = calls
-
-    def watch(self, name: str) -> None:
-        real = getattr(os, name)
-
-        def watched(*arguments, **options):
-            self.left -= 1
-            if self.left <= 0:
-                if name == "write":  # half of it arrives
-                    handle, data = arguments
-                    real(handle, bytes(data)[: len(data) // 2])
-                os._exit(KILLED)
-            return real(*arguments, **options)
-
-        setattr(os, name, watched)
-
-
-def threads() -> int:
-    return len(list(Path("/proc/self/task").iterdir()))
-
-
-THREADS_OF_THE_RUNNER = threads()
-"""One, or a few where tests run side by side; these know nothing of OpenSSL."""
-
-
-def fork() -> int:
-    """os.fork, once no thread is left that could hold one of OpenSSL's locks.
-
-    A joined thread may still be on its way out of OpenSSL.
-    """
-    patience = time.monotonic() + 2
-    while threads() > THREADS_OF_THE_RUNNER and time.monotonic() < patience:
-        time.sleep(0.001)
-    child = os.fork()
-    if child == 0:
-        signal.alarm(60)
-    return child
-
-
-def survives(calls: int, work: Callable[[], object]) -> bool:
-    """Whether `work` is done before its process made so many calls."""
-    child = fork()
-    if child == 0:
-        countdown = Countdown(calls)
-        for name in CALLS:
-            countdown.watch(name)
-        try:
-            work()
-        except BaseException:  # noqa: BLE001 -- the parent wants to know of any
-            os._exit(1)
-        os._exit(0)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert code in {0, KILLED}, "the work failed by itself"
-    return code == 0
-
-
-# Looking
-
-
-def check_whole(keystore: Keystore, name: str) -> str:
-    """The certificate's fingerprint, after everything was found to fit together."""
-    one = keystore.participant(name)
-    assert one.key.public_key.spki == one.certificate.spki
-    assert one.alternative_key.public_key.spki == one.certificate.alternative_key.spki
-    verify_chain(one.certificate, one.identity_ca, now=NOW, require_alternative=True)
-    verified = [
-        verify(
-            document,
-            one.permissions_ca,
-            alternative_ca=one.permissions_alt_ca,
-            require=Require.BOTH,
-        )
-        for document in (one.permissions, one.governance)
-    ]
-    [grant] = Permissions.from_xml(verified[0].document).grants
-    assert grant.subject_name == one.certificate.subject_name == f"CN={name}"
-    folder = keystore.root / "enclaves" / name[1:]
-    plain = (folder / "permissions.xml").read_bytes()
-    assert Permissions.from_xml(plain) == Permissions.from_xml(verified[0].document)
-    key_files = [folder / "key.pem", folder / "alt.key.pem"]
-    assert {file.stat().st_mode & 0o777 for file in key_files} == {0o600}
-    assert folder.stat().st_mode & 0o777 == 0o700
-    return one.certificate.fingerprint
-
-
-def check_ledger(keystore: Keystore) -> None:
-    """The last lines on each name are what lies in its folder, and there are no others."""
-    entries = keystore.ledger()
-    assert [entry.kind for entry in entries[:4]] == [
-        "identity-ca",
-        "permissions-ca",
-        "permissions-ca",
-        "governance",
-    ]
-    assert entries[3].sha256 == hashlib.sha256(keystore.governance).hexdigest()
-    last = {(entry.kind, entry.name): entry.sha256 for entry in entries[4:]}
-    names = keystore.names()
-    assert {name for _, name in last} == set(names)
-    for name in names:
-        one = keystore.participant(name)
-        assert last["participant", name] == one.certificate.fingerprint
-        assert last["permissions", name] == hashlib.sha256(one.permissions).hexdigest()
-
-
-def check_no_halves(root: Path) -> None:
-    """Also for a stack that looks before any pqsec command: a certificate comes last."""
-    for certificate in (root / "enclaves").rglob("cert.pem"):
-        files = {path.name for path in certificate.parent.iterdir() if path.exists()}
-        assert files >= {
-            *("key.pem", "alt.key.pem", "permissions.xml", "permissions.p7s", "governance.p7s"),
-            *("identity_ca.cert.pem", "permissions_ca.cert.pem", "permissions_ca.alt.cert.pem"),
-        }
-
-
-def is_keystore(root: Path) -> bool:
-    try:
-        Keystore.open(root)
-    except KeystoreError:
-        return False
-    return True
-
-
-def drafts(root: Path) -> list[Path]:
-    return [path for path in root.glob(".*") if path.name.startswith((".draft-", ".journal"))]
-
 
 # What is done while the kill comes
 
@@ -220,51 +68,12 @@ SCENES = {
 }
 
 
-@pytest.fixture(scope="module")
-def memory(tmp_path_factory):
-    """A folder in memory where there is such: durability takes time, and is not tested here."""
-    shared = Path("/dev/shm")
-    if not os.access(shared, os.W_OK):
-        yield tmp_path_factory.mktemp("disk")
-        return
-    with tempfile.TemporaryDirectory(dir=shared) as folder:
-        yield Path(folder)
-
-
-@pytest.fixture
-def place(memory):
-    """An empty folder."""
-    with tempfile.TemporaryDirectory(dir=memory) as folder:
-        yield Path(folder)
-
-
-@pytest.fixture(scope="module")
-def prepared(memory):
-    """prepared(names) is a keystore with these participants, made once."""
-    made: dict[tuple[str, ...], Path] = {}
-
-    def make(names: tuple[str, ...]) -> Path:
-        if names not in made:
-            root = memory / f"prepared{len(made)}"
-            create(root)
-            if names:
-                issue_to(root, *names)
-            made[names] = root
-        return made[names]
-
-    return make
-
-
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prepared, scene):
     original = prepared(scene.before)
     old = {name: check_whole(Keystore.open(original), name) for name in scene.before}
     outcomes = []
-    for calls in range(1, 1000):
-        root = place / str(calls)
-        shutil.copytree(original, root, symlinks=True)
-        done = survives(calls, lambda root=root: scene.work(root))
-
+    for root, _ in copies(place, original, scene.work):
         check_no_halves(root)
         keystore = Keystore.open(root)
         names = tuple(keystore.names())
@@ -282,13 +91,7 @@ def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prep
         check_whole(keystore, "/next")
         check_ledger(keystore)
         assert drafts(root) == []
-        shutil.rmtree(root)
-        if done:
-            break
-    assert len(outcomes) > 20
-    # Not done, then from one call on done: the commitment is a single call.
-    assert outcomes == sorted(outcomes)
-    assert set(outcomes) == {False, True}
+    check_commitment(outcomes)
 
 
 def test_a_keystore_is_made_or_not_whenever_the_kill_comes(place):
@@ -313,9 +116,7 @@ def test_a_keystore_is_made_or_not_whenever_the_kill_comes(place):
         shutil.rmtree(root)
         if done:
             break
-    assert len(outcomes) > 20
-    assert outcomes == sorted(outcomes)
-    assert set(outcomes) == {False, True}
+    check_commitment(outcomes)
 
 
 def test_a_keystore_can_be_made_again_without_being_opened_after_a_kill(place):
@@ -338,96 +139,34 @@ def test_a_recovery_that_is_killed_too_is_finished_by_the_next(place, prepared):
     while not (original / ".journal").is_dir():
         survives(calls, lambda: issue_to(original, "/old", "/a", force=True))
         calls += 1
-    for calls in range(1, 1000):
-        root = place / str(calls)
-        shutil.copytree(original, root, symlinks=True)
-        done = survives(calls, lambda root=root: Keystore.open(root))
+    count = 0
+    for root, _ in copies(place, original, Keystore.open):
         keystore = Keystore.open(root)
         assert keystore.names() == ["/a", "/old"]
         for name in keystore.names():
             check_whole(keystore, name)
         check_ledger(keystore)
-        shutil.rmtree(root)
-        if done:
-            assert calls > 10
-            break
+        count += 1
+    assert count > 10
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, code):
     original = prepared(("/old",))
     old = check_whole(Keystore.open(original), "/old")
-    for calls in range(1, 1000):
-        root = place / str(calls)
-        shutil.copytree(original, root, symlinks=True)
-        done = fails_with(code, calls, lambda root=root: issue_to(root, "/old", force=True))
+    trial = partial(fails_with, code)
+    for root, done in copies(
+        place, original, lambda root: issue_to(root, "/old", force=True), trial
+    ):
         keystore = Keystore.open(root)
         found = check_whole(keystore, "/old")
         check_ledger(keystore)
         assert done or found == old or len(keystore.ledger()) == 4 + 2 * 2
         issue_to(root, "/next")
         assert drafts(root) == []
-        shutil.rmtree(root)
-        if done:
-            break
-
-
-def fails_with(code: int, calls: int, work: Callable[[], object]) -> bool:
-    """Whether `work` is done, if the disk refuses its Nth call; it may fail by our errors only."""
-    child = fork()
-    if child == 0:
-        left = [calls]
-        for name in ("open", "write", "fchmod", "mkdir", "chmod", "rename", "replace", "symlink"):
-            _refusing(name, code, left)
-        try:
-            work()
-        except BaseException as error:  # noqa: BLE001 -- the parent wants to know of any
-            os._exit(KILLED if isinstance(error, PqsecError) else 1)
-        os._exit(0 if left[0] > 0 else KILLED)
-    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert status in {0, KILLED}, "another error than ours"
-    return status == 0
-
-
-def _refusing(name: str, code: int, left: list[int]) -> None:
-    real = getattr(os, name)
-
-    def refusing(*arguments, **options):
-        left[0] -= 1
-        if left[0] == 0:
-            raise OSError(code, os.strerror(code))
-        return real(*arguments, **options)
-
-    setattr(os, name, refusing)
 
 
 # Two at once
-
-
-def at_once(*works: Callable[[], object]) -> list[int]:
-    """The exit codes of processes that each do one of `works`, all at the same time."""
-    reader, writer = os.pipe()
-    children = []
-    for work in works:
-        child = fork()
-        if child == 0:
-            os.close(writer)
-            os.read(reader, 1)  # until the parent lets go
-            os._exit(_code(work))
-        children.append(child)
-    os.close(reader)
-    os.close(writer)
-    return [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
-
-
-def _code(work: Callable[[], object]) -> int:
-    try:
-        work()
-    except ExistsError:
-        return 3
-    except BaseException:  # noqa: BLE001 -- the parent wants to know of any
-        return 1
-    return 0
 
 
 def test_two_processes_issue_at_the_same_time(place):

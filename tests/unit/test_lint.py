@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import FileError, UsageError
-from pqsec_pki.lint import RULES, Severity, Target, check, from_option, rule_named, to_sarif
+from pqsec_pki.lint import (
+    RULES,
+    Severity,
+    Target,
+    check,
+    collect,
+    from_option,
+    rule_named,
+    to_sarif,
+)
 from tests.unit.test_lint_documents import GOVERNANCE, NOW, PERMISSIONS, governance, topic
 
 OPEN = governance(">*<", ">rt/*<")  # PQS229, a warning
@@ -50,12 +59,6 @@ def test_what_is_not_there_and_a_folder_with_nothing_in_it_are_errors(tmp_path):
         check([tmp_path], now=NOW)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_a_folder_that_others_own_is_told_and_not_checked(tmp_path):
-    (tmp_path / "private").mkdir(mode=0)
-    assert told(checked(tmp_path)) == [("PQS001", "private", None)]
-
-
 def test_settings_of_a_keystore_that_cannot_be_read_are_told(tmp_path):
     report = checked(tmp_path, {"pqsec.json": "{", "governance.xml": GOVERNANCE})
     assert told(report) == [("PQS001", "pqsec.json", None)]
@@ -69,16 +72,22 @@ def test_a_change_of_a_keystore_that_was_cut_off_is_told_and_not_finished(tmp_pa
     assert (tmp_path / ".journal/0/governance.xml").exists()
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_a_file_that_others_own_is_told_and_not_checked(tmp_path):
-    (tmp_path / "governance.xml").touch(mode=0)
-    assert told(checked(tmp_path)) == [("PQS001", "governance.xml", None)]
-
-
 def test_a_file_that_is_too_large_is_told_and_not_checked(tmp_path):
     with (tmp_path / "governance.xml").open("wb") as file:
         file.truncate(100 << 20)
     assert told(checked(tmp_path)) == [("PQS001", "governance.xml", None)]
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "words"), [("MAX_FILES", 2, "2 files"), ("MAX_BYTES", 99, "99 bytes")]
+)
+def test_a_folder_with_too_much_in_it_is_refused(tmp_path, monkeypatch, limit, value, words):
+    files = {f"{name}.xml": "<dds>" + " " * 44 for name in "ab"}
+    checked(tmp_path, files)
+    monkeypatch.setattr(collect, limit, value)
+    checked(tmp_path)
+    with pytest.raises(FileError, match=f"more than {words} to check"):
+        checked(tmp_path, {"c.xml": "<dds/>"})
 
 
 def test_pipes_and_circles_of_links_do_not_hold_it_up(tmp_path):
@@ -174,6 +183,8 @@ BOMB = "[&a [x, x], " + ", ".join(
         ("ignore: x\n", ["PQS005"], "wants a list"),
         ("ignore: [x]\n", ["PQS005"], "says rule and reason"),
         ("ignored: []\n", ["PQS005"], "knows no 'ignored'"),
+        (ENTRY + ENTRY, ["PQS005"], "comes twice"),
+        (ENTRY + "    reason: z\n", ["PQS005"], "something twice"),
         ("- x\n", ["PQS005"], "not a mapping"),
         ("a: [\n", ["PQS005"], "cannot be read"),
         ("\x00", ["PQS005"], "cannot be read"),
@@ -205,6 +216,30 @@ def test_one_file_of_a_folder_is_checked_with_the_folders_suppressions(tmp_path)
     report = check([tmp_path / "governance.xml"], now=NOW)
     assert report.findings == ()  # nor is the other called superfluous
     assert len(report.ignored) == 1
+
+
+def test_a_folder_suppresses_nothing_of_another_folder(tmp_path):
+    for name in ("mine", "theirs"):
+        checked(tmp_path / name, {"governance.xml": OPEN})
+    (tmp_path / "theirs/.pqsec-check.yaml").write_text(ENTRY)
+    for theirs in ("theirs", "mine/../theirs"):
+        report = check([tmp_path / "mine", tmp_path / theirs], now=NOW)
+        assert told(report) == [("PQS229", "governance.xml", report.findings[0].line)]
+        assert report.findings[0].path == tmp_path / "mine/governance.xml"
+
+
+def test_what_a_link_leads_to_is_suppressed_by_the_name_of_the_link(tmp_path):
+    checked(tmp_path, {"outside.xml": OPEN})
+    (tmp_path / "k").mkdir()
+    (tmp_path / "k/governance.xml").symlink_to("../outside.xml")
+    (tmp_path / "k/.pqsec-check.yaml").write_text(ENTRY + "    path: governance.xml\n")
+    assert check([tmp_path / "k"], now=NOW).findings == ()
+
+
+def test_a_suppression_file_of_a_few_bytes_cannot_say_millions(tmp_path):
+    many = ", ".join(["{rule: x}"] * 8_000)
+    report = with_suppressions(tmp_path, f"ignore: &a [{many}]\n" + "ignore: *a\n" * 14_000)
+    assert [each.rule.id for each in report.findings] == ["PQS005", "PQS229"]
 
 
 def test_a_suppression_of_the_command_line_holds_for_all(tmp_path):

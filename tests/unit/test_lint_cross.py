@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.serialization import pkcs7
 from pqsec_pki._asn1 import ContentInfo, Oid, algorithm, encode
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, load_private_key, pem
 from pqsec_pki.certificates import Authority, Certificate
-from pqsec_pki.documents import DomainSet, Governance, Permissions
+from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Permissions
 from pqsec_pki.lint import Target, check
 from pqsec_pki.smime import Signer, document_in, sign, signers_in
 from pqsec_pki.smime._cms import SIGNED_DATA, parse
@@ -63,6 +63,48 @@ def test_what_enclaves_share_is_read_once(lab):
 def test_a_missing_file_is_found(lab, name):
     (lab / TALKER / name).unlink()
     assert name in lab.found()["PQS301"].message
+
+
+SHARED_CAS = ("identity_ca.cert.pem", "permissions_ca.cert.pem", "permissions_ca.alt.cert.pem")
+
+
+@pytest.mark.parametrize("name", ["cert.pem", *SHARED_CAS])
+@pytest.mark.parametrize("form", ["empty", "DER"])
+def test_a_certificate_that_is_none_does_not_silence_the_check(tmp_path, name, form):
+    lab = Lab(tmp_path)
+    path = lab / TALKER / name
+    der = x509.load_pem_x509_certificate(path.read_bytes()).public_bytes(serialization.Encoding.DER)
+    lab.put(f"{TALKER}/{name}", der if form == "DER" else b"")
+    finding = lab.found()["PQS318"]
+    assert (finding.path, finding.message) == (path, "there is no certificate in PEM in it")
+
+
+@pytest.mark.parametrize(
+    ("goal", "source", "message"),
+    [
+        (P7S, GOVERNANCE, "is governance, not permissions"),
+        (f"{TALKER}/governance.p7s", P7S, "is permissions, not governance"),
+    ],
+)
+def test_documents_in_each_others_place_are_found(lab, goal, source, message):
+    lab.put(goal, (lab / source).read_bytes())
+    finding = lab.found()["PQS318"]
+    assert (finding.path, finding.message) == (lab / goal, message)
+
+
+@pytest.mark.parametrize(
+    ("left", "is_one"),
+    [
+        (("cert.pem", "permissions.p7s"), True),
+        (("identity_ca.cert.pem", "permissions_ca.cert.pem"), False),
+        (("cert.pem",), False),
+    ],
+)
+def test_a_folder_of_another_name_is_an_enclave_by_what_is_in_it(lab, tmp_path, left, is_one):
+    (tmp_path / "robot").mkdir()
+    for name in left:
+        shutil.copyfile(lab / TALKER / name, tmp_path / "robot" / name)
+    assert ("PQS301" in found(tmp_path / "robot")) is is_one
 
 
 def test_a_key_in_a_token_is_not_missed(lab):
@@ -206,12 +248,14 @@ def on_domain(lab, domains):
 @pytest.mark.parametrize("name", ["CN=/listener", "CN=/talker,O=Lab", "CN=/talker/x", "cn=/talker"])
 def test_permissions_of_somebody_else_are_found(lab, name):
     regrant(lab, subject_name=name)
-    assert "PQS308" in lab.found()
+    assert lab.found().keys() & {"PQS308", "PQS309"} == {"PQS308"}
 
 
 def test_domains_that_are_not_governed_are_found(lab):
     on_domain(lab, "1-5")
     assert "PQS309" in lab.found()
+    regrant(lab, default=DefaultAction.ALLOW)
+    assert "PQS309" not in lab.found()
 
 
 def test_domains_that_are_governed_too_are_enough(lab):
@@ -248,6 +292,13 @@ def test_one_key_for_both_cas_is_found(lab):
 
 
 # Time
+
+
+def test_of_two_grants_one_that_is_good_with_the_certificate_is_enough(lab):
+    [grant] = permissions(lab).grants
+    past = replace(grant, not_before=NOW - 300 * DAY, not_after=NOW - 200 * DAY)
+    lab.sign_permissions(Permissions(grants=(past, grant)))
+    assert lab.found().keys() & {"PQS320", "PQS327"} == {"PQS320"}
 
 
 @pytest.mark.parametrize(

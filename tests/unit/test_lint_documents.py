@@ -153,7 +153,7 @@ FLAWED = {
     "PQS242": [topic("rt/*b"), topic("*/a*")],
     "PQS251": [permissions(">DENY<", ">ALLOW<")],
     "PQS252": [permissions(">DENY<", ">ALLOW<").replace(ALLOW, "")],
-    "PQS253": [topic("*"), topic("**")],
+    "PQS253": [topic("*"), topic("**"), topic("?*")],
     "PQS254": [permissions(ALLOW, ALLOW + DENY),
                permissions(ALLOW, ALLOW.replace("rt/chatter", "rt/*") + DENY),
                permissions(ALLOW, ALLOW.replace("rt/chatter", "rt/c*r") + DENY),
@@ -168,7 +168,8 @@ FLAWED = {
     "PQS260": [permissions("</topics>", "</topics><data_tags><tag><name>a</name><value>b</value>"
                            "</tag></data_tags>")],
     "PQS261": [subject("CN=/talker", "CN=/talker"), subject("CN=x,O=y", "CN=x, O=y")],
-    "PQS262": [time("not_after", "2020-01-01T00:00:00Z")],
+    "PQS262": [time("not_after", "2020-01-01T00:00:00Z"),
+               re.sub("(<not_[a-z]+>)[^<]+", r"\g<1>2026-06-01T00:00:00Z", PERMISSIONS)],
     "PQS263": [time("not_after", "2262-01-01T00:00:00Z"),
                time("not_after", "10000000000-01-01T00:00:00Z")],
     "PQS264": [time("not_before", "soon"), time("not_before", "2026-01-01"),
@@ -215,7 +216,10 @@ SOUND = {
     "PQS208": [permissions("</topics>", "</topics>" + partition("P"))],
     "PQS222": [unsecured()],
     "PQS224": [re.sub("(metadata|data)(_protection_kind>)[A-Z]+<", r"\1\2NONE<", GOVERNANCE)],
-    "PQS225": [governance("<data_protection_kind>ENCRYPT", "<data_protection_kind>NONE")],
+    "PQS225": [governance("<data_protection_kind>ENCRYPT", "<data_protection_kind>NONE"),
+               re.sub("(rtps)(_protection_kind>)SIGN<", r"\1\2ENCRYPT<", re.sub(
+                   "(metadata|data)(_protection_kind>)ENCRYPT<", r"\1\2SIGN<", GOVERNANCE))],
+    "PQS255": [permissions(ALLOW, ALLOW + DENY + ALLOW)],
     "PQS227": [governance(TOPIC_RULE, TOPIC_RULE.replace(">*<", ">rt/x<") + TOPIC_RULE),
                governance(TOPIC_RULE, TOPIC_RULE.replace(">*<", ">rt/a*<")
                           + TOPIC_RULE.replace(">*<", ">rt/*<") + TOPIC_RULE)],
@@ -254,6 +258,8 @@ SOUND = {
     "PQS268": [permissions("ros_discovery_info", "*")],
     "PQS269": [topic("rt/DCPSTopic")],
     "PQS270": [permissions(ALLOW, only("allow", "subscribe") + only("deny", "publish", "rt/*")),
+               permissions(ALLOW, only("allow", "subscribe") + only("deny", "publish")
+                           + only("allow", "subscribe", "rt/*")),
                permissions(ALLOW, only("deny", "publish", "rt/x") + only("allow", "subscribe")),
                permissions(ALLOW, DENY + only("allow", "subscribe", "ros_discovery_info")),
                permissions(ALLOW, only("deny", "publish") + only("deny", "subscribe", "rt/*")

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
 )
 
-from pqsec_pki.algorithms import load_private_key, private_key_pem
+from pqsec_pki.algorithms import load_private_key, private_key_pem, unpem
 from tests.unit.linting import SECRET, TALKER, Lab, certificate, p256
 
 KEY = f"{TALKER}/key.pem"
@@ -59,6 +59,10 @@ FLAWS = [
     ("PQS706", lambda lab: copy_key(lab, f"{TALKER}/#key.pem#")),
     ("PQS706", lambda lab: copy_key(lab, f"{TALKER}/key (copy).pem")),
     ("PQS706", lambda lab: copy_key(lab, f"{TALKER}/.key.pem.swp")),
+    ("PQS701", put(f"{TALKER}/backup.der", lambda lab: in_der(PrivateFormat.PKCS8))),
+    ("PQS701", put(f"{TALKER}/backup.key", lambda lab: in_der(PrivateFormat.TraditionalOpenSSL))),
+    ("PQS703", put(f"{TALKER}/x.key", lambda lab: unpem(open_ca_key(lab), "key")[0][1])),
+    ("PQS704", put("public/talker.der", lambda lab: in_der(PrivateFormat.PKCS8))),
     ("PQS707", put(CA_KEY, open_ca_key)),
     ("PQS708", put(CA_KEY, lambda lab: in_the_old_way(BestAvailableEncryption(SECRET)))),
 ]
@@ -66,6 +70,10 @@ FLAWS = [
 
 def in_the_old_way(encryption):
     return p256().private_bytes(Encoding.PEM, PrivateFormat.TraditionalOpenSSL, encryption)
+
+
+def in_der(form):
+    return p256().private_bytes(Encoding.DER, form, NoEncryption())
 
 
 def both(lab):
@@ -89,6 +97,9 @@ def test_a_flaw_is_found(lab, rule, flaw):
         lambda lab: copy_key(lab, f"{TALKER}/old.key.pem"),
         chmod("enclaves", 0o1777),  # sticky, as /tmp is
         lambda lab: shutil.copyfile(lab / TALKER / "cert.pem", lab / "public/talker.cert.pem"),
+        lambda lab: lab.put(
+            "public/talker.der", unpem((lab / TALKER / "cert.pem").read_bytes(), "it")[0][1]
+        ),
     ],
 )
 def test_what_is_no_flaw_is_not_complained_of(lab, change):

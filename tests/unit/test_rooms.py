@@ -22,8 +22,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "access": {"documents"},
     "handshake": {"algorithms", "certificates"},
     "keystore": {"algorithms", "certificates", "smime", "documents"},
-    "vendors": {"keystore"},
-    "domain": {"keystore", "documents", "access", "certificates"},
+    "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
+    "domain": {"keystore", "documents", "access", "certificates", "algorithms"},
     "report": {"keystore", "documents", "access", "certificates"},
     "inspection": {"documents", "smime", "certificates", "algorithms"},
     "plugin": {"handshake", "access", "documents", "smime", "certificates", "algorithms"},
@@ -35,6 +35,8 @@ MAY_IMPORT: dict[str, set[str]] = {
 MAY_IMPORT["lint"] = {
     *("algorithms", "certificates", "smime", "documents", "access", "handshake", "keystore")
 }
+MAY_IMPORT["enrolment"] = MAY_IMPORT["keystore"] | {"keystore"}
+MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
@@ -44,7 +46,7 @@ ONLY_IN = {
     "cryptography.hazmat.primitives.asymmetric": {"algorithms"},
     "click": {"cli"},
     "lxml": {"documents"},
-    "yaml": {"documents", "lint"},
+    "yaml": {"documents", "lint", "vendors"},
     "jinja2": {"documents", "vendors", "report"},
 }
 

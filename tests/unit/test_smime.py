@@ -4,6 +4,7 @@ import base64
 import re
 import shutil
 import subprocess
+import time
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -803,6 +804,23 @@ def test_a_file_that_was_tampered_with_is_refused(lab, flaw):
     assert altered != message
     with pytest.raises(VerificationError):
         lab.verify(altered)
+
+
+@pytest.mark.parametrize("rest", [b"x", b"-", b"---", b" x", b"-- x"])
+def test_a_line_that_begins_as_the_boundary_and_goes_on_ends_no_part(lab, rest):
+    message = lab.sign()
+    line = b"--" + boundary_of(message) + rest + b"\n"
+    forged = message.replace(b"</dds>", line + b"</dds>", 1)
+    assert line.strip() in document_in(forged)
+
+
+def test_boundary_lines_beyond_number_are_refused_at_once():
+    head = b'Content-Type: multipart/signed; boundary="b"\n\n'
+    began = time.process_time()
+    for line in (b"--b\n", b"--bx\n"):
+        with pytest.raises(MalformedError, match="two parts"):
+            document_in(head + line * 1_000_000)
+    assert time.process_time() - began < 5  # half a second; what is quadratic takes minutes
 
 
 def test_headers_may_be_written_otherwise(lab):

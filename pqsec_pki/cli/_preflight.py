@@ -1,0 +1,45 @@
+"""pqsec try ros2 --dry-run: would ROS 2 run a node secured, started from this shell?"""
+
+import os
+from collections.abc import Iterator
+
+from pqsec_pki.cli import _common
+from pqsec_pki.cli._paragraph import paragraph
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.vendors.ros2 import preflight
+from pqsec_pki.vendors.ros2_check import Check
+
+
+def report(names: tuple[str, ...]) -> int:
+    """Print the checks for these participants, or for all there are; the exit code."""
+    keystore, now = _common.open_keystore(), _common.now()
+    names = names or tuple(keystore.names())
+    if not names:
+        raise KeystoreError("there is no participant to check", hint="make one: `pqsec issue NAME`")
+    checks = {name: list(preflight(keystore, name, os.environ, now=now)) for name in names}
+    good = all(each.ok for found in checks.values() for each in found)
+    value = {
+        "ok": good,
+        "participants": {name: list(map(_value, found)) for name, found in checks.items()},
+    }
+    _common.emit(value, _lines(checks))
+    return 0 if good else 1
+
+
+def _lines(checks: dict[str, list[Check]]) -> Iterator[str]:
+    for name, found in checks.items():
+        width = max(len(each.what) for each in found)
+        for each in found:
+            front = f"{'ok  ' if each.ok else 'FAIL'}  {each.what:<{width}}  "
+            yield paragraph(front, each.problem) if each.problem else front.rstrip()
+        bad = [each for each in found if not each.ok]
+        yield ""
+        if not bad:
+            yield f"ROS 2 would run {name} secured from this shell: --ros-args --enclave {name}"
+            continue
+        yield f"ROS 2 would not run {name} secured from this shell. To mend it:"
+        yield from (f"  {mend}" for mend in dict.fromkeys(each.mend for each in bad))
+
+
+def _value(check: Check) -> dict[str, object]:
+    return {"what": check.what, "ok": check.ok, "problem": check.problem, "mend": check.mend}

@@ -1,0 +1,53 @@
+"""pqsec adopt: a keystore that SROS2 or OpenSSL made becomes one of pqsec's."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.cli.check import report_lines, report_value
+from pqsec_pki.keystore import Adopted
+from pqsec_pki.keystore import adopt as adopt_folder
+from pqsec_pki.lint import check
+
+
+@click.command()
+@click.argument("folder", type=_common.FOLDER, required=False, metavar="[DIR]")
+@_common.command_options
+def adopt(folder: Path | None) -> None:
+    """Make a keystore of SROS2, or one in its layout, a keystore of pqsec's, and check it.
+
+    No file that is there is changed: pqsec.json and the ledger are added. What the check
+    finds is shown, and is no reason to fail.
+    """
+    now = _common.now()
+    found = adopt_folder(folder or _common.keystore_path(), now=now)
+    report = check((found.keystore.root,), now=now)
+    _common.emit(
+        {
+            "keystore": str(found.keystore.root),
+            "profile": found.keystore.profile.name,
+            "domains": str(found.keystore.domains),
+            "participants": found.participants,
+            "refused": found.refused,
+            "one_ca": found.one_ca,
+            "check": report_value(report, strict=False),
+        },
+        [*_lines(found), *report_lines(report)],
+    )
+    if not found.fitting:
+        _common.note("no profile has these kinds of keys; what is made from now on is classical")
+    if found.one_ca:
+        _common.note(
+            "one key is identity CA and permissions CA (CVE-2023-24010): make two with"
+            " `pqsec ca rotate`; until then nothing can be issued"
+        )
+
+
+def _lines(found: Adopted) -> list[str]:
+    keystore = found.keystore
+    count = len(found.participants)
+    whom = "1 participant" if count == 1 else f"{count} participants"
+    first = f"{keystore.root}: {whom}, profile {keystore.profile.name}, domains {keystore.domains}"
+    refused = [f"not taken: {place}: {reason}" for place, reason in found.refused.items()]
+    return [first, *refused]

@@ -1,0 +1,141 @@
+"""pqsec explain-error: what a stack's security error means, and the way out."""
+
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.cli._paragraph import paragraph
+from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.vendors.messages import Message, Recognised, messages, nearest, recognise
+
+MAX_LOG = 16 << 20
+"""Bytes; a log of a day of errors is smaller."""
+MOST_ALIKE = 3
+"""Of one message with different values, as of many peers; the way out is the same."""
+TITLES = {
+    "cyclonedds": "Cyclone DDS",
+    "fastdds": "Fast DDS",
+    "opendds": "OpenDDS",
+    "ros2": "ROS 2",
+}
+
+
+@click.command("explain-error")
+@click.argument("text", nargs=-1, metavar="TEXT|CODE|-")
+@click.option("--stack", type=click.Choice(list(TITLES)), help="Only what this stack says.")
+@click.option("--list", "as_list", is_flag=True, help="List all messages that are known.")
+@_common.command_options
+def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) -> None:
+    """Tell what a DDS stack's security error means, and the way out.
+
+    TEXT is the message, or a whole log on standard input (-); CODE is a number of Cyclone
+    DDS's table. The exit code is 0 if something in it is known and 1 if nothing is.
+
+    pqsec explain-error 146
+
+    pqsec explain-error "Subject name is invalid(code: 146)"
+
+    pqsec explain-error - < node.log
+    """
+    if as_list:
+        if text:
+            raise UsageError("--list takes no text")
+        rows = messages(stack)
+        _common.emit([_row(row) for row in rows], _list(rows))
+        return
+    words = _given(text)
+    found = recognise(words, stack=stack)
+    near = () if found else nearest(words, stack=stack)
+    value = {"known": [_found(each) for each in found], "nearest": [_row(each) for each in near]}
+    _common.emit(value, _lines(found, near, in_log="\n" in words.strip()))
+    if not found:
+        click.get_current_context().exit(1)
+
+
+def _given(text: tuple[str, ...]) -> str:
+    words = _standard_input() if text == ("-",) else " ".join(text)
+    if not words.strip():
+        hint = 'as in `pqsec explain-error "Subject name is invalid"`, or `-` for standard input'
+        raise UsageError("no message is given", hint=hint)
+    return words
+
+
+def _standard_input() -> str:
+    stream = getattr(sys.stdin, "buffer", None)
+    try:
+        data = stream.read(MAX_LOG + 1) if stream else b""  # it may be closed
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FileError(f"standard input cannot be read: {reason}") from error
+    if len(data) > MAX_LOG:
+        hint = "give the part that matters, as with `tail -n 1000`"
+        raise FileError(f"standard input has more than {MAX_LOG >> 20} MiB", hint=hint)
+    return str(data.decode(errors="replace"))
+
+
+def _lines(
+    found: tuple[Recognised, ...], near: tuple[Message, ...], *, in_log: bool
+) -> Iterator[str]:
+    alike = Counter[Message]()
+    for number, each in enumerate(found):
+        alike[each.message] += 1
+        if alike[each.message] <= MOST_ALIKE:
+            yield from [""] * (number > 0)
+            yield from _explained(each, in_log=in_log)
+    for row, times in alike.items():
+        if times > MOST_ALIKE:
+            yield ""
+            yield f"{_who(row)}: {row.title}: {times - MOST_ALIKE} more (--json has them)"
+    if not found:
+        yield "No message of a stack that is known is in it."
+    if near:
+        yield "Nearest:"
+        yield from (f"  {_who(row)}: {row.title}" for row in near)
+
+
+def _explained(each: Recognised, *, in_log: bool) -> Iterator[str]:
+    times = f", {each.times} times" if each.times > 1 else ""
+    where = f" (line {each.line}{times})" if in_log else ""
+    yield f"{_who(each.message)}: {each.said}{where}"
+    yield paragraph("  cause   ", each.cause)
+    yield paragraph("  remedy  ", each.remedy)
+
+
+def _who(row: Message) -> str:
+    who = " or ".join(TITLES[stack] for stack in row.stacks)
+    return f"{who}, code {row.code}" if row.code else who
+
+
+def _list(rows: tuple[Message, ...]) -> list[str]:
+    heads = ("stack", "code", "message")
+    texts = [(row, text) for row in rows for text in row.texts or (row.title,)]
+    return _common.table(
+        heads, [(",".join(row.stacks), str(row.code or ""), text) for row, text in texts]
+    )
+
+
+def _row(row: Message) -> dict[str, Any]:
+    return {
+        "stacks": list(row.stacks),
+        "code": row.code,
+        "texts": list(row.texts),
+        "tells": str(row.tells),
+        "cause": row.cause,
+        "remedy": row.remedy,
+        "evidence": row.evidence,
+    }
+
+
+def _found(each: Recognised) -> dict[str, Any]:
+    return _row(each.message) | {
+        "said": each.said,
+        "values": dict(each.values),
+        "line": each.line,
+        "times": each.times,
+        "cause": each.cause,
+        "remedy": each.remedy,
+    }

@@ -1,0 +1,118 @@
+"""pqsec export: the configuration with which a DDS stack runs as a participant."""
+
+import os
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.cli.plugin import DEFAULT_FOLDER
+from pqsec_pki.errors import UsageError
+from pqsec_pki.vendors import STACKS, Export, Options, stack_named, write
+from pqsec_pki.vendors import export as make_export
+
+
+@click.command()
+@click.argument("stack", type=click.Choice([each.name for each in STACKS]), metavar="STACK")
+@click.argument("name")
+@click.option(
+    "-o",
+    "--output",
+    type=_common.FOLDER,
+    metavar="DIR",
+    help="Write the files into this folder. [default: print the first one]",
+)
+@click.option("--stack-version", "version", metavar="VERSION", help="Such as 3.1.2, or 0.10.")
+@click.option("--loopback", is_flag=True, help="For tests on one machine: 127.0.0.1 alone.")
+@click.option(
+    "--at",
+    metavar="PATH",
+    help="Where the participant's folder will be on the machine that runs it. [default: where"
+    " it is]",
+)
+@click.option(
+    "--plugins",
+    type=_common.FOLDER,
+    metavar="DIR",
+    help="Where Cyclone DDS's plugins are; with --plugin, where pqsec's is. [default for that:"
+    f" {DEFAULT_FOLDER}]",
+)
+@click.option(
+    "--plugin", is_flag=True, help="Run pqsec's plugin in Cyclone DDS, for post-quantum keys."
+)
+@click.option(
+    "--password-file",
+    type=_common.FILE,
+    help="Write the passphrase of the participant's key, the first line of this file, into the"
+    " configuration. [default: the process reads $PQSEC_KEY_PASSWORD; not Fast DDS]",
+)
+@click.option("--anyway", is_flag=True, help="Write also what the stack is known to refuse.")
+@click.option("--force", is_flag=True, help="Replace files that are there already.")
+@_common.command_options
+def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
+    stack: str,
+    name: str,
+    output: Path | None,
+    version: str | None,
+    at: str | None,
+    plugins: Path | None,
+    password_file: Path | None,
+    *,
+    plugin: bool,
+    loopback: bool,
+    anyway: bool,
+    force: bool,
+) -> None:
+    """Write the configuration with which a DDS stack runs as a participant.
+
+    STACK is cyclonedds, fastdds, opendds, connext or ros2; NAME a participant such as
+    /talker. The files name the credentials where they are. What the stack is known to
+    refuse is not written: then it says why.
+    """
+    if plugin and at is not None and plugins is None:
+        raise UsageError(
+            "where is pqsec's plugin on the machine that --at is about?",
+            hint="name its folder there: --plugins DIR, as in `pqsec plugin install --dir DIR`",
+        )
+    ours = plugins or DEFAULT_FOLDER.expanduser()
+    options = Options(
+        version=version,
+        loopback=loopback,
+        password=_common.key_password(password_file),
+        at=PurePosixPath(at) if at is not None else None,
+        plugins=None if plugin else plugins,
+        plugin=ours if plugin else None,
+        anyway=anyway,
+        environment=dict(os.environ),
+    )
+    keystore = _common.open_keystore()
+    made = make_export(stack_named(stack), keystore, name, options, now=_common.now())
+    if made.is_private and output is None:
+        raise UsageError(
+            "the configuration holds the passphrase, and is not printed",
+            hint="write it with -o DIR: the file is then for your eyes only",
+        )
+    written = write(made, output, force=force) if output else []
+    for text in (*made.notes, *made.warnings):
+        _common.note(text)
+    _tell(made, output, written)
+
+
+def _tell(made: Export, output: Path | None, written: list[Path]) -> None:
+    value: dict[str, Any] = {
+        "stack": made.stack,
+        "participant": made.participant,
+        "notes": made.notes,
+        "warnings": made.warnings,
+    }
+    if output:
+        value |= {
+            "files": list(map(str, written)),
+            "environment": made.variables(output),
+            "commands": made.commands(output),
+        }
+        _common.emit(value, [*map(str, written), "", "To use it:", *made.commands(output)])
+        return
+    texts = {path: each for path, each in made.files.items() if isinstance(each, str)}
+    _common.emit(value | {"texts": texts}, [texts[made.main].removesuffix("\n")])

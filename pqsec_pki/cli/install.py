@@ -1,0 +1,73 @@
+"""pqsec install and rollback: on the robot, the answer to its request, and the way back."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.cli.request import folder_option
+from pqsec_pki.enrolment import install as install_bundle
+from pqsec_pki.enrolment import rollback as roll_back
+
+
+@click.command()
+@click.argument("bundle", type=_common.FILE)
+@click.option(
+    "--ca-fingerprint",
+    "fingerprints",
+    multiple=True,
+    metavar="SHA256",
+    help="Of a CA to trust; name each. [default: those of what is installed]",
+)
+@click.option(
+    "--trust-first",
+    is_flag=True,
+    help="If nothing is installed yet, trust the CAs in the bundle, whoever made it.",
+)
+@click.option("--older", is_flag=True, help="Also what is older than what is installed.")
+@folder_option
+@_common.command_options
+def install(
+    bundle: Path,
+    fingerprints: tuple[str, ...],
+    folder: Path,
+    *,
+    trust_first: bool,
+    older: bool,
+) -> None:
+    """Check a bundle, and let it be what this robot runs with.
+
+    Everything in it must hold now, under the CAs that are trusted, and fit a key that is
+    here. Then DIR/current leads to it, in one step; what was there before is kept for
+    `pqsec rollback`.
+    """
+    done = install_bundle(
+        bundle,
+        folder,
+        fingerprints,
+        now=_common.now(),
+        trust_first=trust_first,
+        older=older,
+    )
+    value = {
+        "installed": done.names,
+        "current": str(done.current),
+        "not_after": done.not_after.isoformat(),
+        "already": done.already,
+    }
+    word = "was installed already" if done.already else "installed"
+    until = f"until {done.not_after:%Y-%m-%d}"
+    _common.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
+
+
+@click.command()
+@folder_option
+@_common.command_options
+def rollback(folder: Path) -> None:
+    """Go back to what was installed before the last bundle.
+
+    Nothing is checked: its certificates may have ended, its revocation list is older.
+    """
+    earlier = roll_back(folder)
+    value = {"current": str(earlier.path), "installed_at": earlier.at.isoformat()}
+    _common.emit(value, [f"back to what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"])

@@ -1,0 +1,37 @@
+"""pqsec ca passphrase: change, set or remove the passphrase of the CA keys."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _common
+from pqsec_pki.keystore import change_passphrase
+
+
+@click.command()
+@_common.passphrase_option
+@click.option(
+    "--new-passphrase-file", type=_common.FILE, help="A file whose first line is the new one."
+)
+@click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
+@_common.command_options
+def passphrase(
+    passphrase_file: Path | None, new_passphrase_file: Path | None, *, no_passphrase: bool
+) -> None:
+    """Change, set or remove the passphrase of the CA keys, all of them in one step.
+
+    The old files are overwritten with zeros. Where a file system or a disk keeps old
+    blocks, and in backups, what they held may stay; keys of older generations keep the
+    passphrase they had.
+    """
+    keystore = _common.open_keystore()
+    authorities = _common.unlock(keystore, passphrase_file)
+    new = _common.new_passphrase(
+        new_passphrase_file, none=no_passphrase, option="--new-passphrase-file"
+    )
+    paths = change_passphrase(keystore, authorities, new)
+    if new is None:
+        _common.note(f"the CA keys in {paths[0].parent} are not encrypted; guard that folder")
+    word = "not encrypted" if new is None else "encrypted anew"
+    value = {"keys": [str(path) for path in paths], "encrypted": new is not None}
+    _common.emit(value, [f"{path}  {word}" for path in paths])

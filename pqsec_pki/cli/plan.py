@@ -1,0 +1,115 @@
+"""pqsec plan: what a domain file wants and the keystore has not."""
+
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from pathlib import Path
+
+import click
+
+from pqsec_pki import _files
+from pqsec_pki.cli import _common
+from pqsec_pki.domain import Action, Desired, Plan, new_domain, read_domain
+from pqsec_pki.domain import plan as plan_steps
+from pqsec_pki.errors import ExistsError, KeystoreError
+from pqsec_pki.keystore import Keystore
+
+DEFAULT_FILE = Path("domain.yaml")
+_SHOWN = 5
+"""Names on one line; --json has all."""
+
+file_argument = click.argument("file", type=_common.FILE, default=DEFAULT_FILE, metavar="[FILE]")
+prune_option = click.option(
+    "--prune", is_flag=True, help="Also revoke participants that FILE does not name."
+)
+
+
+@click.command()
+@file_argument
+@click.option("--init", is_flag=True, help="Write a new FILE with comments, to be edited.")
+@prune_option
+@_common.command_options
+def plan(file: Path, *, init: bool, prune: bool) -> None:
+    """Tell what FILE wants and the keystore has not: what `pqsec apply` would do.
+
+    FILE is domain.yaml if it is not named. Exit code 0 if there is nothing to do, 1 if
+    there is.
+    """
+    if init:
+        _files.write(file, new_domain("Robots"))
+        _common.emit({"written": str(file)}, [f"{file}: edit it, then `pqsec plan`"])
+        return
+    desired = read_domain(file)
+    found = plan_steps(desired, keystore_or_none(), now=_common.now(), prune=prune)
+    show(found, desired)
+    if not found.in_order:
+        click.get_current_context().exit(1)
+
+
+def keystore_or_none() -> Keystore | None:
+    """The keystore the user means; None if nothing is there yet."""
+    path = _common.keystore_path()
+    try:
+        return Keystore.open(path)
+    except KeystoreError:
+        try:
+            Keystore.refuse_occupied(path)
+        except ExistsError:
+            pass
+        else:
+            return None
+        raise
+
+
+def show(found: Plan, desired: Desired) -> None:
+    """The plan, and notes on what it leaves alone."""
+    as_json = _common.settings().json
+    _common.emit(value(found) if as_json else None, lines(found))
+    if desired.ungoverned:
+        where = ", ".join(map(str, desired.ungoverned))
+        _common.note(f"the governance does not name domain {where}: nobody can join there")
+    if found.unlisted:
+        names = _few(found.unlisted)
+        _common.note(f"not in {desired.path}: {names}; --prune revokes what is not in it")
+
+
+def value(found: Plan) -> dict[str, object]:
+    """The plan, for --json."""
+    return {
+        "in_order": found.in_order,
+        "steps": [
+            {"action": step.action, "name": step.name or None, "why": step.why}
+            for step in found.steps
+        ],
+        "blocked": [{"name": each.name, "why": each.why} for each in found.blocked],
+        "unlisted": list(found.unlisted),
+        "unchanged": found.unchanged,
+    }
+
+
+def lines(found: Plan) -> Iterator[str]:
+    """The plan, for a person: a line for all steps that are alike."""
+    width = max((len(step.action.words) for step in found.steps), default=0)
+    alike = groupby(found.steps, key=lambda step: (step.action, _kind(step.action, step.why)))
+    for (action, why), steps in alike:
+        names = [step.name for step in steps]
+        yield f"{action.words:<{width}}  {_few(names)}{'  ' * any(names)}({why})"
+    for each in found.blocked:
+        yield f"blocked: {each.name} {each.why}; take it out of the file, or issue it by hand"
+    count = len(found.steps)
+    right = found.unchanged
+    rest = (
+        f"{right} {'participant is as it' if right == 1 else 'participants are as they'} should be"
+    )
+    yield f"{count or 'no'} {'change' if count == 1 else 'changes'}; {rest}"
+
+
+def _kind(action: Action, why: str) -> str:
+    """Renewals are for one reason, whichever day each ends."""
+    return why.split(maxsplit=1)[0] if action is Action.RENEW else why
+
+
+def _few(names: Iterable[str]) -> str:
+    some = [name for name in names if name]
+    if len(some) <= _SHOWN:
+        return ", ".join(some)
+    return f"{', '.join(some[: _SHOWN - 1])} and {len(some) - _SHOWN + 1} more"

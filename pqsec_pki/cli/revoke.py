@@ -1,0 +1,96 @@
+"""pqsec revoke: take participants' certificates back."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from pqsec_pki.certificates import Reason, RevocationList
+from pqsec_pki.cli import _common
+from pqsec_pki.keystore import LIST_VALIDITY, Keystore, Revoked
+from pqsec_pki.keystore import revoke as take_back
+
+list_validity_option = click.option(
+    "--validity",
+    type=_common.Duration(),
+    default=LIST_VALIDITY,
+    show_default="1y",
+    help="When the next list is due: past that, stacks refuse everybody.",
+)
+
+
+@click.command()
+@click.argument("subjects", nargs=-1, required=True, metavar="NAME|SERIAL...")
+@click.option(
+    "--reason",
+    type=click.Choice([reason.value for reason in Reason], case_sensitive=False),
+    default=Reason.UNSPECIFIED.value,
+    show_default=True,
+    help="What the list says of it (RFC 5280 5.3.1).",
+)
+@list_validity_option
+@_common.passphrase_option
+@_common.command_options
+def revoke(
+    subjects: tuple[str, ...], reason: str, validity: timedelta, passphrase_file: Path | None
+) -> None:
+    """Take certificates back: a new revocation list, linked into every enclave.
+
+    NAME takes back all certificates of that participant which have not expired, SERIAL
+    one certificate. Give the new crl.pem to every robot: who has an old list, or none,
+    still lets them in.
+    """
+    keystore = _common.open_keystore()
+    first = not keystore.has_revocation_list
+    authorities = _common.unlock(keystore, passphrase_file)
+    revoked, made = take_back(
+        keystore,
+        authorities,
+        subjects,
+        reason=Reason(reason),
+        now=_common.now(),
+        validity=validity,
+    )
+    if first:
+        _common.note("DDS stacks read crl.pem when a participant starts, and OpenDDS not at all")
+    if not all(each.listed for each in revoked):
+        _common.note(
+            "what an earlier CA issued is in no list: who still trusts that CA lets it in;"
+            " bring every robot the files of the present one"
+        )
+    value = {"revoked": [_value(each) for each in revoked], **list_value(keystore, made)}
+    _common.emit(value, [*map(_line, revoked), list_line(keystore, made)])
+
+
+def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:
+    """The list, for --json."""
+    return {
+        "list": str(keystore.revocation_list_path),
+        "number": made.number,
+        "certificates": len(made.revoked),
+        "next_update": made.next_update.isoformat() if made.next_update else None,
+    }
+
+
+def list_line(keystore: Keystore, made: RevocationList) -> str:
+    """The list, for a person."""
+    due = f", due again by {made.next_update:%Y-%m-%d}" if made.next_update else ""
+    count = len(made.revoked)
+    what = "1 certificate" if count == 1 else f"{count} certificates"
+    return f"list {made.number}: {what}{due}  {keystore.revocation_list_path}"
+
+
+def _value(each: Revoked) -> dict[str, object]:
+    return {
+        "name": each.name,
+        "serial": each.serial,
+        "since": each.since.isoformat(),
+        "reason": each.reason,
+        "before": each.before,
+        "listed": each.listed,
+    }
+
+
+def _line(each: Revoked) -> str:
+    word = "was revoked already," if each.before else "revoked"
+    return f"{each.name}  {each.serial}  {word} {each.since:%Y-%m-%d} ({each.reason})"

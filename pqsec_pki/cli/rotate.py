@@ -1,0 +1,226 @@
+"""pqsec ca rotate: a new generation of CAs, and what that means, told before."""
+
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pqsec_pki.algorithms import PROFILES, Profile, profile_named
+from pqsec_pki.cli import _common
+from pqsec_pki.errors import UsageError
+from pqsec_pki.keystore import CA_VALIDITY, Keystore, Outlook, Rollover, Scope, foresee
+from pqsec_pki.keystore import rotate as rotate_keystore
+from pqsec_pki.vendors.rollover import TRUST
+
+_CAS = {
+    Scope.BOTH: "identity CA and permissions CA",
+    Scope.IDENTITY: "identity CA",
+    Scope.PERMISSIONS: "permissions CA",
+}
+
+
+@click.command()
+@click.option("--plan", is_flag=True, help="Tell what would be done and what breaks.  [default]")
+@click.option("--apply", "do", is_flag=True, help="Do it.")
+@click.option(
+    "--profile",
+    "profile_name",
+    type=click.Choice([profile.name for profile in PROFILES], case_sensitive=False),
+    help="Go over to that profile.  [default: stay]",
+)
+@click.option(
+    "--only",
+    "scope",
+    type=click.Choice([Scope.IDENTITY.value, Scope.PERMISSIONS.value]),
+    help="Leave the other CA as it is.  [default: both are made anew]",
+)
+@click.option("--name", help="The start of the new CAs' names.  [default: as before, with G2, G3]")
+@click.option(
+    "--validity", type=_common.Duration(), default=CA_VALIDITY, show_default="10y", help="Of CAs."
+)
+@click.option("--rekey", is_flag=True, help="New keys for participants whose kind stays too.")
+@click.option(
+    "--destroy-old-keys", "destroy", is_flag=True, help="Overwrite the old CA keys, keep none."
+)
+@_common.passphrase_option
+@click.option("--no-passphrase", is_flag=True, help="Leave the new CA keys unencrypted.")
+@_common.command_options
+def rotate(  # noqa: PLR0913 -- one for each option, by name
+    profile_name: str | None,
+    scope: str | None,
+    name: str | None,
+    validity: timedelta,
+    passphrase_file: Path | None,
+    *,
+    plan: bool,
+    do: bool,
+    rekey: bool,
+    destroy: bool,
+    no_passphrase: bool,
+) -> None:
+    """Make new CAs, and everything that they sign anew: a rollover, or another profile.
+
+    Participants may do what they might before, and keep their keys where the profile asks
+    for no other kind. The old CAs need not be unlocked, unless one of them stays.
+    """
+    if plan and do:
+        raise UsageError("--plan and --apply exclude each other")
+    keystore = _common.open_keystore()
+    terms = Rollover(
+        profile=_profile(keystore, profile_name),
+        scope=Scope(scope) if scope else Scope.BOTH,
+        name=name,
+        validity=validity,
+        rekey=rekey,
+        destroy=destroy,
+    )
+    outlook = foresee(keystore, terms)
+    if not do:
+        _common.emit(_plan_value(outlook), _plan_lines(outlook))
+        return
+    _apply(keystore, terms, outlook, passphrase_file, no_passphrase=no_passphrase)
+
+
+def _profile(keystore: Keystore, name: str | None) -> Profile:
+    """The one that is named; the keystore's own as it is, with the choices made there."""
+    if name is None or name == keystore.profile.name:
+        return keystore.profile
+    return profile_named(name)
+
+
+def _apply(
+    keystore: Keystore,
+    terms: Rollover,
+    outlook: Outlook,
+    passphrase_file: Path | None,
+    *,
+    no_passphrase: bool,
+) -> None:
+    kept = None
+    if terms.scope is not Scope.BOTH:
+        kept = _common.unlock(keystore, passphrase_file)
+    passphrase = _common.new_passphrase(passphrase_file, none=no_passphrase)
+    done = rotate_keystore(keystore, terms, kept=kept, passphrase=passphrase, now=_common.now())
+    for name, reason in done.left_out.items():
+        _common.note(f"{name} stays behind: {reason}")
+    value = {
+        "generation": done.generation,
+        "profile": terms.profile.name,
+        "scope": terms.scope.value,
+        "issued": [each.name for each in done.issued],
+        "left_out": done.left_out,
+        "new_list": done.new_list,
+        "archive": str(done.archive),
+    }
+    count = _count(len(done.issued), "participant")
+    keys = "certificates only, the keys are destroyed" if terms.destroy else "for their owner only"
+    lines = [
+        f"generation {done.generation}: {_CAS[terms.scope]}, {count} issued anew",
+        f"generation {done.generation - 1} is in {done.archive} ({keys})",
+        *(f"next: {step}" for step in _to_robots(outlook)),
+    ]
+    _common.emit(value, lines)
+
+
+def _plan_value(outlook: Outlook) -> dict[str, Any]:
+    return {
+        "generation": outlook.generation,
+        "scope": outlook.scope.value,
+        "profile": {"before": outlook.before.name, "after": outlook.after.name},
+        "one_ca": outlook.one_ca,
+        "keeping": outlook.keeping,
+        "rekeyed": outlook.rekeyed,
+        "left_out": outlook.left_out,
+        "new_list": outlook.new_list,
+        "archive": str(outlook.archive),
+        "destroy": outlook.destroy,
+        "steps": list(_steps(outlook)),
+        "robots": list(_to_robots(outlook)),
+        "breaks": list(_breaks(outlook)),
+        "overlap": [
+            {"stack": row.stack, "identity_ca": row.how, "evidence": row.evidence} for row in TRUST
+        ],
+    }
+
+
+def _plan_lines(outlook: Outlook) -> Iterator[str]:
+    yield f"generation {outlook.generation}: {_CAS[outlook.scope]}, {_change(outlook)}"
+    yield from ("", "`--apply` does, in one step that is done wholly or not at all:")
+    yield from _numbered(_steps(outlook))
+    yield from ("", "Then, by you:")
+    yield from _numbered(_to_robots(outlook))
+    yield from ("", "What breaks:")
+    yield from (f"  - {text}" for text in _breaks(outlook))
+    yield from ("", "Who can trust both generations for a while (docs/rollover.md tells how):")
+    if outlook.scope is not Scope.IDENTITY:
+        yield "  of permissions CAs nobody; of identity CAs, with `--only identity`:"
+    if outlook.scope is not Scope.PERMISSIONS:
+        yield from (f"  {row.stack}: {row.how or 'no'}" for row in TRUST)
+
+
+def _numbered(texts: Iterator[str]) -> Iterator[str]:
+    return (f"  {number}. {text}" for number, text in enumerate(texts, start=1))
+
+
+def _change(outlook: Outlook) -> str:
+    if outlook.before.name == outlook.after.name:
+        return f"profile {outlook.after.name} as before"
+    return f"from profile {outlook.before.name} to {outlook.after.name}"
+
+
+def _steps(outlook: Outlook) -> Iterator[str]:
+    after = outlook.after
+    second = f" and {after.alternative_key.name}" if after.alternative_key else ""
+    if outlook.scope is not Scope.PERMISSIONS:
+        yield f"make an identity CA ({after.identity_key.name}{second})"
+    if outlook.scope is not Scope.IDENTITY:
+        yield f"make a permissions CA ({after.permissions_key.name}{second})"
+    if outlook.keeping:
+        yield f"certify {_count(len(outlook.keeping), 'participant')} again, with the same keys"
+    if outlook.rekeyed:
+        yield f"issue {_count(len(outlook.rekeyed), 'participant')} anew, with new keys"
+    yield f"sign the governance and {_count(outlook.participants, 'permissions document')} anew"
+    if outlook.new_list:
+        yield "make a revocation list with nothing in it: nobody trusts what the old CA issued"
+    for name, reason in outlook.left_out.items():
+        yield f"leave {name} behind: {reason}"
+    if outlook.destroy:
+        yield f"destroy the old keys, and keep the old certificates in {outlook.archive}"
+    else:
+        yield f"keep the old CAs in {outlook.archive}"
+
+
+def _to_robots(outlook: Outlook) -> Iterator[str]:
+    yield "bring every robot its enclave folder, with the files that its links show"
+    yield "restart all participants of a domain together: stacks read the files when they start"
+    if outlook.left_out:
+        yield f"see to those left behind: {', '.join(outlook.left_out)}"
+
+
+def _breaks(outlook: Outlook) -> Iterator[str]:
+    yield (
+        "Participants with old and with new files do not let each other in, from the first"
+        " robot that restarts with new files until the last."
+    )
+    yield "Participants that run go on until they restart; DDS has no way to tell them."
+    before, after = outlook.before, outlook.after
+    if before.name != after.name:
+        yield f"Profile {after.name} runs in {after.runs_in}."
+    if before.runs_in_stock and not after.runs_in_stock:
+        yield "What still runs in a stock stack stops for good; it needs pqsec's plugin before."
+        if not before.alternative_key:
+            yield (
+                "Go by way of `--profile transition`: stock stacks run it, and you can bring"
+                " the plugin to one robot after the other."
+            )
+    if outlook.one_ca:
+        yield (
+            "Until it is done, one key is both CAs: any participant's key can sign permissions"
+            " that some stacks take (CVE-2023-24010)."
+        )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

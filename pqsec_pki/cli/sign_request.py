@@ -1,0 +1,219 @@
+"""pqsec sign-request: requests to CAs that have no network, and their answers."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pqsec_pki import _files
+from pqsec_pki.cli import _bundles, _common
+from pqsec_pki.cli._wishes import Wanted, wish_options
+from pqsec_pki.documents import DomainSet, Permissions
+from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, sign
+from pqsec_pki.enrolment.archive import MAX_ARCHIVE
+from pqsec_pki.errors import UsageError, VerificationError, located
+from pqsec_pki.keystore import Wish
+
+_force = click.option("--force", is_flag=True, help="Replace what is there already.")
+
+
+@click.group("sign-request")
+@_common.command_options
+def sign_request() -> None:
+    """Have requests signed by CAs on a machine without a network."""
+
+
+@sign_request.command()
+@click.argument("requests", nargs=-1, required=True, type=_common.FILE, metavar="CSR...")
+@click.option(
+    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+)
+@wish_options
+@click.option("-o", "--output", type=_common.FILE, required=True, help="Where to write.")
+@_force
+@_common.command_options
+def export(
+    requests: tuple[Path, ...], domains: str, output: Path, *, force: bool, **wanted: Any
+) -> None:
+    """Write requests of robots, and what each shall be allowed, into one file.
+
+    Needs no keystore. Compare the SHA-256 that is printed with what `sign-request sign`
+    prints.
+    """
+    found = _bundles.load_requests(requests)
+    names = []
+    for path, request in zip(requests, found, strict=True):
+        with located(path):
+            request.verify()
+            name = name_asked_for(request)
+            if name is None:
+                raise VerificationError(NAMELESS)
+            names.append(name)
+    if len(set(names)) < len(names):
+        raise UsageError("two requests have one name")
+    wishes = Wanted.of(**wanted).wishes(tuple(names), DomainSet.parse(domains))
+    data = SignRequest(tuple(found), tuple(wishes)).to_bytes(now=_common.now())
+    _files.write(output, data, force=force)
+    sha256 = hashlib.sha256(data).hexdigest()
+    value = {"written": str(output), "names": names, "sha256": sha256}
+    _common.emit(value, [*names, f"{output}  SHA-256 {sha256}"])
+
+
+@sign_request.command("sign")
+@click.argument("file", type=_common.FILE)
+@click.option("-o", "--output", type=_common.FILE, help="Where the answer goes.")
+@click.option("--sha256", metavar="HASH", help="Refuse FILE if this is not its SHA-256.")
+@click.option(
+    "--allow-name",
+    "patterns",
+    multiple=True,
+    metavar="PATTERN",
+    help="Refuse names that fit none of these, such as '/fleet/*'.",
+)
+@click.option("--show", is_flag=True, help="Tell what is asked for, and sign nothing.")
+@_force
+@click.option("--after-revocation", is_flag=True, help="Also those that were revoked.")
+@_common.passphrase_option
+@_common.command_options
+def sign_(  # noqa: PLR0913 -- one for each option, by name
+    file: Path,
+    output: Path | None,
+    sha256: str | None,
+    patterns: tuple[str, ...],
+    passphrase_file: Path | None,
+    *,
+    show: bool,
+    force: bool,
+    after_revocation: bool,
+) -> None:
+    """Issue what a file of `sign-request export` asks for, and write the answer.
+
+    For the machine with the CA keys. What was issued for this very file before is not
+    issued again: sign it as often as you like.
+    """
+    keystore = _common.open_keystore()
+    asked = _read(file)
+    with located(file):
+        if sha256 and sha256.lower() != asked.sha256:
+            raise VerificationError(f"its SHA-256 is {asked.sha256}")
+        asked.admitted(keystore.profile, patterns)
+    if show:
+        _show(asked)
+        return
+    if output is None:
+        raise UsageError("where the answer goes is not said", hint="-o FILE, or only --show")
+    if not force:
+        _files.refuse_existing(output)
+    authorities = _common.unlock(keystore, passphrase_file)
+    answer = sign(
+        asked,
+        keystore,
+        authorities,
+        now=_common.now(),
+        patterns=patterns,
+        force=force,
+        after_revocation=after_revocation,
+    )
+    _files.write(output, answer, force=force)
+    names = [wish.name for wish in asked.wishes]
+    value = {"answer": str(output), "names": names, "request_sha256": asked.sha256}
+    _common.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
+
+
+@sign_request.command("import")
+@click.argument("answer", type=_common.FILE)
+@click.option(
+    "--request",
+    "file",
+    type=_common.FILE,
+    required=True,
+    help="The file that was exported, which it must answer.",
+)
+@click.option(
+    "--ca-fingerprint", "fingerprints", multiple=True, metavar="SHA256", help="Of the CAs."
+)
+@_bundles.folder_option
+@_force
+@_common.command_options
+def import_(
+    answer: Path,
+    file: Path,
+    fingerprints: tuple[str, ...],
+    folder: Path | None,
+    *,
+    force: bool,
+) -> None:
+    """Check an answer, and write its bundles: one for each robot.
+
+    Import it as often as you like: a bundle that is there already stays.
+    """
+    asked = _read(file)
+    data = _files.read(answer, limit=MAX_ARCHIVE)
+    with located(answer):
+        found = accept(
+            data,
+            asked,
+            folder or Path(),
+            fingerprints=fingerprints,
+            now=_common.now(),
+            force=force,
+        )
+    value = {
+        "bundles": [
+            {"name": each.name, "path": str(each.path), "already": each.already} for each in found
+        ]
+    }
+    words = {True: "  (was there)", False: ""}
+    _common.emit(value, [f"{each.name}  {each.path}{words[each.already]}" for each in found])
+
+
+def _read(path: Path) -> SignRequest:
+    data = _files.read(path, limit=MAX_ARCHIVE)
+    with located(path):
+        return SignRequest.from_bytes(data)
+
+
+def _show(asked: SignRequest) -> None:
+    value = {
+        "sha256": asked.sha256,
+        "wishes": [
+            {
+                "name": wish.name,
+                "domains": str(wish.domains),
+                "publish": wish.publish,
+                "subscribe": wish.subscribe,
+                "policy": bool(wish.grants),
+                "permissions": "\n".join(_policy(wish)) or None,
+                "days": wish.validity.days,
+            }
+            for wish in asked.wishes
+        ],
+    }
+    rows = [
+        (
+            wish.name,
+            str(wish.domains),
+            _topics(wish.publish),
+            _topics(wish.subscribe),
+            "policy" if wish.grants else "-",
+            f"{wish.validity.days}d",
+        )
+        for wish in asked.wishes
+    ]
+    heads = ("participant", "domains", "publish", "subscribe", "by", "for")
+    policies = [line for wish in asked.wishes for line in _policy(wish)]
+    _common.emit(value, [*_common.table(heads, rows), *policies, f"SHA-256 {asked.sha256}"])
+
+
+def _topics(expressions: tuple[str, ...]) -> str:
+    """Whole, and without what could move the cursor: somebody decides by it."""
+    return " ".join(_common.printable(each) for each in expressions) or "-"
+
+
+def _policy(wish: Wish) -> list[str]:
+    """The lines of the permissions that a policy asks for, in place of the columns."""
+    if not wish.grants:
+        return []
+    document = Permissions(grants=wish.grants).to_xml().decode()
+    return [_common.printable(line) for line in document.splitlines()]

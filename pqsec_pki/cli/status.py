@@ -1,0 +1,127 @@
+"""pqsec status: what there is, how long it lasts, and what to do first."""
+
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from pqsec_pki._files import read, write
+from pqsec_pki.cli import _common
+from pqsec_pki.errors import ExistsError
+from pqsec_pki.keystore import Keystore, State, Status
+from pqsec_pki.keystore import status as status_of
+
+_HEADS = ("participant", "state", "until", "profile", "domains", "serial")
+_ROLES = {
+    "identity-ca": "identity CA",
+    "permissions-ca": "permissions CA",
+    "countersigner": "countersigner",
+    "crl": "revocation list",
+}
+_FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
+
+
+@click.command()
+@click.option(
+    "--due",
+    type=_common.Duration(),
+    help="Call due what ends within this time.  [default: less than a third of its life is left]",
+)
+@click.option(
+    "--prometheus",
+    type=_common.FILE,
+    help="Write metrics there too, for the textfile collector; replaces its own older file.",
+)
+@_common.command_options
+def status(due: timedelta | None, prometheus: Path | None) -> None:
+    """Show every participant, how long it lasts and its state, the most urgent first.
+
+    All of it comes from the ledger: what was issued here. `pqsec check` looks at the
+    files.
+    """
+    keystore = _common.open_keystore()
+    standing = status_of(keystore, now=_common.now(), due=due)
+    if prometheus:
+        _write(prometheus, "".join(_metrics(standing)))
+    # Of the two, the one that is wanted: with thousands of participants it shows.
+    as_json = _common.settings().json
+    value = _value(keystore, standing) if as_json else None
+    _common.emit(value, [] if as_json else ["\n".join(_lines(keystore, standing))])
+
+
+def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
+    yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
+    for term in standing.shared:
+        state = "" if term.state is State.VALID else f", {term.state}"
+        yield f"{_ROLES[term.kind]:<15}  until {term.not_after:%Y-%m-%d}{state}"
+    counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
+    yield f"participants     {', '.join(counts) or 'none yet: pqsec issue NAME'}"
+    if standing.participants:
+        yield ""
+        yield from _common.table(
+            _HEADS,
+            (
+                (
+                    *(each.name, each.state, f"{each.not_after:%Y-%m-%d}"),
+                    *(each.profile or "-", each.domains or "-", each.serial),
+                )
+                for each in standing.participants
+            ),
+        )
+
+
+def _value(keystore: Keystore, standing: Status) -> dict[str, object]:
+    return {
+        "keystore": str(keystore.root),
+        "at": standing.at.isoformat(timespec="seconds"),
+        "shared": [
+            {
+                "kind": term.kind,
+                "name": term.name,
+                "state": term.state,
+                "not_after": term.not_after.isoformat(),
+            }
+            for term in standing.shared
+        ],
+        "counts": standing.counts(),
+        "participants": [
+            {
+                "name": each.name,
+                "state": each.state,
+                "not_after": each.not_after.isoformat(),
+                "profile": each.profile,
+                "domains": each.domains,
+                "serial": each.serial,
+            }
+            for each in standing.participants
+        ],
+    }
+
+
+def _metrics(standing: Status) -> Iterator[str]:
+    """Prometheus' text format, version 0.0.4."""
+    yield _FIRST_LINE
+    yield "# TYPE pqsec_not_after_seconds gauge\n"
+    every = [("participant", each.name, each.not_after) for each in standing.participants]
+    for kind, name, end in [*((t.kind, t.name, t.not_after) for t in standing.shared), *every]:
+        labels = f'kind="{kind}",name="{_label(name)}"'
+        yield f"pqsec_not_after_seconds{{{labels}}} {end.timestamp():.0f}\n"
+    yield "# HELP pqsec_participants How many participants are in each state.\n"
+    yield "# TYPE pqsec_participants gauge\n"
+    for state, count in standing.counts().items():
+        yield f'pqsec_participants{{state="{state}"}} {count}\n'
+    yield "# HELP pqsec_status_seconds When these metrics were made, as Unix time.\n"
+    yield "# TYPE pqsec_status_seconds gauge\n"
+    yield f"pqsec_status_seconds {standing.at.timestamp():.0f}\n"
+
+
+def _label(text: str) -> str:
+    return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+
+
+def _write(path: Path, metrics: str) -> None:
+    """Replace metrics by newer ones, and nothing else."""
+    if path.exists() and not read(path).startswith(_FIRST_LINE.encode()):
+        raise ExistsError(f"{path} is not a file of pqsec's metrics", hint="choose another place")
+    write(path, metrics.encode(), force=True)

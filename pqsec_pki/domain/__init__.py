@@ -1,0 +1,25 @@
+"""A domain as one file wants it: what differs from that in a keystore, and making it so.
+
+For whoever keeps a fleet: `read_domain` says what domain.yaml wants, `plan` which steps lead
+there from what the keystore's ledger says, and `perform` takes them.
+"""
+
+from pqsec_pki.domain.apply import make, perform
+from pqsec_pki.domain.desired import Desired, Member, Role
+from pqsec_pki.domain.plan import Action, Blocked, Plan, Step, plan
+from pqsec_pki.domain.reading import new_domain, read_domain
+
+__all__ = [
+    "Action",
+    "Blocked",
+    "Desired",
+    "Member",
+    "Plan",
+    "Role",
+    "Step",
+    "make",
+    "new_domain",
+    "perform",
+    "plan",
+    "read_domain",
+]

@@ -1,0 +1,161 @@
+"""Taking the steps of a plan, in batches: each is one change of the keystore, whole or absent.
+
+Killed between two batches, or in one, a new plan has what is left.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime, timedelta
+from itertools import groupby
+from pathlib import Path
+
+from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
+from pqsec_pki.domain.desired import Desired
+from pqsec_pki.domain.plan import Action, Plan, Step
+from pqsec_pki.errors import (
+    ExistsError,
+    InvalidDocumentError,
+    KeystoreError,
+    MalformedError,
+    PqsecError,
+    UsageError,
+    VerificationError,
+)
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    Renewal,
+    Wish,
+    govern,
+    issue,
+    permit,
+    renew,
+    renew_list,
+    revoke,
+)
+
+BATCH = 500
+"""Participants in one change: enough that its overhead does not show, and as many as a
+kill can undo."""
+
+MAX_FAILURES = 10
+"""Participants that fail by themselves; with more, the fault is not theirs."""
+
+_OWN_FAULTS = (InvalidDocumentError, KeystoreError, MalformedError, UsageError, VerificationError)
+"""Of a participant, and not of the disk or of another command at work."""
+
+
+def make(desired: Desired, root: Path, *, passphrase: bytes | None, now: datetime) -> Keystore:
+    """A keystore with the desired CAs, as the plan's first step wants it.
+
+    ExistsError if something of a keystore is at `root`.
+    """
+    profile = profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE
+    return Keystore.create(
+        root,
+        profile,
+        name=desired.name,
+        domains=desired.domains,
+        validity=desired.ca_validity,
+        passphrase=passphrase,
+        now=now,
+    )
+
+
+def perform(
+    desired: Desired, keystore: Keystore, authorities: Authorities, plan: Plan, *, now: datetime
+) -> Iterator[Sequence[Step]]:
+    """Take the steps, but that of making the keystore; gives those of each batch, done.
+
+    Errors as those of the keystore's operations. What was given is done, whatever comes
+    after; a participant that cannot be done keeps nobody else from it, and is told last.
+    """
+    worker = _Worker(desired, keystore, authorities, now)
+    for action, group in groupby(plan.steps, key=lambda step: step.action):
+        for steps in worker.alike(action, group):
+            size = len(steps) if action is Action.REVOKE else BATCH  # one list tells of all
+            for start in range(0, len(steps), size):
+                yield from worker.batch(action, steps[start : start + size])
+    worker.tell_failures()
+
+
+class _Worker:
+    """Takes a batch of steps of one kind."""
+
+    def __init__(
+        self, desired: Desired, keystore: Keystore, authorities: Authorities, now: datetime
+    ) -> None:
+        self._desired = desired
+        self._keystore = keystore
+        self._authorities = authorities
+        self._now = now
+        self._failures: list[PqsecError] = []
+
+    def alike(self, action: Action, steps: Iterable[Step]) -> Iterable[list[Step]]:
+        """Those that can be taken in one change: renewals have one validity."""
+        if action is not Action.RENEW:
+            return [list(steps)]
+        found: dict[timedelta, list[Step]] = {}
+        for step in steps:
+            found.setdefault(self._desired.members[step.name].validity, []).append(step)
+        return found.values()
+
+    def batch(self, action: Action, steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
+        """Take them all at once; if one fails by itself, those that do not."""
+        try:
+            self.take(action, [step.name for step in steps])
+        except _OWN_FAULTS as error:
+            if not steps[0].name or len(self._failures) == MAX_FAILURES:
+                raise
+            if len(steps) == 1:
+                self._failures.append(error)
+                return
+            half = len(steps) // 2
+            yield from self.batch(action, steps[:half])
+            yield from self.batch(action, steps[half:])
+        else:
+            yield steps
+
+    def tell_failures(self) -> None:
+        """The error, if there was one; KeystoreError for several."""
+        if not self._failures:
+            return
+        first, *others = self._failures
+        if not others:
+            raise first
+        raise KeystoreError(
+            f"{len(self._failures)} participants could not be done; the first: {first}",
+            hint=first.hint,
+        )
+
+    def take(self, action: Action, names: list[str]) -> None:
+        """Do it, for all names or for none."""
+        at = (self._keystore, self._authorities)
+        wanted = [self._desired.members[name] for name in names if name in self._desired.members]
+        match action:
+            case Action.MAKE:
+                pass
+            case Action.GOVERN:
+                mark = self._desired.governance_mark
+                govern(*at, self._desired.governance, now=self._now, mark=mark)
+            case Action.ISSUE | Action.REPLACE:
+                self._issue([member.wish() for member in wanted], force=action is Action.REPLACE)
+            case Action.PERMIT:
+                permit(*at, [member.wish() for member in wanted], now=self._now)
+            case Action.RENEW:
+                self._renew(names)
+            case Action.REVOKE:
+                revoke(*at, names, now=self._now)
+            case Action.LIST:
+                renew_list(*at, now=self._now)
+
+    def _issue(self, wishes: list[Wish], *, force: bool) -> None:
+        try:
+            issue(self._keystore, self._authorities, wishes, now=self._now, force=force)
+        except ExistsError as error:
+            error.hint = "another command issued them meanwhile; apply again does what is left"
+            raise
+
+    def _renew(self, names: list[str]) -> None:
+        validity = self._desired.members[names[0]].validity
+        terms = Renewal(validity=validity, due=self._desired.renew_before)
+        renew(self._keystore, self._authorities, names, terms, now=self._now)

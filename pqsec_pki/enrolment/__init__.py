@@ -1,0 +1,40 @@
+"""Enrolment: a robot makes its own keys, asks for a certificate, and installs the answer.
+
+For the commands on the robot (request, install, rollback) and those where the CAs are
+(issue --csr, bundle, sign-request). A bundle is the one file that goes to a robot.
+"""
+
+from pqsec_pki.enrolment.admission import NAMELESS, admit, name_asked_for
+from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.install import Installed, install, rollback
+from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
+from pqsec_pki.enrolment.place import InstalledSet
+from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
+from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
+from pqsec_pki.enrolment.verification import Credentials, verify_bundle
+
+__all__ = [
+    "NAMELESS",
+    "Accepted",
+    "Bundle",
+    "Credentials",
+    "Installed",
+    "InstalledSet",
+    "Requested",
+    "SignRequest",
+    "accept",
+    "admit",
+    "fingerprint",
+    "flat_name",
+    "install",
+    "is_sealed",
+    "make_sealing_key",
+    "name_asked_for",
+    "open_sealed",
+    "request",
+    "rollback",
+    "save",
+    "seal",
+    "sign",
+    "verify_bundle",
+]

@@ -1,0 +1,173 @@
+"""Bundles: all that one robot needs of a keystore, in one file, and never a CA's key.
+
+A bundle holds whole enclaves, one or several, under the paths that ROS 2 knows:
+enclaves/fleet/robot1/cert.pem. With keys that were made on the robot it has no key.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import write
+from pqsec_pki.algorithms import unpem
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError, located, shown
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore.enclave import (
+    FILES,
+    IDENTITY_CA,
+    KEYS,
+    NEEDED,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+    enclave_files,
+    regular_name,
+)
+
+KIND = "bundle"
+ENCLAVES = "enclaves"
+CAS = (IDENTITY_CA, PERMISSIONS_CA, PERMISSIONS_ALT_CA)
+
+
+@dataclass(frozen=True)  # no slots: what is worked out once is kept
+class Bundle:
+    """Enclaves by name, each with its files by name. Nothing of it is verified here."""
+
+    created: datetime
+    enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, keystore: Keystore, names: Iterable[str], *, now: datetime, keys: bool = True
+    ) -> Self:
+        """The bundle of these participants; without `keys` only what anybody may read.
+
+        KeystoreError if one is not there or lacks a file, UsageError for no names.
+        """
+        regular = list(dict.fromkeys(map(regular_name, names)))
+        if not regular:
+            raise UsageError("a bundle is for at least one participant")
+        found = {name: enclave_files(keystore, name) for name in regular}
+        left_out = () if keys else KEYS
+        return cls(
+            now.replace(microsecond=0),
+            {
+                name: {each: data for each, data in files.items() if each not in left_out}
+                for name, files in found.items()
+            },
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """The bundle in `data`; MalformedError or VerificationError as Parcel.unpack."""
+        parcel = Parcel.unpack(data, KIND)
+        enclaves: dict[str, dict[str, bytes]] = {name: {} for name in parcel.texts("names")}
+        if not enclaves:
+            raise MalformedError("the bundle is for nobody")
+        for path, content in parcel.files.items():
+            folder, _, file = path.rpartition("/")
+            name = folder.removeprefix(ENCLAVES)
+            if not folder.startswith(f"{ENCLAVES}/") or name not in enclaves or file not in FILES:
+                raise MalformedError(f"a bundle holds no {shown(path)}")
+            enclaves[name][file] = content
+        for name, files in enclaves.items():
+            _check_complete(name, files)
+        bundle = cls(parcel.time("created"), enclaves)
+        if sorted(bundle.fingerprints) != sorted(parcel.texts("ca_sha256")):
+            raise MalformedError("the manifest names other CAs than the bundle holds")
+        return bundle
+
+    def to_bytes(self) -> bytes:
+        """The bundle as a file."""
+        files = {
+            f"{ENCLAVES}{name}/{file}": data
+            for name, files in self.enclaves.items()
+            for file, data in files.items()
+        }
+        about = {
+            "names": list(self.enclaves),
+            "created": self.created.isoformat(),
+            "ca_sha256": list(self.fingerprints),
+        }
+        return Parcel(KIND, about, files).pack()
+
+    @cached_property
+    def sha256(self) -> str:
+        """Of the names and contents of its files, in hex; however it is packed."""
+        hashes = [
+            (name, file, hashlib.sha256(data).hexdigest())
+            for name, files in sorted(self.enclaves.items())
+            for file, data in sorted(files.items())
+        ]
+        return hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The participants in it."""
+        return tuple(self.enclaves)
+
+    @property
+    def has_keys(self) -> bool:
+        """Whether it holds private keys."""
+        return any(key in files for files in self.enclaves.values() for key in KEYS)
+
+    @property
+    def fingerprints(self) -> tuple[str, ...]:
+        """SHA-256 of the CAs' certificates: identity, permissions, countersigner."""
+        return tuple(dict.fromkeys(each for found in self.roles.values() for each in found))
+
+    @cached_property
+    def roles(self) -> Mapping[str, tuple[str, ...]]:
+        """The same by the file that they stand in.
+
+        Of all in each file: a stack may trust the second one too.
+        """
+        return {file: tuple(dict.fromkeys(self._authorities(file))) for file in CAS}
+
+    def _authorities(self, file: str) -> Iterator[str]:
+        for name, files in self.enclaves.items():
+            if file in files:
+                for each in certificates_in(files[file], f"{name} {file}"):
+                    yield each.fingerprint
+
+
+def flat_name(name: str) -> str:
+    """A participant's name as a file's: fleet+robot1. No other participant has it."""
+    return name.removeprefix("/").replace("/", "+")
+
+
+def certificates_in(data: bytes, where: str) -> list[Certificate]:
+    """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
+    with located(where):
+        blocks = unpem(data, "certificate")
+        if not blocks or len(blocks) != data.count(b"-----BEGIN"):
+            raise MalformedError("not certificates in PEM, and nothing else")
+        if any(label != "CERTIFICATE" for label, _ in blocks):
+            raise MalformedError("not certificates alone")
+        return [Certificate.from_der(der) for _, der in blocks]
+
+
+def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
+    """Write `data` to the file `goal`, and make its folder; errors as _files.write."""
+    try:
+        goal.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{goal.parent}: {(error.strerror or str(error)).lower()}") from error
+    write(goal, data, private=private, force=force)
+
+
+def _check_complete(name: str, files: Mapping[str, bytes]) -> None:
+    try:
+        if regular_name(name) != name:
+            raise MalformedError(f"a bundle for {shown(name)!r}")
+    except PqsecError as error:
+        raise MalformedError(f"the bundle is for {shown(name)!r}") from error
+    missing = [each for each in NEEDED if each not in files]
+    if missing:
+        raise MalformedError(f"the bundle lacks {', '.join(missing)} of {name}")

@@ -1,0 +1,224 @@
+"""CAs on a machine without a network: requests go there in one file, answers come back.
+
+Who collects requests has no CA key. The files show damage, and an answer names the file
+that it answers by its SHA-256. What makes an answer true is the CAs' signatures in it;
+what makes a request true is that whoever signs compares its SHA-256.
+"""
+
+import hashlib
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.certificates import Certificate, CertificateRequest
+from pqsec_pki.documents import Permissions
+from pqsec_pki.enrolment.admission import admit
+from pqsec_pki.enrolment.archive import MAX_ARCHIVE
+from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.enrolment.verification import verify_bundle
+from pqsec_pki.enrolment.wishes import policy_file, read_wish, wish_value
+from pqsec_pki.errors import (
+    ExistsError,
+    MalformedError,
+    PqsecError,
+    UsageError,
+    VerificationError,
+    located,
+)
+from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
+from pqsec_pki.keystore.enclave import CERTIFICATE
+
+REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
+MAX_UNPACKED = 256 << 20
+"""Bytes of all bundles in an answer: four times what the answer itself may unpack to."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignRequest:
+    """Requests of robots, and what each shall be allowed."""
+
+    requests: tuple[CertificateRequest, ...]
+    wishes: tuple[Wish, ...]
+    """One for each request, in their order."""
+    sha256: str = ""
+    """Of the file it was read from, in hex."""
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """MalformedError if `data` is none, VerificationError if it is damaged."""
+        parcel = Parcel.unpack(data, REQUEST_KIND)
+        try:
+            wishes = tuple(read_wish(each, parcel.files) for each in parcel.about["wishes"])
+            pems = [parcel.files[_request_file(wish.name)] for wish in wishes]
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise MalformedError(f"the {REQUEST_KIND} cannot be read: {error}") from error
+        except UsageError as error:
+            raise MalformedError(f"the {REQUEST_KIND} cannot be met: {error}") from error
+        if not wishes:
+            raise MalformedError(f"the {REQUEST_KIND} asks for nothing")
+        requests = tuple(map(CertificateRequest.from_pem, pems))
+        return cls(requests, wishes, hashlib.sha256(data).hexdigest())
+
+    def to_bytes(self, *, now: datetime) -> bytes:
+        """The request as a file."""
+        files: dict[str, bytes] = {}
+        for request, wish in zip(self.requests, self.wishes, strict=True):
+            files[_request_file(wish.name)] = request.pem
+            if wish.grants:
+                files[policy_file(wish.name)] = Permissions(grants=wish.grants).to_xml()
+        about = {
+            "created": now.isoformat(timespec="seconds"),
+            "wishes": [wish_value(wish) for wish in self.wishes],
+        }
+        return Parcel(REQUEST_KIND, about, files).pack()
+
+    def admitted(self, profile: Profile, patterns: Collection[str] = ()) -> tuple[Wish, ...]:
+        """The wishes with their keys, if each request is for its wish's name and holds.
+
+        With `patterns`, the names must fit one of them as well. VerificationError if not.
+        """
+        names = [wish.name for wish in self.wishes]
+        keys = admit(self.requests, profile, names=names)
+        if patterns:
+            admit(self.requests, profile, patterns=patterns)
+        return tuple(
+            replace(wish, keys=keys[wish.name]._replace(request=self.sha256))
+            for wish in self.wishes
+        )
+
+
+def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
+    asked: SignRequest,
+    keystore: Keystore,
+    authorities: Authorities,
+    *,
+    now: datetime,
+    patterns: Collection[str] = (),
+    force: bool = False,
+    after_revocation: bool = False,
+) -> bytes:
+    """Issue what is `asked` for, and give the answer: a bundle for each request.
+
+    What was issued for this very request before, and is the newest still, is not issued
+    again. Errors as with `admit` and `issue`.
+    """
+    wishes = asked.admitted(keystore.profile, patterns)
+    done = {
+        entry.name: entry.details.get("request")
+        for entry in keystore.ledger()
+        if entry.kind == "participant"
+    }
+    new = [wish for wish in wishes if done.get(wish.name) != asked.sha256]
+    if new:
+        issue(keystore, authorities, new, now=now, force=force, after_revocation=after_revocation)
+    files = {
+        _bundle_file(wish.name): Bundle.of(keystore, [wish.name], now=now, keys=False).to_bytes()
+        for wish in wishes
+    }
+    about = {
+        "created": now.isoformat(timespec="seconds"),
+        "request_sha256": asked.sha256,
+        "names": [wish.name for wish in wishes],
+    }
+    return Parcel(ANSWER_KIND, about, files).pack()
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A bundle that came back for a participant."""
+
+    name: str
+    path: Path
+    already: bool
+    """Whether it was there before."""
+
+
+def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
+    answer: bytes,
+    asked: SignRequest,
+    folder: Path,
+    *,
+    fingerprints: Sequence[str] = (),
+    now: datetime,
+    force: bool = False,
+) -> list[Accepted]:
+    """Write the bundles of an answer to what was `asked` into `folder`, all or none.
+
+    VerificationError if it answers something else or does not hold; with `fingerprints`
+    its CAs must be these. ExistsError for another bundle in the place of one, unless
+    `force`.
+    """
+    bundles = _answers(Parcel.unpack(answer, ANSWER_KIND), asked)
+    for bundle in bundles.values():
+        verify_bundle(bundle, fingerprints or bundle.fingerprints, now=now)
+    goals = {name: folder / f"{flat_name(name)}.bundle" for name in bundles}
+    there = {name for name, goal in goals.items() if _is_there(goal, bundles[name], force=force)}
+    for name in (each for each in bundles if each not in there):
+        save(goals[name], bundles[name].to_bytes(), force=force)
+    return [Accepted(name, goal, name in there) for name, goal in goals.items()]
+
+
+def _answers(parcel: Parcel, asked: SignRequest) -> dict[str, Bundle]:
+    """The bundles by name: one for each request, for its keys, and no others."""
+    if parcel.text("request_sha256") != asked.sha256:
+        raise VerificationError("it answers another request than this one")
+    names = [wish.name for wish in asked.wishes]
+    if sorted(parcel.files) != sorted(map(_bundle_file, names)):
+        raise VerificationError("it does not answer each request once")
+    found = dict(_bundles_in(parcel, names))
+    problems = []
+    for (name, bundle), request in zip(found.items(), asked.requests, strict=True):
+        if bundle.names != (name,):
+            problems.append(f"the bundle of {name} is for {', '.join(bundle.names)}")
+        elif not _fits(bundle, name, request):
+            problems.append(f"the certificate of {name} is for another key than was asked for")
+    if problems:
+        raise VerificationError(*problems)
+    return found
+
+
+def _bundles_in(parcel: Parcel, names: Sequence[str]) -> Iterator[tuple[str, Bundle]]:
+    """Each could be packed a thousandfold, so all together have a limit too."""
+    size = 0
+    for name in names:
+        bundle = Bundle.from_bytes(parcel.files[_bundle_file(name)])
+        size += sum(len(data) for files in bundle.enclaves.values() for data in files.values())
+        if size > MAX_UNPACKED:
+            raise MalformedError(f"bundles of more than {MAX_UNPACKED} bytes")
+        yield name, bundle
+
+
+def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:
+    with located(name):
+        certificate = Certificate.from_pem(bundle.enclaves[name][CERTIFICATE])
+        kept = certificate.alternative.spki if certificate.alternative else None
+        asked = request.alternative.spki if request.alternative else None
+    return (certificate.spki, kept) == (request.spki, asked)
+
+
+def _is_there(goal: Path, bundle: Bundle, *, force: bool) -> bool:
+    """Whether that bundle is there already; ExistsError if something else is."""
+    if not goal.exists():
+        return False
+    try:
+        same = Bundle.from_bytes(read(goal, limit=MAX_ARCHIVE)).sha256 == bundle.sha256
+    except PqsecError:
+        same = False
+    if not same and not force:
+        raise ExistsError(
+            f"{goal} exists, and is another", hint="choose another -o, or --force to replace it"
+        )
+    return same
+
+
+def _request_file(name: str) -> str:
+    return f"requests/{flat_name(name)}.csr"
+
+
+def _bundle_file(name: str) -> str:
+    return f"bundles/{flat_name(name)}.bundle"

@@ -1,0 +1,240 @@
+"""Where a robot keeps what it runs with: sets of credentials, and which one is current.
+
+current -> sets/3   what processes read; one rename changes all of it
+sets/<n>/           enclaves/<path>/..., and installed.json: what came before it
+requests/<name>/    key.pem [alt.key.pem] request.csr, until the answer is installed
+bundle.key.pem      what sealed bundles are opened with, where it was made
+
+A set never changes once it is there. The one before the current is kept.
+"""
+
+import fcntl
+import json
+import os
+import re
+import secrets
+import shutil
+import stat
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import (
+    PRIVATE_MODE,
+    PUBLIC_MODE,
+    create,
+    read,
+    sync_filesystem,
+    sync_folder,
+)
+from pqsec_pki.enrolment.bundle import ENCLAVES, flat_name
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore.enclave import CERTIFICATE, FILES, KEY, KEYS
+
+CURRENT, SETS, REQUESTS = "current", "sets", "requests"
+RECORD = "installed.json"
+DRAFT = ".draft-"
+FORMAT = 1
+_PRIVATE_FOLDER = 0o700
+_NUMBER = re.compile("[1-9][0-9]{0,8}")
+_DRAFTED = re.compile(r"(\.draft-|\.bundle\.(key|pub)\.pem\.)[0-9a-f]{16}")
+"""What a killed process leaves; the folder may have files of others."""
+
+Enclaves = Mapping[str, Mapping[str, bytes]]
+"""Files by name, by the name of their participant."""
+
+
+@dataclass(frozen=True, slots=True)
+class InstalledSet:
+    """A set of credentials that is there."""
+
+    path: Path
+    at: datetime
+    """When it was installed."""
+    previous: str | None
+    """The name of the set that it took the place of."""
+
+    @property
+    def enclaves(self) -> Enclaves:
+        """The files in it; FileError if they cannot be read."""
+        root = self.path / ENCLAVES
+        folders = sorted(each.parent for each in root.rglob(CERTIFICATE))
+        return {f"/{each.relative_to(root).as_posix()}": _files_in(each) for each in folders}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The folder `root` of a robot."""
+
+    root: Path
+
+    @property
+    def current(self) -> InstalledSet | None:
+        """The set that is in use, if there is one; KeystoreError if it is damaged."""
+        link = self.root / CURRENT
+        if not os.path.lexists(link):
+            return None
+        folder, _, name = str(link.readlink() if link.is_symlink() else "").partition("/")
+        if folder != SETS or not _NUMBER.fullmatch(name):
+            raise KeystoreError(
+                f"{link} is not a link that pqsec made", hint="install into another --dir"
+            )
+        return self.set_named(name)
+
+    def set_named(self, name: str) -> InstalledSet:
+        """That set; KeystoreError if it is damaged, FileError if it is not there."""
+        path = self.root / SETS / name
+        try:
+            record = json.loads(read(path / RECORD))
+            if record["format"] != FORMAT:
+                raise KeystoreError(f"{path}: made by another version of pqsec")
+            at, previous = datetime.fromisoformat(record["at"]), _set_name(record["previous"])
+            return InstalledSet(path, at, previous)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise KeystoreError(f"{path / RECORD} cannot be read: {error}") from error
+
+    def keys(self, name: str) -> Iterator[Mapping[str, bytes]]:
+        """Keys that were made or installed here for `name`: of requests, then of sets."""
+        from_request = self.request_folder(name)
+        if from_request.is_dir():
+            yield _files_in(from_request)
+        for each in sorted(self._sets(), reverse=True):
+            folder = self.root / SETS / str(each) / ENCLAVES / name.removeprefix("/")
+            if folder.is_dir():
+                yield _files_in(folder)
+
+    def request_folder(self, name: str) -> Path:
+        """Where the keys for `name` wait for their certificate."""
+        return self.root / REQUESTS / flat_name(name)
+
+    def put(self, enclaves: Enclaves, now: datetime) -> None:
+        """Make a set of these files and let it be the current one; all of it or nothing."""
+        before = self.current
+        draft = self._draft(enclaves, before.path.name if before else None, now)
+        name = str(max(self._sets(), default=0) + 1)
+        draft.rename(self.root / SETS / name)
+        self.point_to(name)
+
+    def point_to(self, name: str) -> None:
+        """Let that set be the current one: one rename."""
+        link = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        link.symlink_to(f"{SETS}/{name}")
+        sync_filesystem(self.root)
+        link.rename(self.root / CURRENT)
+        sync_folder(self.root)
+
+    def tidy(self, answered: Mapping[str, Mapping[str, bytes]]) -> None:
+        """Remove what nothing needs any more: requests `answered` with these keys, old sets."""
+        for name, keys in answered.items():
+            folder = self.request_folder(name)
+            if folder.is_dir() and _files_in(folder).get(KEY) == keys.get(KEY):
+                self.remove(folder)
+        current = self.current
+        kept = {current.path.name, current.previous} if current else set()
+        for number in self._sets():
+            if str(number) not in kept:
+                self.remove(self.root / SETS / str(number))
+
+    def remove(self, folder: Path) -> None:
+        """Take `folder` away in one step, then delete it."""
+        spent = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        folder.rename(spent)
+        shutil.rmtree(spent)
+
+    def _draft(self, enclaves: Enclaves, previous: str | None, now: datetime) -> Path:
+        make_private(self.root / SETS)
+        draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        make_private(draft)
+        for name, files in enclaves.items():
+            folder = draft / ENCLAVES / name.removeprefix("/")
+            make_private(folder)
+            for file, data in files.items():
+                create(folder / file, data, mode=PRIVATE_MODE if file in KEYS else PUBLIC_MODE)
+        at = now.isoformat(timespec="seconds")
+        record = {"format": FORMAT, "at": at, "previous": previous}
+        create(draft / RECORD, json.dumps(record, indent=2).encode() + b"\n", mode=PUBLIC_MODE)
+        return draft
+
+    def _sets(self) -> list[int]:
+        folder = self.root / SETS
+        there = list(folder.iterdir()) if folder.is_dir() else []
+        return [int(each.name) for each in there if _NUMBER.fullmatch(each.name)]
+
+
+@contextmanager
+def changing(root: Path) -> Iterator[Place]:
+    """The place at `root`, for one process at a time, without leftovers of killed ones.
+
+    A folder that was made for it goes again if nothing came of it. FileError if the disk
+    refuses, KeystoreError if another process is at work there, or anybody may write there.
+    """
+    try:
+        new = not root.exists()
+        make_private(root)
+        try:
+            with _locked(root):
+                _refuse_anybodys(root)
+                _sweep(root)
+                yield Place(root)
+        except BaseException:
+            if new:
+                with suppress(OSError):  # something is in it
+                    root.rmdir()
+            raise
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FileError(f"{error.filename or root}: {reason}") from error
+
+
+def make_private(folder: Path) -> None:
+    """`folder` and what is missing above it, for their owner only; one that is there stays."""
+    for each in (*reversed(folder.parents), folder):
+        if not each.is_dir():
+            each.mkdir(mode=_PRIVATE_FOLDER)
+            each.chmod(_PRIVATE_FOLDER)
+
+
+def _set_name(text: str | None) -> str | None:
+    """What a record says came before; ValueError if no set could be called so."""
+    if text is not None and not _NUMBER.fullmatch(text):
+        raise ValueError(f"a set called {text!r}")
+    return text
+
+
+@contextmanager
+def _locked(root: Path) -> Iterator[None]:
+    handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise KeystoreError(f"{root}: another pqsec command is at work here") from None
+    finally:
+        os.close(handle)
+
+
+def _refuse_anybodys(root: Path) -> None:
+    if root.stat().st_mode & stat.S_IWOTH:
+        raise KeystoreError(
+            f"{root}: anybody may write there, and so choose what this robot runs with",
+            hint="chmod o-w it, or choose another --dir",
+        )
+
+
+def _sweep(root: Path) -> None:
+    """Drafts of sets and requests, of the link, and of the key that opens bundles."""
+    for leftover in filter(_is_draft, root.iterdir()):
+        if leftover.is_symlink() or leftover.is_file():
+            leftover.unlink()
+        else:
+            shutil.rmtree(leftover)
+
+
+def _is_draft(path: Path) -> bool:
+    return _DRAFTED.fullmatch(path.name) is not None
+
+
+def _files_in(folder: Path) -> dict[str, bytes]:
+    return {name: read(folder / name) for name in FILES if (folder / name).is_file()}

@@ -1,0 +1,80 @@
+"""On the robot: keys that never leave it, and the request for their certificate."""
+
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+
+from pqsec_pki._files import (
+    PRIVATE_MODE,
+    PUBLIC_MODE,
+    create,
+    refuse_existing,
+    sync_filesystem,
+    write,
+)
+from pqsec_pki.algorithms import Profile, SealingPrivateKey, private_key_pem
+from pqsec_pki.certificates import CertificateRequest, certificate_request
+from pqsec_pki.enrolment.place import DRAFT, Place, changing, make_private
+from pqsec_pki.enrolment.sealed import fingerprint
+from pqsec_pki.keystore.enclave import ALT_KEY, KEY, regular_name
+
+REQUEST = "request.csr"
+SEALING_KEY, SEALING_PUBLIC_KEY = "bundle.key.pem", "bundle.pub.pem"
+
+
+@dataclass(frozen=True, slots=True)
+class Requested:
+    """A request that was made, and where."""
+
+    name: str
+    path: Path
+    request: CertificateRequest
+
+
+def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> Requested:
+    """Make the keys of participant `name` and the request for their certificate.
+
+    They lie in a folder of their own under `root`, the keys for their owner only, until
+    `install` is given the answer. UsageError for a name that cannot be used; ExistsError
+    if there is a request for it already, unless `force`.
+    """
+    regular = regular_name(name)
+    key, second = profile.participant_key.generate(), profile.alternative_key
+    alternative = second.generate() if second else None
+    made = certificate_request(regular, key, alternative)
+    with changing(root) as place:
+        goal = place.request_folder(regular)
+        if not force:
+            refuse_existing(goal)
+        make_private(goal.parent)
+        draft = root / f"{DRAFT}{secrets.token_hex(8)}"
+        make_private(draft)
+        create(draft / KEY, private_key_pem(key), mode=PRIVATE_MODE)
+        if alternative:
+            create(draft / ALT_KEY, private_key_pem(alternative), mode=PRIVATE_MODE)
+        create(draft / REQUEST, made.pem, mode=PUBLIC_MODE)
+        sync_filesystem(draft)
+        _replace(place, draft, goal)
+    return Requested(regular, goal / REQUEST, made)
+
+
+def make_sealing_key(root: Path, *, force: bool = False) -> tuple[Path, str]:
+    """A key with which sealed bundles are opened; where its public half is, and its SHA-256.
+
+    ExistsError if there is one, unless `force`: what was sealed for the old one is then
+    lost.
+    """
+    key = SealingPrivateKey.generate()
+    with changing(root):
+        if not force:
+            refuse_existing(root / SEALING_KEY)
+        # The public half first: a rerun mends it as long as there is no key.
+        write(root / SEALING_PUBLIC_KEY, key.public_key.pem, force=True)
+        write(root / SEALING_KEY, key.pem, private=True, force=force)
+    return root / SEALING_PUBLIC_KEY, fingerprint(key.public_key)
+
+
+def _replace(place: Place, draft: Path, goal: Path) -> None:
+    if goal.exists():
+        place.remove(goal)
+    draft.rename(goal)

@@ -1,0 +1,119 @@
+"""The chain of the ledger: each line holds the hash of what it says and of the line before.
+
+A line that is edited, removed or moved no longer fits. That the newest lines are missing
+the chain cannot tell by itself; a head that was noted elsewhere can, and so can what lies
+in the keystore and is in no line.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import TypeVar
+
+from pqsec_pki.errors import KeystoreError
+
+Value = TypeVar("Value")
+
+START = "0" * 64
+"""What the first line follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One thing that was made or taken back: when, what, for whom, and its SHA-256."""
+
+    at: str
+    """ISO 8601, UTC."""
+    kind: str
+    """identity-ca, permissions-ca, participant, governance, permissions, revocation or crl."""
+    name: str
+    serial: str | None
+    """A certificate's serial number in hex; None for documents."""
+    sha256: str
+    """Of a certificate's DER, or of the file of a signed document or revocation list."""
+    not_after: str | None
+    """ISO 8601, UTC; of a certificate. For a revocation list, when the next one is due."""
+    issuer: str | None = None
+    """SHA-256 of the CA's certificate; of participants, revocations and revocation lists."""
+    details: dict[str, str] = field(default_factory=dict)
+    """More, by kind: profile and domains of a participant, reason of a revocation, number
+    of a revocation list."""
+    operator: str | None = None
+    """The system's name of the user who ran the command; None in lines of format 1."""
+
+    @property
+    def made_at(self) -> datetime:
+        """`at`, as a time. KeystoreError, as the others here, if the line is damaged."""
+        return self._read(datetime.fromisoformat, self.at)
+
+    @property
+    def ends(self) -> datetime:
+        """`not_after`, as a time."""
+        return self._read(datetime.fromisoformat, self.not_after)
+
+    @property
+    def serial_number(self) -> int:
+        """`serial`, as a number."""
+        return self._read(_hexadecimal, self.serial)
+
+    @property
+    def list_number(self) -> int:
+        """A revocation list's number."""
+        return self._read(int, self.details.get("number"))
+
+    def _read(self, reader: Callable[[str], Value], text: str | None) -> Value:
+        try:
+            return reader(text or "")
+        except (ValueError, TypeError):
+            raise KeystoreError(
+                f"the ledger's line on {self.kind} {self.name} is damaged",
+                hint="`pqsec log --verify` tells which lines were altered",
+            ) from None
+
+
+def _hexadecimal(text: str) -> int:
+    return int(text, 16)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """An entry in its place."""
+
+    number: int
+    """From 1, without gaps."""
+    entry: Entry
+    chain: str
+    """SHA-256, in hex, of the chain value before and of this line."""
+
+
+def link(before: str, number: int, entry: Entry) -> str:
+    """The chain value of `entry` as line `number`, after a line whose value is `before`."""
+    content = [
+        *(before, number, entry.at, entry.operator, entry.kind, entry.name, entry.serial),
+        *(entry.issuer, entry.sha256, entry.not_after, details_text(entry)),
+    ]
+    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+
+
+def details_text(entry: Entry) -> str:
+    """The details as they are stored: JSON in one spelling."""
+    return json.dumps(entry.details, sort_keys=True, separators=(",", ":"))
+
+
+def problems(lines: Iterable[Line]) -> Iterator[str]:
+    """What was done to the ledger since it was written, as far as it shows."""
+    before, last = START, 0
+    for line in lines:
+        gap = line.number - last - 1
+        if gap > 0:
+            yield f"{_numbered(last + 1, line.number - 1)} missing"
+        # A gap leaves nothing that this line could be held against.
+        elif line.chain != link(before, line.number, line.entry):
+            yield f"line {line.number} was altered, or is not the one that stood here"
+        before, last = line.chain, line.number
+
+
+def _numbered(first: int, last: int) -> str:
+    return f"line {first} is" if first == last else f"lines {first} to {last} are"

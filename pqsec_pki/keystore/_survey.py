@@ -1,0 +1,140 @@
+"""Looking at what others made: what of it the CAs stand for, and the ledger's lines on that."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import read
+from pqsec_pki.certificates import Certificate, Reason, RevocationList, verify_chain
+from pqsec_pki.documents import DomainSet, Governance, Permissions
+from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._making import domains_of
+from pqsec_pki.keystore.authorities import (
+    certificate_entry,
+    document_entry,
+    required_signatures,
+)
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant import load_certificate, load_revocation_list
+from pqsec_pki.keystore.revoking import list_entry
+from pqsec_pki.smime import verify
+
+
+@dataclass(slots=True, kw_only=True)
+class Survey:
+    """What lies in a keystore's folder, found by `look`."""
+
+    keystore: Keystore
+    now: datetime
+    identity_ca: Certificate
+    permissions_ca: Certificate
+    permissions_alt_ca: Certificate | None
+    domains: DomainSet
+    """The governance's, once that was looked at."""
+    list_file: Path | None = None
+    """The revocation list that enclaves have; the newest, if they differ."""
+    entries: list[Entry] = field(default_factory=list)
+    """For the ledger."""
+    participants: dict[int, str] = field(default_factory=dict)
+    """Serial number -> name."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Files, relative to the keystore, that the CAs do not stand for, and why."""
+
+    @classmethod
+    def of(cls, keystore: Keystore, now: datetime) -> Self:
+        """Nothing is found yet but the CAs."""
+        return cls(
+            keystore=keystore,
+            now=now,
+            identity_ca=keystore.identity_ca,
+            permissions_ca=keystore.permissions_ca,
+            permissions_alt_ca=keystore.permissions_alt_ca,
+            domains=keystore.domains,
+        )
+
+    def look(self) -> None:
+        """At the CAs, the governance, every enclave, and their revocation list."""
+        self._authority("identity-ca", self.identity_ca)
+        self._authority("permissions-ca", self.permissions_ca)
+        if self.permissions_alt_ca:
+            self._authority("permissions-ca", self.permissions_alt_ca)
+        with self._telling(f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}") as path:
+            governance = Governance.from_xml(self._document("governance", "", path))
+            self.domains = governance.domain_rules[0].domains
+        names = self.keystore.names()
+        for name in names:
+            self._participant(name)
+        self._find_list(names)
+
+    def _authority(self, kind: str, ca: Certificate) -> None:
+        self.entries.append(certificate_entry(kind, ca.subject_name, ca, self.now))
+
+    def _participant(self, name: str) -> None:
+        folder, details = _layout.enclave_folder(name), {"profile": self.keystore.profile.name}
+        with self._telling(f"{folder}/{_layout.CERTIFICATE}") as path:
+            certificate = self._certificate(name, path)
+            self.participants[certificate.serial_number] = name
+            with self._telling(f"{folder}/{_layout.PERMISSIONS}") as signed:
+                permissions = Permissions.from_xml(self._document("permissions", name, signed))
+                details["domains"] = domains_of(permissions, certificate.subject_name)
+            what = ("participant", name, certificate, self.now)
+            self.entries.append(certificate_entry(*what, issuer=self.identity_ca, details=details))
+
+    def _certificate(self, name: str, path: Path) -> Certificate:
+        """One that the identity CA issued, under a serial number of its own."""
+        _layout.enclave_name(name)
+        certificate, ca = load_certificate(path), self.identity_ca
+        begin = max(certificate.not_before, ca.not_before)  # that it may have ended is no matter
+        verify_chain(certificate, ca, now=begin)
+        other = self.participants.get(certificate.serial_number)
+        if other:
+            raise KeystoreError(f"its serial number is also that of {other}")
+        return certificate
+
+    def _document(self, kind: str, name: str, path: Path) -> bytes:
+        """The document in a signed file; the permissions CA's signature holds."""
+        signed = read(path)
+        verified = verify(
+            signed,
+            self.permissions_ca,
+            alternative_ca=self.permissions_alt_ca,
+            require=required_signatures(self.keystore.profile),
+        )
+        self.entries.append(document_entry(kind, name, signed, self.now))
+        return verified.document
+
+    def _find_list(self, names: list[str]) -> None:
+        """It stays in force: the next one that the CA makes takes over what it revokes."""
+        lists: dict[Path, RevocationList] = {}
+        for place in (f"{_layout.enclave_folder(name)}/{_layout.LIST}" for name in names):
+            if (self.keystore.root / place).is_file():
+                with self._telling(place) as path:
+                    found = load_revocation_list(path)
+                    found.verify(self.identity_ca)
+                    lists[path] = found
+        self.list_file = max(lists, key=lambda path: lists[path].this_update, default=None)
+        if self.list_file:
+            self._enter_list(lists[self.list_file], read(self.list_file))
+
+    def _enter_list(self, found: RevocationList, pem: bytes) -> None:
+        reasons = {each.serial_number: each.reason for each in found.revoked}
+        issued = [each for each in self.entries if each.kind == "participant"]
+        for each in issued:
+            if each.serial_number in reasons:
+                reason = reasons[each.serial_number] or Reason.UNSPECIFIED.value
+                self.entries.append(replace(each, kind="revocation", details={"reason": reason}))
+        self.entries.append(list_entry(found, pem, self.identity_ca, self.now))
+
+    @contextmanager
+    def _telling(self, place: str) -> Iterator[Path]:
+        """The file at `place`; what is wrong with it is written down."""
+        path = self.keystore.root / place
+        try:
+            yield path
+        except PqsecError as error:
+            self.refused[place] = str(error).removeprefix(f"{path}: ")

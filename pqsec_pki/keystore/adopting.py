@@ -1,0 +1,115 @@
+"""A keystore that others made becomes one of pqsec's: nothing in its files is changed.
+
+SROS2's, and one in its layout whose CAs and certificates OpenSSL made. What is added is
+pqsec.json, the ledger and, where the enclaves have a revocation list of their own, a copy
+of it in public/.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import PROFILES, Profile, profile_named
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
+from pqsec_pki.keystore import _journal, _layout
+from pqsec_pki.keystore._journal import Draft
+from pqsec_pki.keystore._survey import Survey
+from pqsec_pki.keystore.keystore import Keystore, settings_file
+from pqsec_pki.keystore.participant import load_certificate
+
+_NEEDED = (
+    f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
+    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
+    f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adopted:
+    """What was found, and entered in the ledger."""
+
+    keystore: Keystore
+    participants: list[str]
+    refused: dict[str, str]
+    """Files, relative to the keystore, that are in no line of the ledger, and why."""
+    one_ca: bool
+    """Whether one key is identity CA and permissions CA (CVE-2023-24010)."""
+    fitting: bool
+    """Whether the profile is what the files were made with; else it holds for new ones."""
+
+
+def adopt(root: Path, *, now: datetime) -> Adopted:
+    """Make the folder `root` a keystore of pqsec's.
+
+    ExistsError if it is one, KeystoreError if it lacks the CAs' certificates or the
+    governance; what is wrong with a participant's files is told, and keeps them out of
+    the ledger.
+    """
+    _refuse_unfit(root)
+    with _journal.change(root) as draft:
+        _refuse_unfit(root)
+        profile = _profile(root)
+        keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
+        survey = Survey.of(keystore, now)
+        survey.look()
+        keystore = replace(keystore, domains=survey.domains)
+        _draft(draft, keystore, survey)
+    return Adopted(
+        keystore=keystore,
+        participants=list(survey.participants.values()),
+        refused=survey.refused,
+        one_ca=survey.identity_ca.spki == survey.permissions_ca.spki,
+        fitting=profile is not None,
+    )
+
+
+def _draft(draft: Draft, keystore: Keystore, survey: Survey) -> None:
+    root = keystore.root
+    settings = draft.folder(".", private=False)
+    settings.public(_layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
+    if not (root / _layout.PRIVATE).exists():
+        draft.folder(_layout.PRIVATE, private=True)
+    public = draft.folder(_layout.PUBLIC, private=False)
+    if survey.list_file and not keystore.has_revocation_list:
+        public.public(_layout.CA_LIST, read(survey.list_file))
+    for drafted, there in ((settings, root), (public, root / _layout.PUBLIC)):
+        Path(drafted.path).chmod(there.stat().st_mode & 0o777)  # so that it stays as it is
+    draft.record(*survey.entries)
+
+
+def _refuse_unfit(root: Path) -> None:
+    with _journal.disk_errors(root):
+        if (root / _layout.SETTINGS).exists():
+            raise ExistsError(f"{root} is a keystore of pqsec's already")
+        missing = [name for name in _NEEDED if not (root / name).is_file()]
+    if missing:
+        raise KeystoreError(
+            f"{root} lacks {', '.join(missing)}",
+            hint="put the files where SROS2 has them; docs/keystore.md shows its layout",
+        )
+
+
+def _profile(root: Path) -> Profile | None:
+    """One whose promises the CAs and the first participant keep; None if there is none."""
+    public = root / _layout.PUBLIC
+    identity, permissions = (
+        load_certificate(public / name) for name in (_layout.IDENTITY_CA, _layout.PERMISSIONS_CA)
+    )
+    names = _layout.names_in(root)
+    first = root / _layout.enclave_folder(names[0]) / _layout.CERTIFICATE if names else None
+    participant = load_certificate(first) if first else identity
+    second = identity.alternative_key
+    kinds: dict[str, str | None] = {
+        "identity_key": identity.public_key.algorithm.name,
+        "permissions_key": permissions.public_key.algorithm.name,
+        "participant_key": participant.public_key.algorithm.name,
+        "alternative_key": second.algorithm.name if second else None,
+    }
+    for profile in reversed(PROFILES):  # classical first
+        if (second is None) == (profile.alternative_key is None):
+            with suppress(UsageError):
+                return profile.changed(kinds)
+    return None

@@ -1,0 +1,211 @@
+"""What each participant has, by the ledger; and whether its files are that still.
+
+For thousands at a time: nothing is parsed, and files that were found to be right before
+and have the same inode, size and time of change since are not read again.
+"""
+
+import base64
+import binascii
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from functools import lru_cache
+from pathlib import Path
+from sys import intern
+
+from pqsec_pki._files import write
+from pqsec_pki.errors import FileError, KeystoreError, shown
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._journal import disk_errors
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.keystore import Keystore
+
+_SEEN = "seen.json"
+"""In private/: what was found to be right. Without it, all files are read."""
+
+
+class Files(StrEnum):
+    """How a participant's files stand to the ledger."""
+
+    RIGHT = "right"
+    GONE = "gone"
+    """There is no certificate."""
+    OTHER_CERTIFICATE = "other certificate"
+    OTHER_PERMISSIONS = "other permissions"
+    """The certificate is right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holding:
+    """One participant."""
+
+    made_at: datetime
+    not_after: datetime
+    """Of its newest certificate."""
+    revoked: bool
+    requested: bool
+    """Whether it ever asked for a certificate of its own key, which is not here then."""
+    mark: str
+    """What it was issued, or given permissions, with; renewed or not."""
+    files: Files
+
+
+@dataclass(frozen=True, slots=True)
+class Holdings:
+    """A keystore's participants, and its governance."""
+
+    participants: dict[str, Holding]
+    governance_mark: str | None
+    """What the governance was signed with; None if the file is not the newest that was."""
+
+
+def holdings(keystore: Keystore) -> Holdings:
+    """All participants of the ledger, by name, and how their files are.
+
+    KeystoreError for a damaged ledger; FileError if the disk refuses.
+    """
+    with keystore.open_ledger() as ledger, disk_errors(keystore.root):
+        revoked = {each.sha256 for each in ledger.of_kind("revocation")}
+        files = _Files.of(keystore)
+        found: dict[str, Holding] = {}
+        for name, certificate, at, not_after, mark, requests, permissions in _newest(ledger):
+            found[name] = Holding(
+                made_at=_time(at),
+                not_after=_time(not_after),
+                revoked=certificate in revoked,
+                requested=requests > 0,
+                mark=intern(mark),  # thousands have the same
+                files=files.look(name, certificate, permissions),
+            )
+        files.remember()
+        return Holdings(found, _governance_mark(keystore, ledger.of_name("governance", "")[-1:]))
+
+
+def marks_in(ledger: Ledger) -> dict[str, str]:
+    """Name -> what it was issued, or given permissions, with."""
+    return {each[0]: each[4] for each in _newest(ledger)}
+
+
+def _newest(ledger: Ledger) -> Iterator[tuple[str, str, str, str, str, int, str]]:
+    """Of each participant what `newest_marked` has, and the SHA-256 of its permissions.
+
+    Permissions that were signed anew for the same certificate have a mark of their own.
+    """
+    documents = ledger.newest_marked("permissions")
+    document = next(documents, None)
+    for name, sha256, at, not_after, mark, requests in ledger.newest_marked("participant"):
+        while document and document[0] < name:  # signed for somebody who was not issued here
+            document = next(documents, None)
+        permissions, own_mark = "", ""
+        if document and document[0] == name:
+            _, permissions, _, _, own_mark, _ = document
+        yield name, sha256, at, not_after, own_mark or mark, requests, permissions
+
+
+@lru_cache(maxsize=1024)
+def _time(text: str) -> datetime:
+    """Those of one batch are alike."""
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        raise KeystoreError(
+            f"the ledger has {shown(text)} for a time",
+            hint="`pqsec log --verify` tells which lines were altered",
+        ) from None
+
+
+def _governance_mark(keystore: Keystore, newest: list[Entry]) -> str | None:
+    path = f"{keystore.root}/{_layout.ENCLAVES}/{_layout.GOVERNANCE}"
+    with suppress(FileNotFoundError):
+        for each in newest:
+            if _sha256(path) == each.sha256:
+                return each.details.get("mark", "")
+    return None
+
+
+# Files
+
+
+class _Files:
+    """Looks at participants' files, and keeps what it has seen to be right."""
+
+    def __init__(self, keystore: Keystore, seen: dict[str, str]) -> None:
+        self._enclaves = f"{keystore.root}/{_layout.ENCLAVES}"
+        self._memory = keystore.root / _layout.PRIVATE / _SEEN
+        self._seen = seen
+        self._news = False
+
+    @classmethod
+    def of(cls, keystore: Keystore) -> "_Files":
+        seen: object = {}
+        with suppress(OSError, ValueError, RecursionError):
+            seen = json.loads((keystore.root / _layout.PRIVATE / _SEEN).read_bytes())
+        return cls(keystore, seen if isinstance(seen, dict) else {})
+
+    def look(self, name: str, certificate: str, permissions: str) -> Files:
+        """How they are, against the SHA-256 of each in the ledger."""
+        folder = f"{self._enclaves}{name}"
+        try:
+            stamps = [_stamp(f"{folder}/{_layout.CERTIFICATE}")]
+        except (FileNotFoundError, NotADirectoryError):
+            return Files.GONE
+        with suppress(FileNotFoundError):
+            stamps.append(_stamp(f"{folder}/{_layout.PERMISSIONS}"))
+        whole = " ".join((*stamps, certificate, permissions)).encode()
+        seen = hashlib.blake2b(whole, digest_size=12).hexdigest()
+        if self._seen.get(name) == seen:
+            return Files.RIGHT
+        self._news = True
+        found = _compared(folder, certificate, permissions)
+        if found is Files.RIGHT:
+            self._seen[name] = seen
+        else:
+            self._seen.pop(name, None)
+        return found
+
+    def remember(self) -> None:
+        """Who may only read the keystore looks at all files the next time, too."""
+        if self._news:
+            with suppress(FileError):
+                data = json.dumps(self._seen, separators=(",", ":")).encode()
+                write(self._memory, data, private=True, force=True)
+
+
+def _stamp(path: str) -> str:
+    """What changes whenever the file does, or another takes its place."""
+    found = os.lstat(path)
+    return f"{found.st_ino}:{found.st_size}:{found.st_ctime_ns}"
+
+
+def _compared(folder: str, certificate: str, permissions: str) -> Files:
+    if _fingerprint(f"{folder}/{_layout.CERTIFICATE}") != certificate:
+        return Files.OTHER_CERTIFICATE
+    with suppress(FileNotFoundError):
+        if _sha256(f"{folder}/{_layout.PERMISSIONS}") == permissions:
+            return Files.RIGHT
+    return Files.OTHER_PERMISSIONS
+
+
+def _sha256(path: str) -> str:
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _fingerprint(path: str) -> str | None:
+    """SHA-256 of the DER in a PEM file of one certificate; None if it is none."""
+    with Path(path).open("rb") as file:
+        lines: Iterator[bytes] = iter(file.read().split(b"\n"))
+    for line in lines:
+        if line.startswith(b"-----BEGIN"):
+            break
+    body = b"".join(line for line in lines if not line.startswith(b"-----END"))
+    try:
+        return hashlib.sha256(base64.b64decode(body)).hexdigest()
+    except binascii.Error:
+        return None

@@ -1,0 +1,235 @@
+"""Taking certificates back: a line in the ledger, a new revocation list, a link to it everywhere.
+
+All of it is one change. The list is made from the ledger; it lies once, in public/, and
+each enclave has a link to it, so a new list reaches all of them in one rename.
+"""
+
+import hashlib
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+from pqsec_pki.certificates import (
+    Authority,
+    Certificate,
+    Reason,
+    RevocationList,
+    RevokedCertificate,
+    revocation_list,
+)
+from pqsec_pki.errors import KeystoreError, PqsecError, UsageError
+from pqsec_pki.keystore import _journal, _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._journal import Draft
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.keystore import Keystore
+
+LIST_VALIDITY = timedelta(days=365)
+"""Once a list has ended, stacks that were given it refuse everybody: it lasts as long as
+participants do, unless the user wants another risk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Revoked:
+    """A certificate that was taken back."""
+
+    name: str
+    serial: str
+    not_after: datetime
+    since: datetime
+    reason: str
+    before: bool
+    """Whether it had been already."""
+    listed: bool
+    """Whether the list names it: not if an earlier CA issued it, whose lists are no more made."""
+
+
+def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
+    keystore: Keystore,
+    authorities: Authorities,
+    subjects: Sequence[str],
+    *,
+    reason: Reason = Reason.UNSPECIFIED,
+    now: datetime,
+    validity: timedelta = LIST_VALIDITY,
+) -> tuple[list[Revoked], RevocationList]:
+    """Take back what `subjects` name, and make a new list; all of it or nothing.
+
+    A subject is a participant, which means all its certificates that have not expired,
+    or one certificate's serial number in hex. What was revoked before stays so.
+    KeystoreError for a subject the ledger does not know or that has expired.
+    """
+    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+        authorities.refuse_outdated(keystore.root)
+        chosen = {
+            each.sha256: each
+            for subject in subjects
+            for each in _certificates(ledger, subject, now)
+        }
+        before = {each.sha256: each for each in ledger.of_kind("revocation")}
+        new = [_revocation(each, reason, now) for each in chosen.values()]
+        new = [each for each in new if each.sha256 not in before]
+        made = Publisher(keystore, authorities.identity, ledger, now).publish(draft, new, validity)
+    after = before | {each.sha256: each for each in new}
+    listed = {each.serial_number for each in made.revoked}
+    return [_told(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
+
+
+def renew_list(
+    keystore: Keystore,
+    authorities: Authorities,
+    *,
+    now: datetime,
+    validity: timedelta = LIST_VALIDITY,
+) -> RevocationList:
+    """A new list that takes back what the last one did, and is due later."""
+    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+        authorities.refuse_outdated(keystore.root)
+        publisher = Publisher(keystore, authorities.identity, ledger, now)
+        return publisher.publish(draft, [], validity)
+
+
+@dataclass(frozen=True, slots=True)
+class Publisher:
+    """What the next list of a CA is made from, while the keystore is locked."""
+
+    keystore: Keystore
+    identity: Authority
+    ledger: Ledger
+    now: datetime
+
+    def publish(self, draft: Draft, new: Sequence[Entry], validity: timedelta) -> RevocationList:
+        """Draft the next list, with `new` revocations, and the links to it that are missing."""
+        made = self.draft(draft, new, validity)
+        for place, target in _missing_links(self.keystore):
+            draft.link(place, target)
+        return made
+
+    def draft(self, draft: Draft, new: Sequence[Entry], validity: timedelta) -> RevocationList:
+        """Draft the next list, with `new` revocations; the links to it are the caller's."""
+        last, old = self._last(), self._believed()
+        made = revocation_list(
+            self.identity,
+            self._revoked(last, old, new),
+            number=1 + max(last.list_number if last else 0, (old.number if old else None) or 0),
+            now=self.now,
+            validity=validity,
+        )
+        draft.folder(_layout.PUBLIC, private=False).public(_layout.CA_LIST, made.pem)
+        draft.record(*new, list_entry(made, made.pem, self.identity.certificate, self.now))
+        return made
+
+    @property
+    def _issuer(self) -> str:
+        return self.identity.certificate.fingerprint
+
+    def _last(self) -> Entry | None:
+        lists = [each for each in self.ledger.of_kind("crl") if each.issuer == self._issuer]
+        return lists[-1] if lists else None
+
+    def _believed(self) -> RevocationList | None:
+        """The list that lies there, if it is this CA's."""
+        try:
+            found = self.keystore.revocation_list
+            if found:
+                found.verify(self.identity.certificate)
+        except PqsecError:
+            return None
+        return found
+
+    def _revoked(
+        self, last: Entry | None, old: RevocationList | None, new: Sequence[Entry]
+    ) -> list[RevokedCertificate]:
+        """What the ledger says; and what only the old list does, if the ledger was lost."""
+        listed = {each.serial_number: each for each in old.revoked} if old else {}
+        for entry in (*self.ledger.of_kind("revocation"), *new):
+            if entry.issuer != self._issuer:
+                continue
+            # RFC 5280 3.3: an entry goes once a list later than the certificate had it
+            # (and by the clock of now too, if that list's was wrong)
+            if last and entry.ends < min(last.made_at, self.now):
+                listed.pop(entry.serial_number, None)
+            else:
+                listed[entry.serial_number] = _revoked(entry)
+        return list(listed.values())
+
+
+def list_entry(made: RevocationList, pem: bytes, issuer: Certificate, now: datetime) -> Entry:
+    """The ledger's line on a list; `pem` is its file."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind="crl",
+        name="",
+        serial=None,
+        sha256=hashlib.sha256(pem).hexdigest(),
+        not_after=made.next_update.isoformat() if made.next_update else None,
+        issuer=issuer.fingerprint,
+        details={"number": str(made.number or 0), "revoked": str(len(made.revoked))},
+    )
+
+
+def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
+    """The participants' lines that the user means."""
+    named = ledger.of_name("participant", _name(subject))
+    if not named:
+        serial = subject.replace(":", "").lower().lstrip("0")
+        named = [each for each in ledger.of_kind("participant") if each.serial == serial]
+    if not named:
+        raise KeystoreError(
+            f"the ledger knows no participant and no serial number {subject}",
+            hint="`pqsec status` lists both",
+        )
+    good = [each for each in named if now <= each.ends]
+    if not good:
+        raise KeystoreError(
+            f"{subject} expired on {named[-1].ends:%Y-%m-%d}: nobody takes it any more",
+            hint="there is nothing to take back",
+        )
+    return good
+
+
+def _name(subject: str) -> str:
+    try:
+        return _layout.enclave_name(subject)
+    except UsageError:
+        return subject
+
+
+def _revocation(line: Entry, reason: Reason, now: datetime) -> Entry:
+    return replace(
+        line,
+        at=now.isoformat(timespec="seconds"),
+        kind="revocation",
+        details={"reason": reason.value},
+    )
+
+
+def _revoked(entry: Entry) -> RevokedCertificate:
+    return RevokedCertificate(
+        serial_number=entry.serial_number,
+        revoked_at=entry.made_at,
+        reason=entry.details.get("reason"),
+    )
+
+
+def _missing_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
+    """Where a link to the list should be and is not, and what it should show."""
+    for name in keystore.names():
+        [(link, target)] = _layout.shared_links(name, _layout.LIST_TARGET).items()
+        place = f"{_layout.enclave_folder(name)}/{link}"
+        there = keystore.root / place
+        if not (there.is_symlink() and str(there.readlink()) == target):
+            yield place, target
+
+
+def _told(entry: Entry, listed: Collection[int], *, before: bool) -> Revoked:
+    return Revoked(
+        name=entry.name,
+        serial=f"{entry.serial_number:x}",
+        not_after=entry.ends,
+        since=entry.made_at,
+        reason=entry.details.get("reason", Reason.UNSPECIFIED.value),
+        before=before,
+        listed=entry.serial_number in listed,
+    )

@@ -1,0 +1,90 @@
+"""New documents for what is there: permissions for a certificate, and the governance.
+
+Keys and certificates stay as they are. The new document takes the place of the old in one
+change with its line in the ledger.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from pqsec_pki.documents import Governance
+from pqsec_pki.keystore import _journal, _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._journal import DraftedFolder
+from pqsec_pki.keystore.authorities import Authorities, document_entry
+from pqsec_pki.keystore.issuing import Wish, permissions_for
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.renewing import Inspector
+from pqsec_pki.smime import document_in
+
+
+def permit(
+    keystore: Keystore, authorities: Authorities, wishes: Sequence[Wish], *, now: datetime
+) -> None:
+    """Give participants that are there the permissions wished for, or none of them.
+
+    They hold as long as the certificate; the wishes' validity does not count.
+    KeystoreError for a participant that is not there, was revoked, or whose certificate
+    is not the newest one issued to it.
+    """
+    names = [_layout.enclave_name(wish.name) for wish in wishes]
+    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+        authorities.refuse_outdated(keystore.root)
+        inspector = Inspector.of(keystore, ledger)
+        inspector.refuse_revoked(names)
+        folders = [draft.folder(_layout.enclave_folder(name), private=False) for name in names]
+        signer = _Signer(keystore, authorities, inspector, now)
+        with ThreadPoolExecutor() as pool:
+            # Signing does not hold the interpreter, so threads use every core.
+            draft.record(*pool.map(signer.permit, names, wishes, folders))
+
+
+def govern(
+    keystore: Keystore,
+    authorities: Authorities,
+    governance: Governance,
+    *,
+    now: datetime,
+    mark: str = "",
+) -> None:
+    """Sign the governance that all participants of the keystore share.
+
+    `mark` goes into the ledger as it is.
+    """
+    document = governance.to_xml()
+    signed = authorities.sign(document, now=now)
+    with _journal.change(keystore.root) as draft:
+        authorities.refuse_outdated(keystore.root)
+        enclaves = draft.folder(_layout.ENCLAVES, private=False)
+        enclaves.public(_layout.GOVERNANCE_XML, document)
+        enclaves.public(_layout.GOVERNANCE, signed)
+        draft.record(_marked(document_entry("governance", "", signed, now), mark))
+
+
+def signed_governance(keystore: Keystore) -> Governance:
+    """What the governance there says; whether the ledger knows it is for `holdings` to tell."""
+    return Governance.from_xml(document_in(keystore.governance))
+
+
+@dataclass(frozen=True, slots=True)
+class _Signer:
+    keystore: Keystore
+    authorities: Authorities
+    inspector: Inspector
+    now: datetime
+
+    def permit(self, name: str, wish: Wish, folder: DraftedFolder) -> Entry:
+        there = self.keystore.root / _layout.enclave_folder(name)
+        with _journal.disk_errors(there):
+            certificate = self.inspector.certificate(name, there)
+        document = permissions_for(wish, certificate).to_xml()
+        signed = self.authorities.sign(document, now=self.now)
+        folder.public(_layout.PERMISSIONS_XML, document)
+        folder.public(_layout.PERMISSIONS, signed)
+        return _marked(document_entry("permissions", name, signed, self.now), wish.mark)
+
+
+def _marked(entry: Entry, mark: str) -> Entry:
+    return replace(entry, details={"mark": mark}) if mark else entry

@@ -1,0 +1,146 @@
+"""Governance and permissions documents, as rules look at them: parsed when first asked for."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+
+from pqsec_pki.documents import Governance, Grant, Node, Permissions, Tree, read_tree, validate
+from pqsec_pki.errors import InvalidDocumentError, PqsecError, Problem
+from pqsec_pki.lint.file import File
+from pqsec_pki.lint.rule import Found
+
+
+@dataclass(frozen=True)
+class Document:
+    """A governance or permissions document, bare or signed.
+
+    What cannot be told to be one of the two is of this class itself.
+    """
+
+    file: File
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        return self.file.path
+
+    @property
+    def now(self) -> datetime:
+        """The time of the check."""
+        return self.file.now
+
+    @cached_property
+    def xml(self) -> bytes | None:
+        """The document itself; None with `reason` if S/MIME is around it that cannot be read."""
+        return self.file.signed_text[0] if self.file.is_signed else self.file.data
+
+    @cached_property
+    def _first_line(self) -> int:
+        """How many lines of the file stand before the document."""
+        if not self.file.is_signed or self.xml is None:
+            return 0
+        text = self.file.data.replace(b"\r\n", b"\n")
+        place = text.find(self.xml.replace(b"\r\n", b"\n").strip())
+        return text.count(b"\n", 0, place) if place > 0 else 0
+
+    def line(self, line: int | None) -> int | None:
+        """The line of the file where that line of the document is."""
+        return None if line is None else line + self._first_line
+
+    @cached_property
+    def _tree(self) -> tuple[Tree | None, str | None]:
+        if self.xml is None:
+            return None, self.file.signed_text[1]
+        try:
+            return read_tree(self.xml), None
+        except PqsecError as error:
+            return None, str(error)
+
+    @property
+    def tree(self) -> Tree | None:
+        """All that is in the XML; None with `reason` if it is not well formed."""
+        return self._tree[0]
+
+    @property
+    def root(self) -> Node | None:
+        """The root element."""
+        return self.tree.root if self.tree else None
+
+    @cached_property
+    def nodes(self) -> Mapping[str, tuple[Node, ...]]:
+        """All elements by their tag, in document order."""
+        found: dict[str, list[Node]] = {}
+        for node in self.root.walk() if self.root else ():
+            found.setdefault(node.tag, []).append(node)
+        return {tag: tuple(nodes) for tag, nodes in found.items()}
+
+    def all(self, *tags: str) -> Iterator[Node]:
+        """All elements with one of these tags."""
+        for tag in tags:
+            yield from self.nodes.get(tag, ())
+
+    def at(self, place: Node | int | None, message: str) -> Found:
+        """What was found at an element, or a line, of the document."""
+        return Found(message, self.line(place.line if isinstance(place, Node) else place))
+
+    @property
+    def reason(self) -> str | None:
+        """Why there is no tree."""
+        return self._tree[1]
+
+    @cached_property
+    def problems(self) -> tuple[Problem, ...]:
+        """What breaks the schema; lines are of the document, not the file."""
+        if self.xml is None or self.tree is None:
+            return ()
+        try:
+            validate(self.xml)
+        except InvalidDocumentError as error:
+            return error.problems
+        except PqsecError as error:
+            return (Problem(None, None, str(error)),)
+        return ()
+
+
+class GovernanceFile(Document):
+    """A governance document."""
+
+    @cached_property
+    def governance(self) -> Governance | None:
+        """What it says; None if it breaks its schema."""
+        try:
+            return Governance.from_xml(self.xml or b"")
+        except PqsecError:
+            return None
+
+
+class PermissionsFile(Document):
+    """A permissions document."""
+
+    @cached_property
+    def permissions(self) -> Permissions | None:
+        """What it says; None if it breaks its schema."""
+        try:
+            return Permissions.from_xml(self.xml or b"")
+        except PqsecError:
+            return None
+
+    @property
+    def grants(self) -> tuple[Grant, ...]:
+        """Its grants; none if it breaks its schema."""
+        return self.permissions.grants if self.permissions else ()
+
+
+def document_of(file: File) -> Document:
+    """The document in `file`, of the class of what it is."""
+    document = Document(file)
+    root = document.root
+    kinds = {"domain_access_rules": GovernanceFile, "permissions": PermissionsFile}
+    for child in root.children if root and root.tag == "dds" else ():
+        if child.tag in kinds:
+            known = kinds[child.tag](file)
+            vars(known).update(vars(document))  # what was parsed is not parsed again
+            return known
+    return document

@@ -1,0 +1,71 @@
+"""A file, read once, and what can be told of it before it is parsed."""
+
+import re
+import stat
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.smime import document_in, is_signed
+
+_DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
+"""PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, and then what no certificate or list has."""
+
+
+@dataclass(frozen=True, eq=False)
+class File:
+    """A file, whatever is in it. `data` is empty where it could not be read."""
+
+    path: Path
+    """As reached from what the user named; where several links lead, the file itself."""
+    data: bytes = field(repr=False)
+    mode: int
+    """st_mode of the file itself, with its type."""
+    now: datetime = field(repr=False)
+    unreadable: str | None = None
+    """Why there is no data."""
+
+    @property
+    def permission_bits(self) -> int:
+        """The mode as chmod takes it."""
+        return stat.S_IMODE(self.mode)
+
+    @cached_property
+    def is_signed(self) -> bool:
+        """Whether it looks like S/MIME."""
+        return is_signed(self.data)
+
+    @cached_property
+    def signed_text(self) -> tuple[bytes | None, str | None]:
+        """The document in S/MIME; None, and why, if it cannot be read."""
+        try:
+            return document_in(self.data), None
+        except PqsecError as error:
+            return None, str(error)
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of its PEM blocks, such as CERTIFICATE."""
+        found = re.findall(rb"-----BEGIN ([A-Z0-9 ]{1,64})-----", self.data)
+        return tuple(label.decode() for label in found)
+
+    @cached_property
+    def is_private_key(self) -> bool:
+        """Whether a private key is in it; one in DER only if it is not encrypted."""
+        in_pem = any(label.endswith("PRIVATE KEY") for label in self.labels)
+        return in_pem or _DER_KEY.match(self.data) is not None
+
+    @property
+    def is_revocation_list(self) -> bool:
+        """Whether a revocation list in PEM is in it."""
+        return "X509 CRL" in self.labels
+
+    @cached_property
+    def looks_like_document(self) -> bool:
+        """Whether it is S/MIME or XML of this standard, broken or not."""
+        if self.is_signed:
+            return True
+        head = self.data[:65536].replace(b"\0", b"")  # so that UTF-16 shows its tags too
+        return bool(re.search(rb"(?i)<(dds|domain_access_rules|permissions)[\s>/]", head))

@@ -1,0 +1,21 @@
+"""The security plugin that Cyclone DDS loads: its agent, and the shim that asks it.
+
+The shim (`shim/`, C) is what a DDS process loads. It hands each call that needs thought
+to the agent, one process for each user, over a socket. The agent holds the identities
+and answers with the rooms of this package; private keys never enter the DDS process.
+"""
+
+from pqsec_pki.plugin.build import LIBRARY, NAMES, Built, build
+from pqsec_pki.plugin.control import Status, agent_status, stop_agent
+from pqsec_pki.plugin.place import Place
+
+__all__ = [
+    "LIBRARY",
+    "NAMES",
+    "Built",
+    "Place",
+    "Status",
+    "agent_status",
+    "build",
+    "stop_agent",
+]

@@ -1,0 +1,184 @@
+"""The access control plugin's calls: DDS-Security 1.1, 8.4.2.9 and 9.4.3, table 63.
+
+Names, arguments and results are those in `calls`; decisions are the room `access`'s. A
+refusal is a PqsecError with the rule that decided.
+"""
+
+from dataclasses import astuple, replace
+from typing import Any
+
+from pqsec_pki.access import Action, Side, decide
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import Governance, Permissions
+from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.handshake import DataHolder, PermissionsToken
+from pqsec_pki.plugin import attributes, credentials, identity
+from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY, Clock
+from pqsec_pki.plugin.credentials import Properties
+from pqsec_pki.plugin.handles import Handles
+from pqsec_pki.plugin.octets import Pairs
+from pqsec_pki.plugin.rights import Own, Rights, Signers, Theirs, anywhere
+
+_GOVERNANCE = "dds.sec.access.governance"
+_PERMISSIONS = "dds.sec.access.permissions"
+_TEXT = "surrogateescape"
+_OK = 0
+
+
+class AccessControl:
+    """The plugin of one DDS process and domain."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._now = clock
+        self._handles = Handles()
+
+    def __len__(self) -> int:
+        return len(self._handles)
+
+    def validate_local_permissions(
+        self, identity_handle: int, domain: int, folder: str, pairs: Pairs
+    ) -> tuple[int, int, int]:
+        """The handle of a local participant's rights, and the second when they end."""
+        properties, now = Properties(pairs, folder), self._now()
+        certificate = credentials.certificate_at(properties.source(identity.CERTIFICATE))
+        signers = Signers.load(properties)
+        governance, permissions = properties.source(_GOVERNANCE), properties.source(_PERMISSIONS)
+        with located(governance.where):
+            rules = Governance.from_xml(signers.document(governance.read(), now))
+        message = permissions.read()
+        with located(permissions.where):
+            granted = Permissions.from_xml(signers.document(message, now))
+        rights = Own(
+            subject=certificate.subject_name,
+            domain=domain,
+            governance=rules,
+            permissions=granted,
+            signers=signers,
+            message=message,
+            identity=identity_handle,
+        )
+        return _OK, self._handles.add(rights), rights.end(now)
+
+    def validate_remote_permissions(
+        self, identity_handle: int, peer: int, token: DataHolder, credential: DataHolder
+    ) -> tuple[int, int, int]:
+        """The handle of a peer's rights, and the second when they end."""
+        del peer
+        own, now = self._own(identity_handle), self._now()
+        PermissionsToken.from_holder(token)
+        found = dict(credential.properties)
+        certificate = Certificate.from_pem(found.get("c.id", "").encode(errors=_TEXT))
+        message = found.get("c.perm", "").encode(errors=_TEXT).rstrip(b"\0")
+        with located("the peer's permissions"):
+            granted = Permissions.from_xml(own.signers.document(message, now))
+        rights = Theirs(
+            subject=certificate.subject_name,
+            domain=own.domain,
+            governance=own.governance,
+            permissions=granted,
+        )
+        return _OK, self._handles.add(rights), rights.end(now)
+
+    # The handle tells whose rights they are: a check of the local participant's own is made as
+    # it makes a thing, of a peer's as the thing is discovered.
+
+    def check_create_participant(self, handle: int, domain: int) -> tuple[int]:
+        """May it join?"""
+        return self._refuse_unless(handle, domain, Action.JOIN)
+
+    def check_create_datawriter(
+        self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
+    ) -> tuple[int]:
+        """May it publish that, there?"""
+        return self._refuse_unless(handle, domain, Action.PUBLISH, topic, (partitions, tags))
+
+    def check_create_datareader(
+        self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
+    ) -> tuple[int]:
+        """May it subscribe to that, there?"""
+        return self._refuse_unless(handle, domain, Action.SUBSCRIBE, topic, (partitions, tags))
+
+    def check_create_topic(self, handle: int, domain: int, topic: str) -> tuple[int]:
+        """May it publish or subscribe? In which partition, its endpoints will tell."""
+        rights = self._handles.get(handle, Rights)
+        if rights.side is Side.OWN and topic in attributes.BUILTIN:
+            return (_OK,)
+        permissions, now = anywhere(rights.permissions), self._now()
+        reasons = []
+        for action in (Action.PUBLISH, Action.SUBSCRIBE):
+            question = rights.question(domain, action, now, topic)
+            decision = decide(rights.governance, permissions, question, by=rights.side)
+            if decision.allowed:
+                return (_OK,)
+            reasons.append(decision.reason)
+        raise VerificationError(*reasons)
+
+    check_remote_participant = check_create_participant
+    check_remote_datawriter = check_create_datawriter
+    check_remote_topic = check_create_topic
+
+    def check_remote_datareader(
+        self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
+    ) -> tuple[int, int]:
+        """May it subscribe to that, there? The last result is 0: not for relaying only."""
+        return *self.check_create_datareader(handle, domain, topic, partitions, tags), 0
+
+    def get_permissions_token(self, handle: int) -> tuple[int, DataHolder]:
+        """Without properties, as Cyclone DDS sends it: Fast DDS 2.9.1 refuses the standard's."""
+        self._handles.get(handle, Own)
+        return _OK, PermissionsToken().to_holder()
+
+    def get_permissions_credential_token(self, handle: int) -> tuple[int, DataHolder]:
+        """The signed permissions document, for the handshake."""
+        document = self._handles.get(handle, Own).message.decode(errors=_TEXT)
+        return _OK, DataHolder(CREDENTIAL, ((CREDENTIAL_PROPERTY, document),))
+
+    def get_participant_sec_attributes(self, handle: int) -> tuple[Any, ...]:
+        """How the domain is protected."""
+        rule = self._handles.get(handle, Own).domain_rule
+        return _OK, *astuple(attributes.of_participant(rule))
+
+    def get_topic_sec_attributes(self, handle: int, topic: str) -> tuple[Any, ...]:
+        """How a topic is controlled."""
+        rights = self._handles.get(handle, Own)
+        if topic in attributes.BUILTIN:
+            return _OK, *astuple(attributes.TopicAttributes())
+        return _OK, *astuple(attributes.of_topic(rights.topic_rule(topic)))
+
+    def get_endpoint_sec_attributes(self, handle: int, topic: str) -> tuple[Any, ...]:
+        """How a writer or reader of the topic is protected."""
+        rights = self._handles.get(handle, Own)
+        if topic in attributes.BUILTIN:
+            return _OK, *astuple(attributes.of_builtin(rights.domain_rule, topic))
+        return _OK, *astuple(attributes.of_endpoint(rights.topic_rule(topic)))
+
+    def return_permissions_handle(self, handle: int) -> tuple[int]:
+        """The participant is gone, or the peer."""
+        self._handles.drop(handle)
+        return (_OK,)
+
+    def _own(self, identity_handle: int) -> Own:
+        for _, each in self._handles.all(Own):
+            if each.identity == identity_handle:
+                return each
+        raise VerificationError("a peer of a participant that the agent does not know")
+
+    def _refuse_unless(
+        self,
+        handle: int,
+        domain: int,
+        action: Action,
+        topic: str | None = None,
+        where: tuple[tuple[str, ...], Pairs] = ((), ()),
+    ) -> tuple[int]:
+        """VerificationError with the reason, unless the answer is yes; `where` are partitions
+        and data tags."""
+        rights = self._handles.get(handle, Rights)
+        if rights.side is Side.OWN and topic in attributes.BUILTIN:
+            return (_OK,)
+        question = rights.question(domain, action, self._now(), topic)
+        question = replace(question, partitions=where[0], data_tags=where[1])
+        decision = decide(rights.governance, rights.permissions, question, by=rights.side)
+        if not decision.allowed:
+            raise VerificationError(decision.reason)
+        return (_OK,)

@@ -1,0 +1,257 @@
+"""The authentication plugin's calls: DDS-Security 1.1, 8.3.2.7 and 9.3.3, table 52.
+
+Names, arguments and results are those in `calls`. Each call gives the result code of
+DDS-Security and the values; a refusal is a PqsecError.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
+from enum import IntEnum
+from typing import TypeAlias
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import VerificationError, shown
+from pqsec_pki.handshake import (
+    CHALLENGE_SIZE,
+    AuthRequest,
+    DataHolder,
+    Discovered,
+    Done,
+    Final,
+    IdentityToken,
+    Peer,
+    Reply,
+    ReplySent,
+    Request,
+    RequestSent,
+    begin,
+    initiates,
+    reply_to,
+)
+from pqsec_pki.plugin.credentials import Properties
+from pqsec_pki.plugin.handles import Handles
+from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.meetings import Handshake, Relation, Remote
+from pqsec_pki.plugin.octets import Pairs
+
+NO_TOKEN = DataHolder("")
+"""TOKEN_NIL: Cyclone DDS looks at the length of its class id, so it must have one."""
+CREDENTIAL, CREDENTIAL_PROPERTY = "DDS:Access:PermissionsCredential", "dds.perm.cert"
+PEER_CREDENTIAL = "DDS:Auth:PKI-DH:1.0"
+_TEXT = "surrogateescape"
+
+MAX_ANSWERED = 1024
+"""Handshakes that wait for a Final. Anyone who heard a certificate can begin one with it, again
+and again, and each keeps what the Request carried."""
+
+Clock: TypeAlias = Callable[[], datetime]
+
+
+class Result(IntEnum):
+    """DDS_Security_ValidationResult_t, those that are given."""
+
+    OK = 0
+    PENDING_HANDSHAKE_REQUEST = 3
+    PENDING_HANDSHAKE_MESSAGE = 4
+    OK_FINAL_MESSAGE = 5
+
+
+class Authentication:
+    """The plugin of one DDS process and domain."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._now = clock
+        self._handles = Handles()
+        self._remotes: dict[bytes, int] = {}
+        """The handle of the latest peer with that GUID."""
+        self._answered: dict[int, None] = {}
+        """The handles of handshakes that were answered, the oldest first."""
+
+    def __len__(self) -> int:
+        return len(self._handles)
+
+    def validate_local_identity(
+        self, domain: int, folder: str, properties: Pairs, candidate: bytes
+    ) -> tuple[Result, int, bytes, int]:
+        """The handle, the adjusted GUID, and the second when the identity ends."""
+        del domain
+        local = Local.load(Properties(properties, folder), candidate, self._now())
+        return Result.OK, self._handles.add(local), local.guid, end_of(local.certificate)
+
+    def get_identity_token(self, identity: int) -> tuple[Result, DataHolder]:
+        """What discovery will say of the participant."""
+        local = self._handles.get(identity, Local)
+        return Result.OK, IdentityToken.of(local.certificate, local.authorities[0]).to_holder()
+
+    def set_permissions_credential_and_token(
+        self, identity: int, credential: DataHolder, permissions: DataHolder
+    ) -> tuple[Result]:
+        """The permissions document that handshakes will carry."""
+        del permissions
+        local = self._handles.get(identity, Local)
+        document = dict(credential.properties).get(CREDENTIAL_PROPERTY)
+        if credential.class_id != CREDENTIAL or document is None:
+            raise VerificationError(
+                f"a '{shown(credential.class_id)}' is no permissions credential"
+            )
+        octets = document.encode(errors=_TEXT)
+        self._handles.replace(identity, replace(local, permissions=octets))
+        return (Result.OK,)
+
+    def validate_remote_identity(
+        self, auth_request: DataHolder, identity: int, token: DataHolder, guid: bytes
+    ) -> tuple[Result, int, DataHolder]:
+        """The peer's handle, and our AuthRequest unless the peer's came first."""
+        local = self._handles.get(identity, Local)
+        IdentityToken.from_holder(token)
+        heard = AuthRequest.from_holder(auth_request) if auth_request.class_id else None
+        handle, relation = self._relation(identity, guid)
+        answer = NO_TOKEN
+        if heard:
+            relation.heard = heard.future_challenge
+        else:
+            relation.announced = os.urandom(CHALLENGE_SIZE)
+            answer = AuthRequest(future_challenge=relation.announced).to_holder()
+        first = initiates(local.guid, guid)
+        result = Result.PENDING_HANDSHAKE_REQUEST if first else Result.PENDING_HANDSHAKE_MESSAGE
+        return result, handle, answer
+
+    def begin_handshake_request(
+        self, identity: int, peer: int, data: bytes
+    ) -> tuple[Result, int, DataHolder]:
+        """The handshake's handle, and the Request."""
+        local, remote, relation = self._met(identity, peer)
+        discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
+        request, state = begin(local.terms(discovered, relation.announced, data), local.agreement)
+        handle = self._begun(relation, Handshake(local, peer, state))
+        self._answered.pop(handle, None)
+        return Result.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
+
+    def begin_handshake_reply(
+        self, token: DataHolder, peer: int, identity: int, data: bytes
+    ) -> tuple[Result, int, DataHolder]:
+        """The handshake's handle, and the Reply."""
+        local, remote, relation = self._met(identity, peer)
+        request = Request.from_holder(token)
+        certificate = Peer.read(request.introduction).certificate
+        discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
+        terms = local.terms(discovered, relation.announced, data)
+        terms = replace(terms, own=replace(terms.own, ca=local.issuer_of(certificate)))
+        reply, state = reply_to(terms, request, now=self._now())
+        handle = self._begun(relation, Handshake(local, peer, state))
+        self._await_final(handle)
+        return Result.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
+
+    def process_handshake(self, token: DataHolder, handle: int) -> tuple[Result, DataHolder]:
+        """The Final to a Reply; after a Final nothing."""
+        handshake = self._handles.get(handle, Handshake)
+        state = handshake.state
+        if isinstance(state, RequestSent):
+            final, done = self._finish(handshake.local, state, Reply.from_holder(token))
+            handshake.state = done
+            return Result.OK_FINAL_MESSAGE, final.to_holder()
+        if isinstance(state, ReplySent):
+            handshake.state = state.receive(Final.from_holder(token))
+            self._answered.pop(handle, None)
+            return Result.OK, NO_TOKEN
+        raise VerificationError("the handshake is over")
+
+    def get_shared_secret(self, handle: int) -> tuple[Result, int, int, bytes, bytes, bytes]:
+        """The peer's handle, when its identity ends, both challenges, and the secret."""
+        handshake, done = self._done(handle)
+        end = end_of(done.peer.certificate)
+        return (
+            Result.OK,
+            handshake.remote,
+            end,
+            done.challenge1,
+            done.challenge2,
+            done.shared_secret,
+        )
+
+    def get_authenticated_peer_credential_token(self, handle: int) -> tuple[Result, DataHolder]:
+        """The peer's certificate and permissions document, for access control."""
+        _, done = self._done(handle)
+        items = (
+            ("c.id", done.peer.certificate.pem.decode()),
+            ("c.perm", done.peer.permissions.decode(errors=_TEXT)),
+        )
+        return Result.OK, DataHolder(PEER_CREDENTIAL, items)
+
+    def return_handshake_handle(self, handle: int) -> tuple[Result]:
+        """Cyclone DDS never calls it: a handshake goes with its identities."""
+        self._drop_handshake(handle)
+        return (Result.OK,)
+
+    def return_identity_handle(self, handle: int) -> tuple[Result]:
+        """The participant is gone, or the peer."""
+        gone = self._handles.drop(handle)
+        if isinstance(gone, Local):
+            relations = [each.relations.pop(handle, None) for _, each in self._handles.all(Remote)]
+        elif isinstance(gone, Remote):
+            relations = list(gone.relations.values())
+            if self._remotes.get(gone.guid) == handle:
+                del self._remotes[gone.guid]
+        else:
+            relations = []
+        for relation in relations:
+            if relation and relation.handshake:
+                self._drop_handshake(relation.handshake)
+        return (Result.OK,)
+
+    def _relation(self, identity: int, guid: bytes) -> tuple[int, Relation]:
+        """A fresh one. A peer that one of ours has met already was lost and found again:
+        it gets another handle, because the former is still to be returned."""
+        handle = self._remotes.get(guid)
+        known = self._handles.get(handle, Remote) if handle else None
+        if handle is None or known is None or identity in known.relations:
+            known = Remote(guid)
+            handle = self._remotes[guid] = self._handles.add(known)
+        relation = known.relations[identity] = Relation()
+        return handle, relation
+
+    def _met(self, identity: int, peer: int) -> tuple[Local, Remote, Relation]:
+        local, remote = self._handles.get(identity, Local), self._handles.get(peer, Remote)
+        if identity not in remote.relations:
+            raise VerificationError("a handshake with a peer that was not validated")
+        return local, remote, remote.relations[identity]
+
+    def _begun(self, relation: Relation, handshake: Handshake) -> int:
+        """The handle of a handshake that takes the place of an earlier one."""
+        if relation.handshake is None:
+            relation.handshake = self._handles.add(handshake)
+        else:
+            self._handles.replace(relation.handshake, handshake)
+        return relation.handshake
+
+    def _await_final(self, handle: int) -> None:
+        """It may wait; the oldest that wait make room."""
+        self._answered.pop(handle, None)
+        self._answered[handle] = None
+        while len(self._answered) > MAX_ANSWERED:
+            oldest = next(iter(self._answered))
+            del self._answered[oldest]
+            self._handles.drop(oldest)
+
+    def _drop_handshake(self, handle: int) -> None:
+        self._answered.pop(handle, None)
+        self._handles.drop(handle)
+
+    def _finish(self, local: Local, state: RequestSent, reply: Reply) -> tuple[Final, Done]:
+        certificate = Peer.read(reply.introduction).certificate
+        own = replace(state.terms.own, ca=local.issuer_of(certificate))
+        state = replace(state, terms=replace(state.terms, own=own))
+        return state.receive(reply, now=self._now())
+
+    def _done(self, handle: int) -> tuple[Handshake, Done]:
+        handshake = self._handles.get(handle, Handshake)
+        if not isinstance(handshake.state, Done):
+            raise VerificationError("the handshake is not over")
+        return handshake, handshake.state
+
+
+def end_of(certificate: Certificate) -> int:
+    """The first second since 1970 when the certificate is no longer good."""
+    return int((certificate.not_after + timedelta(seconds=1)).timestamp())

@@ -1,0 +1,111 @@
+"""Compiling the shim, and trying it."""
+
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from pqsec_pki import _files
+from pqsec_pki.errors import PqsecError
+
+LIBRARY = "libpqsec_dds.so"
+NAMES = ("libdds_security_auth.so", "libdds_security_ac.so")
+"""What ROS 2 loads, whatever is configured: links to the library, first in the search path."""
+SOURCES = Path(__file__).with_name("shim")
+_FLAGS = (
+    *("-std=c11", "-O2", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
+    *("-fstack-protector-strong", "-D_FORTIFY_SOURCE=2"),
+    # It stays in memory: a thread may still be on its way out of it when Cyclone unloads it.
+    *("-Wl,-z,nodelete", "-Wl,-z,now", "-Wl,-z,relro"),
+)
+_FUNCTIONS = tuple(
+    f"{verb}_{plugin}"
+    for plugin in ("authentication", "access_control")
+    for verb in ("init", "finalize")
+)
+_SECONDS = 120
+
+
+class CompileError(PqsecError):
+    """The shim cannot be compiled, or what was compiled does not work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """A shim that was compiled, and tried."""
+
+    library: Path
+    links: tuple[Path, ...]
+
+
+def build(folder: Path, *, force: bool = False) -> Built:
+    """Compile the shim into `folder`, with the links that ROS 2 needs.
+
+    CompileError, with the compiler's words, if that fails; ExistsError for files that are
+    there already, unless `force`.
+    """
+    library, links = folder / LIBRARY, tuple(folder / name for name in NAMES)
+    if not force:
+        for path in (library, *links):
+            _files.refuse_existing(path)
+    compiled = _compiled()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _files.write(library, compiled, force=force)
+        for link in links:
+            link.unlink(missing_ok=True)
+            link.symlink_to(LIBRARY)
+    except OSError as error:
+        raise CompileError(f"{folder}: {(error.strerror or '').lower()}") from error
+    return Built(library, links)
+
+
+def compiler() -> str:
+    """The command of the C compiler; CompileError if there is none."""
+    found = shutil.which(os.environ.get("CC") or "cc")
+    if found is None:
+        raise CompileError("there is no C compiler", hint="install one: apt-get install gcc")
+    return found
+
+
+def command(cc: str, output: Path, *more: str) -> list[str]:
+    """What compiles the shim, for this interpreter's agent."""
+    python = f'-DPQSEC_PYTHON="{sys.executable}"'
+    sources = sorted(map(str, SOURCES.glob("*.c")))
+    return [cc, *_FLAGS, python, *more, "-o", str(output), *sources]
+
+
+def _compiled() -> bytes:
+    import subprocess  # noqa: PLC0415 -- not for the agent, which starts with this room
+    import tempfile  # noqa: PLC0415 -- likewise
+
+    with tempfile.TemporaryDirectory(prefix="pqsec-") as folder:
+        output = Path(folder, LIBRARY)
+        try:
+            done = subprocess.run(  # noqa: S603 -- the user's own compiler
+                command(compiler(), output),
+                capture_output=True,
+                text=True,
+                timeout=_SECONDS,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise CompileError(f"the compiler cannot be run: {error}") from error
+        if done.returncode != 0:
+            raise CompileError(f"the compiler says: {done.stderr.strip()[:2000]}")
+        _try_out(output)
+        return _files.read(output)
+
+
+def _try_out(library: Path) -> None:
+    """It loads, and has what Cyclone DDS looks for."""
+    import ctypes  # noqa: PLC0415 -- as above
+
+    try:
+        loaded = ctypes.CDLL(str(library))
+    except OSError as error:
+        raise CompileError(f"the compiled library cannot be loaded: {error}") from error
+    missing = [name for name in _FUNCTIONS if not hasattr(loaded, name)]
+    if missing:
+        raise CompileError(f"the compiled library lacks {', '.join(missing)}")

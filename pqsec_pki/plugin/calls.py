@@ -1,0 +1,87 @@
+"""The calls that the shim makes: what each takes and gives. One table for both ends.
+
+`tests/unit/test_plugin_calls.py` holds the C sources in `shim/` to it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+from pqsec_pki.plugin.octets import Reader, Writer
+
+VERSION = 1
+"""Of all that goes over the socket. Shim and agent must have the same."""
+MAGIC = "pqsec"
+CONTROL = "control"
+"""The command line, whose calls all versions have: it must be able to stop an old agent."""
+
+Arguments: TypeAlias = list[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """Letters for what a call takes and gives; Reader and Writer say what each stands for."""
+
+    takes: str
+    gives: str
+
+    def arguments(self, reader: Reader) -> Arguments:
+        """What the shim sent; MalformedError if it is anything else."""
+        found = [reader.one(kind) for kind in self.takes]
+        reader.finish()
+        return found
+
+    def results(self, values: tuple[Any, ...]) -> bytes:
+        """What goes back."""
+        writer = Writer()
+        for kind, value in zip(self.gives, values, strict=True):
+            writer.one(kind, value)
+        return writer.octets
+
+
+def _calls(kinds: dict[str, str]) -> Mapping[str, Call]:
+    return MappingProxyType({name: Call(*kind.split(">")) for name, kind in kinds.items()})
+
+
+CALLS: Mapping[str, Mapping[str, Call]] = MappingProxyType(
+    {
+        "authentication": _calls(
+            {
+                "validate_local_identity": "nsqg>hgx",
+                "get_identity_token": "h>t",
+                "set_permissions_credential_and_token": "htt>",
+                "validate_remote_identity": "thtg>ht",
+                "begin_handshake_request": "hho>ht",
+                "begin_handshake_reply": "thho>ht",
+                "process_handshake": "th>t",
+                "get_shared_secret": "h>hxcco",
+                "get_authenticated_peer_credential_token": "h>t",
+                "return_handshake_handle": "h>",
+                "return_identity_handle": "h>",
+            }
+        ),
+        "access_control": _calls(
+            {
+                "validate_local_permissions": "hnsq>hx",
+                "validate_remote_permissions": "hhtt>hx",
+                "check_create_participant": "hn>",
+                "check_create_datawriter": "hnspd>",
+                "check_create_datareader": "hnspd>",
+                "check_create_topic": "hns>",
+                "check_remote_participant": "hn>",
+                "check_remote_datawriter": "hnspd>",
+                "check_remote_datareader": "hnspd>b",
+                "check_remote_topic": "hns>",
+                "get_permissions_token": "h>t",
+                "get_permissions_credential_token": "h>t",
+                "get_participant_sec_attributes": "h>bbbbbm",
+                "get_topic_sec_attributes": "hs>bbbb",
+                "get_endpoint_sec_attributes": "hs>bbbbbbbm",
+                "return_permissions_handle": "h>",
+            }
+        ),
+        CONTROL: _calls({"status": ">s", "stop": ">"}),
+    }
+)
+"""By the plugin that a connection is for; `control` is the command line's."""

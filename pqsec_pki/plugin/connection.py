@@ -1,0 +1,139 @@
+"""One connection of the agent: frames in, calls, frames out. No socket is touched here."""
+
+import json
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from pqsec_pki import __version__
+from pqsec_pki.errors import MalformedError, PqsecError, shown
+from pqsec_pki.plugin.access_control import AccessControl
+from pqsec_pki.plugin.authentication import Authentication, Clock
+from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
+from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
+
+_HEAD = 4
+_DONE, _REFUSED = 0, 1
+_MOST_SHOWN = 600
+
+Log: TypeAlias = Callable[[str], None]
+
+
+class ProtocolError(PqsecError):
+    """What came is not the protocol; nothing that follows can be understood."""
+
+
+@dataclass(frozen=True, slots=True)
+class House:
+    """What connections share: the clock, the log, and what the command line may ask for."""
+
+    clock: Clock
+    log: Log
+    status: Callable[[], dict[str, Any]]
+    stop: Callable[[], None]
+
+
+class Control:
+    """The calls of the command line."""
+
+    def __init__(self, house: House) -> None:
+        self._house = house
+
+    def __len__(self) -> int:
+        return 0
+
+    def status(self) -> tuple[int, str]:
+        """What the agent does, as JSON."""
+        return 0, json.dumps(self._house.status() | {"version": __version__})
+
+    def stop(self) -> tuple[int]:
+        """End once this is answered."""
+        self._house.stop()
+        return (0,)
+
+
+class Connection:
+    """A DDS process and one plugin of it, or the command line."""
+
+    def __init__(self, house: House, who: str) -> None:
+        self._house, self._who = house, who
+        self._inbox = bytearray()
+        self._name = ""
+        self._plugin: Authentication | AccessControl | Control | None = None
+
+    @property
+    def what(self) -> tuple[str, str, int]:
+        """Who it is, the plugin, and how many objects that has."""
+        return self._who, self._name, len(self._plugin) if self._plugin is not None else 0
+
+    def receive(self, octets: bytes) -> Iterator[bytes]:
+        """The answers to what has come. ProtocolError if it cannot be understood."""
+        self._inbox += octets
+        while len(self._inbox) >= _HEAD:
+            size = int.from_bytes(self._inbox[:_HEAD], "little")
+            if size > MAX_FRAME:
+                raise ProtocolError(f"a frame of {size} octets")
+            if len(self._inbox) < _HEAD + size:
+                return
+            frame = bytes(self._inbox[_HEAD : _HEAD + size])
+            del self._inbox[: _HEAD + size]
+            answer = self._greeted(frame) if self._plugin is None else self._called(frame)
+            yield len(answer).to_bytes(_HEAD, "little") + answer
+
+    def _greeted(self, frame: bytes) -> bytes:
+        reader = Reader(frame)
+        try:
+            magic, version, name = reader.text(), reader.number("I"), reader.text()
+            reader.finish()
+        except MalformedError as error:
+            raise ProtocolError(str(error)) from error
+        if magic != MAGIC or name not in CALLS:
+            raise ProtocolError("not a greeting")
+        if version != VERSION and name != CONTROL:
+            return _refusal(
+                f"the agent speaks version {VERSION}, the library {version}: run"
+                " `pqsec plugin install` and `pqsec agent stop`"
+            )
+        self._name = name
+        self._plugin = self._new(name)
+        return bytes([_DONE])
+
+    def _new(self, name: str) -> Authentication | AccessControl | Control:
+        if name == "authentication":
+            return Authentication(self._house.clock)
+        if name == "access_control":
+            return AccessControl(self._house.clock)
+        return Control(self._house)
+
+    def _called(self, frame: bytes) -> bytes:
+        """An error of ours is a refusal too: a host must get an answer, and others theirs."""
+        name = ""
+        try:
+            reader = Reader(frame)
+            name = reader.text()
+            return self._result(name, reader)
+        except PqsecError as error:
+            words = str(error) + (f" ({error.hint})" if error.hint else "")
+        except Exception:  # noqa: BLE001 -- see above
+            self._house.log(traceback.format_exc())
+            words = "an error of the agent: see its log"
+        self._house.log(f"{self._who}: {shown(name)} refused: {shown(words, _MOST_SHOWN)}")
+        return _refusal(words)
+
+    def _result(self, name: str, reader: Reader) -> bytes:
+        call = CALLS[self._name].get(name)
+        if call is None:
+            raise MalformedError(f"no call is named '{shown(name)}'")
+        result, *values = getattr(self._plugin, name)(*call.arguments(reader))
+        writer = Writer()
+        writer.number("B", _DONE)
+        writer.number("I", result)
+        return writer.octets + call.results(tuple(values))
+
+
+def _refusal(words: str) -> bytes:
+    writer = Writer()
+    writer.number("B", _REFUSED)
+    writer.text(shown(words, _MOST_SHOWN))
+    return writer.octets

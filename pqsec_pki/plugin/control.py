@@ -1,0 +1,112 @@
+"""Asking the agent how it is, and telling it to end."""
+
+import json
+import socket
+from dataclasses import dataclass
+from typing import Any, cast
+
+from pqsec_pki.errors import FileError, MalformedError, PqsecError
+from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION, Arguments
+from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
+from pqsec_pki.plugin.place import Place
+
+_SECONDS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What an agent says of itself."""
+
+    process: int
+    version: str
+    socket: str
+    connections: tuple[dict[str, Any], ...]
+
+
+class Client:
+    """A connection to the agent, as the shim has one."""
+
+    def __init__(self, place: Place, plugin: str) -> None:
+        self._plugin = plugin
+        self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._link.settimeout(_SECONDS)
+        try:
+            self._link.connect(str(place.socket))
+        except OSError as error:
+            self.close()
+            raise FileError(f"no agent listens at {place.socket}") from error
+        writer = Writer()
+        writer.text(MAGIC)
+        writer.number("I", VERSION)
+        writer.text(plugin)
+        try:
+            self._accepted(writer.octets)
+        except PqsecError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self._link.close()
+
+    def call(self, name: str, *arguments: Any) -> tuple[int, Arguments]:
+        """The result and what the call gives; MalformedError with the words of a refusal."""
+        kinds, writer = CALLS[self._plugin][name], Writer()
+        writer.text(name)
+        for kind, value in zip(kinds.takes, arguments, strict=True):
+            writer.one(kind, value)
+        reader = self._accepted(writer.octets)
+        result = reader.number("I")
+        found = [reader.one(kind) for kind in kinds.gives]
+        reader.finish()
+        return result, found
+
+    def _accepted(self, frame: bytes) -> Reader:
+        try:
+            self._link.sendall(len(frame).to_bytes(4, "little") + frame)
+            size = int.from_bytes(self._received(4), "little")
+            reader = Reader(self._received(min(size, MAX_FRAME)))
+        except OSError as error:
+            raise FileError(f"the agent does not answer: {error}") from error
+        if reader.number("B"):
+            raise MalformedError(reader.text())
+        return reader
+
+    def _received(self, size: int) -> bytes:
+        found = b""
+        while len(found) < size:
+            part = self._link.recv(size - len(found))
+            if not part:
+                raise ConnectionResetError("it is gone")
+            found += part
+        return found
+
+
+def agent_status(place: Place) -> Status | None:
+    """What the agent says; None if none listens.
+
+    FileError if it does not answer, or if its folder is not this user's alone.
+    """
+    if not place.is_there() or not place.socket.exists():
+        return None
+    try:
+        client = Client(place, "control")
+    except FileError:
+        return None
+    try:
+        _, (text,) = client.call("status")
+    finally:
+        client.close()
+    found = cast("dict[str, Any]", json.loads(text))
+    return Status(found["process"], found["version"], found["socket"], tuple(found["connections"]))
+
+
+def stop_agent(place: Place) -> bool:
+    """Let the agent end; whether there was one."""
+    if agent_status(place) is None:
+        return False
+    client = Client(place, "control")
+    try:
+        client.call("stop")
+    finally:
+        client.close()
+    return True

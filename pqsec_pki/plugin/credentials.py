@@ -1,0 +1,137 @@
+"""What a participant is configured with: properties of its QoS, to values.
+
+Names and forms are Cyclone DDS's (dds_security_api_defs.h), whose configuration file says
+the same in elements. Beside a file may lie what Cyclone has no property for: `alt.key.pem`
+beside `key.pem`, `permissions_ca.alt.cert.pem` beside `permissions_ca.cert.pem`, and
+`pqsec.toml` beside the identity certificate.
+"""
+
+import stat
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+from pqsec_pki._files import MAX_FILE, read
+from pqsec_pki.algorithms import PrivateKey, load_private_key
+from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.errors import FileError, MalformedError, UsageError, located
+
+MAX_TRUSTED = 64
+"""Certificates in a folder of trusted CAs."""
+_CONTROL = set(map(chr, range(32)))
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a property says that something is: a file, or the octets themselves."""
+
+    name: str
+    path: Path | None
+    data: bytes | None = field(default=None, repr=False)
+
+    def read(self) -> bytes:
+        """FileError if it is a file that cannot be read."""
+        return octets_of(self.path) if self.path else self.data or b""
+
+    def beside(self, name: str) -> Path | None:
+        """The file of that name in its folder, if it is a file and has such a neighbour."""
+        found = self.path.with_name(name) if self.path else None
+        return found if found and found.exists() else None
+
+    @property
+    def where(self) -> str:
+        """For messages."""
+        return str(self.path) if self.path else self.name
+
+
+class Properties:
+    """The properties of a participant, and the folder that its relative paths begin in."""
+
+    def __init__(self, pairs: Iterable[tuple[str, str]], folder: str) -> None:
+        self._values = {name: value.strip(" \t") for name, value in pairs}
+        self._folder = Path(folder)
+
+    def optional(self, name: str) -> str:
+        """Its value, empty if it is not there."""
+        return self._values.get(name, "")
+
+    def source(self, name: str) -> Source:
+        """Where the property points; UsageError if it is not there or not understood."""
+        value = self.optional(name)
+        kind, colon, rest = value.partition(":")
+        if not value:
+            raise UsageError(f"{name} is not configured")
+        if kind == "data" and rest.startswith(","):
+            return Source(name, None, rest[1:].encode(errors="surrogateescape"))
+        if kind == "file" and colon and not _CONTROL & set(rest):
+            return Source(name, self._folder / rest.removeprefix("//"))
+        raise UsageError(  # which does not quote it: it may be a key
+            f"{name} is neither file: and a path nor data:,",
+            hint="keys in PKCS#11 modules are not supported",
+        )
+
+    def folder(self, name: str) -> Path | None:
+        """The folder that the property names, if it is there."""
+        value = self.optional(name)
+        return self._folder / value.removeprefix("file:").removeprefix("//") if value else None
+
+
+def octets_of(path: Path, *, limit: int = MAX_FILE) -> bytes:
+    """What the file holds; FileError if it cannot be read, or is not one.
+
+    Who reads a pipe or a terminal waits, and here everybody would.
+    """
+    with suppress(OSError, ValueError):  # which `read` has words for
+        kind = path.stat().st_mode
+        if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
+            raise FileError(f"{path} is not a file")
+    return read(path, limit=limit)
+
+
+def certificate_at(source: Source) -> Certificate:
+    """MalformedError or FileError, which name the file."""
+    with located(source.where):
+        return _certificate(source.read())
+
+
+@lru_cache(maxsize=64)
+def _certificate(data: bytes) -> Certificate:
+    """Read once, though all participants of a domain name the same CAs."""
+    return Certificate.from_pem(data)
+
+
+def key_at(source: Source, password: str) -> PrivateKey:
+    """The same, and PassphraseError."""
+    secret = password.encode(errors="surrogateescape") if password else None
+    with located(source.where):
+        return load_private_key(source.read(), secret)
+
+
+def revocation_list_at(source: Source) -> RevocationList:
+    """MalformedError or FileError, which name the file."""
+    with located(source.where):
+        return RevocationList.from_pem(source.read())
+
+
+def certificates_in(folder: Path) -> tuple[Certificate, ...]:
+    """Those in the files of a folder; what is no certificate is passed over.
+
+    FileError if the folder cannot be read or has too many files.
+    """
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.is_file())
+    except OSError as error:
+        raise FileError(f"{folder}: {(error.strerror or '').lower()}") from error
+    except ValueError as error:  # a path with a NUL
+        raise FileError(f"{folder}: {error}") from error
+    if len(paths) > MAX_TRUSTED:
+        raise FileError(f"{folder}: more than {MAX_TRUSTED} files")
+    found = []
+    for path in paths:
+        try:
+            found.append(_certificate(octets_of(path)))
+        except MalformedError:
+            continue
+    return tuple(found)

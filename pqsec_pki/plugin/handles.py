@@ -1,0 +1,51 @@
+"""Handles: what Cyclone DDS knows our objects by."""
+
+import secrets
+from typing import Any, TypeVar
+
+from pqsec_pki.errors import VerificationError
+
+MAX_OBJECTS = 16384
+"""Of one connection. A peer costs two: an identity and a handshake."""
+
+Kind = TypeVar("Kind")
+
+
+class Handles:
+    """The objects of one connection. A handle is random, so none fits another connection."""
+
+    def __init__(self) -> None:
+        self._objects: dict[int, Any] = {}
+
+    def add(self, thing: Any) -> int:
+        """Its new handle; VerificationError if there are too many objects already."""
+        if len(self._objects) >= MAX_OBJECTS:
+            raise VerificationError(f"more than {MAX_OBJECTS} identities and handshakes")
+        handle = 1 + secrets.randbits(62)
+        self._objects[handle] = thing
+        return handle
+
+    def replace(self, handle: int, thing: Any) -> None:
+        """Another object by the same handle."""
+        self._objects[handle] = thing
+
+    def get(self, handle: int, kind: type[Kind]) -> Kind:
+        """The object of that kind; VerificationError if there is none."""
+        found = self._objects.get(handle)
+        if not isinstance(found, kind):
+            raise VerificationError(
+                "the handle is unknown to the agent, as after its restart",
+                hint="make the participant again",
+            )
+        return found
+
+    def drop(self, handle: int) -> Any:
+        """The object, which is no longer known; None if there was none."""
+        return self._objects.pop(handle, None)
+
+    def all(self, kind: type[Kind]) -> list[tuple[int, Kind]]:
+        """The objects of that kind, by handle."""
+        return [(handle, each) for handle, each in self._objects.items() if isinstance(each, kind)]
+
+    def __len__(self) -> int:
+        return len(self._objects)

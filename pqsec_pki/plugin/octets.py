@@ -1,0 +1,191 @@
+"""The octets between shim and agent, and back to values. `shim/wire.c` is the other end.
+
+Little-endian; strings and lists have a 32-bit count in front. A letter names each kind:
+
+    h handle   n int32   s string   o octets   g GUID, 16 octets   c challenge, 32 octets
+    t token, a DataHolder   p strings   d, q pairs of strings   b octet   m uint32   x int64
+
+Text that is no UTF-8 is kept by surrogates: documents travel in strings here.
+"""
+
+import struct
+from collections.abc import Callable, Collection
+from typing import Any, TypeVar
+
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.handshake import DataHolder
+from pqsec_pki.handshake.wire import MAX_TOKEN
+
+MAX_FRAME = 1 << 20
+"""Octets. No token is larger than MAX_TOKEN, and few of them travel together."""
+MAX_ITEMS = 1024
+"""In one list."""
+_TEXT = ("utf-8", "surrogateescape")
+_FORMS = {"h": "Q", "n": "i", "b": "B", "m": "I", "x": "q"}
+"""Numbers, as struct names them."""
+
+Item = TypeVar("Item")
+Pairs = tuple[tuple[str, str], ...]
+
+
+class Reader:
+    """Values off a frame. MalformedError for anything that is not what is asked for."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+
+    @property
+    def left(self) -> int:
+        """How many octets are still to be read."""
+        return len(self._data) - self._at
+
+    def one(self, kind: str) -> Any:
+        """The next value, of the kind that letter stands for."""
+        return _READERS[kind](self)
+
+    def raw(self, size: int) -> bytes:
+        """The next `size` octets."""
+        end = self._at + size
+        if end > len(self._data):
+            raise MalformedError("a frame ends early")
+        found = self._data[self._at : end]
+        self._at = end
+        return found
+
+    def number(self, form: str) -> int:
+        """The next number, in the form that `struct` names so."""
+        found: int
+        (found,) = struct.unpack(f"<{form}", self.raw(struct.calcsize(form)))
+        return found
+
+    def octets(self) -> bytes:
+        return self.raw(self.number("I"))
+
+    def text(self) -> str:
+        return self.octets().decode(*_TEXT)
+
+    def items(self, item: "Callable[[Reader], Item]") -> tuple[Item, ...]:
+        count = self.number("I")
+        if count > MAX_ITEMS:
+            raise MalformedError(f"a list of more than {MAX_ITEMS}")
+        return tuple(item(self) for _ in range(count))
+
+    def finish(self) -> None:
+        """MalformedError if something is left."""
+        if self._at != len(self._data):
+            raise MalformedError("a frame is too long")
+
+
+def _pair(reader: Reader) -> tuple[str, str]:
+    return reader.text(), reader.text()
+
+
+def _binary_pair(reader: Reader) -> tuple[str, bytes]:
+    return reader.text(), reader.octets()
+
+
+def _token(reader: Reader) -> DataHolder:
+    """No larger than on the network: Cyclone DDS hands over what a peer sent, whatever its size."""
+    before = reader.left
+    found = DataHolder(reader.text(), reader.items(_pair), reader.items(_binary_pair))
+    if before - reader.left > MAX_TOKEN:
+        raise MalformedError(f"a token larger than {MAX_TOKEN} bytes")
+    return found
+
+
+def _pairs(reader: Reader) -> Pairs:
+    return reader.items(_pair)
+
+
+def _number(form: str) -> Callable[[Reader], int]:
+    return lambda reader: reader.number(form)
+
+
+_READERS: dict[str, Callable[[Reader], Any]] = {
+    **{kind: _number(form) for kind, form in _FORMS.items()},
+    "s": Reader.text,
+    "o": Reader.octets,
+    "g": lambda reader: reader.raw(16),
+    "c": lambda reader: reader.raw(32),
+    "t": _token,
+    "p": lambda reader: reader.items(Reader.text),
+    "d": _pairs,
+    "q": _pairs,
+}
+
+
+class Writer:
+    """Values to a frame. MalformedError if it would be too long for one."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+
+    @property
+    def octets(self) -> bytes:
+        whole = b"".join(self._parts)
+        if len(whole) > MAX_FRAME:
+            raise MalformedError(f"an answer of more than {MAX_FRAME} octets")
+        return whole
+
+    def one(self, kind: str, value: Any) -> None:
+        """Add a value of the kind that letter stands for."""
+        _WRITERS[kind](self, value)
+
+    def raw(self, value: bytes) -> None:
+        """Add octets whose number is known."""
+        self._parts.append(value)
+
+    def number(self, form: str, value: int) -> None:
+        """Add a number in the form that `struct` names so."""
+        self._parts.append(struct.pack(f"<{form}", value))
+
+    def block(self, value: bytes) -> None:
+        """Add octets."""
+        self.number("I", len(value))
+        self._parts.append(value)
+
+    def text(self, value: str) -> None:
+        self.block(value.encode(*_TEXT))
+
+    def items(self, values: Collection[Item], item: "Callable[[Writer, Item], None]") -> None:
+        """Add a list."""
+        self.number("I", len(values))
+        for each in values:
+            item(self, each)
+
+
+def _put_pair(writer: Writer, pair: tuple[str, str]) -> None:
+    for each in pair:
+        writer.text(each)
+
+
+def _put_binary_pair(writer: Writer, pair: tuple[str, bytes]) -> None:
+    writer.text(pair[0])
+    writer.block(pair[1])
+
+
+def _put_token(writer: Writer, token: DataHolder) -> None:
+    writer.text(token.class_id)
+    writer.items(token.properties, _put_pair)
+    writer.items(token.binary_properties, _put_binary_pair)
+
+
+def _put_pairs(writer: Writer, pairs: Pairs) -> None:
+    writer.items(pairs, _put_pair)
+
+
+def _put_number(form: str) -> "Callable[[Writer, int], None]":
+    return lambda writer, value: writer.number(form, value)
+
+
+_WRITERS: dict[str, Callable[[Writer, Any], None]] = {
+    **{kind: _put_number(form) for kind, form in _FORMS.items()},
+    "s": Writer.text,
+    "o": Writer.block,
+    "g": Writer.raw,
+    "c": Writer.raw,
+    "t": _put_token,
+    "p": lambda writer, names: writer.items(names, Writer.text),
+    "d": _put_pairs,
+    "q": _put_pairs,
+}

@@ -1,0 +1,87 @@
+"""What a participant insists on in handshakes: by its keys, or as `pqsec.toml` says."""
+
+import tomllib
+from dataclasses import dataclass
+from typing import Self
+
+from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, STOCK_AGREEMENT, Family, KeyAgreement
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError, UsageError, located
+from pqsec_pki.handshake import Policy
+from pqsec_pki.plugin.credentials import Source, octets_of
+
+FILE = "pqsec.toml"
+STOCK, OURS = "stock", "pqsec"
+MAX_SETTINGS = 4096
+"""Octets."""
+_STOCK_AGREEMENTS = (STOCK_AGREEMENT, KEY_AGREEMENTS.named("dh-modp-2048-256"))
+_USUAL = KEY_AGREEMENTS.named("x25519mlkem768")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """How an identity is used. A peer cannot change any of it."""
+
+    agreements: tuple[KeyAgreement, ...]
+    """Those a peer may ask for; the first is what we ask for."""
+    stock_peers: bool
+    """Whether peers run Cyclone DDS's own plugin: then plain keys and agreements do."""
+
+    @classmethod
+    def of(cls, certificate: Certificate, source: Source) -> Self:
+        """What `pqsec.toml` beside the certificate says, else what its keys are for.
+
+        UsageError if the file is not understood.
+        """
+        stock, agreements = OURS, None
+        if path := source.beside(FILE):
+            with located(path):
+                stock, agreements = _parsed(octets_of(path, limit=MAX_SETTINGS))
+        if stock == STOCK:
+            _refuse_without_plain_key(certificate)
+        usual = _STOCK_AGREEMENTS if stock == STOCK else _by_keys(certificate)
+        return cls(agreements=agreements or usual, stock_peers=stock == STOCK)
+
+    def policy(self, certificate: Certificate) -> Policy:
+        """For the handshakes of the holder of `certificate`."""
+        pairs = certificate.alternative_key is not None and not self.stock_peers
+        return Policy(agreements=self.agreements, require_alternative=pairs)
+
+
+def _by_keys(certificate: Certificate) -> tuple[KeyAgreement, ...]:
+    """What the profile with such keys has; for keys that no profile has, what fits them."""
+    own, second = certificate.public_key.algorithm, certificate.alternative_key
+    alternative = second.algorithm if second else None
+    if own.family is Family.CLASSICAL and alternative is None:
+        return _STOCK_AGREEMENTS
+    for profile in PROFILES:
+        if profile.participant_key is own and profile.alternative_key is alternative:
+            return (profile.key_agreement,)
+    return (_USUAL,)
+
+
+def _refuse_without_plain_key(certificate: Certificate) -> None:
+    row = certificate.public_key.algorithm
+    if row.family is not Family.CLASSICAL:
+        raise UsageError(
+            f"a peer with Cyclone DDS's own plugin takes no {row.name} key",
+            hint=f"leave peers out of {FILE}, or issue identities of profile transition",
+        )
+
+
+def _parsed(text: bytes) -> tuple[str, tuple[KeyAgreement, ...] | None]:
+    try:
+        found = tomllib.loads(text.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"not TOML: {error}") from error
+    unknown = sorted(set(found) - {"peers", "key_agreements"})
+    peers, names = found.get("peers", OURS), found.get("key_agreements", [])
+    if unknown or peers not in {OURS, STOCK} or not isinstance(names, list):
+        raise UsageError(
+            f"{unknown[0]} is no setting" if unknown else "a setting has no such value",
+            hint=f'peers = "{OURS}" or "{STOCK}"; key_agreements = ["x25519mlkem768"]',
+        )
+    try:
+        return peers, tuple(KEY_AGREEMENTS.named(str(name).lower()) for name in names) or None
+    except PqsecError as error:
+        raise UsageError(str(error), hint=error.hint) from error

@@ -1,0 +1,116 @@
+/* Where the agent listens, and starting it. pqsec_pki/plugin/place.py says the same in Python.
+ *
+ * PQSEC_PYTHON is the interpreter that has pqsec; it is set when this is compiled. */
+
+#define _GNU_SOURCE
+#include "agent.h"
+
+#include <errno.h>
+#include <signal.h>
+#include <spawn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#ifndef PQSEC_PYTHON
+#error "compile with -DPQSEC_PYTHON=\"...\", as pqsec plugin install does"
+#endif
+
+enum { PATIENCE_MS = 5000, MAX_KEPT = 16 };
+
+int agent_patience_ms(void)
+{
+  const char *text = secure_getenv("PQSEC_AGENT_TIMEOUT");
+  long found = text != NULL ? strtol(text, NULL, 10) : 0;
+  return found > 0 && found <= 600000 ? (int)found : PATIENCE_MS;
+}
+
+/* PQSEC_AGENT=private: an agent for this process alone. */
+static bool is_private(void)
+{
+  const char *mode = secure_getenv("PQSEC_AGENT");
+  return mode != NULL && strcmp(mode, "private") == 0;
+}
+
+static bool is_own_folder(const char *path, mode_t forbidden)
+{
+  struct stat found;
+  return lstat(path, &found) == 0 && S_ISDIR(found.st_mode) && found.st_uid == geteuid() &&
+         (found.st_mode & forbidden) == 0;
+}
+
+bool agent_place(char *path, size_t size, struct exception *ex)
+{
+  char folder[256];
+  const char *runtime = secure_getenv("XDG_RUNTIME_DIR");
+  int length = runtime != NULL && runtime[0] == '/' && is_own_folder(runtime, 0)
+                   ? snprintf(folder, sizeof folder, "%s/pqsec", runtime)
+                   : snprintf(folder, sizeof folder, "/tmp/pqsec-%u", (unsigned)geteuid());
+  if (mkdir(folder, 0700) != 0 && errno != EEXIST) {
+    refuse(ex, "pqsec: %s cannot be made: %s", folder, strerror(errno));
+    return false;
+  }
+  if (!is_own_folder(folder, 077)) {
+    refuse(ex, "pqsec: %s is not a folder of this user's alone", folder);
+    return false;
+  }
+  int more = is_private() ? snprintf(path, size, "%s/agent-%d.sock", folder, (int)getpid())
+                          : snprintf(path, size, "%s/agent.sock", folder);
+  if (length >= (int)sizeof folder || more >= (int)size) {
+    refuse(ex, "pqsec: XDG_RUNTIME_DIR is too long for a socket in it");
+    return false;
+  }
+  return true;
+}
+
+/* The agent gets little of the host's environment: neither its libraries nor its Python's. */
+static char **kept_environment(void)
+{
+  static const char *const names[] = {"HOME=", "LANG=", "LC_", "PATH=", "TZ=", "USER=",
+                                      "XDG_RUNTIME_DIR="};
+  static char *kept[MAX_KEPT + 1];
+  size_t count = 0;
+  for (char **each = environ; *each != NULL && count < MAX_KEPT; each++)
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+      if (strncmp(*each, names[i], strlen(names[i])) == 0) {
+        kept[count++] = *each;
+        break;
+      }
+  kept[count] = NULL;
+  return kept;
+}
+
+/* What is started becomes the agent's parent and ends: the host keeps no child it knows not of. */
+pid_t agent_start(const char *path, struct exception *ex)
+{
+  static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+  static const char script[] =
+      "umask 077; cd / && exec \"$0\" -I -m pqsec_pki.plugin --detach \"$1\" $2 </dev/null "
+      ">/dev/null 2>>\"${1%/*}/agent.log\"";
+  if (access(PQSEC_PYTHON, X_OK) != 0) {
+    refuse(ex, "pqsec: %s is gone: run `pqsec plugin install` again", PQSEC_PYTHON);
+    return 0;
+  }
+  const char *arguments[] = {"sh", "-c", script, PQSEC_PYTHON, path, is_private() ? "0" : "", NULL};
+  posix_spawnattr_t attributes;
+  sigset_t none, all;
+  sigemptyset(&none);
+  sigfillset(&all);
+  pid_t started;
+  pthread_mutex_lock(&mutex);
+  posix_spawnattr_init(&attributes);
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF |
+                                            POSIX_SPAWN_SETSID);
+  posix_spawnattr_setsigmask(&attributes, &none);
+  posix_spawnattr_setsigdefault(&attributes, &all); /* a host may ignore what ends others */
+  int code = posix_spawn(&started, "/bin/sh", NULL, &attributes, (char *const *)arguments,
+                         kept_environment());
+  posix_spawnattr_destroy(&attributes);
+  pthread_mutex_unlock(&mutex);
+  if (code == 0)
+    return started;
+  refuse(ex, "pqsec: the agent cannot be started: %s", strerror(code));
+  return 0;
+}

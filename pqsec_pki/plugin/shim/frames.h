@@ -1,0 +1,19 @@
+/* Frames on a socket: a 32-bit length, little-endian, and that many octets.
+ *
+ * Deadlines are milliseconds of now_ms(). What fails leaves the reason in errno. */
+
+#ifndef PQSEC_FRAMES_H
+#define PQSEC_FRAMES_H
+
+#include "wire.h"
+
+int64_t now_ms(void);
+
+/* A frame is written behind room for its length, to leave in one piece. */
+struct writer new_frame(void);
+bool send_frame(int socket, const struct writer *frame, int64_t deadline);
+
+/* What is in the next frame; `body` is to be forgotten in any case. */
+bool receive_frame(int socket, struct writer *body, int64_t deadline);
+
+#endif

@@ -1,0 +1,101 @@
+"""A topic that one participant may publish and another may subscribe to."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Self, TypeVar
+
+from pqsec_pki._files import read
+from pqsec_pki.access import Action, Policy, Question
+from pqsec_pki.documents import Governance, Permissions
+from pqsec_pki.errors import UsageError, located
+from pqsec_pki.keystore import Keystore, load_certificate
+from pqsec_pki.smime import document_in
+from pqsec_pki.vendors import Enclave
+from pqsec_pki.vendors.enclave import CERTIFICATE, GOVERNANCE, PERMISSIONS
+
+Value = TypeVar("Value")
+
+_ANY = "pqsec/trial"
+"""For those who may use every topic."""
+_PATTERN = set("*?[")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passage:
+    """Who sends to whom, on what."""
+
+    sender: str
+    receiver: str
+    domain: int
+    topic: str
+
+
+def passage(keystore: Keystore, names: tuple[str, str], domain: int, now: datetime) -> Passage:
+    """The first topic that the first one may send to the second, or else the other way round.
+
+    A topic that goes one way only comes before those that both may publish, as all nodes of
+    ROS 2 may some. UsageError if there is none.
+    """
+    first, second = (_Voice.of(keystore, name, domain, now) for name in names)
+    ways = [
+        (receiver.may(Action.PUBLISH, topic), sender.name, receiver.name, topic)
+        for sender, receiver in ((first, second), (second, first))
+        for topic in (*sender.names(Action.PUBLISH), *receiver.names(Action.SUBSCRIBE), _ANY)
+        if sender.may(Action.PUBLISH, topic) and receiver.may(Action.SUBSCRIBE, topic)
+    ]
+    if not ways:
+        raise UsageError(
+            f"on domain {domain} neither of {names[0]} and {names[1]} may publish what the other"
+            " may subscribe to",
+            hint="`pqsec who-may` tells who may what; --topic tries one all the same",
+        )
+    _, sender, receiver, topic = min(ways, key=lambda way: way[0])
+    return Passage(sender=sender, receiver=receiver, domain=domain, topic=topic)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Voice:
+    """One participant, and what its documents let it do. Its stack will verify them."""
+
+    name: str
+    subject: str
+    permissions: Permissions
+    policy: Policy
+    domain: int
+    now: datetime
+
+    @classmethod
+    def of(cls, keystore: Keystore, name: str, domain: int, now: datetime) -> Self:
+        enclave = Enclave.find(keystore, name)
+        certificate = load_certificate(enclave.folder / CERTIFICATE)
+        permissions = _document(enclave.folder / PERMISSIONS, Permissions.from_xml)
+        governance = _document(enclave.folder / GOVERNANCE, Governance.from_xml)
+        return cls(
+            name=enclave.name,
+            subject=certificate.subject_name,
+            permissions=permissions,
+            policy=Policy(governance, permissions),
+            domain=domain,
+            now=now,
+        )
+
+    def names(self, action: Action) -> Iterator[str]:
+        """The topics that its rules name for that; not the patterns."""
+        for grant in self.permissions.grants:
+            for rule in grant.rules:
+                for criteria in rule.publish if action is Action.PUBLISH else rule.subscribe:
+                    yield from (topic for topic in criteria.topics if not _PATTERN & set(topic))
+
+    def may(self, action: Action, topic: str) -> bool:
+        """Whether it may, by the standard."""
+        question = Question(
+            subject=self.subject, domain=self.domain, action=action, now=self.now, topic=topic
+        )
+        return self.policy.decide(question).allowed
+
+
+def _document(path: Path, parse: Callable[[bytes], Value]) -> Value:
+    with located(path):
+        return parse(document_in(read(path)))

@@ -1,0 +1,64 @@
+"""A log as messages are looked for in it: one line, that knows which line of it is where."""
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from string import ascii_lowercase, ascii_uppercase
+from typing import Self
+
+MAX_VALUE = 300
+"""Characters between two parts of a message, as of a path; farther parts do not belong."""
+
+_CODE = re.compile(r"\bcode:? ?([0-9]{3})\b", re.IGNORECASE)
+_END_OF_VALUE = re.compile(r" ?\(code:| \(/| -> |, at |; ")
+_LOWER = str.maketrans(ascii_uppercase, ascii_lowercase)  # keeps the length, as lower() does not
+
+
+def lowered(text: str) -> str:
+    """`text` with A to Z in lower case, each character in its place."""
+    return text.translate(_LOWER)
+
+
+@dataclass(frozen=True)
+class Log:
+    """A text as one line, every run of spaces and line ends a single space."""
+
+    text: str
+    starts: tuple[int, ...]
+    """Where each line of it began."""
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Of a text of any size."""
+        lines = [" ".join(line.split()) for line in text.split("\n")]
+        starts = accumulate((len(line) + 1 for line in lines), initial=0)
+        return cls(" ".join(lines), tuple(starts)[:-1])
+
+    @cached_property
+    def lowered(self) -> str:
+        """For comparing."""
+        return lowered(self.text)
+
+    def line(self, place: int) -> int:
+        """The line, from 1, that this place of the text was in."""
+        return bisect_right(self.starts, place)
+
+    def codes(self) -> Iterator[tuple[int, int]]:
+        """(line, code) for each code that is called one."""
+        for found in _CODE.finditer(self.text):
+            yield self.line(found.start()), int(found[1])
+
+    def word_before(self, place: int) -> str:
+        """The word that ends there."""
+        before = self.text[max(0, place - MAX_VALUE) : place].split()
+        return before[-1].strip("'\"") if before else ""
+
+    def rest_of_line(self, place: int) -> str:
+        """What its line says from there, without what stacks add to every message."""
+        line = self.line(place)
+        end = self.starts[line] - 1 if line < len(self.starts) else len(self.text)
+        rest = self.text[place : min(end, place + MAX_VALUE)]
+        return _END_OF_VALUE.split(rest, maxsplit=1)[0].strip(" .'\")")

@@ -1,0 +1,73 @@
+"""What ROS 2 makes of the environment: letter by letter, and in silence (measured, Jazzy)."""
+
+import re
+from collections.abc import Iterator, Mapping
+from os.path import realpath
+from pathlib import PurePath
+
+from pqsec_pki.errors import shown
+from pqsec_pki.vendors.ros2_check import Check
+
+ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
+KEYSTORE, OVERRIDE = "ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
+DOMAIN = "ROS_DOMAIN_ID"
+
+EXACT = {ENABLE: "true", STRATEGY: "Enforce"}
+"""The one value of each that secures."""
+_WITHOUT = {
+    ENABLE: "nodes run unsecured, without a word",
+    STRATEGY: "a node without its files runs unsecured, without a word",
+}
+_MEND = 'eval "$(pqsec export ros2 {})"'
+
+
+def environment(
+    keystore: PurePath, participant: str, variables: Mapping[str, str]
+) -> Iterator[Check]:
+    """Each variable that ROS 2 asks about security, as it must be for that participant.
+
+    `keystore` is its absolute path.
+    """
+    mend = _MEND.format(participant)
+    for name, exact in EXACT.items():
+        value = variables.get(name)
+        problem = "" if value == exact else f"{_is(value, exact)}: {_WITHOUT[name]}"
+        yield Check(what=name, problem=problem, mend=mend)
+    yield Check(what=KEYSTORE, problem=_keystore(keystore, variables.get(KEYSTORE)), mend=mend)
+    other = variables.get(OVERRIDE, "")
+    problem = f"{_is(other)}, and wins over --enclave" if other not in {"", participant} else ""
+    yield Check(what=OVERRIDE, problem=problem, mend=f"unset {OVERRIDE}")
+
+
+def near_misses(variables: Mapping[str, str]) -> Iterator[str]:
+    """What is set and looks as if it secured, but does not, a sentence each."""
+    for name, exact in EXACT.items():
+        value = variables.get(name)
+        if value and value != exact and _looks_on(value):
+            yield f"in this shell {name} {_is(value, exact)}: {_WITHOUT[name]}"
+
+
+def domain_in(variables: Mapping[str, str]) -> int | None:
+    """The domain ROS 2 joins, 0 if none is named; None for text that is no number."""
+    text = variables.get(DOMAIN, "") or "0"
+    return int(text) if re.fullmatch(r"[0-9]{1,10}", text) else None
+
+
+def _looks_on(value: str) -> bool:
+    return value.strip().lower() not in {"false", "0", "off", "no", "permissive"}
+
+
+def _keystore(keystore: PurePath, value: str | None) -> str:
+    if not value:
+        return f"{_is(value)}: ROS 2 stops with 'failed to initialize rcl: error not set'"
+    if not PurePath(value).is_absolute():
+        return f"{_is(value)}, not absolute: it depends on the folder a node starts in"
+    if realpath(value) != realpath(keystore):
+        return f"{_is(value)}, and this keystore is {shown(str(keystore))}"
+    return ""
+
+
+def _is(value: str | None, wanted: str = "") -> str:
+    if value is None:
+        return "is not set"
+    return f"is {shown(value)!r}" + (f", not {wanted}" if wanted else "")

@@ -1,0 +1,53 @@
+"""RTI Connext: a QoS profile in XML.
+
+Names of properties and of variables are those of RTI's documents and public examples; it was
+not run. $(NAME) in a value is replaced by the variable.
+"""
+
+from pqsec_pki.errors import UsageError
+from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors.enclave import Enclave, password_note, standard_properties
+from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
+
+FILE = "connext.xml"
+LOADING = {
+    "com.rti.serv.load_plugin": "com.rti.serv.secure",
+    "com.rti.serv.secure.library": "nddssecurity",
+    "com.rti.serv.secure.create_function": "RTI_Security_PluginSuite_create",
+}
+_VARIABLE = "$("
+_NO_CRL = (
+    "crl.pem is not in it, for want of the property's name: Connext lets in who is revoked"
+    " there until you add it"
+)
+
+
+def export(enclave: Enclave, options: Options) -> Export:
+    """The file of profiles, and the variable that names it to the process."""
+    if options.loopback:
+        raise UsageError(
+            "how Connext is kept to one machine is not known here",
+            hint="--loopback is for cyclonedds and fastdds",
+        )
+    properties = LOADING | standard_properties(enclave)
+    if _VARIABLE in "".join([*properties.values(), options.password or ""]):
+        raise UsageError(
+            f"a path or the passphrase holds {_VARIABLE}, which Connext would replace",
+            hint="put the keystore elsewhere, or choose another passphrase",
+        )
+    warnings = ["written by RTI's documents: Connext was not run with it"]
+    if enclave.key_is_encrypted:
+        properties["dds.sec.auth.password"] = options.password or f"$({PASSWORD_VARIABLE})"
+        warnings += ["how Connext wants passphrases encoded is not known here: it is as it is"]
+    if enclave.has_crl:
+        warnings += [_NO_CRL]
+    return Export(
+        stack="connext",
+        participant=enclave.name,
+        files={FILE: render("connext.xml", properties=properties)},
+        environment={"NDDS_QOS_PROFILES": f"file://{FOLDER}/{FILE}"},
+        notes=password_note(enclave, options),
+        warnings=tuple(warnings),
+        is_private=options.password is not None,
+        unfit_folder=";|[]",  # NDDS_QOS_PROFILES is a list of groups
+    )

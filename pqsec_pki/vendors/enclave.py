@@ -1,0 +1,112 @@
+"""The folder of one participant, as a stack's configuration names it."""
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Self
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import Profile, is_encrypted
+from pqsec_pki.errors import FileError, KeystoreError, UsageError, located, shown
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.vendors.export import PASSWORD_VARIABLE, Options
+
+IDENTITY_CA, CERTIFICATE, KEY = "identity_ca.cert.pem", "cert.pem", "key.pem"
+PERMISSIONS_CA, GOVERNANCE, PERMISSIONS = (
+    "permissions_ca.cert.pem",
+    "governance.p7s",
+    "permissions.p7s",
+)
+CRL, REQUEST = "crl.pem", "request.pem"
+_INSTALLED = "/etc/dds/current/enclaves"
+SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
+"""What every stack needs; ROS 2 does not say which one it misses."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Enclave:
+    """The files of one participant. Nothing of them is verified here."""
+
+    name: str
+    """Its enclave path, such as /fleet/robot1."""
+    folder: Path
+    """Absolute."""
+    keystore: Path
+    """The keystore's folder, absolute."""
+    profile: Profile
+    key_is_encrypted: bool
+    has_crl: bool
+    """Whether there is a revocation list beside the certificate."""
+    has_large_handshake: bool
+    """Whether its messages are three times as large as classical ones: they carry ML-DSA."""
+    at: PurePosixPath
+    """Where the folder will be when a stack reads it; absolute."""
+
+    @classmethod
+    def find(cls, keystore: Keystore, name: str, at: PurePosixPath | None = None) -> Self:
+        """The enclave of the participant called `name`.
+
+        KeystoreError if there is none or one of the six files is missing, UsageError for a
+        name that none can have or a relative `at`.
+        """
+        keystore.refuse_unknown(name)
+        name = "/" + "/".join(part for part in name.split("/") if part)
+        root = keystore.root.absolute()
+        folder = root / f"enclaves{name}"
+        where = at or PurePosixPath(folder)
+        if not where.is_absolute():
+            raise UsageError(
+                f"{shown(str(where))}: not an absolute path", hint="stacks want absolute paths"
+            )
+        try:
+            elsewhere = at is not None and (folder / REQUEST).is_file()
+            needed = [file for file in SIX if not (elsewhere and file == KEY)]
+            missing = [file for file in needed if not (folder / file).is_file()]
+            has_crl = (folder / CRL).is_file()
+        except OSError as error:
+            raise FileError(f"{folder}: {(error.strerror or '').lower()}") from error
+        if missing:
+            raise KeystoreError(
+                f"{folder} lacks {', '.join(missing)}",
+                hint=f"its keys are on its robot: say where, as in --at {_INSTALLED}{name}"
+                if missing == [KEY] and (folder / REQUEST).is_file()
+                else "issue the participant again, or restore what links lead to",
+            )
+        with located(folder / KEY):
+            encrypted = not elsewhere and is_encrypted(read(folder / KEY))
+        return cls(
+            name=name,
+            folder=folder,
+            keystore=root,
+            profile=keystore.profile,
+            key_is_encrypted=encrypted,
+            has_crl=has_crl,
+            has_large_handshake=keystore.profile.alternative_key is not None
+            or not keystore.profile.runs_in_stock,
+            at=where,
+        )
+
+    def uri(self, file: str) -> str:
+        """Where `file` will be, as file:///: the form of a URI that all stacks take.
+
+        Nothing is escaped: the stacks use what follows file:// as the path, byte for byte.
+        """
+        return f"file://{self.at / file}"
+
+
+def password_note(enclave: Enclave, options: Options) -> tuple[str, ...]:
+    """What to know of an encrypted key whose passphrase the stack reads from the environment."""
+    if not enclave.key_is_encrypted or options.password is not None:
+        return ()
+    return (f"the key is encrypted: set {PASSWORD_VARIABLE} to its passphrase",)
+
+
+def standard_properties(enclave: Enclave) -> dict[str, str]:
+    """The properties of a participant by their names in DDS-Security 1.1 (9.3.1, 9.4.1)."""
+    return {
+        "dds.sec.auth.identity_ca": enclave.uri(IDENTITY_CA),
+        "dds.sec.auth.identity_certificate": enclave.uri(CERTIFICATE),
+        "dds.sec.auth.private_key": enclave.uri(KEY),
+        "dds.sec.access.permissions_ca": enclave.uri(PERMISSIONS_CA),
+        "dds.sec.access.governance": enclave.uri(GOVERNANCE),
+        "dds.sec.access.permissions": enclave.uri(PERMISSIONS),
+    }

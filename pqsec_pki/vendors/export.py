@@ -1,0 +1,172 @@
+"""An export: the files that a stack reads, and what to do with them."""
+
+import os
+import re
+import shlex
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create, read, refuse_existing
+from pqsec_pki.errors import ExistsError, FileError, UsageError, shown
+
+FOLDER = "\0"
+"""In steps and variables: the absolute path of the folder that the export is written to.
+No path and no name has this character."""
+PASSWORD_VARIABLE = "PQSEC_KEY_PASSWORD"  # noqa: S105 -- a variable's name
+"""Where a stack that can reads the passphrase of an encrypted key."""
+
+UNFIT = re.compile("[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+"""What XML cannot carry, or a parser makes something else of; a file's name may hold it."""
+
+Version = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """What a user may say about an export."""
+
+    version: str | None = None
+    """Of the stack, such as 3.1.2 or 3.1; None if the user does not say."""
+    loopback: bool = False
+    """For tests on one machine: 127.0.0.1 alone, no multicast."""
+    password: str | None = field(default=None, repr=False)
+    """Of the participant's encrypted key, to stand in the file as it is."""
+    at: PurePosixPath | None = None
+    """Where the enclave's folder will be on the machine it is for; None: where it is now."""
+    plugins: Path | None = None
+    """The folder with the security plugins, for stacks that load them by path."""
+    plugin: Path | None = None
+    """The folder with pqsec's own plugin, if that is to run in place of the stack's."""
+    anyway: bool = False
+    """Whether what the stack is known to refuse is written all the same, with a warning."""
+    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
+    """Of the user's shell, for stacks that listen to it."""
+
+    @property
+    def release(self) -> Version:
+        """The version in numbers, () if the user does not say; UsageError for other text."""
+        if self.version is None:
+            return ()
+        if not re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,4}){0,3}", self.version):
+            raise UsageError(f"{self.version!r} is not a version", hint="write 3.1.2, or 3.1")
+        return tuple(map(int, self.version.split(".")))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Export:
+    """What one stack needs to run as one participant."""
+
+    stack: str
+    participant: str
+    files: Mapping[str, str | Path] = field(repr=False)
+    """Path below the export's folder -> its text, or the file of the keystore to copy there.
+    The first is a text, the one that a user looks at."""
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """Variables that the stack's process needs; FOLDER stands for the export's folder."""
+    steps: tuple[str, ...] = ()
+    """Shell commands that come after setting the variables; FOLDER likewise."""
+    notes: tuple[str, ...] = ()
+    """What to know about it, a sentence each."""
+    warnings: tuple[str, ...] = ()
+    """What may not work or is a risk."""
+    is_private: bool = False
+    """Whether a secret is in a text: it is then written 0600."""
+    unfit_folder: str = ""
+    """Characters that the path of the export's folder may not have."""
+
+    @property
+    def main(self) -> str:
+        """The name of the file that a user looks at."""
+        return next(iter(self.files))
+
+    def variables(self, folder: Path) -> dict[str, str]:
+        """The environment for an export that is written to `folder`."""
+        where = str(folder.absolute())
+        return {name: value.replace(FOLDER, where) for name, value in self.environment.items()}
+
+    def commands(self, folder: Path) -> list[str]:
+        """What to type in a shell, for an export that is written to `folder`."""
+        found = [f"export {k}={shlex.quote(v)}" for k, v in self.variables(folder).items()]
+        where = shlex.quote(str(folder.absolute()))
+        return found + [step.replace(FOLDER, where) for step in self.steps]
+
+
+def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:
+    """Put the export's files into `folder` and give their paths.
+
+    A new folder appears in one step; in one that is there, files do, once all are drafted, and
+    none is replaced without `force` (ExistsError). Copies of private keys and texts with a
+    secret are 0600, and folders made for them 0700. FileError if the disk refuses, UsageError
+    for a folder that the stack or a shell cannot be told of.
+    """
+    path = str(folder.absolute())
+    if unfit := "".join(sorted(set(export.unfit_folder) & set(path) | set(UNFIT.findall(path)))):
+        raise UsageError(
+            f"{shown(path)}: the stack cannot be told of a folder with {unfit!r} in its name",
+            hint="choose another folder",
+        )
+    with _disk_errors(folder):
+        there = os.path.lexists(folder)
+        if not there:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+        place = folder if there else folder.parent
+        draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=place))
+        try:
+            _fill(draft, export)
+            if there:
+                _move(export, draft, folder, force=force)
+            else:
+                draft.rename(folder)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    return [folder / name for name in export.files]
+
+
+def _fill(draft: Path, export: Export) -> None:
+    folders = {draft}
+    for name, source in export.files.items():
+        data = source.encode() if isinstance(source, str) else read(source)
+        goal = draft / name
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        folders.add(goal.parent)
+        create(goal, data, mode=PRIVATE_MODE if _is_secret(export, source) else PUBLIC_MODE)
+    for folder in folders:
+        folder.chmod(_folder_mode(export))
+
+
+def _move(export: Export, draft: Path, folder: Path, *, force: bool) -> None:
+    goals = {draft / name: folder / name for name in export.files}
+    for goal in goals.values():
+        if not force:
+            refuse_existing(goal)
+        elif goal.is_dir() and not goal.is_symlink():
+            raise FileError(f"{goal}: a folder is in its place")
+    for goal in goals.values():
+        goal.parent.mkdir(mode=_folder_mode(export), parents=True, exist_ok=True)
+    for new, goal in goals.items():
+        if force:
+            new.replace(goal)
+        else:
+            goal.hardlink_to(new)  # which replaces nothing that came in the meantime
+
+
+def _is_secret(export: Export, source: str | Path) -> bool:
+    return export.is_private if isinstance(source, str) else source.name.endswith("key.pem")
+
+
+def _folder_mode(export: Export) -> int:
+    private = any(_is_secret(export, source) for source in export.files.values())
+    return 0o700 if private else 0o755
+
+
+@contextmanager
+def _disk_errors(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        kind = ExistsError if isinstance(error, FileExistsError) else FileError
+        raise kind(f"{error.filename or folder}: {(error.strerror or '').lower()}") from error

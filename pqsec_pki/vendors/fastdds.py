@@ -1,0 +1,115 @@
+"""Fast DDS: a default participant profile in XML, for 2.x and 3.x.
+
+The two differ in the name space, which only `fastdds xml validate` looks at, and in the
+variable that names the file. From 2.12 on, ${NAME} in a value is replaced by the variable;
+there is no way to write it so that it is not.
+"""
+
+import re
+
+from pqsec_pki.errors import UsageError
+from pqsec_pki.lint import Finding, Severity
+from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors.enclave import (
+    CERTIFICATE,
+    CRL,
+    GOVERNANCE,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+    Enclave,
+)
+from pqsec_pki.vendors.export import FOLDER, Export, Options
+
+FILE = "fastdds.xml"
+NAMESPACES = {
+    2: "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles",
+    3: "http://www.eprosima.com",
+}
+VARIABLES = {2: "FASTRTPS_DEFAULT_PROFILES_FILE", 3: "FASTDDS_DEFAULT_PROFILES_FILE"}
+OVER_LIMIT = "PQS501"
+"""The rule of the check about handshakes over 8192 bytes."""
+LIMITED = ((2, 14, 4), (3, 0, 2), (3, 1, 1), (3, 1, 2), (3, 1, 3), (3, 2, 0), (3, 2, 1), (3, 2, 2))
+"""The versions that cannot send them. 3.1.2 was run, the others' source was read."""
+
+_AUTH, _ACCESS = "dds.sec.auth.builtin.PKI-DH", "dds.sec.access.builtin.Access-Permissions"
+_REPLACED = re.compile(r"\$\{[A-Z_][A-Z0-9_]*\}")
+
+
+def export(enclave: Enclave, options: Options) -> Export:
+    """The file of profiles, and the variable that names it to the process."""
+    generations = [options.release[0]] if options.release else [2, 3]
+    properties = _properties(enclave, options)
+    if any(map(_REPLACED.search, properties.values())):
+        raise UsageError(
+            "a path or the passphrase holds ${NAME}, which Fast DDS would replace",
+            hint="put the keystore elsewhere, or choose another passphrase",
+        )
+    return Export(
+        stack="fastdds",
+        participant=enclave.name,
+        files={
+            FILE: render(
+                "fastdds.xml",
+                enclave=enclave,
+                namespace=NAMESPACES[generations[0]],
+                properties=properties,
+                loopback=options.loopback,
+            )
+        },
+        environment={VARIABLES[each]: f"{FOLDER}/{FILE}" for each in generations},
+        notes=("Fast DDS runs unsecured, with a message only, where it cannot read that file",),
+        is_private=options.password is not None,
+    )
+
+
+def severity(finding: Finding, options: Options) -> Severity | None:
+    """Messages over 8192 bytes stop some versions, and do not matter to others."""
+    meant = options.release
+    if finding.rule.id != OVER_LIMIT:
+        return finding.rule.severity
+    if meant[:3] in LIMITED:
+        return Severity.ERROR
+    may_be = any(each[: len(meant)] == meant for each in LIMITED)
+    return Severity.WARNING if may_be else None
+
+
+def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
+    found = {
+        "dds.sec.auth.plugin": "builtin.PKI-DH",
+        f"{_AUTH}.identity_ca": enclave.uri(IDENTITY_CA),
+        f"{_AUTH}.identity_certificate": enclave.uri(CERTIFICATE),
+        f"{_AUTH}.private_key": enclave.uri(KEY),
+    }
+    if enclave.key_is_encrypted:
+        found[f"{_AUTH}.password"] = _password(options)
+    if enclave.has_crl:
+        found[f"{_AUTH}.identity_crl"] = enclave.uri(CRL)
+    # 2.10.7, 2.14.5, 3.0.2, 3.1.1 and later; others pass over it and use DH.
+    found[f"{_AUTH}.preferred_key_agreement"] = "ECDH"
+    found |= {
+        "dds.sec.access.plugin": "builtin.Access-Permissions",
+        f"{_ACCESS}.permissions_ca": enclave.uri(PERMISSIONS_CA),
+        f"{_ACCESS}.governance": enclave.uri(GOVERNANCE),
+        f"{_ACCESS}.permissions": enclave.uri(PERMISSIONS),
+        "dds.sec.crypto.plugin": "builtin.AES-GCM-GMAC",
+    }
+    return found
+
+
+def _password(options: Options) -> str:
+    """A reference to a variable would do from 2.12 on; but where the variable is not set, 3.1.2
+    drops the whole profile, and runs unsecured."""
+    if options.password is None:
+        raise UsageError(
+            "the participant's key is encrypted, and Fast DDS can take its passphrase from the"
+            " profile only",
+            hint="--password-file writes it there; or decrypt the key",
+        )
+    if not options.password.strip():
+        raise UsageError(
+            "Fast DDS drops a profile in which a value is only spaces, and runs unsecured",
+            hint="choose another passphrase",
+        )
+    return options.password

@@ -1,0 +1,92 @@
+"""pqsec's own plugin in place of a stack's: where it is, and whether it takes a participant.
+
+Rules of `pqsec check` about stacks tell what their own plugins do. Ours is asked itself, by the
+calls with which a stack would ask its agent.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+
+from pqsec_pki.errors import FileError, PqsecError, VerificationError
+from pqsec_pki.lint import Finding, Severity, Target
+from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.vendors.enclave import CRL, KEY, Enclave, standard_properties
+from pqsec_pki.vendors.export import Options
+
+PATH = "LD_LIBRARY_PATH"
+NOTE = (
+    "the process starts pqsec's agent, or finds it by XDG_RUNTIME_DIR;"
+    " PQSEC_AGENT=private gives it one of its own"
+)
+_CRL, _PASSWORD = "org.eclipse.cyclonedds.sec.auth.crl", "dds.sec.auth.password"
+_ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
+
+
+def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
+    """FileError unless the plugin is in `folder`, by these names."""
+    if missing := [name for name in names if not _is_file(folder / name)]:
+        raise FileError(
+            f"the plugin is not installed: {folder} has no {missing[0]}",
+            hint="`pqsec plugin install` puts it there; --plugins says where else it is",
+        )
+
+
+def folder_in(variables: Mapping[str, str]) -> Path | None:
+    """Where a stack that loads plugins by name finds ours; None where it finds another's."""
+    for folder in map(Path, filter(None, re.split("[:;]", variables.get(PATH, "")))):
+        if _is_file(folder / NAMES[0]):
+            return folder if (folder / NAMES[0]).resolve().name == LIBRARY else None
+    return None
+
+
+def severity(finding: Finding) -> Severity | None:
+    """How bad it is with our plugin: what other plugins make of it does not matter."""
+    stacks = finding.rule.stacks
+    return None if stacks and stacks != {Target.ROS2} else finding.rule.severity
+
+
+def refusal(enclave: Enclave, options: Options, now: datetime) -> VerificationError | None:
+    """What our plugin has against the participant, if it is to run at all.
+
+    It is not asked about a key that is on its robot, or locked here.
+    """
+    if options.plugin is None:
+        return None
+    try:
+        _ask(enclave, options, now)
+    except PqsecError as error:
+        words = f"pqsec's plugin does not take {enclave.name}: {error}"
+        return VerificationError(words, hint=error.hint)
+    return None
+
+
+def _ask(enclave: Enclave, options: Options, now: datetime) -> None:
+    from pqsec_pki.plugin.access_control import AccessControl  # noqa: PLC0415 -- heavy
+    from pqsec_pki.plugin.credentials import Properties  # noqa: PLC0415 -- likewise
+    from pqsec_pki.plugin.identity import Local  # noqa: PLC0415 -- likewise
+
+    pairs = tuple(_properties(enclave, options).items())
+    if _is_file(enclave.folder / KEY) and (options.password or not enclave.key_is_encrypted):
+        Local.load(Properties(pairs, "/"), _CANDIDATE, now)
+    AccessControl(lambda: now).validate_local_permissions(0, _ANY_DOMAIN, "/", pairs)
+
+
+def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
+    """As the stack will give them, of the files where they are now."""
+    here = replace(enclave, at=PurePosixPath(enclave.folder))
+    found = standard_properties(here)
+    if enclave.has_crl:
+        found[_CRL] = here.uri(CRL)
+    if options.password is not None:
+        found[_PASSWORD] = options.password
+    return found
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:
+        return False

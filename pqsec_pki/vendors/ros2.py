@@ -1,0 +1,186 @@
+"""ROS 2: a script that sets the environment, and the checks that ROS 2 makes late or not at all.
+
+Measured with rclpy of Jazzy: only `true` and `Enforce`, letter by letter, secure a node; which of
+the six files is missing is not said; there is no way to give the passphrase of a key.
+"""
+
+import shlex
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+
+from pqsec_pki.access import Action
+from pqsec_pki.documents import ros
+from pqsec_pki.errors import PqsecError, UsageError, shown
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint import Finding, Severity, Target, check
+from pqsec_pki.vendors import _ros2_plugin, own_plugin
+from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors._ros2_environment import (
+    DOMAIN,
+    EXACT,
+    KEYSTORE,
+    OVERRIDE,
+    domain_in,
+    environment,
+    near_misses,
+)
+from pqsec_pki.vendors._ros2_needs import Needs
+from pqsec_pki.vendors.enclave import CRL, SIX, Enclave
+from pqsec_pki.vendors.export import Export, Options
+from pqsec_pki.vendors.ros2_check import Check
+
+SCRIPT = "ros2.sh"
+RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+
+
+def export(enclave: Enclave, options: Options) -> Export:
+    """The script; and with `options.at` the enclave's files too, for another machine.
+
+    UsageError for a name that ROS 2 does not take, a passphrase, and an `at` that is not the
+    folder of this enclave in some keystore.
+    """
+    _refuse_name(enclave.name)
+    if options.password is not None:
+        raise UsageError(
+            "ROS 2 has no setting for a passphrase",
+            hint="keep the key unencrypted, mode 0600, on an encrypted disk",
+        )
+    needs, keystore = Needs.of(enclave), str(_keystore(enclave))
+    variables = {} if options.at else options.environment  # another machine has others
+    domain = _domain(needs, variables)
+    more = {DOMAIN: str(domain)} if domain else {}
+    more |= {RANGE: LOCALHOST} if options.loopback else {}
+    more |= _ros2_plugin.variables(options)
+    plugin = _ros2_plugin.assignments(enclave, options)
+    script = render(
+        SCRIPT,
+        name=enclave.name,
+        keystore=shlex.quote(keystore),
+        domain=domain,
+        loopback=options.loopback,
+        plugin=plugin,
+    )
+    return Export(
+        stack="ros2",
+        participant=enclave.name,
+        files={SCRIPT: script, **(_copies(enclave, options) if options.at else {})},
+        environment=EXACT | {KEYSTORE: keystore} | more,
+        steps=(
+            *(f"export {each}" for each in plugin),
+            f"unset {OVERRIDE}",
+            f"ros2 run PACKAGE NODE --ros-args --enclave {enclave.name}",
+        ),
+        notes=tuple(_notes(keystore, options)),
+        warnings=(*near_misses(variables), *_warnings(needs, domain, variables)),
+    )
+
+
+def severity(finding: Finding, options: Options) -> Severity | None:
+    """What the plugins of stacks make of it does not matter where ours runs."""
+    return own_plugin.severity(finding) if options.plugin else finding.rule.severity
+
+
+def preflight(
+    keystore: Keystore, name: str, variables: Mapping[str, str], *, now: datetime
+) -> Iterator[Check]:
+    """Whether a node would run secured as `name`, if it starts with these variables.
+
+    One check after the other; where a file is missing, none of what is in the files.
+    KeystoreError if there is no such participant.
+    """
+    keystore.refuse_unknown(name)
+    name = "/" + "/".join(filter(None, name.split("/")))
+    yield from environment(keystore.root.absolute(), name, variables)
+    yield from _ros2_plugin.loaded(variables, name)
+    try:
+        _refuse_name(name)
+        enclave = Enclave.find(keystore, name)
+        needs = Needs.of(enclave)
+    except PqsecError as error:
+        yield Check(what="files", problem=str(error), mend=error.hint or "")
+        return
+    yield Check(what="files")
+    yield from _credentials(enclave, Options(plugin=own_plugin.folder_in(variables)), now)
+    yield from _life(needs, domain_in(variables))
+
+
+def _refuse_name(name: str) -> None:
+    """UsageError for one that ROS 2 does not take for an enclave; topics have the same rules."""
+    try:
+        ros.topic(name)
+    except UsageError as error:
+        raise UsageError(
+            f"ROS 2 takes no enclave called {name}: {str(error).rpartition(': ')[2]}",
+            hint="issue it under a name of letters, digits and _, such as /fleet/robot_1",
+        ) from error
+
+
+def _keystore(enclave: Enclave) -> PurePosixPath:
+    """Where the keystore will be; UsageError if `at` is no enclave's folder."""
+    here = f"enclaves{enclave.name}"
+    keystore = PurePosixPath(*enclave.at.parts[: -len(PurePosixPath(here).parts)])
+    if not keystore.is_absolute() or keystore / here != enclave.at:
+        raise UsageError(
+            f"{shown(str(enclave.at))} does not end in {here}",
+            hint=f"ROS 2 finds enclaves in a keystore: write --at /KEYSTORE/{here}",
+        )
+    return keystore
+
+
+def _copies(enclave: Enclave, options: Options) -> dict[str, Path]:
+    """All of the enclave that ROS 2 reads, or the plugin, and nothing else."""
+    files = [enclave.folder / name for name in ((*SIX, CRL) if enclave.has_crl else SIX)]
+    if options.plugin:
+        files += _ros2_plugin.files(enclave)
+    return {f"enclaves{enclave.name}/{file.name}": file for file in files}
+
+
+def _notes(keystore: str, options: Options) -> Iterator[str]:
+    if options.at:
+        yield f"with -o DIR, copy what is in DIR to {keystore} there"
+    if options.plugin:
+        yield _ros2_plugin.NOTE
+        yield own_plugin.NOTE
+
+
+def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
+    """The domain that the script must name: none where 0, which needs no word, will do."""
+    if 0 in needs.domains or not needs.domains:
+        return None
+    wanted = domain_in(variables)
+    return wanted if wanted in needs.domains else needs.domains[0]
+
+
+def _credentials(enclave: Enclave, options: Options, now: datetime) -> Iterator[Check]:
+    """What `pqsec check` finds that ROS 2 or a stack below it refuses, or our plugin."""
+    report = check([enclave.folder], now=now, targets=[Target.ROS2])
+    errors = [each for each in report.findings if severity(each, options) is Severity.ERROR]
+    for each in errors:
+        what = f"{each.path.name} ({each.rule.id})"
+        yield Check(what=what, problem=each.message, mend=each.rule.mend)
+    if not errors:
+        refusal = own_plugin.refusal(enclave, options, now)
+        mend = refusal.hint or "" if refusal else ""
+        yield Check(what="credentials", problem=str(refusal or ""), mend=mend)
+
+
+def _warnings(needs: Needs, domain: int | None, variables: Mapping[str, str]) -> Iterator[str]:
+    """Of a node that starts with the script in a shell with these variables."""
+    checks = _life(needs, domain_in(variables) if domain is None else domain)
+    return (f"{each.what}: {each.problem}" for each in checks if not each.ok)
+
+
+def _life(needs: Needs, domain: int | None) -> Iterator[Check]:
+    """Whether a participant and its nodes could live on that domain, None for no number."""
+    if domain is None:
+        yield Check(what=DOMAIN, problem="is no number", mend=f"unset {DOMAIN}, or set it to 0")
+        return
+    refusal = needs.may(Action.JOIN, domain)
+    may = ", ".join(map(str, needs.domains)) or "none"
+    mend = f"set {DOMAIN} to a domain it may join: {may}"
+    yield Check(what=f"{DOMAIN} {domain}", problem=refusal, mend=mend)
+    if not refusal:
+        for node in needs.nodes:
+            mend = f"pqsec issue {needs.enclave} --force --ros-node {node}, with its own topics"
+            yield Check(what=f"node {node}", problem=needs.lack(node, domain), mend=mend)

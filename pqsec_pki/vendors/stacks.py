@@ -1,0 +1,166 @@
+"""The stacks that credentials are exported for, and the check that comes before."""
+
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib import import_module
+
+from pqsec_pki.errors import UsageError, VerificationError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint import Finding, Severity, Target, check
+from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.vendors import own_plugin
+from pqsec_pki.vendors.enclave import Enclave
+from pqsec_pki.vendors.export import Export, Options, Version
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stack:
+    """A stack, and the module of this room that speaks its words.
+
+    The module has `export(enclave, options) -> Export`, and may have
+    `severity(finding, options) -> Severity | None`: how bad a finding of the check is for
+    the version that is meant, None if not at all. Without, it is as bad as its rule says.
+    """
+
+    name: str
+    """What a user types."""
+    title: str
+    target: Target
+    versions: str
+    """Those whose configuration is known, in words."""
+    first: Version = ()
+    end: Version | None = None
+    """The first version after them, if there is a limit."""
+    loads_plugins: bool = False
+    """Whether its configuration names the security plugins."""
+    loads_ours: tuple[str, ...] = ()
+    """The files of pqsec's own plugin that it can load in place of its own."""
+    evidence: str
+    """How it is known that the stack takes it."""
+
+    def make(self, enclave: Enclave, options: Options) -> Export:
+        """The export, unchecked."""
+        made: Export = import_module(f"pqsec_pki.vendors.{self.name}").export(enclave, options)
+        return made
+
+    def refuse_unknown(self, options: Options) -> None:
+        """UsageError for a version whose configuration is not known."""
+        meant = options.release
+        if meant and (meant < self.first or (self.end and meant >= self.end)):
+            raise UsageError(
+                f"how {self.title} {options.version} is configured is not known here",
+                hint=f"exports are for {self.versions}",
+            )
+
+    def severity(self, finding: Finding, options: Options) -> Severity | None:
+        """How bad that is for this stack; None if not at all."""
+        module = import_module(f"pqsec_pki.vendors.{self.name}")
+        own = getattr(module, "severity", None)
+        judged: Severity | None = own(finding, options) if own else finding.rule.severity
+        return judged
+
+
+STACKS = (
+    Stack(
+        name="cyclonedds",
+        title="Cyclone DDS",
+        target=Target.CYCLONEDDS,
+        versions="0.10 and later",
+        first=(0, 10),
+        loads_plugins=True,
+        loads_ours=(LIBRARY,),
+        evidence="run",
+    ),
+    Stack(
+        name="fastdds",
+        title="Fast DDS",
+        target=Target.FASTDDS,
+        versions="2.x and 3.x",
+        first=(2,),
+        end=(4,),
+        evidence="run",
+    ),
+    Stack(
+        name="opendds",
+        title="OpenDDS",
+        target=Target.OPENDDS,
+        versions="3.x",
+        evidence="its source; not run",
+    ),
+    Stack(
+        name="connext",
+        title="RTI Connext",
+        target=Target.CONNEXT,
+        versions="7.x",
+        evidence="its documents; not run",
+    ),
+    Stack(
+        name="ros2",
+        title="ROS 2",
+        target=Target.ROS2,
+        versions="Jazzy",
+        loads_ours=NAMES,
+        evidence="run",
+    ),
+)
+
+
+def stack_named(name: str) -> Stack:
+    """The stack a user means; UsageError, with those there are, if none is."""
+    for stack in STACKS:
+        if stack.name == name.lower():
+            return stack
+    known = ", ".join(stack.name for stack in STACKS)
+    raise UsageError(f"no stack named {name!r}", hint=f"known: {known}")
+
+
+def export(
+    stack: Stack, keystore: Keystore, name: str, options: Options, *, now: datetime
+) -> Export:
+    """What `stack` needs to run as the participant called `name`.
+
+    VerificationError if the stack is known to refuse the credentials (`pqsec check` finds an
+    error), or our plugin does, unless `options.anyway`; UsageError if an option is not for that
+    stack; KeystoreError if there is no such participant, FileError if our plugin is not there.
+    """
+    stack.refuse_unknown(options)
+    if options.plugins and not stack.loads_plugins:
+        raise UsageError(f"{stack.title} is not told where its security plugins are")
+    _refuse_plugin(stack, options)
+    enclave = Enclave.find(keystore, name, options.at)
+    if options.password is not None and not enclave.key_is_encrypted:
+        raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
+    made = stack.make(enclave, options)
+    report = check([enclave.folder], now=now, targets=[stack.target])
+    found: dict[Severity | None, list[Finding]] = {}
+    for finding in report.findings:
+        found.setdefault(stack.severity(finding, options), []).append(finding)
+    errors, warnings = found.get(Severity.ERROR, []), found.get(Severity.WARNING, [])
+    refusal = _refusal(stack, errors) if errors else own_plugin.refusal(enclave, options, now)
+    if refusal and not options.anyway:
+        raise refusal
+    told = refusal.problems if refusal else ()
+    return replace(made, warnings=(*made.warnings, *told, *map(_told, warnings)))
+
+
+def _refusal(stack: Stack, errors: list[Finding]) -> VerificationError:
+    hint = errors[0].rule.mend
+    if stack.loads_ours and own_plugin.severity(errors[0]) is None:
+        hint += " Or run pqsec's plugin in it: --plugin."
+    return VerificationError(*map(_told, errors), hint=hint)
+
+
+def _refuse_plugin(stack: Stack, options: Options) -> None:
+    if options.plugin is None:
+        return
+    if not stack.loads_ours:
+        able = " and ".join(each.name for each in STACKS if each.loads_ours)
+        raise UsageError(f"{stack.title} cannot load pqsec's plugin", hint=f"it is for {able}")
+    if options.at and not options.plugin.is_absolute():
+        raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")
+    if not options.at:  # what another machine has is not to be seen here
+        own_plugin.refuse_missing(options.plugin, stack.loads_ours)
+
+
+def _told(finding: Finding) -> str:
+    return f"{finding.path}: {finding.message} ({finding.rule.id})"

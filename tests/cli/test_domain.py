@@ -1,0 +1,213 @@
+"""plan and apply, as their users run them."""
+
+import os
+import pty
+import shutil
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
+import yaml
+
+from tests.cli.conftest import clean_environment, snapshot
+
+FILE = """
+name: Lab
+profile: classical
+roles:
+  robot: {publish: [rt$name/pose]}
+participants:
+  - {name: "/r{1..3}", role: robot}
+"""
+
+
+@pytest.fixture
+def domain(tmp_path):
+    file = tmp_path / "domain.yaml"
+    file.write_text(FILE)
+    return file
+
+
+@pytest.fixture
+def change(domain):
+    def changed(old, new):
+        assert old in domain.read_text()
+        domain.write_text(domain.read_text().replace(old, new))
+
+    return changed
+
+
+@pytest.fixture
+def applied(pqsec, domain):
+    pqsec("-k k apply --yes --no-passphrase").done()
+    return domain
+
+
+def test_plan_tells_and_changes_nothing(pqsec, domain, tmp_path):
+    told = pqsec("-k k plan")
+    assert (told.code, told.err) == (1, "")
+    assert told.out.splitlines() == [
+        "make the CAs         (there is no keystore)",
+        "sign the governance  (there is no keystore)",
+        "issue                /r1, /r2, /r3  (new)",
+        "5 changes; 0 participants are as they should be",
+    ]
+    assert not (tmp_path / "k").exists()
+
+
+def test_apply_does_it_and_then_there_is_nothing_to_do(pqsec, domain):
+    done = pqsec("-k k apply domain.yaml --yes --no-passphrase").done()
+    assert done.out.splitlines() == ["make the CAs: done", "sign the governance: done", "issue: 3"]
+    assert "not encrypted" in done.err
+    for line in ("plan", "apply --check", "apply"):
+        told = pqsec(f"-k k {line}").done()
+        assert told.out == "no changes; 3 participants are as they should be\n"
+    pqsec("-k k verify-handshake /r1 /r2").done()
+
+
+def test_check_is_for_ci(pqsec, applied, change, tmp_path):
+    assert pqsec("-k k apply --check --json").done().json["in_order"] is True
+    change("pose", "place")
+    before = snapshot(tmp_path / "k")
+    found = pqsec("-k k apply --check --json")
+    assert found.code == 1
+    assert found.json["steps"] == [
+        {"action": "permit", "name": f"/r{n}", "why": "its role (robot) was changed"}
+        for n in (1, 2, 3)
+    ]
+    assert snapshot(tmp_path / "k") == before
+
+
+def test_without_a_terminal_it_does_not_ask_and_does_nothing(pqsec, domain, tmp_path):
+    pqsec("-k k apply").refused(2, "5 changes to make, and no terminal", hint="--yes")
+    assert not (tmp_path / "k").exists()
+    pqsec("-k k apply --yes").refused(2, "the CA keys need a passphrase")
+    assert not (tmp_path / "k").exists()
+
+
+def test_encrypted_keys_are_unlocked_where_there_is_something_to_do(pqsec, locked, domain):
+    domain.write_text(FILE.replace("name: Lab", ""))
+    pqsec("-k k apply --yes --passphrase-file wrong").refused(3, "passphrase")
+    pqsec("-k k apply --yes --passphrase-file right").done()
+    assert pqsec("-k k apply").done().out.startswith("no changes")
+
+
+def test_prune_revokes_and_says_so(pqsec, applied, change):
+    change("1..3", "1..2")
+    told = pqsec("-k k plan").done()
+    assert "note: not in domain.yaml: /r3; --prune revokes" in told.err
+    assert pqsec("-k k plan --prune").code == 1
+    done = pqsec("-k k apply --prune --yes --json").done()
+    assert done.json["done"] is True
+    assert [(each["action"], each["name"]) for each in done.json["steps"]] == [("revoke", "/r3")]
+    assert "a new revocation list: give it to every robot" in done.err
+    pqsec("-k k plan --prune").done()
+    assert pqsec("-k k verify-handshake /r1 /r3").code == 1
+
+
+def test_who_was_revoked_keeps_the_answer_at_no(pqsec, applied):
+    pqsec("-k k revoke /r2")
+    for line in ("plan", "apply --check", "apply"):
+        told = pqsec(f"-k k {line}")
+        assert told.code == 1
+        assert "blocked: /r2 was revoked; take it out of the file" in told.out
+    shutil.rmtree(applied.parent / "k/enclaves/r1")
+    told = pqsec("-k k apply --yes")
+    assert (told.code, told.out) == (1, "issue: 1\n")
+    assert "note: /r2 was revoked: that stays so" in told.err
+
+
+def test_who_has_its_key_elsewhere_is_given_no_other(pqsec, applied, tmp_path):
+    pqsec("request /r4 --profile classical --dir robot").done()
+    [request] = (tmp_path / "robot").rglob("*.csr")
+    pqsec("-k k issue /r4 --publish x --csr", request).done()
+    applied.write_text(FILE.replace("1..3", "1..4"))
+    assert "sign permissions for  /r4  (not made of the file)" in pqsec("-k k plan").out
+    pqsec("-k k apply --yes").done()
+    pqsec("-k k renew /r4").done()
+    assert not (tmp_path / "k/enclaves/r4/key.pem").exists()
+    shutil.rmtree(tmp_path / "k/enclaves/r4")
+    told = pqsec("-k k plan")
+    assert told.code == 1
+    assert "blocked: /r4 lacks its certificate here, and has its key elsewhere; " in told.out
+
+
+def test_many_names_are_counted_and_json_has_them_all(pqsec, domain, change):
+    change("1..3", "01..30")
+    assert (
+        "issue                /r01, /r02, /r03, /r04 and 26 more  (new)" in pqsec("-k k plan").out
+    )
+    steps = pqsec("-k k plan --json").json["steps"]
+    assert [step["name"] for step in steps[2:]] == [f"/r{n:02}" for n in range(1, 31)]
+
+
+def test_init_writes_a_file_that_plan_takes_and_replaces_none(pqsec, tmp_path):
+    pqsec("plan --init").done()
+    assert yaml.safe_load((tmp_path / "domain.yaml").read_text())["name"] == "Robots"
+    assert pqsec("-k k plan").code == 1
+    pqsec("plan --init").refused(3, "domain.yaml exists")
+    pqsec("plan --init other.yaml").done()
+
+
+def test_a_mistake_in_the_file_is_a_no_with_its_line(pqsec, domain, change):
+    change("publish", "publich")
+    for line in ("plan", "apply --yes"):
+        pqsec(f"-k k {line}").refused(1, "domain.yaml: line 5: publich: no such key here")
+
+
+def test_who_cannot_be_done_is_told_last(pqsec, applied, change):
+    with (applied.parent / "k/enclaves/r2/permissions.xml").open("ab") as file:
+        file.write(b"<!-- somebody is at work here -->")
+    change("name: Lab", "name: Lab\nvalidity: 2y\nrenew_before: 400d")
+    told = pqsec("-k k apply --yes")
+    assert told.code == 3
+    assert told.out == ""
+    assert "note: 2 of 3 changes are done; apply again does the rest" in told.err
+    assert "error: k/enclaves/r2/permissions.p7s: k/enclaves/r2/permissions.xml is not" in told.err
+    assert "renew  /r2  (ends)" in pqsec("-k k plan").out
+
+
+def test_what_is_not_there_could_not_be_done(pqsec, domain, tmp_path):
+    pqsec("-k k plan nowhere.yaml").refused(3, "nowhere.yaml")
+    pqsec("plan").refused(2, "no keystore is named")
+    (tmp_path / "k/private").mkdir(parents=True)
+    pqsec("-k k plan").refused(3, "k is not a pqsec keystore")
+
+
+def test_domains_that_the_governance_does_not_name_are_noted(pqsec, domain, change):
+    change("role: robot}", "role: robot, domains: 0-5}")
+    change("name: Lab", "name: Lab\ngovernance: {domains: 0-3}")
+    assert "note: the governance does not name domain 4, 5: nobody can join there" in (
+        pqsec("-k k plan").err
+    )
+
+
+def test_a_bar_shows_how_far_it_is_on_a_terminal(domain, tmp_path):
+    said = on_a_terminal(tmp_path, "-k", "k", "apply", "--no-passphrase", answer=b"y\n")
+    assert "issue                /r1, /r2, /r3  (new)" in said
+    assert "Do this? [y/N]" in said
+    assert "100%" in said
+    assert (tmp_path / "k/enclaves/r3/cert.pem").exists()
+
+
+def test_a_no_at_the_terminal_does_nothing(domain, tmp_path):
+    assert "interrupted" in on_a_terminal(tmp_path, "-k", "k", "apply", answer=b"n\n")
+    assert not (tmp_path / "k").exists()
+
+
+def on_a_terminal(folder, *words, answer):
+    """What pqsec shows on a terminal where somebody types `answer`."""
+    ours, its = pty.openpty()
+    command = [sys.executable, "-m", "pqsec_pki", *words]
+    streams = {"stdin": its, "stdout": its, "stderr": its}
+    process = subprocess.Popen(command, cwd=folder, env=clean_environment(), **streams)
+    os.close(its)
+    os.write(ours, answer)
+    said = b""
+    with suppress(OSError):  # Linux's way to say that the other side is closed
+        while data := os.read(ours, 4096):
+            said += data
+    process.wait(timeout=60)
+    os.close(ours)
+    return said.decode().replace("\r\n", "\n")

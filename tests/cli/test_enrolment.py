@@ -1,0 +1,287 @@
+"""pqsec request, issue --csr, bundle, install, rollback and sign-request, as users run them."""
+
+import json
+import shutil
+import stat
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from tests.cli.conftest import NAMES, snapshot
+
+ROBOT = "/fleet/robot1"
+CSR = "requests/fleet+robot1/request.csr"
+TOPIC = "--publish telemetry"
+POLICY = """
+domains: 0
+validity: 1y
+grants:
+  - name: /fleet/robot1
+    publish: [from/a/policy]
+"""
+
+
+@pytest.fixture
+def asked(pqsec, keystore, tmp_path):
+    """asked("pq") is a keystore `k` of that profile, and a robot `r` that has asked."""
+
+    def make(profile="classical"):
+        keystore(profile)
+        pqsec(f"request {ROBOT} --profile {profile} --dir r").done()
+        return tmp_path / "r"
+
+    return make
+
+
+def fingerprints(pqsec):
+    cas = pqsec("-k k --json ca show").done().json["cas"]
+    return " ".join(f"--ca-fingerprint {ca['sha256']}" for ca in cas)
+
+
+@pytest.mark.parametrize("profile", NAMES)
+def test_a_robot_asks_is_answered_and_runs_with_it(pqsec, asked, profile):
+    robot = asked(profile)
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    found = pqsec(f"install fleet+robot1.bundle --dir r --json {fingerprints(pqsec)}").done().json
+    assert found["installed"] == [ROBOT]
+    assert not found["already"]
+    folder = robot / f"current/enclaves{ROBOT}"
+    pqsec(f"check --strict {folder}").done()
+    assert stat.S_IMODE((folder / "key.pem").stat().st_mode) == 0o600
+    assert not list((robot.parent / f"k/enclaves{ROBOT}").glob("*key.pem"))
+    problems = pqsec("-k k check --json").done().json["findings"]
+    assert not [each for each in problems if "fleet/robot1" in each["path"]]
+
+
+def test_the_installed_enclave_meets_another_one(pqsec, asked, tmp_path):
+    """With the keys of the robot put beside the rest, as nobody else can."""
+    robot = asked("transition")
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} --publish rt/chatter").done()
+    pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
+    enclave = tmp_path / f"k/enclaves{ROBOT}"
+    shutil.rmtree(enclave)
+    shutil.copytree(robot / f"current/enclaves{ROBOT}", enclave)
+    pqsec(f"-k k verify-handshake {ROBOT} /listener").done()
+
+
+def test_several_requests_have_a_bundle_each(pqsec, asked, tmp_path):
+    asked()
+    pqsec("request /fleet/robot2 --profile classical --dir r2").done()
+    files = f"--csr r/{CSR} --csr r2/requests/fleet+robot2/request.csr"
+    line = f"-k k issue {files} --allow-name '/fleet/*' --bundles out {TOPIC} --json"
+    found = pqsec(line).done().json["issued"]
+    assert [each["bundle"] for each in found] == [
+        *("out/fleet+robot1.bundle", "out/fleet+robot2.bundle"),
+    ]
+    assert len(list((tmp_path / "out").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [
+        ("issue", 2, "whom to issue is not said"),
+        ("issue /x --allow-name '/*'", 2, "are for requests"),
+        ("issue /x --bundles out", 2, "are for requests"),
+        (f"issue --csr r/{CSR}", 2, "may not choose its own name"),
+        (f"issue --csr r/{CSR} /other", 1, "none of those that are allowed"),
+        (f"issue --csr r/{CSR} --allow-name '/*'", 1, "none of those that are allowed"),
+        (f"issue --csr r/{CSR} --csr r/{CSR} {ROBOT}", 1, "2 requests are for"),
+        (f"issue --csr nowhere {ROBOT}", 3, "nowhere: no such file"),
+        (f"issue --csr k/public/identity_ca.cert.pem {ROBOT}", 3, "no certificate request"),
+        (f"issue --csr r/{CSR} {ROBOT} --seal-for r/{CSR}", 3, "no public key to seal for"),
+        ("bundle", 2, "say whom the bundle is for"),
+        ("bundle /talker", 2, "holds private keys of /talker"),
+        ("bundle /talker --plain-key --no-keys", 2, "excludes"),
+        ("bundle /nobody --plain-key", 3, "no participant /nobody"),
+        ("bundle --robot k/public", 2, "is a directory"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_leaves_nothing(pqsec, asked, line, code, words):
+    here = asked().parent
+    before = snapshot(here / "k")
+    problems = 2 if "/other" in line else 1
+    result = pqsec(f"-k k {line}")
+    result.refused(code, words, problems=problems)
+    assert snapshot(here / "k") == before
+    assert not list(here.glob("*.bundle"))
+
+
+def test_a_bundle_that_is_there_is_not_overwritten_and_nothing_is_issued(pqsec, asked, tmp_path):
+    asked()
+    (tmp_path / "fleet+robot1.bundle").write_text("mine")
+    before = snapshot(tmp_path / "k")
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT}").refused(3, "exists", hint="--force")
+    assert snapshot(tmp_path / "k") == before
+    assert (tmp_path / "fleet+robot1.bundle").read_text() == "mine"
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC} --force").done()
+    pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
+
+
+def test_a_bundle_that_cannot_be_written_can_be_made_later(pqsec, asked):
+    asked()
+    line = f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC} --bundles k/pqsec.json/out"
+    result = pqsec(line).refused(3, "pqsec.json", hint=f"`pqsec bundle {ROBOT}` makes its bundle")
+    assert "issued" in result.err
+    pqsec(f"-k k bundle {ROBOT}").done()
+    pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
+
+
+@pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning")
+@pytest.mark.parametrize(
+    ("oid", "value"),
+    [
+        (x509.NameOID.ORGANIZATION_NAME, "Lab"),
+        (x509.NameOID.COMMON_NAME, "robot1"),
+        (x509.NameOID.COMMON_NAME, "/fleet/../robot1"),
+        (x509.NameOID.COMMON_NAME, "/fleet/robot1\0"),
+        (x509.NameOID.COMMON_NAME, "/fleet/robot1\x1b[2K"),
+        (x509.NameOID.COMMON_NAME, "/fl\u0435et/robot1"),  # a Cyrillic letter
+        (x509.NameOID.COMMON_NAME, "/fleet/"),
+        (x509.NameOID.COMMON_NAME, f"/{'x' * 64}"),
+        (x509.NameOID.COMMON_NAME, f"/{'x' * 300}"),
+    ],
+)
+def test_a_request_without_a_participants_name_is_not_exported(pqsec, tmp_path, oid, value):
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(oid, value, _validate=False)])
+    made = x509.CertificateSigningRequestBuilder().subject_name(name).sign(key, hashes.SHA256())
+    (tmp_path / "csr").write_bytes(made.public_bytes(Encoding.PEM))
+    pqsec("sign-request export csr -o x").refused(1, "not the CN of a participant alone")
+    assert not (tmp_path / "x").exists()
+
+
+def test_keys_made_here_travel_sealed_or_because_you_said_so(pqsec, keystore, tmp_path):
+    keystore("transition")
+    sha256 = pqsec("bundle-key --dir r --json").done().json["sha256"]
+    pqsec("-k k bundle /talker /listener --seal-for r/bundle.pub.pem -o b").done()
+    secret = (tmp_path / "k/enclaves/talker/key.pem").read_bytes()
+    assert secret not in (tmp_path / "b").read_bytes()
+    found = pqsec("install b --dir r --trust-first --json").done().json
+    assert found["installed"] == ["/talker", "/listener"]
+    assert (tmp_path / "r/current/enclaves/talker/key.pem").read_bytes() == secret
+    pqsec("install b --dir twin --trust-first").refused(3, "no key here to open it")
+    assert not (tmp_path / "twin").exists()
+    pqsec("bundle-key --dir twin").done()
+    refused = pqsec("install b --dir twin --trust-first").refused(1, "sealed for another key")
+    assert sha256 not in refused.err
+    plain = pqsec("-k k bundle /talker --plain-key").done()
+    assert "anybody can read" in plain.err
+    assert stat.S_IMODE((tmp_path / "talker.bundle").stat().st_mode) == 0o600
+    pqsec("-k k bundle /talker --no-keys -o public").done()
+    assert stat.S_IMODE((tmp_path / "public").stat().st_mode) == 0o644
+
+
+def test_a_bundle_that_its_robot_would_refuse_is_not_written(pqsec, keystore, tmp_path):
+    keystore()
+    pqsec("-k k revoke /talker").done()
+    pqsec("-k k bundle /listener --plain-key").done()
+    pqsec("-k k bundle /talker --plain-key").refused(1, "/talker", "was revoked on")
+    assert not (tmp_path / "talker.bundle").exists()
+
+
+def test_a_file_can_name_the_participants_of_a_robot(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "robot7").write_text("# seven\n/talker  # its mouth\n\n/listener\n")
+    found = pqsec("-k k bundle --robot robot7 --plain-key --json").done().json
+    assert found["names"] == ["/talker", "/listener"]
+    assert found["bundle"] == "talker.bundle"
+    (tmp_path / "empty").write_text("# nobody\n")
+    pqsec("-k k bundle --robot empty").refused(3, "names no participant")
+
+
+def test_the_way_back(pqsec, asked, tmp_path):
+    robot = asked()
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
+    first = (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes()
+    pqsec("rollback --dir r").refused(3, "keeps nothing from before")
+    pqsec(f"-k k renew {ROBOT}").done()
+    pqsec(f"-k k bundle {ROBOT} --force").done()
+    pqsec("install fleet+robot1.bundle --dir r").done()
+    assert (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes() != first
+    again = pqsec("install fleet+robot1.bundle --dir r --json").done().json
+    assert again["already"]
+    pqsec("rollback --dir r").done()
+    assert (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes() == first
+    pqsec("rollback --dir nowhere").refused(3, "nothing is installed")
+
+
+def test_the_configuration_of_a_stack_is_for_where_the_keys_are(pqsec, asked, tmp_path):
+    asked("classical")
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    pqsec(f"-k k export cyclonedds {ROBOT}").refused(3, "lacks key.pem", hint="--at")
+    at = f"/etc/dds/current/enclaves{ROBOT}"
+    text = pqsec(f"-k k export cyclonedds {ROBOT} --at {at}").done().out
+    assert f"file://{at}/key.pem" in text
+    pqsec(f"-k k verify-handshake {ROBOT} /talker --json")
+    pqsec("-k k check").done()
+
+
+# CAs without a network
+
+
+def test_an_offline_ca_answers_and_may_be_asked_again(pqsec, asked, tmp_path):
+    asked("transition")
+    line = f"sign-request export r/{CSR} {TOPIC} --validity 30d -o asked --json"
+    sha256 = pqsec(line).done().json["sha256"]
+    shown = pqsec(f"-k k sign-request sign asked --show --sha256 {sha256} --json").done().json
+    assert shown["wishes"] == [
+        {
+            "name": ROBOT,
+            "domains": "0",
+            "publish": ["telemetry"],
+            "subscribe": [],
+            "policy": False,
+            "permissions": None,
+            "days": 30,
+        }
+    ]
+    assert pqsec("-k k sign-request sign asked -o answer").done().out.startswith(ROBOT)
+    before = json.dumps(pqsec("-k k log --json").done().json)
+    pqsec("-k k sign-request sign asked -o answer").refused(3, "answer exists")
+    pqsec("-k k sign-request sign asked -o again").done()
+    assert json.dumps(pqsec("-k k log --json").done().json) == before
+    pins = fingerprints(pqsec)
+    for answer, already in (("answer", False), ("again", True)):
+        line = f"sign-request import {answer} --request asked --bundles out {pins} --json"
+        [found] = pqsec(line).done().json["bundles"]
+        assert found["already"] == already
+    pqsec(f"install out/fleet+robot1.bundle --dir r {pins}").done()
+
+
+def test_what_is_asked_for_shows_before_it_is_signed(pqsec, asked, tmp_path):
+    """The permissions of a policy, and no topic that paints over another on the terminal."""
+    asked("classical")
+    (tmp_path / "policy.yaml").write_text(POLICY)
+    pqsec(f"sign-request export r/{CSR} --policy policy.yaml -o policed").done()
+    said = pqsec("-k k sign-request sign policed --show").done().out
+    assert "<topic>from/a/policy</topic>" in said
+    pqsec(f"sign-request export r/{CSR} -o asked --publish", "evil\x1b[2K\r").done()
+    said = pqsec("-k k sign-request sign asked --show").done().out
+    assert "evil\\u001b[2K\\u000d" in said
+    assert "\x1b" not in said
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [
+        ("sign-request export nowhere -o x", 3, "no such file"),
+        (f"sign-request export r/{CSR} r/{CSR} -o x", 2, "two requests have one name"),
+        ("-k k sign-request sign asked", 2, "where the answer goes is not said"),
+        ("-k k sign-request sign asked -o x --sha256 00", 1, "its SHA-256 is"),
+        ("-k k sign-request sign asked -o x --allow-name '/arm/*'", 1, "none of those"),
+        (f"-k k sign-request sign r/{CSR} -o x", 3, "not an archive of pqsec"),
+        ("sign-request import asked --request asked", 3, "a sign request, not a sign answer"),
+        (f"sign-request import asked --request r/{CSR}", 3, "not an archive of pqsec"),
+    ],
+)
+def test_what_cannot_be_signed_or_imported_is_refused(pqsec, asked, line, code, words):
+    here = asked("classical").parent
+    pqsec(f"sign-request export r/{CSR} {TOPIC} -o asked").done()
+    before = snapshot(here / "k")
+    pqsec(line).refused(code, words)
+    assert snapshot(here / "k") == before
+    assert not (here / "x").exists()

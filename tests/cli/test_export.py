@@ -1,0 +1,174 @@
+"""pqsec export: what is printed and written, and how refusals are told."""
+
+import shlex
+import stat
+
+import pytest
+
+from pqsec_pki.algorithms import load_private_key, private_key_pem
+from pqsec_pki.cli import export as command
+from pqsec_pki.vendors import STACKS
+from tests.cli.conftest import secret, snapshot
+
+PRINTED = {
+    "cyclonedds": "<CycloneDDS",
+    "fastdds": "<dds xmlns",
+    "connext": "<qos_library",
+}
+
+
+@pytest.fixture
+def locked_key(keystore, tmp_path):
+    """Keystore k, in which /talker's key is encrypted; the passphrase is in `right`."""
+    path = keystore() / "enclaves/talker/key.pem"
+    path.write_bytes(private_key_pem(load_private_key(path.read_bytes()), b"open sesame"))
+    secret(tmp_path / "right", "open sesame\n")
+
+
+@pytest.mark.parametrize("stack", PRINTED)
+def test_without_a_folder_the_file_is_printed(pqsec, keystore, tmp_path, stack):
+    keystore()
+    before = snapshot(tmp_path)
+    printed = pqsec(f"-k k export {stack} /talker").done().out
+    assert PRINTED[stack] in printed
+    assert printed.endswith(">\n")
+    assert snapshot(tmp_path) == before
+
+
+def test_it_is_written_with_the_commands_that_use_it(pqsec, keystore, tmp_path):
+    keystore()
+    done = pqsec("-k k export cyclonedds talker --loopback -o 'my conf'").done()
+    path = tmp_path / "my conf" / "cyclonedds.xml"
+    variable = shlex.quote(f"file://{path}")
+    assert done.out.splitlines() == [
+        "my conf/cyclonedds.xml",
+        "",
+        "To use it:",
+        f"export CYCLONEDDS_URI={variable}",
+    ]
+    printed = pqsec("-k k export cyclonedds /talker --loopback").done().out
+    assert path.read_text() == printed
+
+
+def test_what_is_to_be_known_is_noted(pqsec, keystore):
+    keystore("transition")
+    noted = pqsec("-k k export fastdds /talker").done().err
+    assert "too large for some versions of Fast DDS" in noted
+    assert "runs unsecured" in noted
+    quiet = pqsec("-k k export fastdds /talker --stack-version 3.6.2").done().err
+    assert "too large" not in quiet
+
+
+def test_json_has_it_all(pqsec, keystore, tmp_path):
+    keystore()
+    value = pqsec("-k k export fastdds /talker --json").done().json
+    assert value["stack"] == "fastdds"
+    assert value["participant"] == "/talker"
+    assert "<dds xmlns" in value["texts"]["fastdds.xml"]
+    written = pqsec("-k k export fastdds /talker --json -o conf").done().json
+    variable = "FASTDDS_DEFAULT_PROFILES_FILE"
+    assert written["files"] == ["conf/fastdds.xml"]
+    assert written["environment"][variable] == str(tmp_path / "conf/fastdds.xml")
+    assert f"export {variable}={tmp_path}/conf/fastdds.xml" in written["commands"]
+
+
+def test_nothing_is_replaced_unless_forced(pqsec, keystore, tmp_path):
+    keystore()
+    pqsec("-k k export fastdds /talker -o conf").done()
+    before = snapshot(tmp_path)
+    pqsec("-k k export fastdds /listener -o conf").refused(3, "exists", hint="--force")
+    assert snapshot(tmp_path) == before
+    pqsec("-k k export fastdds /listener -o conf --force").done()
+    assert "/listener/key.pem" in (tmp_path / "conf/fastdds.xml").read_text()
+
+
+@pytest.mark.parametrize("stack", ["cyclonedds", "fastdds", "opendds", "connext"])
+def test_what_no_stock_stack_takes_is_refused(pqsec, keystore, tmp_path, stack):
+    keystore("pq")
+    before = snapshot(tmp_path)
+    refused = pqsec(f"-k k export {stack} /talker -o conf")
+    assert refused.code == 1
+    assert "for pqsec peers only" in refused.err
+    assert "hint: " in refused.err
+    assert snapshot(tmp_path) == before
+
+
+def test_fast_dds_with_the_limit_is_refused_what_is_too_large(pqsec, keystore):
+    keystore("transition")
+    line = "-k k export fastdds /talker --stack-version 3.1.2"
+    pqsec(line).refused(1, "over 8192", hint="classical profile")
+    assert "over 8192" in pqsec(f"{line} --anyway").done().err
+
+
+def test_opendds_is_refused_a_governance_that_it_cannot_join(pqsec, keystore, tmp_path):
+    root = keystore()
+    pqsec("-k k export opendds /talker").refused(
+        1, "OpenDDS makes no participant", hint="enable_read_access_control"
+    )
+    governance = root / "enclaves/governance.xml"
+    text = governance.read_text()
+    [start, rule, end] = text.partition("<topic_rule>")
+    rule += end.partition("</topic_rule>")[0] + "</topic_rule>"
+    open_rule = rule.replace(">*<", ">nobody<").replace(
+        "read_access_control>true", "read_access_control>false"
+    )
+    governance.write_text(start + open_rule + rule + end.partition("</topic_rule>")[2])
+    pqsec(f"-k k sign-governance {governance} --force").done()
+    done = pqsec("-k k export opendds /talker -o conf").done()
+    assert "-DCPSConfigFile" in done.out
+    assert "not run" in done.err
+    assert "DCPSSecurity=1" in (tmp_path / "conf/opendds.ini").read_text()
+
+
+@pytest.mark.usefixtures("locked_key")
+def test_a_passphrase_is_written_for_its_owner_only(pqsec, tmp_path):
+    noted = pqsec("-k k export cyclonedds /talker").done()
+    assert "PQSEC_KEY_PASSWORD" in noted.out
+    assert "set PQSEC_KEY_PASSWORD" in noted.err
+    line = "-k k export cyclonedds /talker --password-file right"
+    pqsec(line).refused(2, "is not printed", hint="-o DIR")
+    pqsec(f"{line} -o conf").done()
+    path = tmp_path / "conf" / "cyclonedds.xml"
+    assert "<Password>open sesame</Password>" in path.read_text()
+    assert [stat.S_IMODE(each.stat().st_mode) for each in (path, path.parent)] == [0o600, 0o700]
+
+
+@pytest.mark.usefixtures("locked_key")
+def test_a_passphrase_that_is_no_text_is_refused(pqsec, tmp_path):
+    secret(tmp_path / "bytes", b"\xff\n")
+    pqsec("-k k export cyclonedds /talker --password-file bytes -o c").refused(3, "not UTF-8")
+
+
+def test_paths_can_be_those_of_another_machine(pqsec, keystore):
+    keystore()
+    printed = pqsec("-k k export fastdds /talker --at /etc/robot").done().out
+    assert "<value>file:///etc/robot/key.pem</value>" in printed
+    pqsec("-k k export fastdds /talker --at robot").refused(2, "not an absolute path")
+
+
+def test_a_participant_that_is_not_there_is_named(pqsec, keystore):
+    keystore()
+    pqsec("-k k export cyclonedds /nobody").refused(3, "no participant /nobody", hint="issue")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("zenoh /talker", "zenoh"),
+        ("cyclonedds", "NAME"),
+        ("cyclonedds /talker --stack-version new", "not a version"),
+        ("cyclonedds /talker --stack-version 0.9", "not known here"),
+        ("cyclonedds /talker -o ''", "empty"),
+    ],
+)
+def test_what_makes_no_sense_is_a_usage_error(pqsec, keystore, options, words):
+    keystore()
+    done = pqsec(f"-k k export {options}")
+    assert done.code == 2
+    assert words in done.err
+
+
+def test_the_help_names_all_stacks(pqsec):
+    text = " ".join(pqsec("export --help").done().out.split())
+    assert all(stack.name in text for stack in STACKS)
+    assert command.export.help

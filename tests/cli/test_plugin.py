@@ -1,0 +1,102 @@
+"""pqsec plugin and pqsec agent, as their users see them."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.plugin import NAMES
+from pqsec_pki.plugin.control import Client
+from pqsec_pki.plugin.place import Place
+
+
+@pytest.fixture
+def runtime(monkeypatch):
+    """A runtime folder of this test's own; a socket's path must be short."""
+    folder = tempfile.mkdtemp(prefix="pqsec-")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+    yield Path(folder)
+    shutil.rmtree(folder)
+
+
+def test_the_plugin_is_compiled_and_tried_and_never_overwritten_unasked(pqsec, requires, tmp_path):
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    folder = tmp_path / "lib"
+    found = pqsec(f"plugin install --dir {folder} --json").json
+    assert found["library"] == str(folder / "libpqsec_dds.so")
+    assert [(folder / name).resolve() for name in NAMES] == [folder / "libpqsec_dds.so"] * 2
+    before = (folder / "libpqsec_dds.so").stat().st_ino
+    pqsec(f"plugin install --dir {folder}").refused(3, "exists", hint="--force")
+    assert (folder / "libpqsec_dds.so").stat().st_ino == before
+    pqsec(f"plugin install --dir {folder} --force").done()
+    assert (folder / "libpqsec_dds.so").stat().st_ino != before
+
+
+@pytest.mark.parametrize(
+    ("compiler", "words"), [("nowhere-cc", "no C compiler"), ("false", "the compiler says")]
+)
+def test_without_a_compiler_that_works_nothing_is_left(
+    pqsec, monkeypatch, tmp_path, compiler, words
+):
+    monkeypatch.setenv("CC", compiler)
+    pqsec(f"plugin install --dir {tmp_path / 'lib'}").refused(3, words)
+    assert not (tmp_path / "lib").exists()
+
+
+def test_no_agent_is_no_error_but_no_yes_either(pqsec, runtime):
+    assert pqsec("agent status").code == 1
+    assert json.loads(pqsec("agent status --json").out) == {"running": False}
+    assert pqsec("agent stop").done().out.startswith("no agent runs")
+    pqsec("agent log").refused(3, "there is no log")
+
+
+@contextmanager
+def foreground():
+    """`pqsec agent run`, killed if it does not end."""
+    command = [sys.executable, "-m", "pqsec_pki", "agent", "run"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE) as agent:
+        try:
+            yield agent
+        finally:
+            agent.kill()
+
+
+def test_an_agent_runs_in_the_foreground_until_it_is_told_to_stop(pqsec, runtime):
+    with foreground() as agent:
+        place = Place.of(os.environ)
+        while pqsec("agent status").code:
+            assert agent.poll() is None
+        client = Client(place, "authentication")
+        status = pqsec("agent status").out
+        assert f"process   {agent.pid}" in status
+        assert "authentication" in status
+        pqsec("agent run").refused(3, "an agent listens at", hint="pqsec agent stop")
+        client.close()
+        assert pqsec("agent stop").out == "stopped\n"
+        agent.wait(20)
+        assert agent.returncode == 0
+
+
+def test_an_agent_in_the_foreground_leaves_no_core_file_either(pqsec, runtime):
+    with foreground() as agent:
+        while pqsec("agent status").code:
+            assert agent.poll() is None
+        limits = Path(f"/proc/{agent.pid}/limits").read_text()
+        assert re.search(r"Max core file size +0 +0 ", limits)
+
+
+def test_an_agent_in_the_foreground_can_be_interrupted(pqsec, runtime):
+    with foreground() as agent:
+        while pqsec("agent status").code:
+            assert agent.poll() is None
+        agent.send_signal(signal.SIGINT)
+        agent.wait(20)
+    assert pqsec("agent status").code == 1

@@ -1,0 +1,76 @@
+"""--plugin of `pqsec export` and `pqsec try`: what they say, and what makes no sense."""
+
+import json
+
+import pytest
+
+from pqsec_pki.plugin import LIBRARY, NAMES
+
+
+@pytest.fixture
+def plugin(tmp_path):
+    """A folder `plug` with a plugin that nothing here loads."""
+    folder = tmp_path / "plug"
+    folder.mkdir()
+    (folder / LIBRARY).touch()
+    for name in NAMES:
+        (folder / name).symlink_to(LIBRARY)
+    return folder
+
+
+def test_a_post_quantum_participant_is_exported_with_the_plugin(pqsec, keystore, plugin):
+    keystore("pq")
+    refused = pqsec("-k k export cyclonedds /talker")
+    refused.refused(1, "for pqsec peers only", hint="--plugin", problems=3)
+    done = pqsec("-k k export cyclonedds /talker --plugin --plugins plug").done()
+    assert done.out.count(f'path="{plugin / LIBRARY}"') == 2
+    assert "PQSEC_AGENT=private" in done.err
+
+
+def test_the_plugin_is_looked_for_where_it_is_installed(pqsec, keystore, tmp_path, plugin):
+    keystore("pq")
+    line = "-k k export cyclonedds /talker --plugin"
+    refused = pqsec(line, HOME=str(tmp_path))
+    refused.refused(3, "the plugin is not installed", hint="pqsec plugin install")
+    (tmp_path / ".local/lib").mkdir(parents=True)
+    plugin.rename(tmp_path / ".local/lib/pqsec")
+    assert str(tmp_path / ".local/lib/pqsec") in pqsec(line, HOME=str(tmp_path)).done().out
+
+
+def test_on_another_machine_its_folder_must_be_said(pqsec, keystore):
+    keystore("pq")
+    line = "-k k export cyclonedds /talker --plugin --at /robot"
+    pqsec(line).refused(2, "where is pqsec's plugin", hint="--plugins DIR")
+    assert "/opt/pqsec/libpqsec_dds.so" in pqsec(f"{line} --plugins /opt/pqsec").done().out
+
+
+@pytest.mark.usefixtures("plugin")
+def test_the_environment_of_ros_2_loads_it(pqsec, keystore):
+    keystore("pq")
+    pqsec("-k k issue /camera --ros-node /camera").done()
+    value = pqsec("-k k export ros2 /camera --plugin --plugins plug --json -o out").done().json
+    assert value["environment"]["RMW_IMPLEMENTATION"] == "rmw_cyclonedds_cpp"
+    assert any("LD_LIBRARY_PATH" in each for each in value["commands"])
+    assert json.dumps(value["notes"]).count("rmw_cyclonedds_cpp") == 1
+
+
+@pytest.mark.usefixtures("plugin")
+@pytest.mark.parametrize("stack", ["fastdds", "opendds", "connext"])
+def test_a_stack_that_cannot_load_it_says_so(pqsec, keystore, stack):
+    keystore("pq")
+    line = f"-k k export {stack} /talker --plugin --plugins plug"
+    pqsec(line).refused(2, "cannot load pqsec's plugin", hint="cyclonedds and ros2")
+
+
+@pytest.mark.parametrize(
+    ("line", "words", "hint"),
+    [
+        ("fastdds /talker /listener --plugin", "--plugin is not for fastdds", "cyclonedds"),
+        ("cyclonedds /talker /listener --stock /talker", "--stock /talker makes", "with --plugin"),
+        ("cyclonedds /talker /listener --plugin --stock /x", "--stock /x makes", "of the two"),
+        ("ros2 --dry-run /talker --plugin", "--plugin is not for ros2", "LD_LIBRARY_PATH"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(pqsec, keystore, line, words, hint):
+    keystore("pq")
+    pqsec(f"-k k try {line}").refused(2, words, hint=hint)

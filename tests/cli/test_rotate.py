@@ -1,0 +1,184 @@
+"""ca rotate, ca passphrase and adopt, as their users run them."""
+
+import pytest
+
+from tests.cli.conftest import snapshot
+from tests.unit.sros2_keystore import SROS2
+
+
+@pytest.fixture
+def k(keystore):
+    return keystore("classical")
+
+
+@pytest.fixture
+def secret(tmp_path):
+    """secret("a") is the name of a file whose first line is that."""
+
+    def write(text):
+        path = tmp_path / f"{text}.txt"
+        path.write_text(f"{text}\n")
+        path.chmod(0o600)
+        return path.name
+
+    return write
+
+
+# ca rotate
+
+
+@pytest.mark.parametrize("option", ["", "--plan"])
+def test_a_plan_changes_nothing_and_tells_all(pqsec, k, option):
+    before = snapshot(k)
+    told = pqsec(f"-k k ca rotate --profile pq {option}").done().out
+    assert snapshot(k) == before
+    assert told.startswith("generation 2: identity CA and permissions CA, from profile classical")
+    for words in (
+        "make an identity CA (ml-dsa-65)",
+        "issue 2 participants anew, with new keys",
+        "keep the old CAs in k/private/generations/1",
+        "runs in no stock stack today",
+        "Go by way of `--profile transition`",
+        "Fast DDS 2.9.1: both certificates in the file identity_ca,",
+    ):
+        assert words in told
+
+
+def test_a_plan_is_about_what_is_asked_for(pqsec, k):
+    pqsec("-k k revoke /talker")
+    told = pqsec("-k k ca rotate --only identity --destroy-old-keys").done().out
+    assert "make a permissions CA" not in told
+    assert "of permissions CAs nobody" not in told
+    assert "certify 1 participant again, with the same keys" in told
+    assert "leave /talker behind: revoked" in told
+    assert "make a revocation list with nothing in it" in told
+    assert "destroy the old keys" in told
+    value = pqsec("-k k ca rotate --json --rekey").done().json
+    assert value["rekeyed"] == ["/listener"]
+    assert value["keeping"] == []
+    assert value["left_out"] == {"/talker": "revoked"}
+    assert value["profile"] == {"before": "classical", "after": "classical"}
+
+
+def test_a_domain_goes_from_classical_by_transition_to_pq(pqsec, k):
+    for number, profile in ((2, "transition"), (3, "pq")):
+        done = pqsec(f"-k k ca rotate --apply --profile {profile} --no-passphrase").done()
+        assert f"generation {number}: " in done.out
+        assert f"generation {number - 1} is in k/private/generations/{number - 1}" in done.out
+        assert "2 participants issued anew" in done.out
+        pqsec("-k k verify-handshake /talker /listener").done()
+        assert pqsec("-k k check").code == 0
+        pqsec("-k k log --verify").done()
+        assert f"profile {profile}" in pqsec("-k k ca show").done().out
+    pqsec("-k k issue /new --publish x").done()
+
+
+def test_who_stays_behind_is_told(pqsec, k):
+    pqsec("-k k revoke /talker")
+    done = pqsec("-k k ca rotate --apply --no-passphrase --json").done()
+    assert "note: /talker stays behind: revoked" in done.err
+    assert done.json["left_out"] == {"/talker": "revoked"}
+    assert done.json["new_list"]
+    assert pqsec("-k k verify-handshake /listener /talker").code == 1
+
+
+def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
+    (k / "enclaves/talker/key.pem").unlink()
+    pqsec("-k k ca rotate --apply --no-passphrase --profile pq").done()
+    assert "1 stranded, 1 valid" in pqsec("-k k status").done().out
+    renewed = pqsec("-k k renew --all --json").done().json["issued"]
+    assert [each["name"] for each in renewed] == ["/listener"]
+    assert pqsec("-k k renew /talker").code == 1
+
+
+def test_new_cas_have_the_passphrase_that_is_given(pqsec, k, secret):
+    pqsec("-k k ca rotate --apply").refused(2, "need a passphrase", hint="--passphrase-file")
+    pqsec("-k k ca rotate --apply", "--passphrase-file", secret("one")).done()
+    assert "encrypted" in pqsec("-k k ca show").out
+    pqsec("-k k issue /new").refused(2, "the CA keys are encrypted")
+    pqsec("-k k issue /new --passphrase-file one.txt").done()
+    # One CA stays: its passphrase is needed, and is that of the new one too.
+    line = "-k k ca rotate --apply --only permissions --passphrase-file"
+    pqsec(line, secret("wrong")).refused(3, hint="give the CA passphrase")
+    pqsec(line, "one.txt").done()
+    pqsec("-k k issue /newer --passphrase-file one.txt").done()
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        ("--plan --apply", 2, "exclude each other"),
+        ("--profile pq --only identity", 2, "another profile is for both CAs"),
+        ("--profile none", 2, "'none' is not one of"),
+        ("--only governance", 2, "'governance' is not one of"),
+        ("--apply --no-passphrase --validity 999999y", 2, "beyond 2261"),
+        ("--apply --no-passphrase --name /", 2, "/"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(pqsec, k, options, code, words):
+    before = snapshot(k)
+    if words == "/":
+        pqsec(f"-k k ca rotate {options}{'x' * 60}").refused(code, "1 to 64 characters")
+    else:
+        pqsec(f"-k k ca rotate {options}").refused(code, words)
+    assert snapshot(k) == before
+
+
+# ca passphrase
+
+
+def test_a_passphrase_is_set_changed_and_removed(pqsec, k, secret):
+    one, two = secret("one"), secret("two")
+    done = pqsec(f"-k k ca passphrase --new-passphrase-file {one}").done()
+    assert "k/private/identity_ca.key.pem  encrypted anew" in done.out
+    pqsec(f"-k k ca passphrase --passphrase-file {one} --new-passphrase-file {two}").done()
+    pqsec(f"-k k issue /a --passphrase-file {one}").refused(3, hint="give the CA passphrase")
+    pqsec(f"-k k issue /a --passphrase-file {two}").done()
+    done = pqsec(f"-k k ca passphrase --passphrase-file {two} --no-passphrase").done()
+    assert "note: the CA keys in k/private are not encrypted" in done.err
+    pqsec("-k k issue /b").done()
+
+
+def test_a_passphrase_that_is_not_said_is_asked_for(pqsec, k, secret):
+    pqsec("-k k ca passphrase").refused(2, "need a passphrase", hint="--new-passphrase-file")
+    line = f"-k k ca passphrase --no-passphrase --new-passphrase-file {secret('one')}"
+    pqsec(line).refused(2, "--new-passphrase-file and --no-passphrase exclude each other")
+
+
+# adopt
+
+
+def test_a_keystore_of_sros2_is_adopted_and_led_out_of_its_hole(pqsec, tmp_path):
+    sros2 = SROS2(tmp_path / "sros2")
+    sros2.enclave("/talker")
+    sros2.enclave("/listener")
+    done = pqsec("adopt sros2").done()
+    first, *findings = done.out.splitlines()
+    assert first == "sros2: 2 participants, profile classical, domains 0"
+    assert [line for line in findings if "CVE-2023-24010" in line]
+    assert "files checked" in findings[-1]
+    assert "make two with `pqsec ca rotate`" in done.err
+    assert "/talker" in pqsec("-k sros2 status").done().out
+    pqsec("-k sros2 issue /new").refused(3, "CVE-2023-24010", hint="pqsec ca rotate")
+    assert "one key is both CAs" in pqsec("-k sros2 ca rotate").done().out
+    pqsec("-k sros2 ca rotate --apply --no-passphrase --rekey").done()
+    pqsec("-k sros2 issue /new").done()
+    pqsec("-k sros2 verify-handshake /talker /listener").done()
+    assert "CVE-2023-24010" not in pqsec("-k sros2 check").out
+
+
+def test_what_is_not_taken_is_told(pqsec, tmp_path):
+    sros2 = SROS2(tmp_path / "sros2")
+    sros2.enclave("/talker")
+    (tmp_path / "sros2/enclaves/talker/permissions.p7s").write_bytes(b"")
+    done = pqsec("-k sros2 adopt").done()
+    assert "not taken: enclaves/talker/permissions.p7s: " in done.out
+    assert pqsec("-k sros2 log --verify").code == 1
+
+
+def test_what_is_no_keystore_is_not_adopted(pqsec, k, tmp_path):
+    pqsec("adopt k").refused(3, "k is a keystore of pqsec's already")
+    pqsec("adopt").refused(2, "no keystore is named")
+    (tmp_path / "empty").mkdir()
+    pqsec("adopt empty").refused(3, "empty lacks public/identity_ca.cert.pem", hint="SROS2")
+    assert list((tmp_path / "empty").iterdir()) == []

@@ -1,0 +1,73 @@
+"""`pqsec try`, as far as no stack is needed; tests/interop has the rest."""
+
+import json
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("line", "words", "hint"),
+    [
+        ("cyclonedds /talker", "here are 1", "name two"),
+        ("fastdds /talker /listener /more", "here are 3", "name two"),
+        ("ros2 /talker", "ros2 is not run here", "--dry-run"),
+        ("fastdds /talker /listener --dry-run", "not for fastdds", "ros2 --dry-run"),
+        ("fastdds /talker /listener --topic ''", "a topic has a name", "leave --topic out"),
+        ("connext /talker /listener", "'connext' is not one of", "--help"),
+        ("fastdds /talker /listener --timeout 0", "--timeout", "--help"),
+        ("fastdds /talker /listener --domain 231", "--domain", "--help"),
+        ("fastdds /talker /listener --domain 9", "domain 9", "--topic"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(pqsec, keystore, line, words, hint):
+    keystore()
+    pqsec(f"-k k try {line}").refused(2, words, hint=hint)
+
+
+@pytest.mark.parametrize(
+    ("stack", "packages"),
+    [
+        ("cyclonedds", "apt-get install gcc libc6-dev cyclonedds-dev cyclonedds-tools"),
+        ("fastdds", "apt-get install g++ libfastrtps-dev or: apt-get install g++ libfastdds-dev"),
+    ],
+)
+def test_a_stack_that_is_not_installed_is_named_with_its_packages(
+    pqsec, keystore, tmp_path, stack, packages
+):
+    keystore()
+    (tmp_path / "root").mkdir()
+    done = pqsec(f"-k k try {stack} /talker /listener --root root")
+    done.refused(3, "is not installed", hint=packages)
+
+
+@pytest.mark.parametrize("topic", ["", "--topic rt/chatter"])
+def test_an_unknown_participant_is_refused_before_anything_is_compiled(
+    pqsec, keystore, tmp_path, topic
+):
+    keystore()
+    headers = tmp_path / "root/usr/include/dds"
+    headers.mkdir(parents=True)
+    (headers / "version.h").write_text('#define DDS_VERSION "0.10.5"\n')
+    for tool in ("idlc", "gcc"):
+        path = tmp_path / "root/usr/bin" / tool
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("#!/bin/false\n")
+        path.chmod(0o755)
+    line = f"-k k try cyclonedds /talker /nobody --root root {topic}"
+    pqsec(line, XDG_CACHE_HOME=str(tmp_path / "cache")).refused(3, "no participant /nobody")
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(("enable", "code"), [("true", 0), ("True", 1)])
+def test_the_environment_of_ros_2_is_checked_without_running_it(pqsec, keystore, enable, code):
+    made = keystore()
+    pqsec("-k k issue /camera --ros-node /camera").done()
+    environment = {
+        "ROS_SECURITY_ENABLE": enable,
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(made),
+    }
+    done = pqsec("-k k try ros2 --dry-run /camera --json", **environment)
+    assert done.code == code
+    assert json.loads(done.out)["ok"] is (code == 0)
+    assert list(json.loads(done.out)["participants"]) == ["/camera"]

@@ -1,0 +1,178 @@
+"""`pqsec try` as its users run it, with the stacks of this machine."""
+
+import doctest
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.algorithms import load_private_key, private_key_pem
+from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.trial import STACKS, MissingStackError, find
+from tests.docs.tables import Document
+from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, YEAR
+
+pytestmark = pytest.mark.interop
+
+TITLE = "What try shows"
+SECRET = b"correct horse battery staple"
+
+
+@pytest.fixture(scope="module")
+def domain(tmp_path_factory, now):
+    """domain() is a folder with a keystore `k`: /talker may publish, /listener subscribe."""
+
+    def make() -> Path:
+        folder = tmp_path_factory.mktemp("try")
+        profile = LAB_PROFILES["transition"]
+        options = {"domains": DOMAINS, "validity": 10 * YEAR, "now": now, "passphrase": None}
+        keystore = Keystore.create(folder / "k", profile, name="Lab", **options)
+        may = {"domains": DOMAINS, "validity": YEAR}
+        wishes = [
+            Wish(name="/talker", publish=(TOPIC,), **may),
+            Wish(name="/listener", subscribe=(TOPIC,), **may),
+        ]
+        issue(keystore, keystore.unlock(None), wishes, now=now)
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def folder(domain) -> Path:
+    return domain()
+
+
+@pytest.fixture
+def command(folder, requires):
+    """command("try cyclonedds ...") is what runs it, its folder and its environment."""
+
+    def line(text: str) -> dict:
+        program, verb, stack, *_ = words = text.split()
+        assert (program, verb) == ("pqsec", "try")
+        try:
+            requires(find(stack), stack, "")
+        except MissingStackError as error:
+            requires(None, stack, error.hint)
+        ours = {"XDG_CACHE_HOME": str(folder / "cache"), "PQSEC_KEYSTORE": "k"}
+        return {
+            "args": [sys.executable, "-m", "pqsec_pki", *words[1:]],
+            "cwd": folder,
+            "env": os.environ | ours,
+            "stdin": subprocess.DEVNULL,
+        }
+
+    return line
+
+
+@pytest.fixture
+def pqsec(command):
+    """pqsec("pqsec try ...") is (exit code, what it printed)."""
+
+    def run(text: str) -> tuple[int, str]:
+        done = subprocess.run(
+            **command(text), stdout=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+        return done.returncode, done.stdout
+
+    return run
+
+
+@pytest.mark.parametrize(("number", "code"), [(0, 0), (1, 1), (2, 0)])
+def test_the_documents_show_what_it_prints(pqsec, number, code):
+    line, _, expected = Document("commands.md").block(TITLE, number).partition("\n")
+    done, printed = pqsec(line.removeprefix("$ "))
+    if os.geteuid() != 0 and code == 0:
+        pytest.skip("only root sees the wire: run the tests as root")
+    assert done == code
+    flags = doctest.ELLIPSIS
+    assert doctest.OutputChecker().check_output(expected, printed, flags), printed
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize(
+    ("more", "code", "accepted"),
+    [("", 0, True), ("--topic rt/secret", 1, False), ("--domain 0 --timeout 30", 0, True)],
+)
+def test_json_says_the_same_as_the_exit_code(pqsec, stack, more, code, accepted):
+    done, printed = pqsec(f"pqsec try {stack} /listener /talker --json {more}")
+    told = json.loads(printed)
+    assert done == code
+    assert (told["ok"], told["accepted"]) == (code == 0, accepted)
+    assert told["stranger_heard"] is (False if accepted else None)
+    assert told["stack"] == stack
+    assert (told["topic"] == TOPIC) is accepted
+    # Who listens cannot be asked to send, unless the user insists on the topic.
+    assert told["sender"] == ("/talker" if accepted else "/listener")
+    assert bool(told["findings"]) is not accepted
+
+
+def test_json_says_who_ran_the_plugin(pqsec):
+    """And who has Cyclone DDS's own does not meet a post-quantum peer that did not ask for it."""
+    line = "pqsec try cyclonedds --plugin --stock listener /talker listener --json --timeout 4"
+    done, printed = pqsec(line)
+    told = json.loads(printed)
+    assert done == 1
+    assert told["plugin"] == ["/talker"]
+    assert any("pqsec.toml" in (each["remedy"] or "") for each in told["findings"])
+
+
+def peers(folder: Path) -> int:
+    """How many peers run that were compiled for this folder."""
+    there = 0
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            there += str(folder / "cache").encode() in path.read_bytes()
+        except OSError:
+            continue
+    return there
+
+
+@pytest.mark.parametrize(
+    ("how", "code"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
+    ids=["interrupted", "ended", "killed"],
+)
+def test_a_trial_that_is_stopped_leaves_nothing_running_and_no_passphrase_on_disk(
+    command, domain, tmp_path, how, code
+):
+    here, there = domain(), domain()
+    listener = "k/enclaves/listener"  # of another domain: the two never meet
+    shutil.rmtree(here / listener)
+    shutil.copytree(there / listener, here / listener)
+    for key in here.glob("k/enclaves/*/key.pem"):
+        key.write_bytes(private_key_pem(load_private_key(key.read_bytes()), SECRET))
+    passphrase = tmp_path / "passphrase"
+    passphrase.write_bytes(SECRET)
+    passphrase.chmod(0o600)
+    line = f"pqsec try cyclonedds /talker /listener --password-file {passphrase}"
+    with_all = command(f"{line} --timeout 60 --anyway")
+    with_all["env"] |= {"XDG_CACHE_HOME": str(here / "cache"), "TMPDIR": str(here)}
+    process = subprocess.Popen(**with_all | {"cwd": here}, stderr=subprocess.PIPE)
+    while peers(here) < 3:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.05)
+    process.send_signal(how)
+    process.communicate(timeout=10)
+    assert process.returncode == code
+    time.sleep(0.2)
+    assert peers(here) == 0
+    files = [path for path in here.rglob("*") if path.is_file()]
+    assert [path for path in files if SECRET in path.read_bytes()] == []
+    # Whom nobody asked to end could not remove what was in memory only.
+    left = [path for path in Path("/dev/shm").glob("pqsec-trial-*") if _names(path, here)]
+    assert [path.stat().st_mode & 0o777 for path in left] == [0o700] * (how == signal.SIGKILL)
+    for path in left:
+        shutil.rmtree(path)
+
+
+def _names(trial: Path, keystore: Path) -> bool:
+    """Whether that trial is one of participants in that folder."""
+    files = trial.glob("*/cyclonedds.xml")
+    return any(str(keystore).encode() in path.read_bytes() for path in files)

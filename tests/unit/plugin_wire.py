@@ -1,0 +1,78 @@
+"""The shim's side of the socket, for tests of the agent's."""
+
+import os
+
+from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
+from pqsec_pki.plugin.connection import Connection, House
+from pqsec_pki.plugin.octets import Reader, Writer
+
+AUTHENTICATION = {
+    "identity_ca": "identity_ca.cert.pem",
+    "identity_certificate": "cert.pem",
+    "private_key": "key.pem",
+}
+ACCESS = {f"{name}.p7s": name for name in ("governance", "permissions")}
+FILES = (
+    {f"dds.sec.auth.{name}": file for name, file in AUTHENTICATION.items()}
+    | {f"dds.sec.access.{name}": file for file, name in ACCESS.items()}
+    | {"dds.sec.access.permissions_ca": "permissions_ca.cert.pem"}
+)
+
+
+def framed(body):
+    return len(body).to_bytes(4, "little") + body
+
+
+def greeting(plugin, *, magic=MAGIC, version=VERSION):
+    writer = Writer()
+    writer.text(magic)
+    writer.number("I", version)
+    writer.text(plugin)
+    return framed(writer.octets)
+
+
+def asked(plugin, name, *arguments):
+    """The frame of a call."""
+    writer = Writer()
+    writer.text(name)
+    for kind, value in zip(CALLS[plugin][name].takes, arguments, strict=True):
+        writer.one(kind, value)
+    return framed(writer.octets)
+
+
+def properties(folder, **more):
+    """What Cyclone DDS hands over for a participant with the files in `folder`."""
+    pairs = {name: f"file:{file}" for name, file in FILES.items()}
+    return tuple((pairs | more).items()), str(folder)
+
+
+class Shim:
+    """A greeted connection, without a socket."""
+
+    def __init__(self, plugin, now):
+        self.plugin, self.log = plugin, []
+        house = House(lambda: now, self.log.append, dict, lambda: None)
+        self.connection = Connection(house, "test[1]")
+        (answer,) = self.connection.receive(greeting(plugin))
+        assert answer == framed(b"\0")
+
+    def call(self, name, *arguments):
+        """The result and what the call gives; RefusedError with the agent's words."""
+        (answer,) = self.connection.receive(asked(self.plugin, name, *arguments))
+        reader = Reader(answer[4:])
+        if reader.number("B"):
+            raise RefusedError(reader.text())
+        found = [reader.number("I"), *map(reader.one, CALLS[self.plugin][name].gives)]
+        reader.finish()
+        return found
+
+    def identity(self, folder, **more):
+        """A local participant: its handle and GUID."""
+        pairs, where = properties(folder, **more)
+        candidate = os.urandom(12) + b"\0\0\1\xc1"
+        _, handle, guid, _ = self.call("validate_local_identity", 0, where, pairs, candidate)
+        return handle, guid
+
+
+class RefusedError(Exception):
+    """The agent said no."""

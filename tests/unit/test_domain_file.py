@@ -1,0 +1,388 @@
+"""The domain file: what is meant, and that every mistake is told with its file and line."""
+
+import hashlib
+import json
+import re
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from pqsec_pki._assets import asset
+from pqsec_pki.algorithms import PROFILES
+from pqsec_pki.documents import PRESETS, DomainSet
+from pqsec_pki.domain import new_domain, read_domain
+from pqsec_pki.domain._listing import MAX_PARTICIPANTS
+from pqsec_pki.domain.desired import EDITION
+from pqsec_pki.errors import FileError, InvalidDocumentError
+
+HEAD = "roles: {r: {publish: rt/a}}\nparticipants:\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """read(text, name=content, ...) is the domain that the text, beside these files, wants."""
+
+    def reading(text, **files):
+        for name, content in files.items():
+            data = content if isinstance(content, bytes) else content.encode()
+            (tmp_path / name.replace("_", ".")).write_bytes(data)
+        (tmp_path / "domain.yaml").write_text(text)
+        return read_domain(tmp_path / "domain.yaml")
+
+    return reading
+
+
+@pytest.fixture
+def problems(read, tmp_path):
+    def found(text, **files):
+        with pytest.raises(InvalidDocumentError) as refusal:
+            read(text, **files)
+        return [line.replace(f"{tmp_path}/", "") for line in refusal.value.lines]
+
+    return found
+
+
+def topics(member, side="publish"):
+    """The topics of the one rule of its one grant."""
+    [grant] = member.wish().grants
+    [rule] = grant.rules
+    return [topic for criteria in getattr(rule, side) for topic in criteria.topics]
+
+
+# What is meant
+
+
+def test_an_empty_mapping_is_a_domain_with_nobody(read):
+    empty = read("{}")
+    assert empty.members == {}
+    assert empty.governance == PRESETS[0].governance(DomainSet.of(0))
+    assert (empty.name, empty.profile, empty.prune) == ("", None, False)
+    assert (empty.ca_validity.days, empty.renew_before) == (3650, None)
+
+
+def test_the_file_that_init_writes_is_read(read):
+    found = read(new_domain("Lab").decode())
+    assert list(found.members) == [*(f"/fleet/robot00{n}" for n in (1, 2, 3)), "/monitor"]
+    assert found.name == "Lab"
+    assert topics(found.members["/fleet/robot002"]) == ["rt/fleet/robot002/pose"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("/a", ["/a"]),
+        ("a/b/", ["/a/b"]),
+        ("/r{1..3}", ["/r1", "/r2", "/r3"]),
+        ("/r{08..11}", ["/r08", "/r09", "/r10", "/r11"]),
+        ("/r{9..11}", ["/r9", "/r10", "/r11"]),
+        ("/{left,right}/arm{1..2}", ["/left/arm1", "/left/arm2", "/right/arm1", "/right/arm2"]),
+        ("/r{5..5}", ["/r5"]),
+        ("/r{a,}", ["/ra", "/r"]),
+    ],
+)
+def test_a_pattern_stands_for_its_names(read, pattern, names):
+    assert list(read(f"{HEAD}- name: '{pattern}'\n  role: r").members) == names
+
+
+def test_names_may_be_a_list_and_in_another_file(read):
+    text = f"{HEAD}- {{name: [/a, '/b{{1..2}}'], role: r}}\n- {{list: names.txt, role: r}}\n"
+    found = read(text, names_txt="# people\n\n/c   # the third\n/d{1..2}\n")
+    assert list(found.members) == ["/a", "/b1", "/b2", "/c", "/d1", "/d2"]
+
+
+def test_a_csv_file_says_what_differs_from_row_to_row(read):
+    found = read(
+        "domains: 1\nvalidity: 2y\n"
+        "roles:\n  r: {publish: rt/$site/$base, domains: 2, validity: 90d}\n  s: {publish: rt/s}\n"
+        "participants:\n- {csv: robots.csv, role: r, values: {site: home}}\n",
+        robots_csv='\ufeffname, role,domains,validity,site,note\n/x/a,,,,hall,"no, use"\n'
+        "/x/b,s,,1w,lab,\n\n/x/c,,3-4,,lab,\n",
+    )
+    a, b, c = found.members.values()
+    assert [each.name for each in (a, b, c)] == ["/x/a", "/x/b", "/x/c"]
+    assert topics(a) == ["rt/hall/a"]
+    assert topics(b) == ["rt/s"]
+    assert topics(c) == ["rt/lab/c"]
+    assert [str(each.domains) for each in (a, b, c)] == ["2", "1", "3-4"]
+    assert [each.validity.days for each in (a, b, c)] == [90, 7, 90]
+
+
+def test_blanks_are_filled_wherever_a_text_stands(read):
+    found = read(
+        "roles:\n  r:\n    nodes:\n    - {node: $name/driver, publish: [~/out, $parent/map]}\n"
+        "    publish: [{topics: 'rt/$$x', partitions: $zone}]\n"
+        "participants:\n- {name: /fleet/one, role: r, values: {zone: '7'}}\n"
+    )
+    [grant] = found.members["/fleet/one"].wish().grants
+    [rule] = grant.rules
+    nodes, special = sorted(rule.publish, key=lambda each: bool(each.partitions))
+    assert {"rt/fleet/one/driver/out", "rt/fleet/map"} < set(nodes.topics)
+    assert (special.topics, special.partitions) == (("rt/$x",), ("7",))
+
+
+def test_a_participant_may_say_itself_what_it_may_do(read):
+    found = read(
+        "participants:\n- name: /a\n  subscribe: rt/$name\n  domains: 5\n  default: ALLOW\n"
+        "- name: /b\n  rules: [{deny: {relay: x}}, {allow: {domains: 9, publish: y}}]\n"
+    )
+    assert topics(found.members["/a"], "subscribe") == ["rt//a"]
+    assert str(found.members["/a"].domains) == "5"
+    [grant] = found.members["/b"].wish().grants
+    assert [(rule.allow, str(rule.domains)) for rule in grant.rules] == [(False, "0"), (True, "9")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "governance: authenticated\ndomains: 0-3",
+        "governance: {file: g.yaml}",
+        "governance: {file: g.xml}",
+        "governance: {preset: authenticated}\ndomains: 0-3",
+        "governance: {preset: authenticated, rules: [{domains: 0-3}]}",
+    ],
+)
+def test_governance_may_be_a_preset_a_file_or_stand_there(read, text):
+    same = PRESETS[1].governance(DomainSet.parse("0-3"))
+    files = {"g_yaml": "{preset: authenticated, domains: 0-3}", "g_xml": same.to_xml()}
+    found = read(text, **files)
+    assert found.governance == same
+    assert found.governance_mark == read("governance: authenticated\ndomains: 0-3").governance_mark
+    assert found.governance_mark != read("governance: strict\ndomains: 0-3").governance_mark
+
+
+# Marks
+
+
+ROLE = (
+    "roles:\n  r: {publish: [rt/$name, rt/b], nodes: $name}\nparticipants:\n- {name: /a, role: r}"
+)
+
+
+def mark(found, name="/a"):
+    return found.members[name].mark
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("roles", "# comment\n\nroles"),
+        ("{publish: [rt/$name, rt/b], nodes: $name}", "{nodes: $name, publish: [rt/$name, rt/b]}"),
+        ("r:", "another:"),
+        ("rt/b", "'rt/b'"),
+        ("/a, role", "'/{a,b}', role"),
+        ("roles", "validity: 5y\nroles"),
+        ("roles", "name: Lab\ngovernance: migration\nprune: true\nroles"),
+        ("role: r", "role: r, values: {unused: x}"),
+        ("roles", "domains: 0\nroles"),
+    ],
+)
+def test_a_mark_stays_where_what_is_allowed_does(read, old, new):
+    changed = ROLE.replace(old, new)
+    assert changed != ROLE
+    changed = changed.replace("role: r}", "role: another}") if "another:" in changed else changed
+    assert mark(read(changed)) == mark(read(ROLE))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("rt/b", "rt/c"),
+        ("publish", "subscribe"),
+        ("[rt/$name, rt/b]", "[rt/b, rt/$name]"),
+        ("roles", "domains: 1\nroles"),
+        ("role: r", "role: r, domains: 3"),
+        ("nodes:", "domains: 4, nodes:"),
+        ("nodes:", "default: ALLOW, nodes:"),
+    ],
+)
+def test_a_mark_differs_where_what_is_allowed_does(read, old, new):
+    assert mark(read(ROLE.replace(old, new, 1))) != mark(read(ROLE))
+
+
+def test_a_value_that_a_role_asks_for_is_in_the_mark(read):
+    text = "participants:\n- {name: /a, publish: rt/$v, values: {v: x}}"
+    assert mark(read(text)) != mark(read(text.replace("v: x", "v: y")))
+
+
+def test_the_edition_is_that_of_what_roles_mean_today(read):
+    """If this fails, the same words mean other rules: count EDITION up, and note the new hash."""
+    found = read(
+        "roles:\n  r:\n    publish: rt/a\n    nodes: [{node: /n, subscribe: s, services: t, "
+        "clients: u, action_servers: v, action_clients: w, parameters_of: /x, lifecycle_of: /y, "
+        "lifecycle: true, use_sim_time: true}]\nparticipants: [{name: /a, role: r}]"
+    )
+    rules = repr(found.members["/a"].wish().grants[0].rules)
+    meaning = hashlib.sha256(rules.encode()).hexdigest()[:16]
+    assert (EDITION, meaning) == (1, "53f0751a64093979")
+
+
+# Mistakes
+
+SHAPE_FAULTS = [
+    ("nam: x", "domain.yaml: line 1: nam: no such key here; did you mean name?"),
+    ("profile: rsa", "domain.yaml: line 1: profile: 'rsa' is not taken"),
+    ("\nvalidity: 1 year", "domain.yaml: line 2: validity: '1 year' is no duration"),
+    ("governance: stric", "line 1: governance: 'stric' is not taken; did you mean strict?"),
+    ("governance:\n  topcs: a", "line 2: topcs: no such key here; did you mean topics?"),
+    ("governance: [strict]", "line 1: governance: `key: value` is wanted"),
+    ("roles: {r: {}}", "line 1: r: allows nothing"),
+    ("roles:\n  r:\n    publich: a", "line 3: publich: no such key here; did you mean publish?"),
+    ("roles:\n  r:\n    nodes: [7b]", "line 3: nodes: "),
+    ("participants: [/a]", "line 1: participants: `key: value` is wanted here"),
+    ("participants: [{role: r}]", "line 1: role: there are no roles in the file"),
+    (f"{HEAD}- role: r", "line 3: participants: an item has one of the keys name, csv and list"),
+    (f"{HEAD}- {{name: /a, csv: b, role: r}}", "line 3: participants: an item has one of the keys"),
+    (f"{HEAD}- name: /a", "line 3: participants: what it may do is missing"),
+    (f"{HEAD}- {{name: /a, role: r, publish: x}}", "line 3: participants: it has a role, so"),
+    (f"{HEAD}- {{name: /a, role: r, values: {{base: x}}}}", "line 3: values: $base is known"),
+    ("a: &a b", "domain.yaml: line 1: the anchor &a is not taken"),
+]  # fmt: skip
+"""What the JSON Schema sees too."""
+OTHER_FAULTS = [
+    ("\nvalidity: 999999y", "domain.yaml: line 2: validity: certificates end in 2261"),
+    (f"renew_before: 999999y\n{HEAD}- {{name: /a, role: r}}", "line 4: /a would be due when"),
+    ("prune: yes", "line 1: prune: 'yes' is not true or false"),
+    ("roles:\n  r:\n    publish: rt/$", "line 3: r: a $ that no name follows; write $$"),
+    (f"{HEAD}- {{name: /a, role: s}}", "line 3: role: 's' is not taken"),
+    (f"{HEAD}- name: '/a{{1-3}}'\n  role: r", "line 3: '/a{1-3}': in braces stands {001..100}"),
+    (f"{HEAD}- name: '/a{{3..1}}'\n  role: r", "line 3: '/a{3..1}': {3..1} counts to less"),
+    (f"{HEAD}- name: '/a{{1..999999999}}'\n  role: r", "stands for 999999999 names"),
+    (f"{HEAD}- name: '/a{{1..999}}{{1..999}}'\n  role: r", "stands for 998001 names"),
+    (f"{HEAD}- name: ../a\n  role: r", "line 3: '../a' cannot be a participant's name"),
+    (f"{HEAD}- name: /a.pem\n  role: r", "line 3: '/a.pem' cannot be"),
+    (f"{HEAD}- name: /{'a' * 64}\n  role: r", "has 65 characters, and a name at most 64"),
+    (f"{HEAD}- name: /a\n  role: r\n- {{name: a, role: r}}", "line 5: /a comes twice, first in"),
+    (f"renew_before: 1y\n{HEAD}- {{name: /a, role: r}}", "line 4: /a would be due when it is made"),
+    ("participants:\n- name: /a\n  publish: rt/$x", "line 2: /a: its role (its own) asks for $x"),
+    ("participants:\n- name: /a-b\n  nodes: $name", "domain.yaml: line 3: nodes: "),
+    (f"{HEAD}- {{list: l.txt, role: r}}", "l.txt: line 3: '/b/../c' cannot be"),
+    (f"{HEAD}- {{list: twice.txt, role: r}}", "twice.txt: line 2: /a comes twice, first in "),
+    (f"{HEAD}- {{csv: short.csv, role: r}}", "short.csv: line 3: 1 values, and 2 columns"),
+    (f"{HEAD}- {{csv: nameless.csv, role: r}}", "nameless.csv: line 1: the first line names"),
+    (f"{HEAD}- {{csv: empty.csv, role: r}}", "empty.csv: line 1: the first line names"),
+    (f"{HEAD}- {{csv: quote.csv, role: r}}", "quote.csv: line 2: not CSV: "),
+    (f"{HEAD}- {{csv: latin.csv, role: r}}", "latin.csv: line 2: not UTF-8 text"),
+    (f"{HEAD}- csv: roles.csv", "roles.csv: line 3: /b has no role"),
+    (f"{HEAD}- csv: unknown.csv", "unknown.csv: line 2: 's' is not taken"),
+    (f"{HEAD}- {{csv: when.csv, role: r}}", "when.csv: line 3: '1 day' is no duration"),
+    ("governance: {file: bad.yaml}", "bad.yaml: line 2: topcs: no such key here"),
+]  # fmt: skip
+FILES = {
+    "l_txt": "/a\n\n/b/../c\n",
+    "twice_txt": "/a\n/a\n",
+    "short_csv": "name,x\n/a,1\n/b\n",
+    "nameless_csv": "nom,x\n/a,1\n",
+    "empty_csv": "",
+    "quote_csv": 'name\n"/a\n',
+    "latin_csv": b"name\n/\xe9\n",
+    "roles_csv": "name,role\n/a,r\n/b,\n",
+    "unknown_csv": "name,role\n/a,s\n",
+    "when_csv": "name,validity\n/a,1d\n/b,1 day\n",
+    "bad_yaml": "domains: 0\ntopcs: a\n",
+}
+
+
+@pytest.mark.parametrize(("text", "told"), SHAPE_FAULTS + OTHER_FAULTS)
+def test_a_mistake_is_told_with_its_file_and_line(problems, text, told):
+    found = problems(text, **FILES)
+    assert any(told in line for line in found), found
+    assert all(re.match(r"[a-z]+\.(yaml|csv|txt): line [0-9]+: ", line) for line in found), found
+
+
+def test_all_mistakes_are_told_at_once(problems):
+    text = "validity: x\nroles: {r: {publich: a}}\nparticipants: [{name: /a}, {list: l}]\n"
+    assert len(problems(text)) == 4
+    many = "".join(f"/a{n}.pem\n" for n in range(500))
+    assert len(problems(f"{HEAD}- {{list: l.txt, role: r}}", l_txt=many)) == 20
+
+
+@pytest.mark.parametrize("key", ["csv", "list"])
+def test_a_list_that_is_not_there_is_a_file_error(read, key):
+    with pytest.raises(FileError, match="nowhere"):
+        read(f"{HEAD}- {{{key}: nowhere, role: r}}")
+
+
+def test_no_more_participants_than_anybody_has(problems):
+    half = MAX_PARTICIPANTS // 2
+    text = "".join(f"- {{name: '/{x}{{0..{half}}}', role: r}}\n" for x in "ab")
+    told, *_ = problems(HEAD + text)
+    assert f"domain.yaml: line 4: more than {MAX_PARTICIPANTS} participants" in told
+    bombs = ["/{1..99999}\n" * 500_000, "/{a,b}{1..999999999}\n" * 300_000, "/.\n" * 2_000_000]
+    begin = time.monotonic()
+    for bomb in bombs:
+        assert problems(f"{HEAD}- {{list: l.txt, role: r}}", l_txt=bomb)
+    assert time.monotonic() - begin < 20
+
+
+# The JSON Schema, for editors
+
+
+def schema(kind):
+    return json.loads(asset("schemas", f"{kind}.schema.json").read_text())
+
+
+SCHEMA = Draft202012Validator(schema("domain"))
+GOOD = [
+    "{}",
+    new_domain("Lab").decode(),
+    ROLE,
+    "governance: authenticated\nprofile: pq\nca_validity: 5y\nrenew_before: 30d\nprune: true",
+    "governance: {file: g.yaml}",
+    "governance: {preset: migration, domains: 0-3, topics: [a, '*']}",
+    "governance: {rules: [{domains: 1}]}",
+    f"{HEAD}- {{name: [/a, '/b{{1..2}}'], role: r, domains: '0-3', validity: 90d}}",
+    f"{HEAD}- {{list: good.txt, role: r, values: {{site: x}}}}\n- csv: good.csv",
+    "participants: [{name: /a, nodes: [$name, {node: $base, publish: ~/x}], publish: []}]",
+    "participants: [{name: /a, rules: [{deny: {relay: x}}], default: ALLOW}]",
+]
+
+
+@pytest.mark.parametrize("text", GOOD)
+def test_the_json_schema_takes_what_is_read(read, text):
+    files = {"g_yaml": "{}", "good_txt": "/t", "good_csv": "name,role\n/u,r\n"}
+    read(text, **files)
+    assert not list(SCHEMA.iter_errors(yaml.safe_load(text)))
+
+
+@pytest.mark.parametrize("text", [text for text, _ in SHAPE_FAULTS])
+def test_the_json_schema_refuses_what_is_refused(text):
+    assert list(SCHEMA.iter_errors(yaml.safe_load(text)))
+
+
+def test_the_example_is_as_the_schema_and_the_reader_want_it():
+    example = Path(__file__).parents[2] / "examples/fleet/domain.yaml"
+    assert len(read_domain(example).members) == 8
+    assert not list(SCHEMA.iter_errors(yaml.safe_load(example.read_text())))
+
+
+def test_the_json_schema_has_the_parts_of_those_of_governance_and_permissions():
+    Draft202012Validator.check_schema(SCHEMA.schema)
+    parts = dict(SCHEMA.schema["$defs"])
+    text = json.dumps(parts.pop("governance")).replace("#/$defs/governance/$defs/", "#/$defs/")
+    head = ("$schema", "$id", "title", "description")
+    assert json.loads(text) == {k: v for k, v in schema("governance").items() if k not in head}
+    for own in ("role", "participants", "duration"):
+        parts.pop(own)
+    without_blanks = json.dumps(parts).replace("A-Za-z_$]", "A-Za-z_]")
+    without_blanks = without_blanks.replace("A-Za-z0-9_$]", "A-Za-z0-9_]")
+    whole = schema("permissions")["$defs"]
+    assert json.loads(without_blanks) == {key: whole[key] for key in parts}
+    assert whole.keys() - parts.keys() == {"grant", "time", "validity"}
+
+
+def test_the_json_schema_knows_every_profile_and_key(read):
+    assert SCHEMA.schema["properties"]["profile"]["enum"] == [each.name for each in PROFILES]
+    told = re.search("allowed: (.*)", _refusal(read, "x: y"))[1]
+    assert set(SCHEMA.schema["properties"]) == set(told.split(", "))
+    for part, text in (("role", "roles: {r: {x: y}}"), ("participants", "participants: [{x: y}]")):
+        told = re.search("allowed: (.*?)(;|$)", _refusal(read, text))[1]
+        assert set(SCHEMA.schema["$defs"][part]["properties"]) == set(told.split(", "))
+
+
+def _refusal(read, text):
+    with pytest.raises(InvalidDocumentError) as refusal:
+        read(text)
+    return refusal.value.lines[0]

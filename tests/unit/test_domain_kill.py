@@ -1,0 +1,117 @@
+"""An apply that is killed at any instant leaves a keystore that holds, and the next one ends it."""
+
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+
+import pytest
+
+from pqsec_pki.domain import Action, apply, make, read_domain
+from pqsec_pki.keystore import audit, revoke
+from tests.unit.domains import DAY, FILE, NOW, Scene
+from tests.unit.killing import at_once, check_no_halves, check_whole, copies, drafts
+
+pytestmark = pytest.mark.slow
+
+BEFORE = NOW - 60 * DAY
+NOT_MET = {Action.MAKE, Action.LIST}
+"""Of the actions, at the start below."""
+SMALL_BATCHES = """
+from pqsec_pki.cli import main
+from pqsec_pki.domain import apply
+apply.BATCH = 4
+main()
+"""
+
+
+def start(scene):
+    """A keystore that is away from its file in each way there is."""
+    scene.write(FILE)
+    scene.change("1..3", "1..4")
+    scene.apply(BEFORE)
+    keystore = scene.keystore
+    revoke(keystore, keystore.unlock(None), ["/r4"], now=BEFORE)
+    (scene.file_of("/r1", "cert.pem")).unlink()
+    shutil.copyfile(scene.file_of("/r2", "cert.pem"), scene.file_of("/r3", "cert.pem"))
+    scene.change("name: Lab", "name: Lab\ngovernance: authenticated\nprune: true")
+    scene.change("rt/cmd", "rt/order")
+    scene.change("1..4", "2..3")
+    scene.change("name: /monitor", "name: /new")
+
+
+def check_holds(scene):
+    """Whatever was begun is whole."""
+    check_no_halves(scene.root)
+    for name in {"/r2", "/new"} & set(scene.keystore.names()):
+        check_whole(scene.keystore, name)
+
+
+def check_ended(scene):
+    """Another apply does what is left."""
+    left = len(scene.steps())
+    scene.apply()
+    assert scene.plan().in_order
+    assert drafts(scene.root) == [] or not left
+    audit(scene.keystore)
+    return left
+
+
+def test_it_is_ended_by_the_next_whenever_the_kill_comes(place, monkeypatch):
+    monkeypatch.setattr(apply, "BATCH", 1)
+    (place / "original").mkdir()
+    original = Scene(place / "original")
+    start(original)
+    every = len(original.steps())
+    assert {step.action for step in original.plan().steps} == set(Action) - NOT_MET
+    lefts = []
+    for folder, _ in copies(place, original.file.parent, lambda at: Scene.at(at).apply()):
+        scene = Scene.at(folder)
+        check_holds(scene)
+        lefts.append(check_ended(scene))
+    assert len(lefts) > 200
+    # One after the other is done, both revocations at once, and none is undone.
+    assert list(dict.fromkeys(lefts)) == [*range(every, 1, -1), 0]
+
+
+def test_a_process_that_is_killed_is_ended_by_the_next(place):
+    chance = random.Random("apply")  # noqa: S311 -- the same each time
+    text = FILE.replace("1..3", "1..40")
+    killed = 0
+    for number in range(4):
+        (place / str(number)).mkdir()
+        scene = Scene(place / str(number), text)
+        command = [sys.executable, "-c", SMALL_BATCHES, "-k", str(scene.root), "apply"]
+        command += [str(scene.file), "--yes", "--no-passphrase"]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        while process.poll() is None and not scene.root.exists():
+            time.sleep(0.002)
+        time.sleep(chance.uniform(0, 0.4))
+        process.send_signal(signal.SIGKILL)
+        said = process.communicate(timeout=60)[1]
+        assert b"Traceback" not in said
+        killed += process.returncode == -signal.SIGKILL
+        names = scene.keystore.names() if (scene.root / "pqsec.json").exists() else []
+        assert len(names) in {*range(0, 41, 4), 41}
+        done = subprocess.run(command, check=True, capture_output=True, timeout=60)
+        assert b"Traceback" not in done.stderr
+        assert scene.plan(datetime.now(UTC)).in_order
+        audit(scene.keystore)
+    assert killed
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_several_at_once_lose_nothing(place, count):
+    scene = Scene(place, FILE.replace("1..3", "1..8"))
+    make(read_domain(scene.file), scene.root, passphrase=None, now=NOW)
+    codes = at_once(*[scene.apply] * count)
+    assert 0 in codes
+    assert set(codes) <= {0, 3}  # what one has issued the others do not
+    scene.apply()
+    assert scene.plan().in_order
+    entries = [each for each in scene.keystore.ledger() if each.kind == "participant"]
+    assert len(entries) == len({each.serial for each in entries}) == len(scene.keystore.names())
+    audit(scene.keystore)

@@ -1,0 +1,549 @@
+"""Installing on a robot: the old set or the new one, never a mix, whatever happens."""
+
+import errno
+import json
+import os
+import shutil
+import stat
+from dataclasses import replace
+from datetime import timedelta
+from functools import partial
+
+import pytest
+
+from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey, profile_named
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.enrolment import Bundle, install, make_sealing_key, request, rollback, seal
+from pqsec_pki.enrolment.place import Place, changing
+from pqsec_pki.enrolment.verification import keys_of, verify_bundle
+from pqsec_pki.errors import (
+    ExistsError,
+    FileError,
+    KeystoreError,
+    MalformedError,
+    PqsecError,
+    UsageError,
+    VerificationError,
+)
+from pqsec_pki.keystore import Keystore, Renewal, Rollover, audit, renew, revoke, rotate
+from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
+from tests.unit.keystores import made
+from tests.unit.killing import NOW, fails_with, survives
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def keystore(memory):
+    return made(memory / "keystore", "transition", names=("/arm", "/leg"))
+
+
+@pytest.fixture(scope="module")
+def bundles(keystore, memory):
+    """A robot that asked, and two bundles for its keys: the second made a day later."""
+    robot = memory / "robot"
+    first = answered(keystore, asked_of(keystore, robot))
+    renew(keystore, keystore.unlock(None), [ROBOT], Renewal(), now=NOW + DAY)
+    return robot, first, Bundle.of(keystore, [ROBOT], now=NOW + DAY)
+
+
+LATER = NOW + 2 * DAY
+
+
+@pytest.fixture
+def robot(bundles, place):
+    """A robot that asked and has nothing installed; the bundles lie beside it, as files."""
+    shutil.copytree(bundles[0], place / "robot", symlinks=True)
+    for number, bundle in enumerate(bundles[1:], start=1):
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    return place / "robot"
+
+
+def put(robot, which="1", *pins, **options):
+    path = robot.parent / f"{which}.bundle"
+    return install(path, robot, pins, **{"now": LATER, "trust_first": True, **options})
+
+
+def installed(robot):
+    """The fingerprint of the certificate that is in use, once all around it holds; or None."""
+    current = Place(robot).current
+    if current is None:
+        return None
+    found = Bundle(LATER, current.enclaves)
+    [credentials] = verify_bundle(found, found.fingerprints, now=LATER)
+    keys_of(credentials, [found.enclaves[ROBOT]])
+    for file in current.path.rglob("*"):
+        private = file.is_dir() or file.name.endswith("key.pem")
+        assert stat.S_IMODE(file.stat().st_mode) == (
+            (0o700 if file.is_dir() else 0o600) if private else 0o644
+        )
+    return credentials.certificate.fingerprint
+
+
+def fingerprint(bundle):
+    return Certificate.from_pem(bundle.enclaves[ROBOT]["cert.pem"]).fingerprint
+
+
+def snapshot(robot):
+    return {
+        path.relative_to(robot): path.read_bytes() if path.is_file() else None
+        for path in robot.rglob("*")
+    }
+
+
+def test_a_bundle_is_installed_with_the_keys_that_were_made_here(robot, bundles):
+    done = put(robot)
+    assert done.names == (ROBOT,)
+    assert not done.already
+    assert installed(robot) == fingerprint(bundles[1])
+    assert not list((robot / "requests").iterdir())
+
+
+def test_the_same_bundle_again_changes_nothing(robot):
+    put(robot)
+    before = snapshot(robot)
+    assert put(robot).already
+    assert snapshot(robot) == before
+
+
+def test_the_next_bundle_needs_no_fingerprint_and_the_way_back_stays_open(robot, bundles):
+    put(robot)
+    put(robot, "2", trust_first=False)
+    assert installed(robot) == fingerprint(bundles[2])
+    rollback(robot)
+    assert installed(robot) == fingerprint(bundles[1])
+    with pytest.raises(KeystoreError, match="keeps nothing from before"):
+        rollback(robot)
+    put(robot, "2")
+    assert installed(robot) == fingerprint(bundles[2])
+    rollback(robot)
+    assert installed(robot) == fingerprint(bundles[1])
+
+
+def test_only_the_set_before_is_kept(robot):
+    for which in ("1", "2", "1", "2"):
+        put(robot, which, older=True)
+    assert {each.name for each in (robot / "sets").iterdir()} == {"3", "4"}
+    assert {each.name for each in robot.iterdir()} == {"current", "sets", "requests"}
+
+
+def test_nothing_is_trusted_without_being_told(robot, bundles):
+    pins = bundles[1].fingerprints
+    with pytest.raises(UsageError, match="nothing tells which CAs to trust"):
+        put(robot, trust_first=False)
+    with pytest.raises(UsageError, match="not a SHA-256 fingerprint"):
+        put(robot, "1", "abc")
+    with pytest.raises(VerificationError, match="not one that is trusted"):
+        put(robot, "1", *pins[:2])
+    assert Place(robot).current is None
+    spelled = [":".join(pin[i : i + 2] for i in range(0, 64, 2)).upper() for pin in pins]
+    put(robot, "1", *spelled, trust_first=False)
+    assert installed(robot)
+
+
+def test_who_trusted_first_trusts_no_others_after(robot, place):
+    put(robot)
+    other = made(place / "other", "transition", names=())
+    name = place / "stranger"
+    foreign = answered(other, asked_of(other, name))
+    (place / "3.bundle").write_bytes(foreign.to_bytes())
+    before = snapshot(robot)
+    with pytest.raises(VerificationError, match="not one that is trusted"):
+        put(robot, "3")
+    assert snapshot(robot) == before
+    with pytest.raises(VerificationError, match="no private key here is that of the certificate"):
+        put(robot, "3", *foreign.fingerprints)
+
+
+def test_a_bundle_for_another_robot_is_refused(robot, keystore, place):
+    theirs = answered(keystore, asked_of(keystore, place / "twin"))
+    (place / "3.bundle").write_bytes(theirs.to_bytes())
+    before = snapshot(robot)
+    with pytest.raises(VerificationError, match="no private key here") as caught:
+        put(robot, "3")
+    assert "another robot" in caught.value.hint
+    assert snapshot(robot) == before
+
+
+@pytest.mark.parametrize("key", ["key.pem", "alt.key.pem"])
+def test_a_key_that_is_not_the_certificates_is_refused(robot, key):
+    request(ROBOT, profile_named("transition"), robot.parent / "twin")
+    shutil.copyfile(
+        robot.parent / f"twin/requests/fleet+robot1/{key}", robot / f"requests/fleet+robot1/{key}"
+    )
+    with pytest.raises(VerificationError, match="no private key here is that of the certificate"):
+        put(robot)
+
+
+def test_an_older_bundle_brings_no_old_rights_back(robot, bundles):
+    put(robot, "2")
+    with pytest.raises(VerificationError, match="certificate is older than the one installed"):
+        put(robot, "1")
+    assert installed(robot) == fingerprint(bundles[2])
+    put(robot, "1", older=True)
+    assert installed(robot) == fingerprint(bundles[1])
+
+
+def test_a_revocation_list_cannot_be_left_out_of_the_next_bundle(place):
+    keystore = made(place / "k", "classical", names=("/arm", "/leg"))
+    first = answered(keystore, asked_of(keystore, place / "robot"))
+    revoke(Keystore.open(keystore.root), keystore.unlock(None), ["/leg"], now=NOW)
+    second = Bundle.of(keystore, [ROBOT], now=NOW)
+    for number, bundle in enumerate((first, second), start=1):
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    put(place / "robot", "2")
+    with pytest.raises(VerificationError, match="revocation list is older"):
+        put(place / "robot", "1")
+
+
+def test_an_older_revocation_list_does_not_come_with_another_participant(place):
+    keystore = made(place / "k", "classical", names=("/arm", "/leg"))
+    older = Bundle.of(keystore, ["/arm"], now=NOW)
+    first = answered(keystore, asked_of(keystore, place / "robot"))
+    revoke(Keystore.open(keystore.root), keystore.unlock(None), ["/leg"], now=NOW)
+    for number, bundle in enumerate((older, Bundle.of(keystore, [ROBOT], now=NOW)), start=1):
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    put(place / "robot", "2", *first.fingerprints)
+    with pytest.raises(VerificationError, match="/arm: the revocation list is older"):
+        put(place / "robot", "1")
+
+
+def test_new_cas_count_their_revocation_lists_from_one(place):
+    keystore = made(place / "k", "classical", names=("/arm", "/leg"))
+    answered(keystore, asked_of(keystore, place / "robot"))
+    for name in ("/leg", "/arm"):
+        revoke(Keystore.open(keystore.root), keystore.unlock(None), [name], now=NOW)
+    old = Bundle.of(keystore, [ROBOT], now=NOW)
+    rollover = Rollover(profile=keystore.profile)
+    rotate(keystore, rollover, kept=None, passphrase=None, now=NOW + DAY)
+    new = Bundle.of(Keystore.open(keystore.root), [ROBOT], now=NOW + DAY)
+    for number, bundle in enumerate((old, new), start=1):
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    put(place / "robot", "1")
+    with pytest.raises(VerificationError, match="not one that is trusted"):
+        put(place / "robot", "2")
+    put(place / "robot", "2", *new.fingerprints)
+    assert installed(place / "robot") == fingerprint(new)
+
+
+def test_a_countersigner_does_not_become_the_identity_ca(robot, bundles):
+    put(robot)
+    names = ("identity_ca.cert.pem", "permissions_ca.alt.cert.pem")
+    first, second = (bundles[2].enclaves[ROBOT][name] for name in names)
+    swapped = with_files(bundles[2], **dict(zip(names, (second, first), strict=True)))
+    (robot.parent / "3.bundle").write_bytes(swapped.to_bytes())
+    assert set(swapped.fingerprints) == set(bundles[2].fingerprints)
+    with pytest.raises(VerificationError, match="stands as identity_ca") as caught:
+        put(robot, "3")
+    assert len(caught.value.problems) == 2
+
+
+@pytest.mark.parametrize("file", ["governance", "permissions"])
+def test_an_older_document_beside_a_new_certificate_is_refused(robot, bundles, keystore, file):
+    put(robot, "2")
+    text = keystore.root / f"enclaves/{'' if file == 'governance' else ROBOT}/{file}.xml"
+    authorities = keystore.unlock(None)
+    for days, which in ((3, "3"), (1, "4")):
+        signed = authorities.sign(text.read_bytes(), now=NOW + days * DAY)
+        bundle = with_files(bundles[2], **{f"{file}_p7s": signed})
+        (robot.parent / f"{which}.bundle").write_bytes(bundle.to_bytes())
+    put(robot, "3")
+    with pytest.raises(VerificationError, match=f"{file}.p7s is older than the one installed"):
+        put(robot, "4")
+
+
+@pytest.mark.parametrize("kind", ["nonsense", "cut", "flipped", "expired"])
+def test_a_bundle_that_is_refused_changes_nothing(robot, bundles, kind):
+    put(robot)
+    data = bundles[2].to_bytes()
+    bad = {"nonsense": b"x" * 99, "cut": data[:-9], "flipped": data[:999] + b"?" + data[1000:]}
+    (robot.parent / "3.bundle").write_bytes(bad.get(kind, data))
+    now = NOW + timedelta(days=800) if kind == "expired" else LATER
+    before = snapshot(robot)
+    with pytest.raises(PqsecError) as caught:
+        put(robot, "3", now=now)
+    assert isinstance(caught.value, MalformedError | VerificationError)
+    assert "3.bundle" in str(caught.value)
+    assert kind != "expired" or "`pqsec renew` comes first" in caught.value.hint
+    assert snapshot(robot) == before
+
+
+def test_several_enclaves_with_their_keys_are_one_set(keystore, place):
+    bundle = Bundle.of(keystore, ["/arm", "/leg"], now=NOW)
+    (place / "1.bundle").write_bytes(bundle.to_bytes())
+    done = put(place / "robot")
+    assert done.names == ("/arm", "/leg")
+    for name in ("arm", "leg"):
+        key = place / f"robot/current/enclaves/{name}/key.pem"
+        assert key.read_bytes() == (keystore.root / f"enclaves/{name}/key.pem").read_bytes()
+        assert stat.S_IMODE(key.stat().st_mode) == 0o600
+    mixed = with_files(bundle, "/arm", key_pem=bundle.enclaves["/leg"]["key.pem"])
+    (place / "2.bundle").write_bytes(mixed.to_bytes())
+    with pytest.raises(VerificationError, match="/arm: no private key here"):
+        put(place / "robot", "2")
+
+
+def test_a_sealed_bundle_needs_the_robots_key(keystore, place):
+    public, _ = make_sealing_key(place / "robot")
+    recipient = SealingPublicKey.from_pem(public.read_bytes())
+    data = seal(Bundle.of(keystore, ["/arm"], now=NOW).to_bytes(), recipient)
+    (place / "1.bundle").write_bytes(data)
+    with pytest.raises(KeystoreError, match="no key here to open it"):
+        put(place / "twin")
+    make_sealing_key(place / "twin")
+    with pytest.raises(VerificationError, match="sealed for another key"):
+        put(place / "twin")
+    assert put(place / "robot").names == ("/arm",)
+    assert stat.S_IMODE((place / "robot/bundle.key.pem").stat().st_mode) == 0o600
+
+
+# Whatever happens
+
+
+def at_every_call(original, place, work, look, *, ends=survives):
+    """Do `work` in copies of `original`, which end at its 1st, 2nd, ... call; `look` at each.
+
+    The number of calls that `work` makes.
+    """
+    for calls in range(1, 1000):
+        goal = place / f"copy{calls}"
+        shutil.copytree(original, goal, symlinks=True)
+        done = ends(calls, lambda goal=goal: work(goal))
+        look(goal)
+        shutil.rmtree(goal)
+        if done:
+            return calls
+    raise AssertionError("it is never done")
+
+
+def test_killed_at_any_instant_the_first_bundle_is_there_or_nothing_is(robot, bundles, place):
+    def look(goal):
+        assert installed(goal) in {None, fingerprint(bundles[1])}
+        put(goal)
+        assert installed(goal) == fingerprint(bundles[1])
+        assert {each.name for each in goal.iterdir()} == {"current", "sets", "requests"}
+        assert not list((goal / "requests").iterdir())
+
+    assert at_every_call(robot, place, put, look) > 25
+
+
+def test_killed_at_any_instant_the_old_set_is_there_or_the_new_one(robot, bundles, place):
+    put(robot)
+    old, new = map(fingerprint, bundles[1:])
+    seen = set()
+
+    def look(goal):
+        seen.add(installed(goal))
+        put(goal, "2")
+        assert installed(goal) == new
+        rollback(goal)
+        assert installed(goal) == old
+        newest = max(int(each.name) for each in (goal / "sets").iterdir())
+        assert {each.name for each in (goal / "sets").iterdir()} == {"1", str(newest)}
+
+    at_every_call(robot, place, lambda goal: put(goal, "2"), look)
+    assert seen == {old, new}
+
+
+def ends_well(bundles):
+    """A look that finds one of the two sets, whole, and installs the second."""
+
+    def look(goal):
+        assert installed(goal) in {fingerprint(each) for each in bundles[1:]}
+        put(goal, "2")
+        assert installed(goal) == fingerprint(bundles[2])
+
+    return look
+
+
+def test_killed_at_any_instant_a_rollback_is_done_or_not_begun(robot, bundles, place):
+    put(robot)
+    put(robot, "2")
+    at_every_call(robot, place, rollback, ends_well(bundles))
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
+def test_a_disk_that_refuses_leaves_what_was_there(robot, bundles, place, code):
+    put(robot)
+    refused = partial(fails_with, code)
+    at_every_call(*(robot, place, lambda goal: put(goal, "2"), ends_well(bundles)), ends=refused)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_killed_at_any_instant_a_request_is_whole_or_absent(place, force):
+    profile = profile_named("transition")
+    before = place / "before"
+    before.mkdir()
+    if force:
+        request(ROBOT, profile, before)
+
+    def look(goal):
+        folder = goal / "requests/fleet+robot1"
+        if folder.exists():
+            files = {each.name for each in folder.iterdir()}
+            assert files == {"key.pem", "alt.key.pem", "request.csr"}
+        request(ROBOT, profile, goal, force=True)
+        assert {each.name for each in goal.iterdir()} == {"requests"}
+
+    at_every_call(before, place, lambda goal: request(ROBOT, profile, goal, force=force), look)
+
+
+def test_killed_at_any_instant_a_sealing_key_leaves_no_half(place):
+    def look(goal):
+        make_sealing_key(goal, force=True)
+        assert {each.name for each in goal.iterdir()} == {"bundle.key.pem", "bundle.pub.pem"}
+        private = SealingPrivateKey.from_pem((goal / "bundle.key.pem").read_bytes())
+        assert private.public_key.pem == (goal / "bundle.pub.pem").read_bytes()
+
+    (place / "before").mkdir()
+    at_every_call(place / "before", place, make_sealing_key, look)
+
+
+def test_killed_at_any_instant_a_sealing_key_can_be_made_again_without_force(place):
+    def look(goal):
+        if not (goal / "bundle.key.pem").exists():
+            make_sealing_key(goal)
+        private = SealingPrivateKey.from_pem((goal / "bundle.key.pem").read_bytes())
+        assert private.public_key.pem == (goal / "bundle.pub.pem").read_bytes()
+        with pytest.raises(ExistsError):
+            make_sealing_key(goal)
+
+    (place / "before").mkdir()
+    at_every_call(place / "before", place, make_sealing_key, look)
+
+
+def test_killed_at_any_instant_a_request_is_answered_or_the_old_keys_are_there(place):
+    """Where the CAs are, for a participant whose keys were made there before."""
+    prepared = made(place / "prepared", "transition", names=(ROBOT,))
+    asked = asked_of(prepared, place / "robot")
+    seen = set()
+
+    def look(goal):
+        keystore = Keystore.open(goal)
+        bundle = Bundle.of(keystore, [ROBOT], now=NOW)
+        [found] = verify_bundle(bundle, bundle.fingerprints, now=NOW)
+        answer = found.certificate.spki == asked.spki
+        assert answer != bundle.has_keys
+        assert answer == (goal / f"enclaves{ROBOT}/request.pem").exists()
+        if bundle.has_keys:
+            keys_of(found, [bundle.enclaves[ROBOT]])
+        audit(keystore)
+        seen.add(answer)
+
+    at_every_call(prepared.root, place, lambda goal: answered(Keystore.open(goal), asked), look)
+    assert seen == {True, False}
+
+
+def test_two_at_once_do_not_mix(robot):
+    with changing(robot), pytest.raises(KeystoreError, match="another pqsec command"):
+        put(robot)
+    put(robot)
+
+
+# A place that is not as it was left
+
+
+def test_a_folder_in_the_place_of_the_link_is_refused(robot):
+    (robot / "current").mkdir()
+    with pytest.raises(KeystoreError, match="not a link that pqsec made"):
+        put(robot)
+
+
+@pytest.mark.parametrize("target", ["/etc", "../..", "elsewhere", "sets", "sets/..", "sets/1/.."])
+def test_a_link_that_leads_elsewhere_is_refused(robot, target):
+    (robot / "current").symlink_to(target)
+    with pytest.raises(KeystoreError, match="not a link that pqsec made"):
+        put(robot)
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ("", "cannot be read"),
+        ("[]", "cannot be read"),
+        ("[" * 100_000, "cannot be read"),
+        (json.dumps({"format": 2}), "another version"),
+        (json.dumps({"format": 1, "at": "x", "previous": None}), "cannot be read"),
+    ],
+)
+def test_a_damaged_record_is_told(robot, record, words):
+    put(robot)
+    (robot / "current/installed.json").write_text(record)
+    with pytest.raises(KeystoreError, match=words):
+        put(robot, "2")
+
+
+def test_a_way_back_that_leads_elsewhere_is_not_taken(robot):
+    put(robot)
+    record = {"format": 1, "at": NOW.isoformat(), "previous": "../../.."}
+    (robot / "current/installed.json").write_text(json.dumps(record))
+    with pytest.raises(KeystoreError, match="a set called"):
+        rollback(robot)
+
+
+def test_nothing_to_go_back_to_is_told(place):
+    with pytest.raises(KeystoreError, match="nothing is installed"):
+        rollback(place / "robot")
+    assert list(place.iterdir()) == []
+
+
+def test_a_file_that_went_missing_is_put_back_by_the_same_bundle(robot, bundles):
+    put(robot)
+    (robot / "current/enclaves/fleet/robot1/governance.p7s").unlink()
+    with pytest.raises(KeyError):
+        installed(robot)
+    assert not put(robot, "1", *bundles[1].fingerprints, older=True).already
+    assert installed(robot) == fingerprint(bundles[1])
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "words"),
+    [
+        ("governance.p7s", None, r"sets/1: /fleet/robot1 lacks governance\.p7s"),
+        ("permissions_ca.cert.pem", b"x", r"permissions_ca\.cert\.pem: not certificates"),
+    ],
+)
+def test_what_is_installed_and_damaged_is_not_blamed_on_the_bundle(
+    robot, bundles, file, content, words
+):
+    put(robot)
+    path = robot / f"current/enclaves/fleet/robot1/{file}"
+    path.unlink()
+    if content:
+        path.write_bytes(content)
+    pins = bundles[1].fingerprints
+    with pytest.raises(PqsecError, match=words) as caught:
+        put(robot, "2", *pins)
+    assert "2.bundle" not in str(caught.value)
+    assert "--older" in caught.value.hint
+    put(robot, "2", *pins, older=True)
+    assert installed(robot) == fingerprint(bundles[2])
+
+
+def test_a_folder_where_anybody_may_write_is_refused(robot):
+    for mode in (0o777, 0o1777, 0o702):
+        robot.chmod(mode)
+        with pytest.raises(KeystoreError, match="anybody may write there") as caught:
+            put(robot)
+        assert "o-w" in caught.value.hint
+        with pytest.raises(KeystoreError, match="anybody may write there"):
+            make_sealing_key(robot)
+    robot.chmod(0o775)
+    put(robot)
+
+
+def test_files_of_others_in_the_folder_stay(robot):
+    mine = {".bundle.conf", ".draft-letter", ".bundle.key.pem.old"}
+    for name in mine:
+        (robot / name).mkdir()
+    (robot / f".draft-{'0' * 16}").mkdir()
+    put(robot)
+    assert {each.name for each in robot.iterdir()} == {"current", "sets", "requests", *mine}
+
+
+def test_a_folder_that_cannot_be_written_is_told(place, robot):
+    (place / "file").touch()
+    with pytest.raises(FileError):
+        put(robot.parent / "file")
+    assert os.path.lexists(place / "file")
+    assert replace(put(robot), already=True).already

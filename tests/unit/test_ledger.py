@@ -1,0 +1,382 @@
+"""The ledger: what it keeps, what shows when it is altered, and what an older one becomes."""
+
+import json
+import os
+import shutil
+import sqlite3
+from contextlib import closing, suppress
+from dataclasses import replace
+from datetime import timedelta
+
+import pytest
+
+from pqsec_pki.errors import FileError, KeystoreError, VerificationError
+from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, renew, revoke, status
+from pqsec_pki.keystore._chain import START
+from tests.unit.keystores import DAY, NOW, add, made
+from tests.unit.killing import at_once
+
+FORMAT_1 = """
+CREATE TABLE issued (
+    id INTEGER PRIMARY KEY,
+    at TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    name TEXT NOT NULL,
+    serial TEXT UNIQUE,
+    sha256 TEXT NOT NULL UNIQUE,
+    not_after TEXT
+) STRICT;
+CREATE INDEX issued_name ON issued (name);
+CREATE TRIGGER issued_stays BEFORE UPDATE ON issued
+    BEGIN SELECT RAISE (ABORT, 'lines are only added'); END;
+CREATE TRIGGER issued_remains BEFORE DELETE ON issued
+    BEGIN SELECT RAISE (ABORT, 'lines are only added'); END;
+"""
+"""As pqsec made it before there was a chain."""
+
+
+@pytest.fixture
+def keystore(tmp_path):
+    return made(tmp_path / "k", "classical")
+
+
+def database(keystore):
+    return closing(sqlite3.connect(keystore.root / "private/ledger.sqlite3", isolation_level=None))
+
+
+def alter(keystore, *statements):
+    """What somebody does who can write the file and knows SQL."""
+    with database(keystore) as opened:
+        for name in ("ledger_stays", "ledger_remains"):
+            opened.execute(f"DROP TRIGGER IF EXISTS {name}")
+        for statement in statements:
+            opened.execute(statement)
+
+
+def entry(number, **changes):
+    given = Entry(
+        at="2026-11-21T12:00:00+00:00",
+        kind="participant",
+        name=f"/p{number}",
+        serial=f"{number:x}",
+        sha256=f"{number:064x}",
+        not_after="2027-11-21T12:00:00+00:00",
+        issuer="ca",
+        details={"domains": "0"},
+        operator="me",
+    )
+    return replace(given, **changes)
+
+
+# What it keeps
+
+
+def test_a_participants_line_tells_who_what_when_where_and_by_whom(keystore):
+    line = next(each for each in keystore.ledger() if each.name == "/talker")
+    certificate = keystore.participant("/talker").certificate
+    assert line.kind == "participant"
+    assert line.serial == f"{certificate.serial_number:x}"
+    assert line.issuer == keystore.identity_ca.fingerprint
+    assert line.details == {"profile": "classical", "domains": "0"}
+    assert line.made_at == NOW
+    assert line.ends == certificate.not_after
+    assert line.operator
+
+
+def test_a_user_whom_the_system_does_not_name_is_a_number(keystore, monkeypatch):
+    def unknown(uid):
+        raise KeyError(uid)
+
+    _journal._operator.cache_clear()
+    monkeypatch.setattr(_journal.pwd, "getpwuid", unknown)
+    add(keystore, later="0")
+    _journal._operator.cache_clear()
+    assert keystore.ledger()[-1].operator == f"uid {os.getuid()}"
+
+
+def test_each_line_names_the_one_before(keystore):
+    lines = keystore.lines()
+    assert [line.number for line in lines] == list(range(1, len(lines) + 1))
+    assert len({line.chain for line in lines}) == len(lines)
+    assert audit(keystore) == (len(lines), lines[-1].chain)
+
+
+def test_a_line_that_is_there_already_is_not_added_again(keystore):
+    with keystore.open_ledger() as ledger:
+        before = len(list(ledger.lines()))
+        ledger.add([entry(1), entry(2), entry(1)])
+        ledger.add([entry(2), entry(3)])
+    assert [line.entry for line in keystore.lines()[before:]] == [entry(1), entry(2), entry(3)]
+    audit(keystore)
+
+
+def test_one_ca_gives_a_serial_number_once_only(keystore):
+    with keystore.open_ledger() as ledger:
+        ledger.add([entry(1)])
+        with pytest.raises(KeystoreError, match="UNIQUE"):
+            ledger.add([entry(2), entry(3, serial="1")])
+        ledger.add([entry(4, serial="1", issuer="another")])
+    assert [each.name for each in keystore.ledger()][-2:] == ["/p1", "/p4"]
+
+
+@pytest.mark.parametrize("text", ["\ud800", "a\0b", "'; DROP TABLE ledger; --", "é" * 1000])
+def test_any_text_can_be_entered_or_is_refused(keystore, text):
+    with keystore.open_ledger() as ledger, suppress(KeystoreError):
+        ledger.add([entry(1, name=text)])
+        assert ledger.of_name("participant", text) == [entry(1, name=text)]
+    audit(keystore)
+
+
+# What shows
+
+
+ALTERATIONS = {
+    "a name": ("UPDATE ledger SET name = '/evil' WHERE number = 5", "line 5 was altered"),
+    "a time": ("UPDATE ledger SET at = '2020-01-01' WHERE number = 1", "line 1 was altered"),
+    "an operator": ("UPDATE ledger SET operator = NULL WHERE number = 2", "line 2 was altered"),
+    "an issuer": ("UPDATE ledger SET issuer = 'x' WHERE number = 4", "line 4 was altered"),
+    "details": (
+        """UPDATE ledger SET details = '{"domains":"0-230"}' WHERE number = 4""",
+        "line 4 was altered",
+    ),
+    "details that are none": (
+        "UPDATE ledger SET details = '{' WHERE number = 4",
+        "line 4 was altered",
+    ),
+    "details of another kind": (
+        "UPDATE ledger SET details = '[]' WHERE number = 3",
+        "line 3 was altered",
+    ),
+    "a serial": ("UPDATE ledger SET serial = '1' WHERE number = 6", "line 6 was altered"),
+    "details that SQLite reads otherwise": (
+        """UPDATE ledger SET details = '{"domains":"0-230",' || substr(details, 2)
+            WHERE number = 4""",
+        "line 4 was altered",
+    ),
+    "a kind": ("UPDATE ledger SET kind = 'crl' WHERE number = 5", "line 5 was altered"),
+    "an end": ("UPDATE ledger SET not_after = '2099-01-01' WHERE number = 4", "line 4 was altered"),
+    "a hash": ("UPDATE ledger SET sha256 = 'x' WHERE number = 4", "line 4 was altered"),
+    "a chain value": (
+        "UPDATE ledger SET chain = 'x' WHERE number = 5",
+        "line 5 was altered, or is not the one that stood here",
+    ),
+    "a line removed": ("DELETE FROM ledger WHERE number = 3", "line 3 is missing"),
+    "lines removed": ("DELETE FROM ledger WHERE number IN (2, 3)", "lines 2 to 3 are missing"),
+    "the first line removed": ("DELETE FROM ledger WHERE number = 1", "line 1 is missing"),
+}
+
+
+@pytest.mark.parametrize(("statement", "words"), ALTERATIONS.values(), ids=ALTERATIONS)
+def test_an_alteration_shows(keystore, statement, words):
+    audit(keystore)
+    alter(keystore, statement)
+    with pytest.raises(VerificationError) as refusal:
+        audit(keystore)
+    assert any(problem.startswith(words) for problem in refusal.value.problems)
+
+
+def test_lines_that_changed_places_show(keystore):
+    alter(
+        keystore,
+        "UPDATE ledger SET number = -4 WHERE number = 4",
+        "UPDATE ledger SET number = 4 WHERE number = 6",
+        "UPDATE ledger SET number = 6 WHERE number = -4",
+    )
+    with pytest.raises(VerificationError) as refusal:
+        audit(keystore)
+    places = [problem.split(" was")[0] for problem in refusal.value.problems]
+    assert places == ["line 4", "line 5", "line 6", "line 7"]
+
+
+def test_a_line_removed_and_the_others_moved_up_shows(keystore):
+    alter(
+        keystore,
+        "DELETE FROM ledger WHERE number = 4",
+        "UPDATE ledger SET number = number - 1 WHERE number > 4",
+    )
+    with pytest.raises(VerificationError, match="line 4 was altered, or is not the one"):
+        audit(keystore)
+
+
+def test_the_newest_lines_missing_show_by_what_lies_in_the_keystore(keystore):
+    alter(keystore, "DELETE FROM ledger WHERE number > 5")
+    with pytest.raises(VerificationError) as refusal:
+        audit(keystore)
+    files = [problem.split(" is in no line")[0] for problem in refusal.value.problems]
+    found = {file.rpartition("/")[2] for file in files}
+    assert found == {"cert.pem", "permissions.p7s"}
+
+
+def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
+    _, head = audit(keystore)
+    add(keystore, later="0")
+    audit(keystore, head)
+    audit(keystore, head.upper())
+    audit(keystore, START)
+    entries = keystore.ledger()
+    for file in (keystore.root / "private").glob("ledger*"):
+        file.unlink()
+    with keystore.open_ledger() as ledger:  # by who can write it: the same, but for one line
+        ledger.add([replace(each, operator="nobody") for each in entries])
+    audit(keystore)
+    with pytest.raises(VerificationError, match="the head is not in the ledger"):
+        audit(keystore, head)
+
+
+@pytest.mark.parametrize("file", ["cert.pem", "permissions.p7s"])
+def test_what_was_never_issued_here_shows(keystore, tmp_path, file):
+    other = made(tmp_path / "other", "classical")
+    data = (other.root / "enclaves/talker" / file).read_bytes()
+    path = keystore.root / "enclaves/talker" / file
+    path.write_bytes(data)
+    with pytest.raises(VerificationError) as refusal:
+        audit(keystore)
+    assert refusal.value.problems == (f"{path} is in no line of the ledger",)
+
+
+def test_a_certificate_in_the_folder_of_another_shows(keystore):
+    folder = keystore.root / "enclaves"
+    shutil.copy(folder / "listener/cert.pem", folder / "talker/cert.pem")
+    with pytest.raises(VerificationError, match=r"talker/cert\.pem is in no line"):
+        audit(keystore)
+
+
+def test_signed_permissions_in_the_place_of_the_governance_show(keystore):
+    folder = keystore.root / "enclaves"
+    shutil.copy(folder / "talker/permissions.p7s", folder / "governance.p7s")
+    with pytest.raises(VerificationError, match=r"governance\.p7s is in no line"):
+        audit(keystore)
+
+
+def test_an_older_revocation_list_put_back_shows(keystore):
+    authorities = keystore.unlock(None)
+    revoke(keystore, authorities, ["/listener"], now=NOW)
+    older = keystore.revocation_list_path.read_bytes()
+    revoke(keystore, authorities, ["/talker"], now=NOW)
+    audit(keystore)
+    keystore.revocation_list_path.write_bytes(older)
+    with pytest.raises(VerificationError, match="is not the newest list in the ledger"):
+        audit(keystore)
+
+
+def test_a_damaged_certificate_shows(keystore):
+    path = keystore.root / "enclaves/talker/cert.pem"
+    path.write_bytes(b"broken")
+    with pytest.raises(VerificationError, match=r"cert\.pem"):
+        audit(keystore)
+
+
+def test_a_damaged_line_is_no_traceback_elsewhere(keystore):
+    statement = "UPDATE ledger SET not_after = 'never', serial = 'x' WHERE name = '/talker'"
+    for work in (
+        lambda: status(keystore, now=NOW),
+        lambda: revoke(keystore, keystore.unlock(None), ["/talker"], now=NOW),
+    ):
+        alter(keystore, statement)
+        with pytest.raises(KeystoreError, match="the ledger's line on participant /talker is dam"):
+            work()
+
+
+def test_permissions_of_a_participant_without_any_line_are_not_renewed(keystore):
+    alter(keystore, "DELETE FROM ledger WHERE kind = 'permissions' AND name = '/talker'")
+    with pytest.raises(KeystoreError, match=r"permissions\.p7s is not the newest"):
+        renew(keystore, keystore.unlock(None), ["/talker"], now=NOW)
+
+
+# An older one
+
+
+def older(keystore):
+    """The same ledger in format 1."""
+    rows = [(e.at, e.kind, e.name, e.serial, e.sha256, e.not_after) for e in keystore.ledger()]
+    for file in (keystore.root / "private").glob("ledger*"):
+        file.unlink()
+    with database(keystore) as opened:
+        opened.executescript(FORMAT_1)
+        opened.executemany(
+            "INSERT INTO issued (at, kind, name, serial, sha256, not_after)"
+            " VALUES (?, ?, ?, ?, ?, ?)",
+            rows,
+        )
+    return rows
+
+
+def test_an_older_ledger_is_brought_up_to_date_with_nothing_lost(keystore):
+    rows = older(keystore)
+    found = Keystore.open(keystore.root).ledger()
+    assert [(e.at, e.kind, e.name, e.serial, e.sha256, e.not_after) for e in found] == rows
+    assert {each.operator for each in found} == {None}
+    issuers = {each.issuer for each in found if each.kind == "participant"}
+    assert issuers == {keystore.identity_ca.fingerprint}
+    audit(keystore)
+    with database(keystore) as opened:
+        tables = opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    assert tables == [("ledger",)]
+
+
+def test_what_an_older_ledger_has_can_be_renewed_and_revoked(keystore):
+    older(keystore)
+    authorities = keystore.unlock(None)
+    assert {each.domains for each in status(keystore, now=NOW).participants} == {None}
+    renew(keystore, authorities, ["/talker"], now=NOW + DAY)
+    revoked, crl = revoke(keystore, authorities, ["/talker"], now=NOW + DAY)
+    assert len(revoked) == len(crl.revoked) == 2
+    audit(keystore)
+
+
+def test_several_who_find_an_older_ledger_bring_it_up_to_date_once(keystore):
+    rows = older(keystore)
+    work = lambda: Keystore.open(keystore.root).ledger()  # noqa: E731
+    assert at_once(*[work] * 4) == [0] * 4
+    assert len(keystore.ledger()) == len(rows)
+    audit(keystore)
+
+
+def test_a_change_that_an_older_pqsec_left_unfinished_is_finished(keystore):
+    (keystore.root / ".journal").mkdir()
+    line = ["2026-11-21T12:00:00+00:00", "permissions", "x.p7s", None, "0" * 64, None]
+    moves = {"targets": [], "entries": [line]}
+    (keystore.root / ".journal/moves.json").write_text(json.dumps(moves))
+    assert Keystore.open(keystore.root).ledger()[-1].name == "x.p7s"
+
+
+def test_a_newer_ledger_is_refused(keystore):
+    with database(keystore) as opened:
+        opened.execute("PRAGMA user_version = 3")
+    with pytest.raises(KeystoreError, match="made by a newer pqsec"):
+        keystore.ledger()
+
+
+# Who may
+
+
+def test_a_ledger_is_for_its_owner_only(keystore):
+    assert (keystore.root / "private/ledger.sqlite3").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_ledger_on_a_disk_that_is_full_says_so(keystore):
+    with keystore.open_ledger() as ledger:
+        ledger._database.execute("PRAGMA max_page_count = 1")
+        with pytest.raises(FileError, match="database or disk is full"):
+            ledger.add(entry(number, name="x" * 1000) for number in range(1000))
+    audit(keystore)
+
+
+@pytest.mark.parametrize("mode", ["DELETE", "WAL"])
+def test_a_ledger_that_another_process_holds_is_waited_for_and_given_up(
+    keystore, monkeypatch, mode
+):
+    monkeypatch.setattr(_ledger, "_PATIENCE", 0.1)
+    with database(keystore) as other:
+        other.execute(f"PRAGMA journal_mode = {mode}")
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(KeystoreError, match="another process is at work here"):
+            add(keystore, later="0")
+    add(keystore, later="0")
+
+
+def test_it_stays_fast_as_it_grows(keystore):
+    with keystore.open_ledger() as ledger:
+        ledger.add(entry(number) for number in range(20_000))
+    standing = status(keystore, now=NOW + timedelta(days=1))
+    assert len(standing.participants) == 20_002

@@ -1,0 +1,242 @@
+"""The agent as a process: who may connect, when it ends, and what one guest can do to others."""
+
+import os
+import re
+import shutil
+import socket
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.errors import FileError, MalformedError
+from pqsec_pki.plugin import Place, agent_status, stop_agent
+from pqsec_pki.plugin.control import Client
+from pqsec_pki.plugin.server import MAX_CONNECTIONS, _peer
+from tests.unit.plugin_wire import framed, greeting
+
+PATIENCE = 20
+
+
+@pytest.fixture
+def place():
+    """A place of this test's own; a socket's path must be short."""
+    folder = Path(tempfile.mkdtemp(prefix="pqsec-"))
+    yield Place(folder / "agent.sock")
+    shutil.rmtree(folder)
+
+
+def start(place, *idle):
+    return subprocess.Popen(
+        [sys.executable, "-I", "-m", "pqsec_pki.plugin", place.socket, *idle],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def until(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert condition()
+
+
+@contextmanager
+def running(place, *idle):
+    process = start(place, *idle)
+    try:
+        until(lambda: agent_status(place))
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def connected(place, octets=b""):
+    link = socket.socket(socket.AF_UNIX)
+    link.settimeout(PATIENCE)
+    link.connect(str(place.socket))
+    link.sendall(octets)
+    return link
+
+
+def test_an_agent_is_for_its_user_alone_and_ends_when_told(place):
+    with running(place) as process:
+        assert stat.S_IMODE(place.socket.stat().st_mode) == 0o600
+        status = agent_status(place)
+        assert (status.process, status.socket) == (process.pid, str(place.socket))
+        assert status.connections == ()
+        assert stop_agent(place)
+        assert process.wait(PATIENCE) == 0
+    assert not place.socket.exists()
+    assert not stop_agent(place)
+
+
+def test_an_agent_tells_whom_it_serves(place):
+    with running(place):
+        guest = Client(place, "authentication")
+        (found,) = agent_status(place).connections
+        name = Path("/proc/self/comm").read_text().strip()
+        assert found == {
+            "process": f"{name}[{os.getpid()}]",
+            "plugin": "authentication",
+            "objects": 0,
+        }
+        guest.close()
+        until(lambda: agent_status(place).connections == ())
+
+
+def test_a_process_cannot_write_lines_of_its_own_into_the_log(place):
+    comm = Path("/proc/self/comm")
+    before = comm.read_text()
+    with running(place) as process:
+        comm.write_text("ours\nand mine")
+        try:
+            guest = Client(place, "authentication")
+            with pytest.raises(MalformedError):
+                guest.call("get_identity_token", 1)
+        finally:
+            comm.write_text(before.strip())
+        (found,) = agent_status(place).connections
+        guest.close()
+        process.terminate()
+        said = process.stderr.read()
+    assert found["process"] == f"ours\\u000aand mine[{os.getpid()}]"
+    assert "\nand mine" not in said
+
+
+def test_an_agent_leaves_no_core_file_and_has_files_enough(place):
+    with running(place) as process:
+        limits = Path(f"/proc/{process.pid}/limits").read_text()
+        assert re.search(r"Max core file size +0 +0 ", limits)
+        assert int(re.search(r"Max open files +([0-9]+)", limits)[1]) > MAX_CONNECTIONS
+
+
+def test_there_is_one_agent(place):
+    with running(place) as first:
+        second = start(place)
+        assert second.wait(PATIENCE) == 0
+        assert "listening" not in second.stderr.read()
+        second.stderr.close()
+        assert agent_status(place).process == first.pid
+
+
+def test_an_agent_takes_the_place_of_one_that_was_killed(place):
+    with running(place) as first:
+        first.kill()
+        first.wait()
+        assert place.socket.exists()
+        assert agent_status(place) is None
+        with running(place) as second:
+            assert agent_status(place).process == second.pid
+
+
+def test_an_agent_whose_socket_was_deleted_is_replaced_and_leaves_the_next_one_alone(place):
+    """As what cleans /tmp might do. Its guests stay with it."""
+    with running(place) as first:
+        guest = Client(place, "control")
+        place.socket.unlink()
+        with running(place) as second:
+            assert agent_status(place).process == second.pid
+            guest.call("stop")
+            assert first.wait(PATIENCE) == 0
+            assert agent_status(place).process == second.pid
+        guest.close()
+
+
+def test_an_idle_agent_ends_but_not_while_somebody_is_there(place):
+    with running(place, "0.3") as process:
+        guest = Client(place, "access_control")
+        time.sleep(0.6)
+        assert process.poll() is None
+        guest.close()
+        assert process.wait(PATIENCE) == 0
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o770])
+def test_a_folder_that_others_can_enter_is_refused(place, mode):
+    place.folder.chmod(mode)
+    process = start(place)
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 3
+    assert "is not a folder of this user's alone" in said
+    with pytest.raises(FileError, match="is not a folder of this user's alone"):
+        place.prepare()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+@pytest.mark.parametrize("ask", [agent_status, stop_agent])
+def test_the_folder_of_another_user_is_not_asked(place, ask):
+    """As somebody may have made it in /tmp, with a socket that gives bad answers."""
+    os.chown(place.folder, 65534, 65534)
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(place.socket))
+        listener.listen()
+        listener.settimeout(0)
+        with pytest.raises(FileError, match="is not a folder of this user's alone"):
+            ask(place)
+        with pytest.raises(BlockingIOError):
+            listener.accept()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_another_user_is_not_served_even_where_the_folder_lets_it_in(place):
+    with running(place) as process:
+        place.folder.chmod(0o755)
+        place.socket.chmod(0o666)
+        script = (
+            "import os, socket, sys; os.setuid(65534)\n"
+            "link = socket.socket(socket.AF_UNIX); link.connect(sys.argv[1])\n"
+            "print(link.recv(1))"
+        )
+        command = [sys.executable, "-c", script, place.socket]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert done.stdout == "b''\n"
+        place.folder.chmod(0o700)
+        assert agent_status(place)
+        process.terminate()
+        assert "of user 65534 is not served" in process.stderr.read()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_a_user_with_a_large_number_is_known():
+    """As in a user namespace: more than a signed number holds."""
+    child = os.fork()
+    if child == 0:
+        os.setuid(3_000_000_000)
+        one, _other = socket.socketpair()
+        os._exit(_peer(one) != (os.getpid(), os.geteuid()))
+    assert os.waitpid(child, 0)[1] == 0
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [b"", b"\0", b"\xff" * 100, greeting("authentication")[:9], framed(b"nonsense")],
+)
+def test_one_guest_cannot_keep_another_from_being_served(place, octets):
+    with running(place), connected(place, octets):
+        client = Client(place, "authentication")
+        with pytest.raises(MalformedError, match="unknown to the agent"):
+            client.call("get_identity_token", 1)
+        client.close()
+
+
+def test_a_guest_that_does_not_read_its_answers_is_waited_for_by_nobody(place):
+    with running(place), connected(place, greeting("control")) as deaf:
+        deaf.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            deaf.sendall(framed(b"\6\0\0\0status") * 1_000_000)
+        assert agent_status(place)
+
+
+def test_the_place_is_in_the_users_runtime_folder_if_that_is_the_users(tmp_path):
+    own = Place.of({"XDG_RUNTIME_DIR": str(tmp_path)})
+    assert own.socket == tmp_path / "pqsec" / "agent.sock"
+    for environment in ({}, {"XDG_RUNTIME_DIR": "here"}, {"XDG_RUNTIME_DIR": "/nowhere"}):
+        assert Place.of(environment).folder == Path(f"/tmp/pqsec-{os.geteuid()}")

@@ -1,0 +1,86 @@
+"""A connection of the agent: greetings, frames, refusals, and what survives them."""
+
+import pytest
+
+from pqsec_pki.plugin.authentication import Authentication
+from pqsec_pki.plugin.connection import Connection, House, ProtocolError
+from pqsec_pki.plugin.octets import MAX_FRAME, Reader
+from tests.unit.keystores import NOW
+from tests.unit.plugin_wire import RefusedError, Shim, asked, framed, greeting
+
+
+@pytest.fixture
+def fresh():
+    """A connection that has heard nothing yet."""
+    return Connection(House(lambda: NOW, print, dict, lambda: None), "test[1]")
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        framed(b""),
+        framed(b"\xff" * 40),
+        greeting("authentication", magic="pqsex"),
+        greeting("crypto"),
+        framed(greeting("authentication")[4:] + b"\0"),
+        (MAX_FRAME + 1).to_bytes(4, "little"),
+    ],
+)
+def test_what_is_no_greeting_ends_the_connection(fresh, octets):
+    with pytest.raises(ProtocolError):
+        list(fresh.receive(octets))
+
+
+def test_another_version_is_told_what_to_do(fresh):
+    (answer,) = fresh.receive(greeting("authentication", version=2))
+    reader = Reader(answer[4:])
+    assert reader.number("B") == 1
+    assert "the agent speaks version 1, the library 2" in reader.text()
+
+
+def test_the_command_line_of_another_version_can_still_stop_it(fresh):
+    assert list(fresh.receive(greeting("control", version=2))) == [framed(b"\0")]
+    assert list(fresh.receive(asked("control", "stop"))) == [framed(bytes(5))]
+
+
+def test_frames_may_come_in_pieces_and_several_at_once(fresh):
+    octets = greeting("authentication") + asked("authentication", "get_identity_token", 7) * 2
+    answers = [answer for octet in octets for answer in fresh.receive(bytes([octet]))]
+    together = Connection(House(lambda: NOW, print, dict, lambda: None), "test[1]")
+    assert answers == list(together.receive(octets))
+    assert len(answers) == 3
+
+
+def test_a_refused_call_leaves_the_connection_as_it_was():
+    shim = Shim("authentication", NOW)
+    for frame, words in (
+        (framed(b""), "a frame ends early"),
+        (asked("access_control", "get_permissions_token", 1), "no call is named"),
+        (framed(asked("authentication", "get_identity_token", 1)[4:] + b"\0"), "too long"),
+        (asked("authentication", "get_identity_token", 1), "unknown to the agent"),
+    ):
+        (answer,) = shim.connection.receive(frame)
+        assert answer[4] == 1
+        assert words in answer.decode(errors="replace")
+        assert words in shim.log[-1]
+    assert shim.log[-1].startswith("test[1]: get_identity_token refused: ")
+
+
+def test_an_error_of_the_agents_own_is_an_answer_and_a_trace_in_the_log(monkeypatch):
+    shim = Shim("authentication", NOW)
+
+    def broken(self, handle):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Authentication, "get_identity_token", broken)
+    with pytest.raises(RefusedError, match="an error of the agent"):
+        shim.call("get_identity_token", 1)
+    assert "ZeroDivisionError" in shim.log[0]
+
+
+def test_a_reason_is_short_and_has_no_control_characters():
+    shim = Shim("authentication", NOW)
+    name = "x\n" * 5000
+    (answer,) = shim.connection.receive(framed(len(name).to_bytes(4, "little") + name.encode()))
+    assert len(answer) < 1000
+    assert "\n" not in shim.log[-1]

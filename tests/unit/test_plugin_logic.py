@@ -1,0 +1,304 @@
+"""What the agent does for identities, peers and permissions, without a socket or a shim."""
+
+import os
+
+import pytest
+
+from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.handshake import DataHolder, participant_data
+from pqsec_pki.plugin import authentication, handles
+from pqsec_pki.plugin.authentication import NO_TOKEN, Result
+from pqsec_pki.plugin.handles import Handles
+from tests.unit.keystores import DAY, NOW, TWO, made
+from tests.unit.plugin_wire import RefusedError, Shim, properties
+
+IDENTITY = DataHolder("DDS:Auth:PKI-DH:1.0")
+TOKEN = DataHolder("DDS:Access:Permissions:1.0")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """folders["pq"] are those of two participants of that profile."""
+    root = tmp_path_factory.mktemp("keystores")
+    stores = {each.name: made(root / each.name, each.name) for each in PROFILES}
+    return {name: [one.root / f"enclaves{each}" for each in TWO] for name, one in stores.items()}
+
+
+def _guid():
+    return b"\xff" * 6 + os.urandom(6) + b"\0\0\1\xc1"
+
+
+@pytest.mark.parametrize("profile", [each.name for each in PROFILES])
+def test_an_identity_asks_for_the_key_agreement_of_its_profile(folders, profile):
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders[profile][0])
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, _guid())
+    _, _, request = shim.call("begin_handshake_request", identity, peer, b"data")
+    found = dict(request.binary_properties)
+    wanted = profile_named(profile).key_agreement.wire_name
+    assert found["c.kagree_algo"].rstrip(b"\0").decode() == wanted
+    assert found["c.pdata"] == b"data"  # all that Cyclone DDS says of itself is signed
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("peers = 1", "a setting has no such value"),
+        ("peers = 'all'", "a setting has no such value"),
+        ("key_agreements = 'mlkem768'", "a setting has no such value"),
+        ("key_agreements = ['kyber768']", "kyber768"),
+        ("key_agreement = ['mlkem768']", "key_agreement is no setting"),
+        ("peers: stock", "not TOML"),
+        ("peers = 'stock'", "takes no ml-dsa-65 key"),
+    ],
+)
+def test_a_setting_that_is_not_understood_is_refused(folders, tmp_path, text, words):
+    for file in folders["pq"][0].iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "pqsec.toml").write_text(text)
+    with pytest.raises(RefusedError, match=words):
+        Shim("authentication", NOW).identity(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cert.pem", "key.pem", "pqsec.toml"])
+def test_nobody_waits_for_a_pipe_in_the_place_of_a_file(folders, tmp_path, name):
+    for file in folders["pq"][0].iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(RefusedError, match=f"{name} is not a file"):
+        Shim("authentication", NOW).identity(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("dds.sec.auth.private_key", "", "is not configured"),
+        ("dds.sec.auth.private_key", "pkcs11:token", "neither file: and a path nor data:,"),
+        ("dds.sec.auth.identity_ca", "data:,x", "no certificate"),
+        ("dds.sec.auth.identity_certificate", "file:nowhere.pem", "no such file"),
+        ("dds.sec.auth.trusted_ca_dir", "nowhere", "no such file"),
+        ("dds.sec.auth.trusted_ca_dir", "\0", "null"),
+        ("dds.sec.auth.private_key", "file:\0", "neither file: and a path"),
+    ],
+)
+def test_a_property_that_is_not_understood_is_refused(folders, name, value, words):
+    with pytest.raises(RefusedError, match=words):
+        Shim("authentication", NOW).identity(folders["pq"][0], **{name: value})
+
+
+def test_a_key_that_stands_in_the_wrong_form_is_not_repeated(folders):
+    folder, name = folders["classical"][0], "dds.sec.auth.private_key"
+    text = (folder / "key.pem").read_text()
+    for value in (text, f"data:,{text[:90]}", f"data:{text}", f"file:{text}"):
+        shim = Shim("authentication", NOW)
+        with pytest.raises(RefusedError) as refusal:
+            shim.identity(folder, **{name: value})
+        said = f"{refusal.value}{shim.log}".replace("\\u000a", "")
+        body = "".join(text.splitlines()[1:-1])
+        assert not [at for at in range(len(body) - 8) if body[at : at + 8] in said]
+
+
+def test_credentials_may_stand_in_the_configuration_itself(folders):
+    folder = folders["pq"][0]
+    texts = {
+        name: f"data:,{(folder / value.removeprefix('file:')).read_text()}"
+        for name, value in properties(folder)[0]
+    }
+    handle, _ = Shim("authentication", NOW).identity("/", **texts)
+    assert handle
+
+
+def test_an_identity_tells_the_second_when_it_ends(folders):
+    pairs, where = properties(folders["pq"][0])
+    shim = Shim("authentication", NOW)
+    *_, end = shim.call("validate_local_identity", 0, where, pairs, _guid())
+    late = (NOW + 90 * DAY).timestamp()
+    assert end - 1 == late
+    for when, good in ((end - 1, True), (end, False)):
+        other = Shim("authentication", NOW.fromtimestamp(when, NOW.tzinfo))
+        if good:
+            other.identity(folders["pq"][0])
+        else:
+            with pytest.raises(RefusedError, match="expired on"):
+                other.identity(folders["pq"][0])
+
+
+def test_a_peer_is_one_for_all_our_participants_and_another_when_it_comes_back(folders):
+    shim = Shim("authentication", NOW)
+    one, other = (shim.identity(each)[0] for each in folders["pq"])
+    guid = _guid()
+
+    def met(identity):
+        return shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, guid)[1]
+
+    first = met(one)
+    assert met(other) == first
+    again = met(one)
+    assert again != first  # the first is still to be returned
+    shim.call("return_identity_handle", first)
+    assert shim.call("begin_handshake_request", one, again, b"")[0] == (
+        Result.PENDING_HANDSHAKE_MESSAGE
+    )
+
+
+def _shaken(*sides):
+    """Both ends of a handshake of two (Shim, identity, GUID), the smaller GUID's first."""
+    (one, own, guid), (other, theirs, peers) = sorted(sides, key=lambda side: side[2])
+    _, seen, request = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
+    _, known, _ = one.call("validate_remote_identity", request, own, IDENTITY, peers)
+    pdata = [participant_data(each) for each in (guid, peers)]
+    _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
+    _, answered, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
+    result, token = one.call("process_handshake", token, begun)
+    assert result == Result.OK_FINAL_MESSAGE
+    assert other.call("process_handshake", token, answered) == [Result.OK, NO_TOKEN]
+    return (one, begun, known), (other, answered, seen)
+
+
+def _side(folder, **more):
+    shim = Shim("authentication", NOW)
+    return shim, *shim.identity(folder, **more)
+
+
+def test_a_peer_that_another_participant_met_is_no_peer_of_this_one(folders):
+    shim = Shim("authentication", NOW)
+    one, other = (shim.identity(each)[0] for each in folders["pq"])
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, one, IDENTITY, _guid())
+    with pytest.raises(RefusedError, match="a peer that was not validated"):
+        shim.call("begin_handshake_request", other, peer, b"")
+
+
+def test_a_secret_comes_with_its_peer_and_when_that_ends(folders):
+    ends = _shaken(*map(_side, folders["pq"]))
+    told = [shim.call("get_shared_secret", handshake) for shim, handshake, _ in ends]
+    assert told[0][3:] == told[1][3:]
+    assert [each[1] for each in told] == [peer for *_, peer in ends]
+    assert [each[2] - 1 for each in told] == [(NOW + 90 * DAY).timestamp()] * 2
+
+
+def test_a_peer_of_another_ca_is_taken_if_that_is_trusted(folders, tmp_path):
+    stranger = made(tmp_path / "other", "pq").root / "enclaves/talker"
+    ours, trusted = folders["pq"][0], {}
+    for name, source in (("here", stranger), ("there", ours)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "README").write_text("no certificate")
+        ca = (source / "identity_ca.cert.pem").read_bytes()
+        (tmp_path / name / "ca.pem").write_bytes(ca)
+        trusted[name] = {"dds.sec.auth.trusted_ca_dir": str(tmp_path / name)}
+    assert _shaken(_side(ours, **trusted["here"]), _side(stranger, **trusted["there"]))
+    for here, there in ((trusted["here"], {}), ({}, trusted["there"])):
+        with pytest.raises(RefusedError, match="not signed by this CA"):
+            _shaken(_side(ours, **here), _side(stranger, **there))
+
+
+def test_a_revocation_list_and_trusted_cas_exclude_each_other(folders, tmp_path):
+    more = {
+        "dds.sec.auth.trusted_ca_dir": str(tmp_path),
+        "org.eclipse.cyclonedds.sec.auth.crl": "file:crl.pem",
+    }
+    with pytest.raises(RefusedError, match="exclude each other"):
+        _side(folders["pq"][0], **more)
+
+
+def test_what_belongs_to_a_participant_goes_with_it(folders):
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders["pq"][0])
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, _guid())
+    _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
+    shim.call("return_identity_handle", identity)
+    for call in ("get_shared_secret", "get_authenticated_peer_credential_token"):
+        with pytest.raises(RefusedError, match="unknown to the agent"):
+            shim.call(call, handshake)
+    shim.call("return_identity_handle", peer)
+    assert shim.connection.what == ("test[1]", "authentication", 0)
+
+
+def _answered(asks, answers):
+    """A handshake up to its Final: that, and the handle of who waits for it."""
+    (one, own, guid), (other, theirs, peers) = asks, answers
+    _, seen, _ = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
+    _, known, _ = one.call("validate_remote_identity", NO_TOKEN, own, IDENTITY, peers)
+    pdata = [participant_data(each) for each in (guid, peers)]
+    _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
+    _, handle, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
+    return one.call("process_handshake", token, begun)[1], handle
+
+
+def test_requests_of_many_guids_leave_room_and_those_who_finished_alone(folders, monkeypatch):
+    """A certificate that was heard is enough to send as many Requests as one likes."""
+    monkeypatch.setattr(authentication, "MAX_ANSWERED", 2)
+    ours = _side(folders["pq"][1])
+    shim = ours[0]
+
+    def answered():
+        return _answered(_side(folders["pq"][0]), ours)
+
+    final, finished = answered()
+    shim.call("process_handshake", final, finished)
+    waiting = [answered() for _ in range(3)]
+    assert shim.call("get_shared_secret", finished)
+    with pytest.raises(RefusedError, match="unknown to the agent"):
+        shim.call("process_handshake", *waiting[0])
+    for each in waiting[1:]:
+        assert shim.call("process_handshake", *each) == [Result.OK, NO_TOKEN]
+
+
+def test_a_secret_is_told_only_when_the_handshake_is_over(folders):
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders["pq"][0])
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, _guid())
+    _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
+    with pytest.raises(RefusedError, match="the handshake is not over"):
+        shim.call("get_shared_secret", handshake)
+
+
+def test_a_handle_of_another_connection_is_unknown(folders):
+    handle, _ = Shim("authentication", NOW).identity(folders["pq"][0])
+    with pytest.raises(RefusedError, match="unknown to the agent"):
+        Shim("authentication", NOW).call("get_identity_token", handle)
+
+
+def test_there_is_an_end_to_objects(monkeypatch):
+    monkeypatch.setattr(handles, "MAX_OBJECTS", 2)
+    few = Handles()
+    few.add("one"), few.add("two")
+    with pytest.raises(Exception, match="more than 2"):
+        few.add("three")
+
+
+def test_a_peer_of_an_unknown_participant_has_no_rights(folders):
+    shim = Shim("access_control", NOW)
+    with pytest.raises(RefusedError, match="a participant that the agent does not know"):
+        shim.call("validate_remote_permissions", 1, 2, TOKEN, NO_TOKEN)
+
+
+def _credential(folder):
+    """What authentication says of a peer with the files in `folder`."""
+    texts = [(folder / name).read_text() for name in ("cert.pem", "permissions.p7s")]
+    return DataHolder("", tuple(zip(("c.id", "c.perm"), texts, strict=True)))
+
+
+def test_a_peer_is_judged_by_the_documents_of_the_participant_that_met_it(folders):
+    """Two participants of a process, each with a permissions CA of its own."""
+    shim = Shim("access_control", NOW)
+    both = [folders[profile][0] for profile in ("pq", "hybrid")]
+    for handle, folder in enumerate(both, 1):
+        pairs, where = properties(folder)
+        shim.call("validate_local_permissions", handle, 0, where, pairs)
+    for handle, folder in enumerate(both, 1):
+        credential = _credential(folder)
+        assert shim.call("validate_remote_permissions", handle, 9, TOKEN, credential)
+        with pytest.raises(RefusedError, match="the peer's permissions"):
+            shim.call("validate_remote_permissions", 3 - handle, 9, TOKEN, credential)
+
+
+def test_builtin_topics_are_for_the_participant_itself_not_for_its_peers(folders):
+    folder = folders["pq"][0]
+    shim, (pairs, where) = Shim("access_control", NOW), properties(folder)
+    _, own, _ = shim.call("validate_local_permissions", 1, 0, where, pairs)
+    shim.call("check_create_topic", own, 0, "DCPSParticipant")
+    shim.call("check_create_datareader", own, 0, "DCPSParticipant", (), ())
+    _, peers, _ = shim.call("validate_remote_permissions", 1, 2, TOKEN, _credential(folder))
+    with pytest.raises(RefusedError, match="'DCPSParticipant'"):
+        shim.call("check_remote_datareader", peers, 0, "DCPSParticipant", (), ())

@@ -1,0 +1,52 @@
+"""What permissions say of a topic before it is known in which partition its endpoints will be."""
+
+import pytest
+
+from pqsec_pki.access import Action, Question, decide
+from pqsec_pki.documents import (
+    Criteria,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+    Rule,
+)
+from pqsec_pki.plugin.rights import anywhere
+from tests.unit.keystores import DAY, NOW
+
+DOMAINS = DomainSet.parse("0")
+GOVERNANCE = Governance.protected(DOMAINS)
+ALL = Criteria(topics=("*",))
+THERE = Criteria(topics=("chatter",), partitions=("there",))
+TAGGED = Criteria(topics=("chatter",), data_tags=(("kind", "secret"),))
+PLAIN = Criteria(topics=("chatter",))
+
+
+def rule(criteria, *, allow):
+    return Rule(allow=allow, domains=DOMAINS, publish=(criteria,))
+
+
+@pytest.mark.parametrize(
+    ("rules", "may"),
+    [
+        ([rule(THERE, allow=True)], True),
+        ([rule(TAGGED, allow=True)], True),
+        ([rule(THERE, allow=False), rule(ALL, allow=True)], True),
+        ([rule(TAGGED, allow=False), rule(ALL, allow=True)], True),
+        ([rule(PLAIN, allow=False), rule(ALL, allow=True)], False),
+        ([rule(PLAIN, allow=False), rule(THERE, allow=True)], False),
+    ],
+)
+def test_a_topic_is_denied_if_it_is_denied_everywhere(rules, may):
+    grant = Grant(
+        name="g",
+        subject_name="CN=robot",
+        not_before=NOW - DAY,
+        not_after=NOW + DAY,
+        rules=tuple(rules),
+    )
+    question = Question(
+        subject="CN=robot", domain=0, action=Action.PUBLISH, now=NOW, topic="chatter"
+    )
+    decision = decide(GOVERNANCE, anywhere(Permissions(grants=(grant,))), question)
+    assert decision.allowed is may

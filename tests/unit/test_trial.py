@@ -1,0 +1,565 @@
+"""The trial without a stack: what is found, compiled, played, understood and reported."""
+
+import os
+import sys
+import time
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.keystore import Wish, issue
+from pqsec_pki.trial import (
+    Act,
+    BuildError,
+    MissingStackError,
+    Passage,
+    Performance,
+    Report,
+    Role,
+    Scene,
+    built,
+    find,
+    mark,
+    passage,
+    perform,
+)
+from pqsec_pki.trial.findings import findings
+from pqsec_pki.trial.network import Wire
+from pqsec_pki.trial.peer import MAX_LOG, Account
+from pqsec_pki.trial.words import words
+from tests.unit.keystores import NOW, made
+
+# Finding a stack
+
+
+@pytest.fixture
+def root(tmp_path):
+    """root({path: text}) is a root file system with these files; tools are executable."""
+
+    def of(files):
+        for name, text in files.items():
+            path = tmp_path / "root" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+            path.chmod(0o755)
+        return tmp_path / "root"
+
+    return of
+
+
+CYCLONE = {"usr/include/dds/version.h": '#define DDS_VERSION "0.10.4"\n'}
+FASTDDS_2 = {
+    "usr/include/x86_64-linux-gnu/fastrtps/config.h": '#define FASTRTPS_VERSION_STR "2.9.1"\n'
+}
+FASTDDS_3 = {
+    "usr/local/include/fastdds/config.hpp": '#define FASTDDS_VERSION_STR "3.2.3"\n',
+}
+TOOLS = {f"usr/bin/{name}": "#!/bin/sh\n" for name in ("idlc", "gcc", "g++")}
+
+
+@pytest.mark.parametrize(
+    ("stack", "files", "title"),
+    [
+        ("cyclonedds", CYCLONE, "Cyclone DDS 0.10.4"),
+        ("fastdds", FASTDDS_2, "Fast DDS 2.9.1"),
+        ("fastdds", FASTDDS_3, "Fast DDS 3.2.3"),
+        ("fastdds", FASTDDS_2 | FASTDDS_3, "Fast DDS 3.2.3"),
+    ],
+)
+def test_a_stack_is_found_by_its_headers(root, stack, files, title):
+    assert find(stack, root(files | TOOLS)).title == title
+
+
+@pytest.mark.parametrize(
+    ("stack", "package"), [("cyclonedds", "cyclonedds-dev"), ("fastdds", "libfastrtps-dev")]
+)
+def test_a_stack_that_is_not_there_is_missed_with_its_packages(root, stack, package):
+    with pytest.raises(MissingStackError, match="is not installed") as missing:
+        find(stack, root(TOOLS))
+    assert package in missing.value.hint
+
+
+def test_a_header_that_tells_no_version_is_none(root):
+    with pytest.raises(MissingStackError):
+        find("cyclonedds", root({"usr/include/dds/version.h": "#define OTHER 1\n"} | TOOLS))
+
+
+def test_a_missing_compiler_is_named_with_its_package(root):
+    files = CYCLONE | {"usr/bin/gcc": "#!/bin/sh\n"}
+    with pytest.raises(MissingStackError, match="not idlc") as missing:
+        find("cyclonedds", root(files))
+    assert "cyclonedds-tools" in missing.value.hint
+
+
+def test_a_stack_that_nobody_can_try_is_refused(root):
+    with pytest.raises(UsageError, match="connext"):
+        find("connext", root(TOOLS))
+
+
+# Compiling a peer
+
+
+@pytest.fixture
+def tools(tmp_path, monkeypatch):
+    """tools({name: script}): these come before the machine's, and the cache is the test's."""
+
+    def install(scripts):
+        folder = tmp_path / "tools"
+        folder.mkdir(exist_ok=True)
+        for name, script in scripts.items():
+            (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+            (folder / name).chmod(0o755)
+        monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+    return install
+
+
+@pytest.fixture
+def here(root):
+    """A Fast DDS whose headers are elsewhere and whose compiler is this machine's."""
+    return replace(find("fastdds", root(FASTDDS_2 | TOOLS)), root=Path("/"))
+
+
+def test_a_peer_is_compiled_once_and_kept(tools, here, tmp_path):
+    tools({"g++": f"echo run >> {tmp_path}/count; test -f fastdds.cpp && echo it > peer"})
+    program = built(here)
+    assert built(here) == program
+    assert program.is_relative_to(tmp_path / "cache" / "pqsec")
+    assert program.read_text() == "it\n"
+    assert os.access(program, os.X_OK)
+    assert (tmp_path / "count").read_text() == "run\n"
+    assert [path.name for path in program.parent.iterdir()] == [program.name]
+
+
+def test_another_version_gets_a_peer_of_its_own(tools, here):
+    tools({"g++": "echo it > peer"})
+    assert built(here) != built(replace(here, version="2.10.0"))
+
+
+def test_a_compiler_that_takes_too_long_is_ended_with_what_it_started(
+    tools, here, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("pqsec_pki.trial.building.PATIENCE", 0.5)
+    tools({"g++": f"sleep 60 & echo $! > {tmp_path}/child; wait"})
+    with pytest.raises(BuildError, match="took more than"):
+        built(here)
+    assert_ends(int((tmp_path / "child").read_text()))
+
+
+def test_a_compiler_that_fails_is_quoted_and_nothing_is_kept(tools, here, tmp_path):
+    tools({"g++": "echo 'x.hpp: fatal error: no such file' >&2; exit 1"})
+    with pytest.raises(BuildError, match="fatal error: no such file") as failure:
+        built(here)
+    assert "libfastrtps-dev" in failure.value.hint
+    assert [path for path in (tmp_path / "cache").rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("flaw", ["pqsec", "pqsec/peers"])
+def test_a_cache_where_others_may_write_is_refused(tools, here, tmp_path, flaw):
+    """Programs in it are run."""
+    tools({"g++": f"touch {tmp_path}/ran"})
+    folder = tmp_path / "cache" / flaw
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+    with pytest.raises(FileError, match="no place for programs") as refusal:
+        built(here)
+    assert "XDG_CACHE_HOME" in refusal.value.hint
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_cache_that_is_a_link_is_refused(tools, here, tmp_path):
+    tools({"g++": "echo it > peer"})
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "cache/pqsec").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(FileError, match="no place for programs"):
+        built(here)
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o002, 0o077])
+def test_a_cache_of_ones_own_is_made_whatever_the_umask(tools, here, umask):
+    tools({"g++": "echo it > peer"})
+    before = os.umask(umask)
+    try:
+        program = built(here)
+    finally:
+        os.umask(before)
+    places = (program, program.parent, program.parent.parent)
+    assert [oct(path.stat().st_mode & 0o777) for path in places] == ["0o700"] * 3
+
+
+@pytest.mark.parametrize("flaw", ["writable", "link"])
+def test_a_program_that_another_put_there_is_not_run(tools, here, tmp_path, flaw):
+    tools({"g++": "echo ours > peer"})
+    program = built(here)
+    (tmp_path / "theirs").write_text("theirs")
+    program.unlink()
+    if flaw == "link":
+        program.symlink_to(tmp_path / "theirs")
+    else:
+        program.write_text("theirs")
+        program.chmod(0o777)
+    assert built(here).read_text() == "ours\n"
+    assert (tmp_path / "theirs").read_text() == "theirs"
+
+
+def test_a_user_without_a_home_is_told_what_to_set(tools, here, monkeypatch):
+    tools({"g++": "echo it > peer"})
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # to be ignored
+
+    def homeless():
+        raise RuntimeError
+
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(FileError, match="no home") as refusal:
+        built(here)
+    assert "XDG_CACHE_HOME" in refusal.value.hint
+
+
+def test_a_root_from_which_nothing_starts_is_refused(root):
+    installation = find("cyclonedds", root(CYCLONE | TOOLS))
+    with pytest.raises(MissingStackError, match="starts programs"):
+        installation.peer(Path("peer"))
+
+
+def test_a_cache_that_cannot_be_written_is_said(tools, here, tmp_path):
+    tools({"g++": "echo it > peer"})
+    (tmp_path / "cache").write_text("a file in the way")
+    with pytest.raises(FileError, match="cache"):
+        built(here)
+
+
+# A scene, with peers that are scripts
+
+LISTEN = "print('joined', flush=True); time.sleep(60)"
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """scene(send, receive) has peers of this Python, and says how long it took."""
+
+    def play(send, receive=LISTEN, *, timeout=10.0, strangers=()):
+        script = tmp_path / "peer.py"
+        script.write_text(
+            "import os, subprocess, sys, time\n"
+            "act, domain, topic, text, seconds = sys.argv[1:]\n"
+            f"exec({{'send': {send!r}, 'receive': {receive!r}}}[act])\n"
+        )
+        roles = [
+            Role(name="/a", act=Act.SEND, text="x", environment={"PEER": "a"}),
+            Role(name="/b", act=Act.RECEIVE, environment={"PEER": "b"}),
+            *(Role(name=n, act=Act.RECEIVE, environment={}, stranger=True) for n in strangers),
+        ]
+        scene = Scene(program=[sys.executable, str(script)], domain=3, topic="T", timeout=timeout)
+        return perform(scene, roles)
+
+    return play
+
+
+def test_it_is_over_when_the_receiver_has_received(scene):
+    done = scene("print('joined\\nmatched', flush=True); time.sleep(60)", "print('received x')")
+    sender, receiver = done.accounts
+    assert (receiver.received, receiver.refused, receiver.signal) == ("x", None, None)
+    assert (sender.joined, sender.matched, sender.received, sender.signal) == (
+        True,
+        True,
+        None,
+        None,
+    )
+    assert done.seconds < 5
+
+
+def test_it_is_over_at_once_when_a_stack_refuses(scene):
+    done = scene("print('refused participant: Error'); sys.exit(3)")
+    assert done.accounts[0].refused == "participant: Error"
+    assert done.seconds < 5
+
+
+def test_when_one_stack_refuses_the_other_may_say_so_too(scene):
+    late = "time.sleep(0.4); print('refused reader: Error'); sys.exit(3)"
+    done = scene("print('refused writer: Error'); sys.exit(3)", late)
+    assert [each.refused for each in done.accounts] == ["writer: Error", "reader: Error"]
+
+
+def test_a_crash_is_told(scene):
+    done = scene("os.abort()")
+    assert done.accounts[0].signal == "SIGABRT"
+    assert done.accounts[1].signal is None
+
+
+def test_it_is_over_when_the_time_is(scene):
+    began = time.monotonic()
+    done = scene(LISTEN, timeout=0.5)
+    assert done.seconds == 0.5
+    assert time.monotonic() - began < 5
+
+
+def test_nobody_waits_for_a_stranger(scene):
+    done = scene(
+        LISTEN,
+        "print('received x') if 'PEER' not in os.environ else time.sleep(60)",
+        timeout=1,
+        strangers=["?"],
+    )
+    assert done.seconds == 1
+    assert done.accounts[2].received == "x"
+
+
+def test_a_stranger_is_given_time_after_the_others(scene):
+    """Else it would hear nothing only for want of time."""
+    late = "time.sleep(0 if 'PEER' in os.environ else 0.6); print('received x')"
+    done = scene(LISTEN, late, strangers=["?"])
+    assert done.accounts[2].received == "x"
+
+
+def test_what_a_peer_is_told(scene):
+    done = scene(
+        "print(act, domain, topic, text, os.environ['PEER'], flush=True); time.sleep(60)",
+        "print('received it')",
+    )
+    assert done.accounts[0].log == "send 3 T x a\n"
+
+
+def test_nothing_is_left_running(scene):
+    child = "p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True); time.sleep(60)"
+    done = scene(child, timeout=0.5)
+    assert_ends(int(done.accounts[0].log))
+
+
+def assert_ends(pid):
+    for _ in range(100):
+        if not Path(f"/proc/{pid}").exists() or _state(pid) == "Z":
+            return
+        time.sleep(0.05)
+    pytest.fail(f"{pid} runs")
+
+
+def _state(pid):
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def test_a_log_without_end_does_not_fill_the_memory(scene):
+    flood = "os.write(1, b'z' * (3 << 20)); time.sleep(60)"
+    assert len(scene(flood, timeout=1).accounts[0].log) == 1 << 20
+
+
+def test_marks_differ():
+    assert mark() != mark()
+
+
+# Words
+
+LONG = MAX_LOG - 100
+FAST = (
+    "\x1b[37;1m2026-11-21 16:59:24.472 \x1b[31;1m[\x1b[37;1mSECURITY\x1b[31;1m Error] "
+    "\x1b[37mParticipant is not allowed with its own permissions file.\x1b[34;1m"
+    " -> Function \x1b[36minit\x1b[m\n"
+)
+CYCLONE_LOG = (
+    "1795280364.177205 [0] dq.builtin: Remote secure participant d93d81a0:1c1 not allowed\n"
+    "1795280364.178316 [0] ld-linux-x: Failed to finalize (code: 200)\n"
+)
+
+
+def test_words_are_bare_and_said_once():
+    noise = "2026-11-21 16:59:24.472 [UTILS Warning] Cannot get MAC addresses -> Function Host\n"
+    operator = "2026-11-21 16:59:24.472 [RTPS_EDP Error] no writer -> Function operator()\n"
+    own = "joined\nmatched\nrefused writer: x\nreceived y\n"
+    said = "[SECURITY Error] Participant is not allowed with its own permissions file."
+    assert words(noise + FAST + own + FAST + operator) == (said, "[RTPS_EDP Error] no writer")
+    assert words(CYCLONE_LOG) == (
+        "Remote secure participant d93d81a0:1c1 not allowed",
+        "Failed to finalize (code: 200)",
+    )
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["1" * LONG, f"{'1' * LONG}.", f"x{' ' * LONG}x", f"1234567890.1 [{'1' * LONG}"],
+    ids=["digits", "a time", "spaces", "a domain"],
+)
+def test_a_hostile_line_takes_no_longer_than_another(line):
+    began = time.monotonic()
+    assert len(words(line)) == 1
+    assert time.monotonic() - began < 2
+
+
+def test_words_are_not_too_many():
+    assert len(words("\n".join(map(str, range(1000))))) == 50
+
+
+def account(log="", act=Act.SEND, name="/a", **how):
+    facts = dict.fromkeys(("received", "refused", "signal"))
+    facts |= {"joined": True, "matched": False} | how
+    role = Role(name=name, act=act, text="x", environment={})
+    return Account(role=role, log=log, **facts)
+
+
+def explained(*accounts, stack="fastdds"):
+    return findings(accounts, stack=stack, topic="rt/x")
+
+
+def test_a_known_message_has_a_cause_and_a_remedy_and_is_said_once():
+    both = [account(FAST), account(FAST, name="/b")]
+    (found,) = explained(*both)
+    assert found.participants == ("/a", "/b")
+    assert "not allowed with its own" in found.said
+    assert found.cause
+    assert found.remedy
+
+
+def test_a_topic_that_is_refused_without_words_is_a_matter_of_permissions():
+    refused = "topic: Not Allowed By Security"
+    (found,) = explained(
+        account(CYCLONE_LOG.splitlines()[0], Act.RECEIVE, refused=refused), stack="cyclonedds"
+    )
+    assert refused in found.said
+    assert "subscribe rt/x" in found.cause
+    assert "pqsec explain --participant /a --subscribe rt/x --as cyclonedds" in found.remedy
+
+
+def test_a_topic_that_is_no_word_for_a_shell_is_not_to_be_copied():
+    topic = "x;`id`$(id)\n--y"
+    refused = account(refused="topic: Not Allowed By Security")
+    (found,) = findings([refused], stack="cyclonedds", topic=topic)
+    assert found.remedy.startswith("`pqsec explain --participant /a --publish TOPIC --as ")
+    assert "\n" not in found.cause
+
+
+def test_a_name_that_no_topic_can_have_is_no_matter_of_permissions():
+    (found,) = explained(account(refused="topic: Bad Parameter"), stack="cyclonedds")
+    assert "permissions" not in found.cause
+    assert "--topic" in found.remedy
+
+
+def test_a_participant_that_is_refused_without_words_is_for_the_check():
+    (found,) = explained(account("", refused="participant: Error", joined=False))
+    assert "pqsec check --target fastdds" in found.remedy
+
+
+def test_words_that_nobody_knows_are_quoted():
+    (found,) = explained(account("[SECURITY Error] colourless green ideas\x07 sleep"))
+    assert (found.said, found.cause) == (
+        "[SECURITY Error] colourless green ideas\\u0007 sleep",
+        None,
+    )
+
+
+def test_silence_is_a_finding():
+    (found,) = explained(account(""), account("", name="/b"))
+    assert found.participants == ("/a", "/b")
+    assert "pqsec verify-handshake /a /b --as fastdds" in found.remedy
+
+
+def test_a_crash_is_a_finding():
+    (found,) = explained(account("", signal="SIGSEGV"))
+    assert "SIGSEGV" in found.said
+
+
+# The report
+
+HEARD = {"received": "x", "joined": True}
+
+
+def report(*, receiver=HEARD, stranger=None, wire=None):
+    way = Passage(sender="/a", receiver="/b", domain=0, topic="T")
+    accounts = (
+        account(),
+        account(act=Act.RECEIVE, name="/b", **receiver),
+        account(act=Act.RECEIVE, name="?", **(stranger or {})),
+    )
+    performance = Performance(accounts=accounts, seconds=1.0, wire=wire, alone=True)
+    return Report(
+        installation=None,
+        passage=way,
+        performance=performance,
+        **dict(zip(("sender", "receiver", "stranger"), accounts, strict=True)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("receiver", "stranger", "accepted", "heard"),
+    [
+        (HEARD, {}, True, False),
+        (HEARD, {"received": "x"}, True, True),
+        (HEARD, {"joined": False}, True, None),
+        (HEARD, {"signal": "SIGSEGV"}, True, None),
+        ({}, {}, False, None),
+        ({}, {"received": "x"}, False, True),
+        ({"received": "another"}, {}, False, None),
+    ],
+)
+def test_only_a_sample_that_arrived_and_a_stranger_that_could_hear_are_good(
+    receiver, stranger, accepted, heard
+):
+    made_of = report(receiver=receiver, stranger=stranger)
+    assert (made_of.accepted, made_of.stranger_heard) == (accepted, heard)
+    assert made_of.ok is (accepted and heard is False)
+
+
+@pytest.mark.parametrize(
+    ("seen", "readable"),
+    [
+        (None, None),
+        ({"packets": 0}, None),
+        ({"packets": 9}, False),
+        ({"packets": 9, "lost": 1}, None),
+        ({"packets": 9, "readable": 1, "lost": 1}, True),
+    ],
+)
+def test_the_wire_is_judged_by_what_was_seen(seen, readable):
+    wire = None if seen is None else Wire(b"x", **seen)
+    assert report(wire=wire).readable is readable
+
+
+# Which topic
+
+
+@pytest.fixture
+def way(tmp_path):
+    """way({name: (publish, subscribe)}, domain) is who sends what to whom."""
+
+    def of(wishes, domain=0):
+        keystore = made(tmp_path / "k", "classical", names=())
+        fixed = {"domains": DomainSet.of(0), "validity": timedelta(days=30)}
+        wished = [
+            Wish(name=name, publish=publish, subscribe=subscribe, **fixed)
+            for name, (publish, subscribe) in wishes.items()
+        ]
+        issue(keystore, keystore.unlock(None), wished, now=NOW)
+        found = passage(keystore, tuple(wishes), domain, NOW)
+        return found.sender, found.receiver, found.topic
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        ((("x",), ()), ((), ("x",)), ("/a", "/b", "x")),
+        (((), ("x",)), (("x",), ()), ("/b", "/a", "x")),
+        ((("both", "x"), ("both",)), (("both",), ("both", "x")), ("/a", "/b", "x")),
+        ((("both",), ("both",)), (("both",), ("both",)), ("/a", "/b", "both")),
+        ((("*",), ()), ((), ("*",)), ("/a", "/b", "pqsec/trial")),
+        ((("*",), ()), ((), ("x",)), ("/a", "/b", "x")),
+    ],
+    ids=["one way", "the other", "one way before both", "both ways", "any", "any to one"],
+)
+def test_a_topic_is_found_that_one_may_send_and_the_other_receive(way, first, second, expected):
+    assert way({"/a": first, "/b": second}) == expected
+
+
+def test_who_may_not_talk_to_each_other_are_told_so(way):
+    with pytest.raises(UsageError, match="neither of /a and /b") as refusal:
+        way({"/a": (("x",), ()), "/b": ((), ("y",))})
+    assert "--topic" in refusal.value.hint
+
+
+def test_a_domain_that_is_not_theirs_has_no_topic(way):
+    with pytest.raises(UsageError, match="domain 7"):
+        way({"/a": (("x",), ()), "/b": ((), ("x",))}, domain=7)
