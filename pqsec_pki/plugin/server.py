@@ -59,7 +59,7 @@ class Agent:
             if _answers(self._place.socket):
                 return False
             listener = _listening(self._place.socket)
-            own = self._place.socket.stat().st_ino
+            own = _made(self._place.socket)
         _limit()
         ready()
         self._selector = selectors.DefaultSelector()  # which would not outlive a fork
@@ -68,7 +68,7 @@ class Agent:
         with listener:
             self._serve(listener)
         with _lock(self._place.lock), suppress(FileNotFoundError):
-            if self._place.socket.stat().st_ino == own:  # and not a later agent's
+            if _made(self._place.socket) == own:  # and not a later agent's
                 self._place.socket.unlink()
         for guest in list(self._guests):
             self._part(guest)
@@ -193,6 +193,12 @@ def _answers(path: Path) -> bool:
         except OSError:
             return False
         return True
+
+
+def _made(path: Path) -> tuple[int, int]:
+    """Which file it is; the number of one that is gone may be given to the next."""
+    found = path.stat()
+    return found.st_ino, found.st_ctime_ns
 
 
 def _listening(path: Path) -> socket.socket:

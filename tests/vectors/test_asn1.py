@@ -29,6 +29,7 @@ from pqsec_pki._asn1 import (
     PBKDF2Params,
     PreTBSCertificate,
     PreTBSCertList,
+    RevokedEntry,
     SeedAndExpandedKey,
     SetOf,
     Signed,
@@ -159,6 +160,9 @@ VALUES = {
     ),
     "TBSCertList": list_content(TBSCertList, signature=algorithm(ECDSA)),
     "PreTBSCertList": list_content(PreTBSCertList),
+    "RevokedEntry": RevokedEntry(
+        user_certificate=7, revocation_date=time_of(EARLY), crl_entry_extensions=[PLAIN]
+    ),
     "Attribute": ATTRIBUTES[2],
     "CMSAlgorithmProtection": CMSAlgorithmProtection(
         digest_algorithm=algorithm(SHA512), signature_algorithm=algorithm(ML_DSA_65)
