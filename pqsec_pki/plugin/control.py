@@ -48,6 +48,16 @@ class Client:
     def close(self) -> None:
         self._link.close()
 
+    def wait_for_end(self) -> None:
+        """Return when the agent has hung up; FileError if it does not."""
+        try:
+            while self._link.recv(1 << 16):
+                pass
+        except ConnectionError:
+            return
+        except OSError as error:
+            raise FileError(f"the agent does not end: {error}") from error
+
     def call(self, name: str, *arguments: Any) -> tuple[int, Arguments]:
         """The result and what the call gives; MalformedError with the words of a refusal."""
         kinds, writer = CALLS[self._plugin][name], Writer()
@@ -101,12 +111,13 @@ def agent_status(place: Place) -> Status | None:
 
 
 def stop_agent(place: Place) -> bool:
-    """Let the agent end; whether there was one."""
+    """Let the agent end, and its socket be gone; whether there was one."""
     if agent_status(place) is None:
         return False
     client = Client(place, "control")
     try:
         client.call("stop")
+        client.wait_for_end()
     finally:
         client.close()
     return True
