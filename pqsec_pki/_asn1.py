@@ -58,7 +58,9 @@ __all__ = [
     "algorithm",
     "attribute",
     "bits",
+    "content",
     "decode",
+    "elements",
     "encode",
     "moment_of",
     "raw",
@@ -72,6 +74,9 @@ Time = UTCTime | GeneralizedTime
 T = TypeVar("T")
 
 FIRST_GENERALIZED_YEAR = 2050
+_SEQUENCE = 0x30
+_SHORT = 0x7F
+"""The largest length that is written in one byte."""
 
 
 def encode(value: object) -> bytes:
@@ -85,6 +90,41 @@ def decode(kind: type[T], der: bytes, what: str) -> T:
         return asn1.decode_der(kind, der)
     except (ValueError, TypeError, OverflowError) as error:
         raise MalformedError(f"not a DER {what}: {error}") from error
+
+
+def elements(der: bytes, count: int, what: str) -> list[bytes]:
+    """The first `count` values inside the SEQUENCE `der`, each as it stands there.
+
+    This and `content` cut where the lengths say, and judge nothing else: for octets that a
+    strict reader has to take as well. MalformedError, naming `what`, if there are fewer.
+    """
+    found = []
+    try:
+        if der[0] != _SEQUENCE:
+            raise MalformedError(f"not a DER {what}: no SEQUENCE")
+        at, _ = _extent(der, 0)
+        for _ in range(count):
+            _, end = _extent(der, at)
+            found.append(der[at:end])
+            at = end
+    except IndexError:
+        raise MalformedError(f"not a DER {what}: it ends too soon") from None
+    return found
+
+
+def content(der: bytes) -> bytes:
+    """What is in the value `der`, without its header."""
+    start, end = _extent(der, 0)
+    return der[start:end]
+
+
+def _extent(der: bytes, at: int) -> tuple[int, int]:
+    """Where the content of the value at `at` begins and ends (X.690 8.1.3)."""
+    size, start = der[at + 1], at + 2
+    if size > _SHORT:
+        first, start = start, start + (size & _SHORT)
+        size = int.from_bytes(der[first:start])
+    return start, start + size
 
 
 def raw(der: bytes) -> TLV:

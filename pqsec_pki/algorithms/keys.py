@@ -11,18 +11,25 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from pqsec_pki._asn1 import OneAsymmetricKey, SubjectPublicKeyInfo, decode
+from pqsec_pki._asn1 import (
+    Oid,
+    OneAsymmetricKey,
+    SubjectPublicKeyInfo,
+    decode,
+    elements,
+    encode,
+)
 from pqsec_pki.algorithms import _pbes2
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA
 from pqsec_pki.algorithms._pem import pem, unpem
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms.signature import SIGNATURES
-from pqsec_pki.errors import MalformedError, PassphraseError, UnknownAlgorithmError
+from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UnknownAlgorithmError
 
 _ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
 """Rows that a key's OID alone decides; the others need the key's curve or size."""
-_KNOWN_OIDS = {row.key_oid for row in SIGNATURES}
+_KNOWN_OIDS = {encode(Oid(row.key_oid)): row.key_oid for row in SIGNATURES}
 
 
 def load_public_key(spki: bytes) -> PublicKey:
@@ -30,15 +37,12 @@ def load_public_key(spki: bytes) -> PublicKey:
 
     MalformedError if it is none, UnknownAlgorithmError if no row of SIGNATURES is for it.
     """
-    info = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
-    oid = info.algorithm.algorithm.dotted_string
-    row = _ROWS_BY_OID.get(oid)
     # Before the library looks: of a Diffie-Hellman key it tests the primes, which takes it
     # half a minute for 8192 bits of anybody's choice.
-    if oid not in _KNOWN_OIDS:
-        raise UnknownAlgorithmError(f"keys of algorithm {oid} are not known here")
+    oid = _known_oid(spki)
+    row = _ROWS_BY_OID.get(oid)
     if isinstance(row, Composite):
-        return PublicKey(row, spki, row.load_spki(info))
+        return PublicKey(row, spki, row.load_spki(_info(spki)))
     try:
         handle = load_der_public_key(spki)
     except UnsupportedAlgorithm as error:
@@ -46,6 +50,20 @@ def load_public_key(spki: bytes) -> PublicKey:
     except ValueError as error:
         raise MalformedError(f"not a public key: {error}") from error
     return PublicKey(row or _row_of(handle), spki, handle)
+
+
+def _known_oid(spki: bytes) -> str:
+    """The OID that `spki` is of, dotted; UnknownAlgorithmError if no row has it."""
+    (identifier,) = elements(spki, 1, "SubjectPublicKeyInfo")
+    (der,) = elements(identifier, 1, "SubjectPublicKeyInfo")
+    if oid := _KNOWN_OIDS.get(der):
+        return oid
+    other = _info(spki).algorithm.algorithm.dotted_string
+    raise UnknownAlgorithmError(f"keys of algorithm {other} are not known here")
+
+
+def _info(spki: bytes) -> SubjectPublicKeyInfo:
+    return decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
 
 
 _DEK_INFO = re.compile(
@@ -132,9 +150,12 @@ def _native(load: Callable[[], Any]) -> Any:
     try:
         return load()
     except UnsupportedAlgorithm:
-        raise UnknownAlgorithmError("private keys of this algorithm are not known here") from None
+        problem: PqsecError = UnknownAlgorithmError(
+            "private keys of this algorithm are not known here"
+        )
     except (ValueError, TypeError):
-        raise MalformedError("not a private key") from None
+        problem = MalformedError("not a private key")
+    raise problem  # out here, where the library's own error is no context of it
 
 
 def _wrap(handle: Any) -> PrivateKey:

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Self
 
+from cryptography import x509
+
 from pqsec_pki._asn1 import (
     Attribute,
     BitString,
@@ -35,6 +37,7 @@ SUBJECT_ALT_PUBLIC_KEY_INFO = "2.5.29.72"
 ALT_SIGNATURE_ALGORITHM = "2.5.29.73"
 ALT_SIGNATURE_VALUE = "2.5.29.74"
 _ALL = (SUBJECT_ALT_PUBLIC_KEY_INFO, ALT_SIGNATURE_ALGORITHM, ALT_SIGNATURE_VALUE)
+_OIDS = frozenset(map(Oid, _ALL))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +51,14 @@ class Alternative:
     """DER of what the alternative signature covers."""
 
     @classmethod
-    def of(cls, tbs: TBSCertificate) -> Self | None:
-        """The alternative parts of `tbs`; None if it has none of the three extensions."""
+    def of(cls, der: bytes, extensions: x509.Extensions) -> Self | None:
+        """The alternative parts of TBSCertificate `der`, whose extensions are `extensions`.
+
+        None if it has none of the three.
+        """
+        if _OIDS.isdisjoint([each.oid for each in extensions]):
+            return None
+        tbs = decode(TBSCertificate, der, "certificate")
         return cls._from(_values(tbs.extensions), lambda: covered_by(tbs))
 
     @classmethod

@@ -7,6 +7,7 @@ authorities without intermediates, participants with digitalSignature only.
 import hashlib
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from functools import lru_cache
 from typing import Self
 
 from cryptography import x509
@@ -118,6 +119,7 @@ def cut(end: datetime, authority: Certificate, now: datetime) -> datetime:
     return min(end, authority.not_after)
 
 
+@lru_cache(maxsize=1024)  # names are looked at before the first certificate is made
 def common_name(name: str) -> bytes:
     """DER Name of CN=`name`; UsageError if it is empty, too long or not plain ASCII.
 

@@ -12,21 +12,16 @@ from typing import Self
 
 from cryptography import x509
 
-from pqsec_pki._asn1 import (
-    AlgorithmIdentifier,
-    Signed,
-    TBSCertificate,
-    decode,
-    encode,
-    whole_bytes,
-)
-from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem
+from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements
+from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.errors import MalformedError
 
 MAX_CERTIFICATE = 256 << 10
 """Bytes of PEM or DER. The largest of ours (ML-DSA-87) is 10 kB."""
+_VERSION = b"\xa0"
+"""The tag of the version, which stands first; certificates of version 1 do not say it."""
 
 
 @dataclass(frozen=True, eq=False)  # no slots: what is worked out once is kept
@@ -56,37 +51,51 @@ class Certificate:
         """MalformedError if `der` is not exactly one well-formed certificate."""
         if len(der) > MAX_CERTIFICATE:
             raise MalformedError(f"a certificate larger than {MAX_CERTIFICATE} bytes")
-        signed = decode(Signed, der, "certificate")
-        tbs_der = encode(signed.tbs)
-        tbs = decode(TBSCertificate, tbs_der, "certificate")
-        identifier = encode(tbs.signature)
-        if identifier != encode(signed.signature_algorithm):
+        # Cut here; the library reads all of it below, and takes nothing but DER.
+        tbs, identifier, signature = elements(der, 3, "certificate")
+        first = content(tbs)[:1] == _VERSION
+        serial, inner, issuer, _, subject, spki = elements(tbs, first + 6, "certificate")[first:]
+        if inner != identifier:
             raise MalformedError("the certificate names two different signature algorithms")
-        if tbs.serial_number <= 0:
+        # Before the library looks: it warns of such numbers.
+        serial_number = int.from_bytes(content(serial), signed=True)
+        if serial_number <= 0:
             raise MalformedError("the certificate's serial number is not positive")
         parsed = _library_view(der)
+        if content(signature)[0]:
+            raise MalformedError("the certificate's signature is not a whole number of bytes")
         return cls(
             der=der,
-            tbs=tbs_der,
+            tbs=tbs,
             subject=parsed.subject,
             issuer=parsed.issuer,
-            subject_der=encode(tbs.subject),
-            issuer_der=encode(tbs.issuer),
-            serial_number=tbs.serial_number,
-            version=tbs.version + 1,
+            subject_der=subject,
+            issuer_der=issuer,
+            serial_number=serial_number,
+            version=parsed.version.value + 1,
             not_before=parsed.not_valid_before_utc,
             not_after=parsed.not_valid_after_utc,
-            spki=encode(tbs.subject_public_key_info),
+            spki=spki,
             extensions=parsed.extensions,
             identifier=identifier,
-            signature=whole_bytes(signed.signature, "the certificate's signature"),
-            alternative=Alternative.of(tbs),
+            signature=parsed.signature,
+            alternative=Alternative.of(tbs, parsed.extensions),
         )
 
     @classmethod
     def from_pem(cls, data: bytes) -> Self:
         """The first certificate in PEM `data`; MalformedError if there is none."""
         return cls.from_der(first_pem(data, {"CERTIFICATE"}, "certificate", limit=MAX_CERTIFICATE))
+
+    @classmethod
+    def all_from_pem(cls, data: bytes) -> tuple[Self, ...]:
+        """All certificates in PEM `data`, the first of which `from_pem` takes.
+
+        MalformedError if there is none, or one of them is broken.
+        """
+        first = cls.from_pem(data)
+        found = [der for label, der in unpem(data, "certificate") if label == "CERTIFICATE"]
+        return (first, *map(cls.from_der, found[1:]))
 
     @cached_property
     def pem(self) -> bytes:
@@ -108,10 +117,9 @@ class Certificate:
     @property
     def handshake_keys(self) -> tuple[PublicKey, ...]:
         """The keys its holder may sign a handshake with, the stronger first."""
-        plain, alternative = self.public_key, self.alternative_key
-        if alternative is None:
-            return (plain,)
-        return (pair_public(plain, alternative), plain)
+        if self.alternative is None or self.alternative_key is None:
+            return (self.public_key,)
+        return (pair_public(self.public_key, self.alternative_key), self.public_key)
 
     @property
     def subject_key_identifier(self) -> bytes | None:

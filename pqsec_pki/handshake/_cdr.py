@@ -115,19 +115,34 @@ class Reader:
         return data[start:end]
 
     def string(self) -> str:
-        text, end, rest = self.octets().partition(b"\0")
-        if not end or rest:
-            raise MalformedError("a string that does not end in its only NUL")
-        try:
-            return text.decode()
-        except UnicodeDecodeError:
-            raise MalformedError("a string that is not UTF-8") from None
+        return _text(self.octets())
 
     def sequence(self, item: Callable[[], T], limit: int) -> tuple[T, ...]:
+        return tuple([item() for _ in range(self._count(limit))])
+
+    def pairs(self, limit: int) -> tuple[tuple[str, bytes], ...]:
+        """A sequence of strings, each with octets: most of a message, so in one go."""
+        count, data, length = self._count(limit), self._data, self._length
+        end, found = self._at, []
+        try:
+            for _ in range(count):
+                name = (end + 7) & -4  # behind an aligned length
+                stop = name + length(data, name - 4)[0]
+                value = (stop + 7) & -4
+                end = value + length(data, value - 4)[0]
+                found.append((_text(data[name:stop]), data[value:end]))
+        except struct.error:
+            raise MalformedError("a number runs past the end") from None
+        if end > len(data):  # had one before run past it, there would have been no next number
+            raise MalformedError("a length runs past the end")
+        self._at = end
+        return tuple(found)
+
+    def _count(self, limit: int) -> int:
         count = self.u32()
         if count > limit or count * _LEAST_ELEMENT > self.left:
             raise MalformedError(f"{count} elements, more than allowed or than there is room for")
-        return tuple([item() for _ in range(count)])
+        return count
 
     def _number(self, kind: struct.Struct) -> int:
         start = self._at + -self._at % kind.size
@@ -136,3 +151,13 @@ class Reader:
             raise MalformedError("a number runs past the end")
         value: int = kind.unpack_from(self._data, start)[0]
         return value
+
+
+def _text(octets: bytes) -> str:
+    text, end, rest = octets.partition(b"\0")
+    if not end or rest:
+        raise MalformedError("a string that does not end in its only NUL")
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        raise MalformedError("a string that is not UTF-8") from None

@@ -6,7 +6,7 @@ Values keep the octets as they came, because the hashes cover those.
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, ClassVar, Self
@@ -25,7 +25,8 @@ _SIZES = {
     "challenge2": CHALLENGE_SIZE,
     "future_challenge": CHALLENGE_SIZE,
 }
-_MOST = dict.fromkeys(("c.dsign_algo", "c.kagree_algo"), 64)
+_ALGORITHMS = ("c.dsign_algo", "c.kagree_algo")
+_LONGEST_NAME = 64
 """Bytes. No algorithm has so long a name, and messages quote it."""
 
 
@@ -74,6 +75,17 @@ class Introduction:
 _INTRODUCED = attrgetter(*(each.name for each in fields(Introduction)))
 
 
+def _picked(*names: str) -> Callable[[object], tuple[BinaryProperty, ...]]:
+    """A function that takes what is called so from a value, with the names."""
+    values = attrgetter(*names)
+    return lambda value: tuple(zip(names, values(value), strict=True))
+
+
+_ALL_SIX = _picked("hash_c1", "hash_c2", "challenge1", "challenge2", "dh1", "dh2")
+_IN_REPLY = _picked("hash_c2", "challenge2", "dh2", "challenge1", "dh1", "hash_c1")
+_IN_FINAL = _picked("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c2")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transcript:
     """What both signatures cover: the same six values, each side's own first."""
@@ -87,26 +99,23 @@ class Transcript:
 
     def values(self) -> dict[str, bytes]:
         """The six by name, as Reply and Final repeat them."""
-        return {name: getattr(self, name) for name in _NAMES[Transcript]}
+        return dict(_ALL_SIX(self))
 
     def reply_octets(self) -> bytes:
         """What the Reply's signature covers (9.3.2.5.2, table 50)."""
-        return self._octets("hash_c2", "challenge2", "dh2", "challenge1", "dh1", "hash_c1")
+        return encode_properties(_IN_REPLY(self))
 
     def final_octets(self) -> bytes:
         """What the Final's signature covers (9.3.2.5.3, table 51)."""
-        return self._octets("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c2")
+        return encode_properties(_IN_FINAL(self))
 
     def differences(self, message: "Reply | Final") -> list[str]:
         """One problem for each value that `message` repeats, but not as it was."""
         return [
             f"{name} is not what it was"
-            for name, value in self.values().items()
-            if getattr(message, name) not in (None, value)
+            for (name, value), (_, repeated) in zip(_ALL_SIX(self), _ALL_SIX(message), strict=True)
+            if repeated not in (None, value)
         ]
-
-    def _octets(self, *names: str) -> bytes:
-        return encode_properties((name, getattr(self, name)) for name in names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,12 +142,16 @@ class _Message:
     def from_holder(cls, holder: DataHolder) -> Self:
         """VerificationError, with all that is wrong, if `holder` is no such message."""
         found = dict(holder.binary_properties)
-        values: dict[str, Any] = {name: found.get(name) for name in _NAMES[cls]}
-        if "introduction" in values:
-            values["introduction"] = Introduction(*[found.get(n, b"") for n in Introduction.NAMES])
-        problems = [*_class_problems(holder, cls.CLASS_ID), *_problems(holder, found, _DUE[cls])]
+        problems = [
+            *_class_problems(holder, cls.CLASS_ID),
+            *_name_problems(holder, found, _DUE[cls]),
+            *_value_problems(found),
+        ]
         if problems:
             raise VerificationError(*problems)
+        values: dict[str, Any] = {name: found.get(name) for name in _NAMES[cls]}
+        if "introduction" in values:
+            values["introduction"] = Introduction(*[found[name] for name in Introduction.NAMES])
         return cls(**values)
 
 
@@ -201,8 +214,7 @@ def _due(kind: type[_Message]) -> tuple[str, ...]:
 
 _MESSAGES: tuple[type[_Message], ...] = (Request, Reply, Final, AuthRequest)
 _NAMES: dict[type, tuple[str, ...]] = {
-    Transcript: tuple(field.name for field in fields(Transcript)),
-    **{kind: tuple(field.name for field in fields(kind)) for kind in _MESSAGES},
+    kind: tuple(field.name for field in fields(kind)) for kind in _MESSAGES
 }
 _DUE: dict[type, tuple[str, ...]] = {kind: _due(kind) for kind in _MESSAGES}
 """The properties that a message of this kind must have."""
@@ -220,7 +232,9 @@ def _class_problems(holder: DataHolder, class_id: str) -> list[str]:
     return [f"a '{shown(holder.class_id)}' where a '{class_id}' is due"]
 
 
-def _problems(holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]) -> Iterable[str]:
+def _name_problems(
+    holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]
+) -> Iterator[str]:
     for name in wanted:
         if name not in found:
             yield f"{name} is missing"
@@ -229,12 +243,16 @@ def _problems(holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]
         for name, count in Counter(name for name, _ in holder.binary_properties).items():
             if count > 1:
                 yield f"'{shown(name)}' is there {count} times"
+
+
+def _value_problems(found: dict[str, bytes]) -> Iterator[str]:
     for name, value in found.items():
-        size = len(value)
-        if name in _SIZES and size != _SIZES[name]:
-            yield f"{name} has {size} bytes, not {_SIZES[name]}"
-        if name in _MOST and size > _MOST[name]:
-            yield f"{name} has {size} bytes, which names no algorithm"
+        if name in _SIZES:
+            if len(value) != _SIZES[name]:
+                yield f"{name} has {len(value)} bytes, not {_SIZES[name]}"
+        elif name in _ALGORITHMS:
+            if len(value) > _LONGEST_NAME:
+                yield f"{name} has {len(value)} bytes, which names no algorithm"
         # Fast DDS hashes every property of this prefix, the others hash five.
-        if name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
+        elif name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
             yield f"'{shown(name)}' is not covered by every stack's hash"

@@ -16,10 +16,11 @@ Nobody confirms the key: only the first protected message shows that both have t
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import lru_cache
 
 from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.handshake.messages import Final, Reply, Request, Transcript
+from pqsec_pki.handshake.messages import Final, Introduction, Reply, Request, Transcript
 from pqsec_pki.handshake.participants import Peer, Terms
 
 
@@ -107,11 +108,15 @@ class ReplySent:
         return self._outcome
 
 
+_own_digest = lru_cache(maxsize=16)(Introduction.digest)
+"""What we say of ourselves is the same to every peer."""
+
+
 def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
     """The Request, and the state that waits for its Reply."""
     # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS insists on it; all accept it.
     introduction = terms.own.introduction(agreement, nul=terms.dialect.ends_names_in_nul)
-    hash_c1 = introduction.digest()
+    hash_c1 = _own_digest(introduction)
     pair = agreement.generate()
     request = Request(
         introduction=introduction,
@@ -141,7 +146,7 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     introduction = terms.own.introduction(agreement, nul=terms.dialect.answers_with_nul(request))
     transcript = Transcript(
         hash_c1=hash_c1,
-        hash_c2=introduction.digest(),
+        hash_c2=_own_digest(introduction),
         challenge1=request.challenge1,
         challenge2=terms.challenge(),
         dh1=request.dh1,

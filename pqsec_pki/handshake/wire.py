@@ -147,5 +147,5 @@ def _read_holder(reader: Reader) -> DataHolder:
     return DataHolder(
         reader.string(),
         reader.sequence(lambda: (reader.string(), reader.string()), MAX_PROPERTIES),
-        reader.sequence(lambda: (reader.string(), reader.octets()), MAX_PROPERTIES),
+        reader.pairs(MAX_PROPERTIES),
     )

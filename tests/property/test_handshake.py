@@ -32,6 +32,7 @@ from pqsec_pki.handshake import (
     unprotect_payload,
     unprotect_submessage,
 )
+from pqsec_pki.handshake._cdr import Reader, Writer
 from pqsec_pki.handshake.wire import MAX_PROPERTIES, MAX_TOKEN, MAX_TOKENS
 from tests.fuzz.messages import TARGETS
 from tests.fuzz.mutation import blindly
@@ -107,6 +108,40 @@ def test_any_bytes_are_a_token_or_refused(data, order):
         return
     # Padding may hold anything, so only the values come back the same.
     assert DataHolder.decode(holder.encode(order), order) == holder
+
+
+def one_by_one(reader):
+    return reader.sequence(lambda: (reader.string(), reader.octets()), MAX_PROPERTIES)
+
+
+PAIRS = st.lists(st.tuples(NAMES, SMALL_BYTES), max_size=4)
+
+
+def read_by(how, data, start, order):
+    """What comes out, and how much is left; None where it is refused."""
+    reader = Reader(data, order)
+    reader.raw(start)
+    try:
+        return how(reader), reader.left
+    except MalformedError:
+        return None
+
+
+@given(PAIRS, st.binary(max_size=5), st.integers(0, 200), st.binary(max_size=4), ORDERS)
+def test_pairs_in_one_go_are_pairs_one_by_one(pairs, head, at, octets, order):
+    """Behind a head of any length, spoilt at any place, and cut there."""
+    writer = Writer(order)
+    writer.raw(head)
+    writer.pairs(pairs)
+    whole = writer.done()
+    for data in (whole, whole[:at], whole[:at] + octets + whole[at + len(octets) :]):
+        if len(data) >= len(head):
+            found = [
+                read_by(how, data, len(head), order)
+                for how in (one_by_one, lambda reader: reader.pairs(MAX_PROPERTIES))
+            ]
+            assert found[0] == found[1]
+    assert read_by(one_by_one, whole, len(head), order)[0] == tuple(pairs)
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def double_ca():
     return authority_of(alternative="ml-dsa-65")
 
 
-def rebuilt(certificate, signer=None, *, drop=(), add=(), alternative_signer=None, **changes):
+def rebuilt(certificate, signer=None, *, drop=(), add=(), **changes):
     """`certificate` with other fields, signed again by `signer` or with its old signature."""
     tbs = decode(TBSCertificate, certificate.tbs, "certificate")
     for name, value in changes.items():

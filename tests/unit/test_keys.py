@@ -627,3 +627,12 @@ def test_a_private_key_prints_nothing_of_itself(row):
     assert key.raw.hex() not in shown
     assert repr(key.raw)[2:30] not in shown
     assert "handle" not in shown
+
+
+def test_an_end_line_that_repeats_the_key_is_not_quoted():
+    """The library's error would, and an error keeps the one that it was raised in."""
+    begin, *body, end, _ = private_key_pem(ROWS[0].generate()).split(b"\n")
+    data = b"\n".join([begin, *body, b"-----END " + body[-1], end, b""])
+    with pytest.raises(MalformedError) as caught:
+        load_private_key(data)
+    assert caught.value.__context__ is caught.value.__cause__ is None
