@@ -5,17 +5,15 @@ package (pyproject.toml, force-include). An editable install has only the first,
 that one is looked at second.
 """
 
-from importlib.resources import files
-from importlib.resources.abc import Traversable
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parent
 
 
-def asset(*parts: str) -> Traversable:
+def asset(*parts: str) -> Path:
     """The data file at `parts`, as in asset("schemas", "governance.xsd")."""
-    package = files("pqsec_pki")
-    in_wheel = package.joinpath(*parts)
-    if in_wheel.is_file():
-        return in_wheel
-    in_checkout = package.joinpath("..", *parts)
-    if in_checkout.is_file():
-        return in_checkout
+    for folder in (_PACKAGE, _PACKAGE.parent):
+        found = folder.joinpath(*parts)
+        if found.is_file():
+            return found
     raise FileNotFoundError("/".join(parts))

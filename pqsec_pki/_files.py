@@ -7,29 +7,68 @@ the old bytes or the new ones, never half. Private files are 0600 whatever the u
 import errno
 import os
 import secrets
+import select
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from pqsec_pki.errors import ExistsError, FileError
 
 MAX_FILE = 8 << 20
 """Bytes. The largest document any stack was measured to take is 0.5 MB."""
 
+PIPE_PATIENCE = 5.0
+"""Seconds for which a pipe may have no writer; a writer may take any time."""
+
 PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
 
 
 def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
-    """The bytes of `path`; FileError if it cannot be read or is over `limit` bytes."""
+    """The bytes of `path`; FileError if it cannot be read or is over `limit` bytes.
+
+    A pipe is read to its end, and refused if nobody writes into it within PIPE_PATIENCE.
+    """
     try:
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
+        with open(path, "rb", opener=_without_waiting) as file:
+            data = _begin(file)
+            data += file.read(limit + 1 - len(data))
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
     if len(data) > limit:
         raise FileError(f"{path}: larger than {limit} bytes, so not what is expected here")
     return data
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
+def _begin(file: BinaryIO) -> bytes:
+    """The first byte of a pipe, if it is there; nothing of a file. Then reading waits again."""
+    handle, byte = file.fileno(), b""
+    if stat.S_ISFIFO(os.fstat(handle).st_mode):
+        waiting = select.poll()
+        waiting.register(handle, select.POLLIN)
+        came = waiting.poll(PIPE_PATIENCE * 1000)
+        with suppress(BlockingIOError):  # somebody writes, and takes the time it needs
+            byte = os.read(handle, 1)
+            if not (byte or came):
+                raise TimeoutError(errno.ETIMEDOUT, "a pipe that nobody writes into")
+    os.set_blocking(handle, True)
+    return byte
+
+
+def is_there(path: Path) -> bool:
+    """Whether `path` leads to something; Path.exists raises where a name is too long, or closed."""
+    return os.path.exists(path)  # noqa: PTH110 -- see above
+
+
+def is_folder(path: Path) -> bool:
+    """Whether `path` leads to a folder; Path.is_dir raises where Path.exists does."""
+    return os.path.isdir(path)  # noqa: PTH112 -- see above
 
 
 def refuse_existing(path: Path) -> None:
@@ -87,6 +126,15 @@ def create(path: Path | str, data: bytes, *, mode: int, sync: bool = False) -> N
         os.close(handle)
 
 
+@contextmanager
+def disk_errors(place: Path) -> Iterator[None]:
+    """Say what the system refuses as a FileError: of the file it names, or else of `place`."""
+    try:
+        yield
+    except OSError as error:
+        raise _refused(error.filename2 or error.filename or place, error) from error
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names in `folder` durable."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -112,8 +160,9 @@ def sync_filesystem(folder: Path) -> None:
         os.close(handle)
 
 
-def _refused(path: Path, error: OSError | ValueError) -> FileError:
+def _refused(path: Path | str, error: OSError | ValueError) -> FileError:
     reason = error.strerror if isinstance(error, OSError) else None
-    refusal = FileError((reason or str(error)).lower())
+    kind = ExistsError if isinstance(error, FileExistsError) else FileError
+    refusal = kind((reason or str(error)).lower())
     refusal.where = str(path)
     return refusal

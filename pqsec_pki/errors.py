@@ -9,6 +9,7 @@ the work could not be done.
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Self
 
 
 def shown(text: str, limit: int = 80) -> str:
@@ -96,6 +97,10 @@ class InvalidDocumentError(PqsecError):
         self.problems = tuple(problems)
         super().__init__("; ".join(map(str, self.problems)), hint=hint)
 
+    def __reduce__(self) -> tuple[type[Self], tuple[tuple[Problem, ...]], dict[str, object]]:
+        """To travel between processes whole."""
+        return type(self), (self.problems,), self.__dict__
+
     @property
     def lines(self) -> tuple[str, ...]:
         """One for each problem."""
@@ -126,6 +131,6 @@ def located(where: object) -> Iterator[None]:
     try:
         yield
     except PqsecError as error:
-        if error.where is None:
+        if error.where is None and not str(error).startswith(f"{where}: "):
             error.where = str(where)
         raise

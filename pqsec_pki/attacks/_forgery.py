@@ -21,7 +21,14 @@ from pqsec_pki._asn1 import (
     raw,
 )
 from pqsec_pki.algorithms import PrivateKey, pair_private
-from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.certificates import (
+    Authority,
+    Certificate,
+    Reason,
+    RevocationList,
+    RevokedCertificate,
+    revocation_list,
+)
 from pqsec_pki.keystore import Participant
 from pqsec_pki.smime import Signer, sign
 
@@ -78,6 +85,12 @@ def issued(authority: Authority, name: str, keys: Keys, now: datetime) -> Certif
     """A participant's certificate by that authority."""
     second = keys.alternative.public_key if keys.alternative else None
     return authority.issue(name, keys.plain.public_key, alternative=second, now=now, validity=YEAR)
+
+
+def list_of(authority: Authority, taken_back: Certificate, now: datetime) -> RevocationList:
+    """That authority's revocation list, with one certificate on it."""
+    entry = RevokedCertificate(taken_back.serial_number, now, Reason.KEY_COMPROMISE)
+    return revocation_list(authority, [entry], number=1, now=now, validity=YEAR)
 
 
 def without_alternative_signature(genuine: Certificate) -> Certificate:

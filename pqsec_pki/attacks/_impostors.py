@@ -1,4 +1,4 @@
-"""The attacker in the place of a participant, without its key: an outsider."""
+"""The attacker in the place of a participant: without its key, or out of its time."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,12 +8,14 @@ from functools import partial
 from pqsec_pki.attacks._forgery import (
     Keys,
     issued,
+    list_of,
     vouching_for_itself,
     with_broken_key,
     without_alternative_signature,
 )
 from pqsec_pki.attacks._relays import Edit, editing
 from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.selfcheck.encounter import Side
 
@@ -59,6 +61,23 @@ def come_early(scene: Scene) -> Iterator[Attempt]:
         early = side.participant.certificate.not_before - _MOMENT
         encounter = replace(scene.encounter, now=early)
         yield Attempt(f"a second before the begin of {side.name}'s", encounter)
+
+
+def stay_though_revoked(scene: Scene) -> Iterator[Attempt]:
+    """On the CA's list; of a CA that stands for the genuine one, whose key is not here."""
+    now = scene.encounter.now
+    ca = vouching_for_itself(scene.encounter.initiator.participant.identity_ca, now)
+    one, other = (
+        showing(_certified_by(ca, now, side, side), ca=ca.certificate)
+        for side in scene.encounter.sides
+    )
+    meeting = replace(
+        scene.encounter,
+        initiator=showing(one, revocation_list=list_of(ca, other.terms.own.certificate, now)),
+        replier=showing(other, revocation_list=list_of(ca, one.terms.own.certificate, now)),
+    )
+    unaware = replace(scene, encounter=meeting)
+    return unaware.posing("on the list", lambda side, _: showing(side, revocation_list=None))
 
 
 # With a quantum computer, which finds plain keys
@@ -132,3 +151,81 @@ def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
 def _new_keys(side: Side) -> Keys:
     """Of the kinds that the participant has."""
     return Keys.like(side.participant.certificate)
+
+
+ATTACKS = (
+    Attack(
+        name="copied-certificate",
+        attacker=Attacker.OUTSIDER,
+        title="shows the certificate of a participant, without having its key",
+        refused_at=("final", "authenticated"),
+        act=copy_certificate,
+    ),
+    Attack(
+        name="own-ca",
+        attacker=Attacker.OUTSIDER,
+        title="makes a CA of the same name, and certificates with it",
+        refused_at=("reply", "final"),
+        act=found_a_ca,
+    ),
+    Attack(
+        name="self-signed",
+        attacker=Attacker.OUTSIDER,
+        title="shows a certificate that it signed itself",
+        refused_at=("reply", "final"),
+        act=vouch_for_itself,
+    ),
+    Attack(
+        name="expired",
+        attacker=Attacker.INSIDER,
+        title="still uses its certificate after that has ended",
+        refused_at=("reply", "final"),
+        act=come_late,
+    ),
+    Attack(
+        name="not-yet-valid",
+        attacker=Attacker.INSIDER,
+        title="uses its certificate before that begins",
+        refused_at=("reply", "final"),
+        act=come_early,
+    ),
+    Attack(
+        name="revoked",
+        attacker=Attacker.INSIDER,
+        title="still uses its certificate after that was revoked",
+        refused_at=("reply", "final"),
+        act=stay_though_revoked,
+    ),
+    Attack(
+        name="plain-signature",
+        attacker=Attacker.QUANTUM,
+        title="signs with the classical key alone, as a stock stack does",
+        refused_at=("reply", "final"),
+        act=sign_plainly,
+        pointless=two_keys,
+    ),
+    Attack(
+        name="half-signature",
+        attacker=Attacker.QUANTUM,
+        title="signs with one of the two keys, and has nothing or another key for the other",
+        refused_at=("final", "authenticated"),
+        act=sign_half,
+        pointless=two_keys,
+    ),
+    Attack(
+        name="stripped-certificate",
+        attacker=Attacker.QUANTUM,
+        title="takes the CA's post-quantum signature out of the certificate",
+        refused_at=("reply", "final"),
+        act=strip_certificate,
+        pointless=two_keys,
+    ),
+    Attack(
+        name="broken-ca",
+        attacker=Attacker.QUANTUM,
+        title="issues itself certificates with the classical key of the CA",
+        refused_at=("reply", "final"),
+        act=break_the_ca,
+        pointless=two_keys,
+    ),
+)

@@ -10,6 +10,7 @@ from pqsec_pki.algorithms import KeyAgreement, KeyPair
 from pqsec_pki.attacks._forgery import Keys, issued, signed_alike, without_countersignature
 from pqsec_pki.attacks._relays import Edit
 from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import Authority
 from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
@@ -185,3 +186,58 @@ def sign_bad_ciphertexts(scene: Scene) -> Iterator[Attempt]:
         policy = replace(other.terms.policy, agreements=(row,))
         replier = replace(other, terms=replace(other.terms, policy=policy))
         yield Attempt(what, replace(scene.encounter, replier=replier))
+
+
+ATTACKS = (
+    Attack(
+        name="participant-as-ca",
+        attacker=Attacker.INSIDER,
+        title="issues a certificate with its own key, as if it were a CA",
+        refused_at=("reply", "final"),
+        act=issue_certificates,
+    ),
+    Attack(
+        name="claimed-guid",
+        attacker=Attacker.INSIDER,
+        title="claims a GUID that belongs to another participant",
+        refused_at=("reply", "final"),
+        act=claim_guid,
+    ),
+    Attack(
+        name="borrowed-permissions",
+        attacker=Attacker.INSIDER,
+        title="shows the permissions of another participant",
+        refused_at=("admits",),
+        act=borrow_permissions,
+        pointless=shared_permissions,
+    ),
+    Attack(
+        name="forged-permissions",
+        attacker=Attacker.INSIDER,
+        title="shows permissions that the permissions CA never signed",
+        refused_at=("admits",),
+        act=forge_permissions,
+    ),
+    Attack(
+        name="stripped-permissions",
+        attacker=Attacker.QUANTUM,
+        title="takes the post-quantum signature off its permissions",
+        refused_at=("admits",),
+        act=strip_countersignature,
+        pointless=two_keys,
+    ),
+    Attack(
+        name="bad-public-key",
+        attacker=Attacker.INSIDER,
+        title="sends key-agreement keys that are none: of a wrong size, off the curve, all zero",
+        refused_at=("reply", "message"),
+        act=send_bad_public_keys,
+    ),
+    Attack(
+        name="bad-ciphertext",
+        attacker=Attacker.INSIDER,
+        title="answers with a secret that was changed, and signs that",
+        refused_at=("final", "message"),
+        act=sign_bad_ciphertexts,
+    ),
+)

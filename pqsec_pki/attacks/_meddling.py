@@ -1,22 +1,15 @@
-"""The attacker on the way plays a game of its own: replays, reflections, keys in the middle."""
+"""The attacker on the way plays a game of its own: its challenges, its keys, its algorithms."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, KeyAgreement
-from pqsec_pki.attacks._relays import instead, on, putting
-from pqsec_pki.attacks._scene import Attempt, Scene
-from pqsec_pki.handshake import (
-    CHALLENGE_SIZE,
-    DataHolder,
-    GenericMessage,
-    Introduction,
-    Request,
-    reply_to,
-)
+from pqsec_pki.attacks._relays import putting
+from pqsec_pki.attacks._scene import Attempt, Scene, value_in
+from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.handshake import CHALLENGE_SIZE
 from pqsec_pki.selfcheck.encounter import Relay
-from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
+from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE
 
 _HASHES = {"request": "hash_c1", "reply": "hash_c2"}
 """What shows that an introduction was changed; optional, so it can be taken out."""
@@ -50,7 +43,7 @@ class _ThereAndBack:
     def __call__(self, name: str, data: bytes) -> bytes:
         shown = {"request": _FORGED, "reply": self.challenge1}.get(name)
         if name == "request":
-            self.challenge1 = _values(data)["challenge1"]
+            self.challenge1 = value_in(data, "challenge1")
         return putting(name, {"challenge1": shown})(name, data) if shown else data
 
 
@@ -83,7 +76,7 @@ class _Middle:
     def __call__(self, name: str, data: bytes) -> bytes:
         match name:
             case "request":
-                self.dh1 = _values(data)["dh1"]
+                self.dh1 = value_in(data, "dh1")
                 return putting(name, {"dh1": self.agreement.generate().public})(name, data)
             case "reply":
                 dh2, _ = self.agreement.encapsulate(self.dh1)
@@ -130,64 +123,47 @@ def _naming(message: str, field: str, value: bytes) -> Relay:
     return putting(message, {field: value, _HASHES[message]: None})
 
 
-# What was heard
-
-
-def reflect(scene: Scene) -> Iterator[Attempt]:
-    """A side meets itself."""
-    for message, other in (("request", "reply"), ("reply", "request")):
-        values = {name: scene.value(other, name) for name in Introduction.NAMES}
-        relay = putting(message, {**values, _HASHES[message]: None})
-        yield scene.between(f"its own credentials, in the {message}", relay)
-
-
-def replay(scene: Scene) -> Iterator[Attempt]:
-    """One message of an earlier handshake, or all that one side said in it."""
-    for name in HANDSHAKE:
-        yield scene.between(f"the {name}", _again(scene, name))
-    of_initiator = [_again(scene, name) for name in (AUTH_REQUEST, "request", "final")]
-    yield scene.between("all that the initiator said", _Beside(scene), *of_initiator)
-    of_replier = _again(scene, AUTH_REQUEST, 2), _again(scene, "reply")
-    yield scene.between("all that the replier said", *of_replier)
-    for turn, side in enumerate(scene.encounter.sides, start=1):
-        message = on(MESSAGE, partial(_heard, scene, turn), turn)
-        yield scene.between(f"what {side.name} sent under the keys of then", message)
-
-
-def _again(scene: Scene, name: str, turn: int = 1) -> Relay:
-    return instead(name, scene.token(name, turn), turn)
-
-
-def _heard(scene: Scene, turn: int, data: bytes) -> bytes:
-    del data
-    return scene.heard(MESSAGE, turn)
-
-
-@dataclass(slots=True)
-class _Beside:
-    """Keeps the initiator busy with a handshake of its own, beside the replayed one."""
-
-    scene: Scene
-    request: bytes = b""
-
-    def __call__(self, name: str, data: bytes) -> bytes:
-        if name == "request":
-            self.request = data
-        if name == "reply":
-            return instead(name, self._answer(_values(data)["challenge2"]))(name, data)
-        return data
-
-    def _answer(self, challenge2: bytes) -> DataHolder:
-        """The replier's, to what the initiator really asked."""
-        encounter = self.scene.encounter
-        terms = replace(encounter.replier.terms, announced=challenge2)
-        request = Request.from_holder(_token(self.request))
-        return reply_to(terms, request, now=encounter.now)[0].to_holder()
-
-
-def _values(sample: bytes) -> dict[str, bytes]:
-    return dict(_token(sample).binary_properties)
-
-
-def _token(sample: bytes) -> DataHolder:
-    return GenericMessage.decode(sample).tokens[0]
+ATTACKS = (
+    Attack(
+        name="swap-challenge",
+        attacker=Attacker.ON_THE_WAY,
+        title="puts its own challenge in the place of a fresh one, to have an answer ready",
+        refused_at=("reply", "final"),
+        act=swap_challenges,
+    ),
+    Attack(
+        name="strip-hash",
+        attacker=Attacker.ON_THE_WAY,
+        title="changes the permissions in a message and takes out the hash that would show it",
+        refused_at=("final",),
+        act=strip_hashes,
+    ),
+    Attack(
+        name="key-in-the-middle",
+        attacker=Attacker.ON_THE_WAY,
+        title="agrees on a key with each side in the other's name, to read along",
+        refused_at=("final",),
+        act=sit_in_the_middle,
+    ),
+    Attack(
+        name="downgrade",
+        attacker=Attacker.ON_THE_WAY,
+        title="asks for another key agreement than the profile's, a weaker one say",
+        refused_at=("reply", "final"),
+        act=downgrade,
+    ),
+    Attack(
+        name="name-other-signature",
+        attacker=Attacker.ON_THE_WAY,
+        title="names another signature algorithm than the certificate's",
+        refused_at=("reply", "final"),
+        act=name_other_signatures,
+    ),
+    Attack(
+        name="name-unknown-algorithm",
+        attacker=Attacker.ON_THE_WAY,
+        title="names an algorithm that does not exist",
+        refused_at=("reply", "final"),
+        act=name_unknown_algorithms,
+    ),
+)

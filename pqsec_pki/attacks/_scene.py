@@ -38,11 +38,11 @@ class Scene:
 
     def token(self, name: str, turn: int = 1) -> DataHolder:
         """The token in it."""
-        return GenericMessage.decode(self.heard(name, turn)).tokens[0]
+        return token_in(self.heard(name, turn))
 
     def value(self, message: str, name: str) -> bytes:
         """One of its binary properties."""
-        return dict(self.token(message).binary_properties)[name]
+        return value_in(self.heard(message), name)
 
     def between(self, what: str, *relays: Relay) -> Attempt:
         """The attacker on the way: each message goes through all its relays."""
@@ -76,3 +76,13 @@ def showing(side: Side, **changes: Any) -> Side:
     """`side` with another identity: certificate, key, GUID or permissions."""
     own = replace(side.terms.own, **changes)
     return replace(side, terms=replace(side.terms, own=own))
+
+
+def token_in(sample: bytes) -> DataHolder:
+    """The token of a message."""
+    return GenericMessage.decode(sample).tokens[0]
+
+
+def value_in(sample: bytes, name: str) -> bytes:
+    """One of the binary properties of its token."""
+    return dict(token_in(sample).binary_properties)[name]

@@ -14,8 +14,9 @@ from pqsec_pki.attacks._relays import (
     putting,
 )
 from pqsec_pki.attacks._scene import Attempt, Scene
+from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.handshake import DataHolder, Final, GenericMessage, Reply, Request
-from pqsec_pki.selfcheck.encounter import AROUND_TOKEN, SUBMESSAGE
+from pqsec_pki.selfcheck.course import AROUND_TOKEN, SUBMESSAGE
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
 
 _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
@@ -154,3 +155,84 @@ def change_message(scene: Scene) -> Iterator[Attempt]:
 
 def _flip_at(at: int) -> Edit:
     return lambda data: data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+
+
+ATTACKS = (
+    Attack(
+        name="change-request",
+        attacker=Attacker.ON_THE_WAY,
+        title="changes one bit of the request, in each of its fields",
+        refused_at=("reply", "final"),
+        act=partial(change_fields, "request"),
+    ),
+    Attack(
+        name="change-reply",
+        attacker=Attacker.ON_THE_WAY,
+        title="changes one bit of the reply, in each of its fields",
+        refused_at=("final",),
+        act=partial(change_fields, "reply"),
+    ),
+    Attack(
+        name="change-final",
+        attacker=Attacker.ON_THE_WAY,
+        title="changes one bit of the final message, in each of its fields",
+        refused_at=("authenticated",),
+        act=partial(change_fields, "final"),
+    ),
+    Attack(
+        name="change-message",
+        attacker=Attacker.ON_THE_WAY,
+        title="changes what is sent encrypted afterwards, or sends it unencrypted",
+        refused_at=("message",),
+        act=change_message,
+    ),
+    Attack(
+        name="drop-field",
+        attacker=Attacker.ON_THE_WAY,
+        title="takes a required field out of a message",
+        refused_at=("reply", "final", "authenticated"),
+        act=drop_fields,
+    ),
+    Attack(
+        name="double-field",
+        attacker=Attacker.ON_THE_WAY,
+        title="gives a field a second value, so that two readers may see different ones",
+        refused_at=("reply", "final", "authenticated"),
+        act=double_fields,
+    ),
+    Attack(
+        name="smuggle-field",
+        attacker=Attacker.ON_THE_WAY,
+        title="adds a field that some stacks sign and others do not",
+        refused_at=("reply", "final", "authenticated"),
+        act=smuggle_fields,
+    ),
+    Attack(
+        name="mislabel",
+        attacker=Attacker.ON_THE_WAY,
+        title="readdresses a message, or says it is of another kind or version",
+        refused_at=("auth", "reply", "final", "authenticated"),
+        act=mislabel,
+    ),
+    Attack(
+        name="reorder",
+        attacker=Attacker.ON_THE_WAY,
+        title="delivers a message where another one is due",
+        refused_at=("reply", "final", "authenticated"),
+        act=reorder,
+    ),
+    Attack(
+        name="truncate",
+        attacker=Attacker.ON_THE_WAY,
+        title="cuts messages short",
+        refused_at=("auth", "reply", "final", "authenticated"),
+        act=truncate,
+    ),
+    Attack(
+        name="oversize",
+        attacker=Attacker.ON_THE_WAY,
+        title="sends messages of 1 MiB, of 10,000 fields, or that claim 4 GiB, to exhaust memory",
+        refused_at=("reply", "final", "authenticated"),
+        act=oversize,
+    ),
+)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from pqsec_pki.attacks._scene import Attempt, Scene
-from pqsec_pki.attacks.table import Attack
+from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UsageError
-from pqsec_pki.selfcheck.encounter import Course
+from pqsec_pki.selfcheck.course import Course
 from pqsec_pki.selfcheck.meeting import Guest, Meeting, Occasion
 from pqsec_pki.selfcheck.report import Report, Step, Steps, StoppedError
 

@@ -4,17 +4,20 @@ Commands are loaded when they run: `pqsec --help` costs no cryptography.
 """
 
 import io
+import os
 import signal
 import sys
 import warnings
 from importlib import import_module
 from keyword import iskeyword
+from pathlib import Path
 
 import click
 
 from pqsec_pki import __version__
-from pqsec_pki.cli._common import command_options, printable
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.cli._printing import printable
+from pqsec_pki.cli._settings import command_options
+from pqsec_pki.errors import FileError, PqsecError
 
 __all__ = ["main", "pqsec"]
 
@@ -92,6 +95,10 @@ COMMANDS = {
 """Command -> (module of this room, the help that `pqsec --help` shows)."""
 
 
+_STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
+"""By their numbers."""
+
+
 class _Lazy(click.Group):
     """A group whose commands are imported when they are asked for."""
 
@@ -130,11 +137,15 @@ def main() -> None:
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     # A polite kill undoes what was begun, as Ctrl-C does.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    _open_what_is_closed()
+    # What pqsec makes it must be able to read: of the umask only the others' part counts.
+    os.umask(os.umask(0o077) & 0o077)
     if not sys.warnoptions:  # cryptography's, on odd files: they are for developers
         warnings.simplefilter("ignore")
     if isinstance(sys.stdout, io.TextIOWrapper):  # a path may hold what the terminal cannot show
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
+        _refuse_nowhere()
         result = pqsec.main(prog_name="pqsec", standalone_mode=False)
     except PqsecError as error:
         _complain(*error.lines, hint=error.hint)
@@ -146,6 +157,23 @@ def main() -> None:
         _complain("interrupted")
         sys.exit(130)
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _open_what_is_closed() -> None:
+    """A stream that the shell closed leads nowhere now, and not into the next file opened."""
+    while (handle := os.open(os.devnull, os.O_RDWR)) < len(_STREAMS):
+        name, mode = _STREAMS[handle]
+        setattr(sys, name, os.fdopen(handle, mode))
+    os.close(handle)
+
+
+def _refuse_nowhere() -> None:
+    try:
+        Path.cwd()
+    except OSError as error:
+        raise FileError(
+            "the folder in which this shell is has been removed", hint="cd to another"
+        ) from error
 
 
 def _complain_of_usage(error: click.ClickException) -> None:

@@ -9,7 +9,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki.algorithms import Profile, SealingPublicKey
 from pqsec_pki.certificates import CertificateRequest
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _settings
 from pqsec_pki.enrolment import Bundle, admit, flat_name, save, seal
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import PublicKeys, Wish
@@ -17,15 +17,23 @@ from pqsec_pki.keystore import PublicKeys, Wish
 folder_option = click.option(
     "--bundles",
     "folder",
-    type=_common.FOLDER,
+    type=_settings.FOLDER,
     metavar="DIR",
     help="Where bundles are written. [default: here]",
 )
 seal_option = click.option(
     "--seal-for",
-    type=_common.FILE,
+    type=_settings.FILE,
     metavar="FILE",
     help="Let only this robot open the bundle: its bundle.pub.pem, of `pqsec bundle-key`.",
+)
+
+compromised_option = click.option(
+    "--reuse-compromised-key",
+    "compromised_keys",
+    is_flag=True,
+    help="Also certify a key that was revoked as compromised: whoever else has it can pass for"
+    " that participant.",
 )
 
 

@@ -27,7 +27,7 @@ from pqsec_pki.documents import (
     validate,
 )
 from pqsec_pki.errors import UsageError, VerificationError, located, shown
-from pqsec_pki.keystore import Keystore, load_certificate
+from pqsec_pki.keystore import Keystore, load_certificate, regular_name
 from pqsec_pki.selfcheck import required_signatures
 from pqsec_pki.smime import Require, document_in, is_signed
 from pqsec_pki.smime import verify as verify_signed
@@ -138,7 +138,7 @@ def kind_of(document: Document) -> Kind:
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     """That file of a participant; KeystoreError if there is no such participant."""
     keystore.refuse_unknown(name)
-    return keystore.root / _ENCLAVES / name.strip("/") / file
+    return keystore.root / f"{_ENCLAVES}{regular_name(name)}" / file
 
 
 def identities_in(keystore: Keystore, now: datetime) -> Callable[[str], Certificate]:
@@ -162,7 +162,7 @@ def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
     """A participant's own; VerificationError if a signature on them does not hold."""
     judge = judge_in(keystore, now)
     return Papers(
-        who="/" + "/".join(filter(None, name.split("/"))),
+        who=regular_name(name),
         subject=identities_in(keystore, now)(name).subject_name,
         governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), judge),
         permissions=own_permissions(keystore, name, now, judge),

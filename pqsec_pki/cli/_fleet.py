@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._files import is_folder
 from pqsec_pki.access.matrix import Member
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import (
     Document,
     document_at,
@@ -44,7 +45,7 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
     UsageError if it is not clear which governance counts, FileError if there is nobody.
     """
     if not paths:
-        paths = (_common.keystore_path(),)
+        paths = (_settings.keystore_path(),)
     # Path.is_file raises where the folder is closed.
     if len(paths) == 1 and os.path.isfile(paths[0] / _SETTINGS):  # noqa: PTH113 -- see above
         if governance:
@@ -84,10 +85,10 @@ def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> 
             "there is more than one governance document", hint="say which: --governance FILE"
         )
     if not governing:
-        _common.note("there is no governance document: taken as if it controlled everything")
+        _printing.note("there is no governance document: taken as if it controlled everything")
         governing = [Governance.protected(DomainSet(parts=(DomainRange(first=0),)))]
     if any(each.signed for each in documents):
-        _common.note("who signed the documents was not checked")
+        _printing.note("who signed the documents was not checked")
     members = list(_members(found, refused))
     return Fleet(governing[0], members, refused)
 
@@ -127,7 +128,7 @@ def _members(found: list[tuple[Path, Permissions]], refused: dict[str, str]) -> 
 def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
     """The files, and whether the user named each; of x.p7s and x.xml in a folder the signed."""
     for path in paths:
-        if not path.is_dir():
+        if not is_folder(path):
             yield path, True
             continue
         by_name: dict[Path, Path] = {}

@@ -14,7 +14,7 @@ from pqsec_pki.attacks import (
     attack_named,
     withstand,
 )
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing
 from pqsec_pki.selfcheck import Guest, Occasion
 
 EVERY = "all"
@@ -33,7 +33,7 @@ def try_attacks(
         length=len(attacks), label="attacks", file=sys.stderr, hidden=not sys.stderr.isatty()
     ) as bar:
         siege = withstand(occasion, *guests, attacks, lambda _: bar.update(1))
-    _common.emit(siege.to_json(), _lines(siege, details=len(attacks) == 1))
+    _printing.emit(siege.to_json(), _lines(siege, details=len(attacks) == 1))
     return siege.ok
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.selfcheck.matrix import FRAGMENT, Suite, suites
 
 _HEADS = (
@@ -14,13 +14,13 @@ _HEADS = (
 def show_matrix(rounds: int) -> None:
     """Measure all and print it."""
     # All at once: who stops reading must not leave a temporary folder behind.
-    found = list(suites(_common.now(), rounds))
+    found = list(suites(_settings.now(), rounds))
     value = {"fragment_bytes": FRAGMENT, "rounds": rounds, "suites": [s.to_json() for s in found]}
-    _common.emit(value, _lines(found, rounds))
+    _printing.emit(value, _lines(found, rounds))
 
 
 def _lines(found: Sequence[Suite], rounds: int) -> Iterator[str]:
-    yield from _common.table(_HEADS, map(_row, found))
+    yield from _printing.table(_HEADS, map(_row, found))
     yield ""
     yield "request, reply, final: bytes of the token. *: the profile's own key agreement."
     yield f"fragments: of the three, by {FRAGMENT} bytes, Cyclone DDS's default."

@@ -1,7 +1,6 @@
 """verify-handshake --all, in words and as JSON."""
 
 import json
-import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,8 +9,8 @@ from typing import Any, TypeVar
 
 import click
 
-from pqsec_pki.cli import _common
-from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.errors import KeystoreError
 from pqsec_pki.selfcheck import PQSEC, Step, stack_named
 from pqsec_pki.selfcheck.pairs import Gathering, Outcome, Survey, count_pairs, survey
 from pqsec_pki.selfcheck.tally import Cause, Tally, faults
@@ -35,13 +34,13 @@ def try_all(gathering: Gathering, names: Sequence[str], jobs: int) -> bool:
     seats = len(names) * len(set(gathering.stacks))
     with survey(gathering, names, jobs, lambda found: _shown(found, seats, "one by one")) as found:
         account = _Account(found)
-        if _common.settings().json:
+        if _settings.settings().json:
             for line in _json(account):
-                _say(line)
+                _printing.say(line)
             return account.tally.ok
         for _ in account.outcomes():
             pass
-    _common.emit(None, _lines(account))
+    _printing.emit(None, _lines(account))
     return account.tally.ok
 
 
@@ -91,7 +90,7 @@ class _Account:
 
 def _shown(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
     """The same items, with a progress bar on stderr if that is a terminal."""
-    amid_the_result = _common.settings().json and sys.stdout.isatty()
+    amid_the_result = _settings.settings().json and sys.stdout.isatty()
     with click.progressbar(
         items,
         length=count,
@@ -104,15 +103,6 @@ def _shown(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
 
 
 # As JSON: one object, written as it comes to be.
-
-
-def _say(line: str) -> None:
-    try:
-        click.echo(line)
-    except OSError as error:
-        # Python flushes again as it ends; what is left of the result goes nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise FileError(f"the result cannot be printed: {error.strerror}".lower()) from error
 
 
 def _json(account: _Account) -> Iterator[str]:
@@ -214,7 +204,7 @@ def _matrix(account: _Account) -> Iterator[str]:
         (number, name, *(account.cells.get((name, other), "") for other in names))
         for number, name in zip(numbers, names, strict=True)
     ]
-    yield from _common.table(("", "", *numbers), rows)
+    yield from _printing.table(("", "", *numbers), rows)
     if stacks != (PQSEC.name, PQSEC.name):
         row, column = (stack_named(name).title for name in stacks)
         yield f"a row behaves as {row}, a column as {column}"

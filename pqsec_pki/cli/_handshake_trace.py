@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pqsec_pki._files import refuse_existing, write
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.inspection import describe
 from pqsec_pki.selfcheck import Report
@@ -32,16 +32,16 @@ def tell(report: Report, told: list[str], path: Path, *, show_secrets: bool, for
     value = found.to_json(show_secrets=show_secrets)
     lines = [*told, "", *_lines(found, show_secrets=show_secrets)]
     if path == STDOUT:
-        _common.emit(value, lines)
+        _printing.emit(value, lines)
         return
-    text = json.dumps(value, indent=2) if _common.settings().json else "\n".join(lines)
+    text = json.dumps(value, indent=2) if _settings.settings().json else "\n".join(lines)
     write(path, text.encode() + b"\n", private=show_secrets, force=force)
-    _common.emit(report.to_json(), told)
+    _printing.emit(report.to_json(), told)
 
 
 def _described(data: bytes) -> list[str]:
     try:
-        return describe(data, now=_common.now()).to_text()
+        return describe(data, now=_settings.now()).to_text()
     except PqsecError as error:
         return [f"unreadable: {error}"]
 

@@ -10,18 +10,20 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki._assets import asset
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import DomainSet, Grant, lasting, permissions_from_yaml, sros2
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Wish
 from pqsec_pki.smime import document_in, is_signed
 
 
-def output_options(command: _common.Command) -> _common.Command:
+def output_options(command: _settings.Command) -> _settings.Command:
     """Add -o and --force to a command that writes one document."""
     for option in (
         click.option("--force", is_flag=True, help="Replace the file if it is there."),
-        click.option("-o", "--output", type=_common.FILE, help="Where to write. [default: print]"),
+        click.option(
+            "-o", "--output", type=_settings.FILE, help="Where to write. [default: print]"
+        ),
     ):
         command = option(command)
     return command
@@ -31,11 +33,11 @@ def put(document: bytes, output: Path | None, *, force: bool) -> None:
     """Write the document to the file, or print it."""
     text = document.decode()
     if output is None:
-        _common.emit({"document": text}, text.removesuffix("\n").split("\n"))
+        _printing.emit({"document": text}, [text.removesuffix("\n")], verbatim=True)
         return
     _files.write(output, document, force=force)
     value = {"written": str(output), "bytes": len(document)}
-    _common.emit(value, [f"{output}  ({len(document)} bytes)"])
+    _printing.emit(value, [f"{output}  ({len(document)} bytes)"])
 
 
 class Document(Protocol):
@@ -59,9 +61,9 @@ def add_commands(
     """Add to the group what both kinds of documents have: render, read and schema."""
 
     @group.command()
-    @click.argument("file", type=_common.FILE)
+    @click.argument("file", type=_settings.FILE)
     @output_options
-    @_common.command_options
+    @_settings.command_options
     def render(file: Path, output: Path | None, *, force: bool) -> None:
         """Make the XML that DDS stacks read, of FILE in YAML.
 
@@ -76,9 +78,9 @@ def add_commands(
         put(document, output, force=force)
 
     @group.command()
-    @click.argument("file", type=_common.FILE)
+    @click.argument("file", type=_settings.FILE)
     @output_options
-    @_common.command_options
+    @_settings.command_options
     def read(file: Path, output: Path | None, *, force: bool) -> None:
         """Make YAML of a document, signed or not.
 
@@ -91,11 +93,32 @@ def add_commands(
 
     @group.command()
     @output_options
-    @_common.command_options
+    @_settings.command_options
     def schema(output: Path | None, *, force: bool) -> None:
         """Write the JSON Schema of the YAML, for editors."""
         text = asset("schemas", f"{group.name}.schema.json").read_bytes()
         put(text, output, force=force)
+
+
+NAMELESS = "/"
+"""Where SROS2 writes down nodes that were run without --enclave; no participant's name."""
+_RUN_ANEW = (
+    "run each process with its own `--ros-args --enclave /NAME`, and have SROS2 write it anew"
+)
+
+
+def names_in(policy: Path, *, now: datetime) -> tuple[str, ...]:
+    """Everybody whom the policy has grants for; UsageError if nobody can be called so."""
+    if policy.suffix == ".xml":
+        found = [enclave.path for enclave in sros2.read_policy(policy)]
+    else:
+        found = [grant.name for grant in _yaml_grants(policy, now)]
+    names = tuple(name for name in dict.fromkeys(found) if name != NAMELESS)
+    if not names:
+        raise UsageError(f"{policy} has grants for {NAMELESS} alone", hint=_RUN_ANEW)
+    if len(names) < len(set(found)):
+        _printing.note(f"{policy} also has grants for {NAMELESS}, which nobody gets: {_RUN_ANEW}")
+    return names
 
 
 def granted(wishes: list[Wish], policy: Path, *, now: datetime) -> list[Wish]:
@@ -112,6 +135,10 @@ def _grants_in(policy: Path, wish: Wish, now: datetime) -> tuple[Grant, ...]:
         return sros2.permissions_of(
             enclaves, domains=wish.domains, not_before=not_before, not_after=not_after
         ).grants
+    return _yaml_grants(policy, now)
+
+
+def _yaml_grants(policy: Path, now: datetime) -> tuple[Grant, ...]:
     data = _files.read(policy)
     with located(policy):
         return permissions_from_yaml(data, now=now).grants
@@ -120,8 +147,10 @@ def _grants_in(policy: Path, wish: Wish, now: datetime) -> tuple[Grant, ...]:
 def _with_grants(wish: Wish, grants: tuple[Grant, ...], policy: Path) -> Wish:
     own = tuple(grant for grant in grants if grant.name == wish.name)
     if not own:
-        there = ", ".join(dict.fromkeys(grant.name for grant in grants))
-        raise UsageError(f"{policy} has no grant for {wish.name}", hint=f"it has {there}")
+        there = list(dict.fromkeys(grant.name for grant in grants))
+        hint = f"it has {', '.join(there)}"
+        hint += f" alone: {_RUN_ANEW}" if there == [NAMELESS] else ""
+        raise UsageError(f"{policy} has no grant for {wish.name}", hint=hint)
     domains = [part for grant in own for rule in grant.rules for part in rule.domains.parts]
     return replace(
         wish, grants=own, domains=DomainSet(parts=tuple(domains)) if domains else wish.domains

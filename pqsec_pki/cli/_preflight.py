@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.vendors.ros2 import preflight
@@ -12,7 +12,7 @@ from pqsec_pki.vendors.ros2_check import Check
 
 def report(names: tuple[str, ...]) -> int:
     """Print the checks for these participants, or for all there are; the exit code."""
-    keystore, now = _common.open_keystore(), _common.now()
+    keystore, now = _settings.open_keystore(), _settings.now()
     names = names or tuple(keystore.names())
     if not names:
         raise KeystoreError("there is no participant to check", hint="make one: `pqsec issue NAME`")
@@ -22,7 +22,7 @@ def report(names: tuple[str, ...]) -> int:
         "ok": good,
         "participants": {name: list(map(_value, found)) for name, found in checks.items()},
     }
-    _common.emit(value, _lines(checks))
+    _printing.emit(value, _lines(checks))
     return 0 if good else 1
 
 
@@ -31,7 +31,7 @@ def _lines(checks: dict[str, list[Check]]) -> Iterator[str]:
         width = max(len(each.what) for each in found)
         for each in found:
             front = f"{'ok  ' if each.ok else 'FAIL'}  {each.what:<{width}}  "
-            yield paragraph(front, each.problem) if each.problem else front.rstrip()
+            yield from paragraph(front, each.problem) if each.problem else [front.rstrip()]
         bad = [each for each in found if not each.ok]
         yield ""
         if not bad:

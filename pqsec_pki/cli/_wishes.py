@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import click
 
-from pqsec_pki.cli import _common, _policy
+from pqsec_pki.cli import _policy, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Wish
@@ -38,14 +38,14 @@ _OPTIONS = (
     ),
     click.option(
         "--policy",
-        type=_common.FILE,
+        type=_settings.FILE,
         help="Take what each NAME may do from permissions in YAML, or a policy of SROS2.",
     ),
-    click.option("--validity", type=_common.Duration(), default="1y", show_default=True),
+    click.option("--validity", type=_settings.Duration(), default="1y", show_default=True),
 )
 
 
-def wish_options(command: _common.Command) -> _common.Command:
+def wish_options(command: _settings.Command) -> _settings.Command:
     """Add the options; what they say arrives as keywords, for Wanted.of."""
     for option in reversed(_OPTIONS):
         command = option(command)
@@ -89,6 +89,11 @@ class Wanted:
             validity=validity,
         )
 
+    @property
+    def everybody(self) -> tuple[str, ...]:
+        """Whom the policy has grants for, in its order; nobody without one."""
+        return _policy.names_in(self.policy, now=_settings.now()) if self.policy else ()
+
     def wishes(self, names: tuple[str, ...], domains: DomainSet) -> list[Wish]:
         """One for each name; UsageError for a name that the policy does not have."""
         wishes = [
@@ -102,5 +107,5 @@ class Wanted:
             for name in names
         ]
         if self.policy:
-            wishes = _policy.granted(wishes, self.policy, now=_common.now())
+            wishes = _policy.granted(wishes, self.policy, now=_settings.now())
         return wishes

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.check import report_lines, report_value
 from pqsec_pki.keystore import Adopted
 from pqsec_pki.keystore import adopt as adopt_folder
@@ -12,18 +12,18 @@ from pqsec_pki.lint import check
 
 
 @click.command()
-@click.argument("folder", type=_common.FOLDER, required=False, metavar="[DIR]")
-@_common.command_options
+@click.argument("folder", type=_settings.FOLDER, required=False, metavar="[DIR]")
+@_settings.command_options
 def adopt(folder: Path | None) -> None:
     """Make a keystore of SROS2, or one in its layout, a keystore of pqsec's, and check it.
 
     No file that is there is changed: pqsec.json and the ledger are added. What the check
     finds is shown, and is no reason to fail.
     """
-    now = _common.now()
-    found = adopt_folder(folder or _common.keystore_path(), now=now)
+    now = _settings.now()
+    found = adopt_folder(folder or _settings.keystore_path(), now=now)
     report = check((found.keystore.root,), now=now)
-    _common.emit(
+    _printing.emit(
         {
             "keystore": str(found.keystore.root),
             "profile": found.keystore.profile.name,
@@ -36,9 +36,9 @@ def adopt(folder: Path | None) -> None:
         [*_lines(found), *report_lines(report)],
     )
     if not found.fitting:
-        _common.note("no profile has these kinds of keys; what is made from now on is classical")
+        _printing.note("no profile has these kinds of keys; what is made from now on is classical")
     if found.one_ca:
-        _common.note(
+        _printing.note(
             "one key is identity CA and permissions CA (CVE-2023-24010): make two with"
             " `pqsec ca rotate`; until then nothing can be issued"
         )
@@ -46,8 +46,7 @@ def adopt(folder: Path | None) -> None:
 
 def _lines(found: Adopted) -> list[str]:
     keystore = found.keystore
-    count = len(found.participants)
-    whom = "1 participant" if count == 1 else f"{count} participants"
+    whom = _printing.counted(len(found.participants), "participant")
     first = f"{keystore.root}: {whom}, profile {keystore.profile.name}, domains {keystore.domains}"
     refused = [f"not taken: {place}: {reason}" for place, reason in found.refused.items()]
     return [first, *refused]

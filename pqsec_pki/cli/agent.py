@@ -5,8 +5,8 @@ import signal
 
 import click
 
-from pqsec_pki._files import read
-from pqsec_pki.cli import _common
+from pqsec_pki._files import is_there, read
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import ExistsError, FileError
 from pqsec_pki.plugin import Place, Status, agent_status, stop_agent
 
@@ -23,12 +23,12 @@ def agent() -> None:
 
 
 @agent.command("status")
-@_common.command_options
+@_settings.command_options
 def status() -> int:
     """Tell whether an agent runs, and for whom. Exit code 1 if none does."""
     found = agent_status(_place())
     if found is None:
-        _common.emit({"running": False}, [_NOBODY])
+        _printing.emit({"running": False}, [_NOBODY])
         return 1
     value = {
         "running": True,
@@ -37,47 +37,51 @@ def status() -> int:
         "socket": found.socket,
         "connections": list(found.connections),
     }
-    _common.emit(value, _lines(found))
+    _printing.emit(value, _lines(found))
     return 0
 
 
 @agent.command("stop")
-@_common.command_options
+@_settings.command_options
 def stop() -> None:
     """Let the agent end.
 
     Participants that are matched go on exchanging data; for new ones another agent
-    starts. A participant that was made before can meet nobody new: make it again.
+    starts. A participant that was made before can meet nobody new, and learns of no
+    revocation: make it again.
     """
     stopped = stop_agent(_place())
-    _common.emit({"stopped": stopped}, ["stopped" if stopped else _NOBODY])
+    _printing.emit({"stopped": stopped}, ["stopped" if stopped else _NOBODY])
 
 
 @agent.command("log")
-@_common.command_options
+@_settings.command_options
 def log() -> None:
     """Print what the agent wrote: whom it refused, and why."""
     place = _place()
     path = place.log
-    if not place.is_there() or not path.exists():
+    if not place.is_there() or not is_there(path):
         raise FileError(f"there is no log at {path}", hint=_NOBODY)
     lines = read(path).decode(errors="replace").splitlines()
-    _common.emit(lines, lines)
+    _printing.emit(lines, lines)
 
 
 @agent.command("run")
-@_common.command_options
+@_settings.command_options
 def run() -> None:
     """Run the agent here, until it is interrupted; its log goes to stderr.
 
-    For systemd and containers. It does not end when it is idle.
+    For systemd and containers. It does not end when it is idle. At a socket that systemd
+    listens at, it goes on where that is (`pqsec plugin install --systemd`).
     """
-    from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- only here
+    from pqsec_pki.plugin import listening  # noqa: PLC0415 -- only here
+    from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- likewise
 
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a host that goes is no reason to end
     os.umask(0o077)
     place = _place()
-    if not Agent(place, float("inf"), _common.now, _common.note).run():
+    given = listening.given(os.environ, place)
+    if not Agent(place, float("inf"), _settings.now, _printing.note).run(given=given):
         raise ExistsError(f"an agent listens at {place.socket} already", hint="pqsec agent stop")
 
 
@@ -92,4 +96,4 @@ def _lines(found: Status) -> list[str]:
         f"socket    {found.socket}",
     ]
     rows = [(each["process"], each["plugin"], str(each["objects"])) for each in found.connections]
-    return heads + (["", *_common.table(("HOST", "PLUGIN", "OBJECTS"), rows)] if rows else [])
+    return heads + (["", *_printing.table(("HOST", "PLUGIN", "OBJECTS"), rows)] if rows else [])

@@ -5,9 +5,9 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _bundles, _common
+from pqsec_pki.cli import _bundles, _printing, _settings
 from pqsec_pki.enrolment import Bundle, flat_name, verify_bundle
-from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore.enclave import regular_name
 
 
@@ -15,18 +15,18 @@ from pqsec_pki.keystore.enclave import regular_name
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--robot",
-    type=_common.FILE,
+    type=_settings.FILE,
     metavar="FILE",
     help="The participants of a robot, one name in a line, in place of NAME...",
 )
 @click.option(
-    "-o", "--output", type=_common.FILE, help="Where to write. [default: of the first name]"
+    "-o", "--output", type=_settings.FILE, help="Where to write. [default: of the first name]"
 )
 @_bundles.seal_option
 @click.option("--plain-key", is_flag=True, help="Write private keys that anybody can read.")
 @click.option("--no-keys", is_flag=True, help="Leave private keys out.")
 @click.option("--force", is_flag=True, help="Replace the file if it is there.")
-@_common.command_options
+@_settings.command_options
 def bundle(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
     robot: Path | None,
@@ -50,14 +50,14 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
     wanted = names or _names_in(robot)
     goal = output or Path(f"{flat_name(regular_name(wanted[0]))}.bundle")
-    keystore = _common.open_keystore()
-    now = _common.now()
+    keystore = _settings.open_keystore()
+    now = _settings.now()
     made = Bundle.of(keystore, wanted, now=now, keys=not no_keys)
     verify_bundle(made, made.fingerprints, now=now)
     recipient = _bundles.recipient(seal_for)
     _bundles.write(made, goal, recipient, force=force, plain_key=plain_key)
     if made.has_keys and plain_key:
-        _common.note(f"{goal} holds private keys that anybody can read who gets it")
+        _printing.note(f"{goal} holds private keys that anybody can read who gets it")
     value = {
         "bundle": str(goal),
         "names": made.names,
@@ -65,13 +65,15 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
         "sealed": seal_for is not None,
         "ca_sha256": made.fingerprints,
     }
-    _common.emit(value, [f"{', '.join(made.names)}  {goal}"])
+    _printing.emit(value, [f"{', '.join(made.names)}  {goal}"])
 
 
 def _names_in(path: Path | None) -> tuple[str, ...]:
     """One name in a line; what follows a # is for people."""
     lines = _files.read(path).decode(errors="replace").splitlines() if path else []
-    names = tuple(name for line in lines if (name := line.partition("#")[0].strip()))
+    written = [name for line in lines if (name := line.partition("#")[0].strip())]
+    with located(path):
+        names = tuple(map(regular_name, written))
     if not names:
         raise FileError(f"{path} names no participant")
     return names

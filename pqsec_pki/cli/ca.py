@@ -8,17 +8,17 @@ import click
 from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Keystore, renew_list
+from pqsec_pki.keystore import Keystore, Overlap, renew_list
 
 
 @click.group()
-@_common.command_options
+@_settings.command_options
 def ca() -> None:
     """Make, show and change the CAs, and the identity CA's revocation list."""
 
@@ -44,13 +44,13 @@ profile_option = click.option(
 @click.option("--alt-key", metavar="NAME", help="Another alternative key.")
 @click.option("--kem", metavar="NAME", help="Another key agreement.")
 @click.option("--name", default="", help="Whose CAs these are; the start of their names.")
-@click.option("--validity", type=_common.Duration(), default="10y", show_default=True)
+@click.option("--validity", type=_settings.Duration(), default="10y", show_default=True)
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
-@_common.passphrase_option
+@_passphrases.option
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
-@_common.command_options
+@_settings.command_options
 def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     profile_name: str,
     identity_key: str | None,
@@ -80,7 +80,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         }
     )
     domain_set = DomainSet.parse(domains)
-    path = _common.keystore_path()
+    path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
     keystore = Keystore.create(
         path,
@@ -88,28 +88,28 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         name=name,
         domains=domain_set,
         validity=validity,
-        passphrase=_common.new_passphrase(passphrase_file, none=no_passphrase),
-        now=_common.now(),
+        passphrase=_passphrases.new(passphrase_file, none=no_passphrase),
+        now=_settings.now(),
     )
     if no_passphrase:
-        _common.note(f"the CA keys in {path / 'private'} are not encrypted; guard that folder")
+        _printing.note(f"the CA keys in {path / 'private'} are not encrypted; guard that folder")
     _show(keystore)
 
 
 @ca.command()
-@_common.command_options
+@_settings.command_options
 def show() -> None:
     """Show the CAs, the profile and the participants of a keystore."""
-    _show(_common.open_keystore())
+    _show(_settings.open_keystore())
 
 
 @ca.command()
 @click.option("--show", is_flag=True, help="Tell of the list there is, and make none.")
 @list_validity_option
-@click.option("-o", "--out", type=_common.FILE, help="Write the list there too, in PEM.")
+@click.option("-o", "--out", type=_settings.FILE, help="Write the list there too, in PEM.")
 @click.option("--force", is_flag=True, help="Replace the file at --out.")
-@_common.passphrase_option
-@_common.command_options
+@_passphrases.option
+@_settings.command_options
 def crl(
     validity: timedelta,
     out: Path | None,
@@ -123,7 +123,7 @@ def crl(
     Without revoked certificates the list is empty; stacks that are given it refuse
     everybody once it has ended, so make one early only if you will keep it up.
     """
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     if out and not force:
         refuse_existing(out)
     found = keystore.revocation_list if show else None
@@ -133,11 +133,12 @@ def crl(
             hint="`pqsec revoke` makes it, or `pqsec ca crl` an empty one",
         )
     if found is None:
-        authorities = _common.unlock(keystore, passphrase_file)
-        found = renew_list(keystore, authorities, now=_common.now(), validity=validity)
+        authorities = _passphrases.unlock(keystore, passphrase_file)
+        found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
     if out:
-        write(out, found.pem, force=force)
-    _common.emit(list_value(keystore, found), [list_line(keystore, found)])
+        with _printing.advising("the list is there: `pqsec ca crl --show -o FILE` writes a copy"):
+            write(out, found.pem, force=force)
+    _printing.emit(list_value(keystore, found), [list_line(keystore, found)])
 
 
 def _show(keystore: Keystore) -> None:
@@ -147,6 +148,8 @@ def _show(keystore: Keystore) -> None:
     ]
     if keystore.permissions_alt_ca:
         cas.append(("countersigner", keystore.permissions_alt_ca))
+    if overlap := Overlap.of(keystore):
+        cas.append(("trusted too", overlap.other))
     names = keystore.names()
     value = {
         "keystore": str(keystore.root),
@@ -163,7 +166,7 @@ def _show(keystore: Keystore) -> None:
     lines.append(f"domains        {keystore.domains}")
     lines.append(f"CA keys        {_keys(keystore)}")
     lines.append(f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}")
-    _common.emit(value, lines)
+    _printing.emit(value, lines)
 
 
 def _keys(keystore: Keystore) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     Finding,
@@ -22,7 +22,7 @@ from pqsec_pki.lint import (
 from pqsec_pki.lint import check as check_all
 
 # A file or a folder; like FILE and FOLDER it takes no empty path.
-_PATH = type(_common.FILE)(path_type=Path, readable=False)
+_PATH = type(_settings.FILE)(path_type=Path, readable=False)
 
 
 class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
@@ -63,7 +63,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     metavar="ID=REASON",
     help="Leave out the findings of a rule; say why. Also in .pqsec-check.yaml.",
 )
-@_common.command_options
+@_settings.command_options
 def check(  # noqa: PLR0913 -- one for each option
     paths: tuple[Path, ...],
     targets: tuple[Target, ...],
@@ -82,18 +82,18 @@ def check(  # noqa: PLR0913 -- one for each option
     if explain:
         _explain(rule_named(explain))
         return
-    if sarif and _common.settings().json:
+    if sarif and _settings.settings().json:
         raise UsageError("--json and --sarif exclude each other")
     report = check_all(
-        paths or (_common.keystore_path(),),
-        now=_common.now(),
+        paths or (_settings.keystore_path(),),
+        now=_settings.now(),
         targets=targets,
         ignore=map(_suppression, ignored),
     )
     if sarif:
-        _common.emit(to_sarif(report), [json.dumps(to_sarif(report), indent=2)])
+        _printing.emit(None, [json.dumps(to_sarif(report), indent=2)], verbatim=True)
     else:
-        _common.emit(report_value(report, strict=strict), report_lines(report))
+        _printing.emit(report_value(report, strict=strict), report_lines(report))
     if not report.is_clean(strict=strict):
         click.get_current_context().exit(1)
 
@@ -107,19 +107,14 @@ def _suppression(text: str) -> Suppression:
 def report_lines(report: Report) -> list[str]:
     """The report for a person."""
     counts = [
-        f"{number} {severity}{'s' if number != 1 and severity is not Severity.INFO else ''}"
+        f"{number} {severity}" if severity is Severity.INFO else _printing.counted(number, severity)
         for severity in Severity
         if (number := report.count(severity))
     ]
-    files = len(report.inventory.files)
-    checked = f"{files} file{'s' if files != 1 else ''} checked"
+    checked = f"{_printing.counted(len(report.inventory.files), 'file')} checked"
     ignored = [f"{len(report.ignored)} ignored"] if report.ignored else []
     summary = f"{checked}: {', '.join([*(counts or ['nothing to complain of']), *ignored])}"
-    return [*map(_printable, report.findings), summary]
-
-
-def _printable(finding: Finding) -> str:
-    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in str(finding))
+    return [*map(str, report.findings), summary]
 
 
 def report_value(report: Report, *, strict: bool) -> dict[str, Any]:
@@ -163,4 +158,4 @@ def _explain(rule: Rule) -> None:
     lines += [f"Known from: {rule.measured}"] if rule.measured else []
     if rule.only_when_asked:
         lines.append(f"Asked only with --target {' or '.join(sorted(rule.stacks))}")
-    _common.emit(value, lines)
+    _printing.emit(value, lines)

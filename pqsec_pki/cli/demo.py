@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
@@ -17,18 +17,18 @@ _YEAR = timedelta(days=365)
 
 
 @click.command()
-@click.argument("folder", required=False, type=_common.FOLDER)
+@click.argument("folder", required=False, type=_settings.FOLDER)
 @profile_option
-@_common.command_options
+@_settings.command_options
 def demo(folder: Path | None, profile_name: str) -> None:
     """Make a secured domain of two participants and prove that it works.
 
     A talker and a listener, in FOLDER (else -k, else pqsec-demo). The CA keys of a demo
     are not encrypted. Each step is a command of its own; they are printed.
     """
-    folder = folder or _common.settings().keystore or Path("pqsec-demo")
+    folder = folder or _settings.settings().keystore or Path("pqsec-demo")
     profile = profile_named(profile_name)
-    now = _common.now()
+    now = _settings.now()
     domains = DomainSet.of(0)
     keystore = Keystore.create(
         folder,
@@ -47,7 +47,7 @@ def demo(folder: Path | None, profile_name: str) -> None:
     occasion = Occasion(keystore=keystore, domain=0, now=now)
     report = meet(occasion, Guest(name="/talker"), Guest(name="/listener"))
     value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
-    _common.emit(value, [*_story(keystore), *lines_of(report), "", *_next(keystore)])
+    _printing.emit(value, [*_story(keystore), *lines_of(report), "", *_next(keystore)])
     if not report.ok:
         click.get_current_context().exit(1)
 

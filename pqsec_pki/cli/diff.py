@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._files import is_folder
 from pqsec_pki.access import SPEC
 from pqsec_pki.access.change import Change, Difference, Sense
 from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import (
     Loaded,
     document_at,
@@ -25,7 +26,7 @@ from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
 
-_PATH = type(_common.FILE)(path_type=Path, readable=False)
+_PATH = type(_settings.FILE)(path_type=Path, readable=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ class _Part:
 @click.command()
 @click.argument("old", type=_PATH)
 @click.argument("new", type=_PATH)
-@_common.command_options
+@_settings.command_options
 def diff(old: Path, new: Path) -> int:
     """Tell what a change of policy grants and takes away.
 
@@ -49,13 +50,13 @@ def diff(old: Path, new: Path) -> int:
     keystores. Signatures are not looked at. The exit code is 0 if they allow the same, and
     1 if not.
     """
-    now = _common.now()
-    if old.is_dir() != new.is_dir():
+    now = _settings.now()
+    if is_folder(old) != is_folder(new):
         raise UsageError(f"{old} and {new} are a folder and a file")
-    parts = list(_keystores(old, new, now) if old.is_dir() else _files(old, new, now))
+    parts = list(_keystores(old, new, now) if is_folder(old) else _files(old, new, now))
     changes = [change for part in parts for change in part.difference.changes]
     if not all(part.difference.complete for part in parts):
-        _common.note(
+        _printing.note(
             "the patterns overlap in too many ways to try all: what is told is true, but there"
             " may be more"
         )
@@ -68,7 +69,7 @@ def diff(old: Path, new: Path) -> int:
             for change in part.difference.changes
         ],
     }
-    _common.emit(value, _lines(parts))
+    _printing.emit(value, _lines(parts))
     return 1 if changes else 0
 
 

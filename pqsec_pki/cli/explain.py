@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki.access import READINGS, SPEC, Action, Decision, Question, reading_named
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._answers import Answer, answer_of
 from pqsec_pki.cli._documents import (
     Papers,
@@ -26,10 +26,10 @@ from pqsec_pki.keystore import load_certificate
 
 @click.command()
 @click.option("--participant", metavar="NAME", help="A participant of the keystore: /talker.")
-@click.option("--governance", type=_common.FILE, help="Without a keystore: the governance,")
-@click.option("--permissions", type=_common.FILE, help="the permissions (.xml, .p7s or .yaml),")
+@click.option("--governance", type=_settings.FILE, help="Without a keystore: the governance,")
+@click.option("--permissions", type=_settings.FILE, help="the permissions (.xml, .p7s or .yaml),")
 @click.option("--subject", metavar="NAME", help="whose certificate asks: CN=robot,O=Lab,")
-@click.option("--permissions-ca", type=_common.FILE, help="and who must have signed both.")
+@click.option("--permissions-ca", type=_settings.FILE, help="and who must have signed both.")
 @click.option("--publish", metavar="TOPIC", help="May it publish this DDS topic?")
 @click.option("--subscribe", metavar="TOPIC", help="May it subscribe to this DDS topic?")
 @click.option("--relay", metavar="TOPIC", help="May it relay this DDS topic?")
@@ -47,19 +47,19 @@ from pqsec_pki.keystore import load_certificate
     type=click.Choice([each.name for each in READINGS]),
     help="As this stack reads the documents. [default: the standard, and where stacks differ]",
 )
-@_common.command_options
+@_settings.command_options
 def explain(stack: str | None, **asked: Any) -> int:
     """Tell whether a participant may do something, which rule decided, and why.
 
     The exit code is 0 for yes and 1 for no. A participant of the keystore is believed only
     what the CAs have signed.
     """
-    now = _common.now()
+    now = _settings.now()
     try:
         papers = _papers(asked, now)
     except VerificationError as error:
-        if _common.settings().json:
-            _common.emit({"allowed": False, "problems": list(error.lines)}, [])
+        if _settings.settings().json:
+            _printing.emit({"allowed": False, "problems": list(error.lines)}, [])
         raise
     question = _question(asked, papers.subject, now)
     answer = answer_of(papers, question, reading_named(stack) if stack else SPEC)
@@ -73,7 +73,7 @@ def _papers(asked: dict[str, Any], now: datetime) -> Papers:
     if name and any(asked[each] for each in (*files, "subject", "permissions_ca")):
         raise UsageError("--participant is of the keystore; it goes without files and --subject")
     if name:
-        return papers_of(_common.open_keystore(), name, now)
+        return papers_of(_settings.open_keystore(), name, now)
     if not all(asked[each] for each in files):
         raise UsageError(
             "nobody is asked about",
@@ -89,7 +89,7 @@ def _papers_in_files(asked: dict[str, Any], now: datetime) -> Papers:
     governance = governance_in(asked["governance"], judge)
     for each in (governance, permissions):
         if each.signed and not each.verified:
-            _common.note(
+            _printing.note(
                 f"who signed {plain(str(each.path))} was not checked: say --permissions-ca FILE"
             )
     subject = _subject(asked["subject"]) if asked["subject"] else only_subject(permissions)
@@ -159,7 +159,7 @@ def _tell(papers: Papers, question: Question, answer: Answer, others: list[Answe
             _as_json(papers, other) | {"differs": other.differs(answer)} for other in others
         ],
     }
-    _common.emit(value, _lines(papers, question, answer, others))
+    _printing.emit(value, _lines(papers, question, answer, others))
 
 
 def _as_json(papers: Papers, answer: Answer) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.vendors.messages import Message, Recognised, messages, nearest, recognise
@@ -28,7 +28,7 @@ TITLES = {
 @click.argument("text", nargs=-1, metavar="TEXT|CODE|-")
 @click.option("--stack", type=click.Choice(list(TITLES)), help="Only what this stack says.")
 @click.option("--list", "as_list", is_flag=True, help="List all messages that are known.")
-@_common.command_options
+@_settings.command_options
 def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) -> None:
     """Tell what a DDS stack's security error means, and the way out.
 
@@ -45,13 +45,13 @@ def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) ->
         if text:
             raise UsageError("--list takes no text")
         rows = messages(stack)
-        _common.emit([_row(row) for row in rows], _list(rows))
+        _printing.emit([_row(row) for row in rows], _list(rows))
         return
     words = _given(text)
     found = recognise(words, stack=stack)
     near = () if found else nearest(words, stack=stack)
     value = {"known": [_found(each) for each in found], "nearest": [_row(each) for each in near]}
-    _common.emit(value, _lines(found, near, in_log="\n" in words.strip()))
+    _printing.emit(value, _lines(found, near, in_log="\n" in words.strip()))
     if not found:
         click.get_current_context().exit(1)
 
@@ -101,8 +101,8 @@ def _explained(each: Recognised, *, in_log: bool) -> Iterator[str]:
     times = f", {each.times} times" if each.times > 1 else ""
     where = f" (line {each.line}{times})" if in_log else ""
     yield f"{_who(each.message)}: {each.said}{where}"
-    yield paragraph("  cause   ", each.cause)
-    yield paragraph("  remedy  ", each.remedy)
+    yield from paragraph("  cause   ", each.cause)
+    yield from paragraph("  remedy  ", each.remedy)
 
 
 def _who(row: Message) -> str:
@@ -113,7 +113,7 @@ def _who(row: Message) -> str:
 def _list(rows: tuple[Message, ...]) -> list[str]:
     heads = ("stack", "code", "message")
     texts = [(row, text) for row in rows for text in row.texts or (row.title,)]
-    return _common.table(
+    return _printing.table(
         heads, [(",".join(row.stacks), str(row.code or ""), text) for row, text in texts]
     )
 

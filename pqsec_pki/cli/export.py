@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _common
-from pqsec_pki.cli.plugin import DEFAULT_FOLDER
+from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError
 from pqsec_pki.vendors import STACKS, Export, Options, stack_named, write
 from pqsec_pki.vendors import export as make_export
@@ -19,7 +19,7 @@ from pqsec_pki.vendors import export as make_export
 @click.option(
     "-o",
     "--output",
-    type=_common.FOLDER,
+    type=_settings.FOLDER,
     metavar="DIR",
     help="Write the files into this folder. [default: print the first one]",
 )
@@ -33,23 +33,23 @@ from pqsec_pki.vendors import export as make_export
 )
 @click.option(
     "--plugins",
-    type=_common.FOLDER,
+    type=_settings.FOLDER,
     metavar="DIR",
     help="Where Cyclone DDS's plugins are; with --plugin, where pqsec's is. [default for that:"
-    f" {DEFAULT_FOLDER}]",
+    f" ~/{DEFAULT_FOLDER}]",
 )
 @click.option(
     "--plugin", is_flag=True, help="Run pqsec's plugin in Cyclone DDS, for post-quantum keys."
 )
 @click.option(
     "--password-file",
-    type=_common.FILE,
+    type=_settings.FILE,
     help="Write the passphrase of the participant's key, the first line of this file, into the"
     " configuration. [default: the process reads $PQSEC_KEY_PASSWORD; not Fast DDS]",
 )
 @click.option("--anyway", is_flag=True, help="Write also what the stack is known to refuse.")
 @click.option("--force", is_flag=True, help="Replace files that are there already.")
-@_common.command_options
+@_settings.command_options
 def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     stack: str,
     name: str,
@@ -75,19 +75,18 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             "where is pqsec's plugin on the machine that --at is about?",
             hint="name its folder there: --plugins DIR, as in `pqsec plugin install --dir DIR`",
         )
-    ours = plugins or DEFAULT_FOLDER.expanduser()
     options = Options(
         version=version,
         loopback=loopback,
-        password=_common.key_password(password_file),
+        password=_passphrases.of_key(password_file),
         at=PurePosixPath(at) if at is not None else None,
         plugins=None if plugin else plugins,
-        plugin=ours if plugin else None,
+        plugin=(plugins or default_folder()) if plugin else None,
         anyway=anyway,
         environment=dict(os.environ),
     )
-    keystore = _common.open_keystore()
-    made = make_export(stack_named(stack), keystore, name, options, now=_common.now())
+    keystore = _settings.open_keystore()
+    made = make_export(stack_named(stack), keystore, name, options, now=_settings.now())
     if made.is_private and output is None:
         raise UsageError(
             "the configuration holds the passphrase, and is not printed",
@@ -95,7 +94,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         )
     written = write(made, output, force=force) if output else []
     for text in (*made.notes, *made.warnings):
-        _common.note(text)
+        _printing.note(text)
     _tell(made, output, written)
 
 
@@ -112,7 +111,7 @@ def _tell(made: Export, output: Path | None, written: list[Path]) -> None:
             "environment": made.variables(output),
             "commands": made.commands(output),
         }
-        _common.emit(value, [*map(str, written), "", "To use it:", *made.commands(output)])
+        _printing.emit(value, [*map(str, written), "", "To use it:", *made.commands(output)])
         return
     texts = {path: each for path, each in made.files.items() if isinstance(each, str)}
-    _common.emit(value | {"texts": texts}, [texts[made.main].removesuffix("\n")])
+    _printing.emit(value | {"texts": texts}, [texts[made.main].removesuffix("\n")], verbatim=True)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common, _policy
+from pqsec_pki.cli import _policy, _printing, _settings
 from pqsec_pki.documents import (
     PRESETS,
     DomainSet,
@@ -17,7 +17,7 @@ from pqsec_pki.documents import (
 
 
 @click.group()
-@_common.command_options
+@_settings.command_options
 def governance() -> None:
     """Write the governance document in YAML, with presets."""
 
@@ -34,7 +34,7 @@ def governance() -> None:
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
 @_policy.output_options
-@_common.command_options
+@_settings.command_options
 def new(preset: str, domains: str, output: Path | None, *, force: bool) -> None:
     """Write a commented governance in YAML, to edit.
 
@@ -45,7 +45,7 @@ def new(preset: str, domains: str, output: Path | None, *, force: bool) -> None:
 
 
 @governance.command()
-@_common.command_options
+@_settings.command_options
 def presets() -> None:
     """Tell what each preset protects, and what it costs."""
     keys = ("name", "summary", "protects", "costs")
@@ -55,13 +55,13 @@ def presets() -> None:
         lines += click.wrap_text(f"Protects: {preset.protects}", 88, "  ", "  ").splitlines()
         lines += click.wrap_text(f"Costs: {preset.costs}", 88, "  ", "  ").splitlines()
         lines += [""]
-    _common.emit([{key: getattr(preset, key) for key in keys} for preset in PRESETS], lines[:-1])
+    _printing.emit([{key: getattr(preset, key) for key in keys} for preset in PRESETS], lines[:-1])
 
 
 def _warn(value: Governance) -> None:
     for rule in value.domain_rules:
         if rule.topic_rules[-1].topic_expression != "*":
-            _common.note(
+            _printing.note(
                 f"domains {rule.domains}: the last topic rule is not for '*', so topics that no"
                 " rule names cannot be used at all"
             )

@@ -7,7 +7,7 @@ import click
 from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, Profile
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck import PQSEC, Guest, Occasion, Report, Stack, meet, stack_named
@@ -32,7 +32,7 @@ _TAKES = {
 @click.option(
     "--trace",
     metavar="FILE",
-    type=_common.FILE,
+    type=_settings.FILE,
     help="Write every message, byte for byte and in words, to FILE (- is stdout).",
 )
 @click.option("--attack", metavar="NAME|all", help="Attack the two, and see all refused.")
@@ -65,7 +65,7 @@ _TAKES = {
     is_flag=True,
     help="Put the secrets that both end with into the trace, and plaintext. Never private keys.",
 )
-@_common.command_options
+@_settings.command_options
 @click.pass_context
 def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given: Any) -> None:
     """Run the authentication handshake between two participants.
@@ -115,7 +115,7 @@ def _mode(context: click.Context, names: tuple[str, ...]) -> str:
 
 def _two(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     report = _report(names, given)
-    _common.emit(report.to_json(), lines_of(report))
+    _printing.emit(report.to_json(), lines_of(report))
     return report.ok
 
 
@@ -130,7 +130,7 @@ def _invited(names: tuple[str, ...], given: dict[str, Any]) -> tuple[Occasion, t
     occasion = Occasion(
         keystore=keystore,
         domain=keystore.domains.ids()[0] if given["domain"] is None else given["domain"],
-        now=_common.now(),
+        now=_settings.now(),
         agreement=None if given["kem"] is None else KEY_AGREEMENTS.named(given["kem"]),
     )
     first, second = _stacks(given["stacks"])
@@ -146,7 +146,7 @@ def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     first, second = _stacks(given["stacks"])
     gathering = Gathering(
         root=keystore.root,
-        now=_common.now(),
+        now=_settings.now(),
         domain=given["domain"],
         key_agreement=given["kem"],
         stacks=(first.name, second.name),
@@ -184,7 +184,7 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
 def _keystore(kem: str | None) -> Keystore:
     """The keystore that is meant, which may have to do with a weaker key agreement."""
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     if kem is not None:
         _warn_of_a_weaker(kem, keystore.profile)
     return keystore
@@ -204,7 +204,7 @@ def _warn_of_a_weaker(kem: str, profile: Profile) -> None:
     except UnknownAlgorithmError:
         raise
     except UsageError as error:
-        _common.note(f"{error}; trying it all the same")
+        _printing.note(f"{error}; trying it all the same")
 
 
 def lines_of(report: Report) -> list[str]:

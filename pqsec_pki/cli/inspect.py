@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import located
 from pqsec_pki.inspection import Description, describe
 
@@ -15,10 +15,10 @@ from pqsec_pki.inspection import Description, describe
     "files",
     nargs=-1,
     required=True,
-    type=_common.FILE,
+    type=_settings.FILE,
     metavar="FILE...",
 )
-@_common.command_options
+@_settings.command_options
 def inspect(files: tuple[Path, ...]) -> None:
     """Tell in words what a certificate, key or document is.
 
@@ -31,10 +31,10 @@ def inspect(files: tuple[Path, ...]) -> None:
     for file, description in described:
         first, *rest = description.to_text()
         lines += [f"{file}: {first}", *rest]
-    _common.emit([{"file": str(file), **each.to_json()} for file, each in described], lines)
+    _printing.emit([{"file": str(file), **each.to_json()} for file, each in described], lines)
 
 
 def _described(file: Path) -> Description:
     data = read(file)
     with located(file):
-        return describe(data, now=_common.now())
+        return describe(data, now=_settings.now())

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
 from pqsec_pki.enrolment import rollback as roll_back
 
 
 @click.command()
-@click.argument("bundle", type=_common.FILE)
+@click.argument("bundle", type=_settings.FILE)
 @click.option(
     "--ca-fingerprint",
     "fingerprints",
@@ -24,30 +24,33 @@ from pqsec_pki.enrolment import rollback as roll_back
     is_flag=True,
     help="If nothing is installed yet, trust the CAs in the bundle, whoever made it.",
 )
+@click.option("--only", is_flag=True, help="Let go what else is installed, and its keys.")
 @click.option("--older", is_flag=True, help="Also what is older than what is installed.")
 @folder_option
-@_common.command_options
-def install(
+@_settings.command_options
+def install(  # noqa: PLR0913 -- one for each option, by name
     bundle: Path,
     fingerprints: tuple[str, ...],
     folder: Path,
     *,
     trust_first: bool,
     older: bool,
+    only: bool,
 ) -> None:
     """Check a bundle, and let it be what this robot runs with.
 
     Everything in it must hold now, under the CAs that are trusted, and fit a key that is
-    here. Then DIR/current leads to it, in one step; what was there before is kept for
-    `pqsec rollback`.
+    here. Then DIR/current leads to it and to what else is installed, in one step; what was
+    there before is kept for `pqsec rollback`.
     """
     done = install_bundle(
         bundle,
         folder,
         fingerprints,
-        now=_common.now(),
+        now=_settings.now(),
         trust_first=trust_first,
         older=older,
+        alone=only,
     )
     value = {
         "installed": done.names,
@@ -57,12 +60,12 @@ def install(
     }
     word = "was installed already" if done.already else "installed"
     until = f"until {done.not_after:%Y-%m-%d}"
-    _common.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
+    _printing.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 
 @click.command()
 @folder_option
-@_common.command_options
+@_settings.command_options
 def rollback(folder: Path) -> None:
     """Go back to what was installed before the last bundle.
 
@@ -70,4 +73,4 @@ def rollback(folder: Path) -> None:
     """
     earlier = roll_back(folder)
     value = {"current": str(earlier.path), "installed_at": earlier.at.isoformat()}
-    _common.emit(value, [f"back to what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"])
+    _printing.emit(value, [f"back to what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"])

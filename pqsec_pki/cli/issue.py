@@ -7,25 +7,25 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import SealingPublicKey
-from pqsec_pki.cli import _bundles, _common
+from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
 from pqsec_pki.cli._wishes import Wanted, wish_options
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.enrolment import Bundle
-from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Issued, Keystore, Wish
 from pqsec_pki.keystore import issue as issue_participants
 from pqsec_pki.smime import document_in
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="NAME...")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--domain", "domains", help="DDS domains: 0, or 0-3, or 0,5. [default: the CA's]")
 @wish_options
 @click.option(
     "--csr",
     "requests",
     multiple=True,
-    type=_common.FILE,
+    type=_settings.FILE,
     metavar="FILE",
     help="Certify the keys of this request, made on the robot, and write a bundle for it.",
 )
@@ -40,8 +40,9 @@ from pqsec_pki.smime import document_in
 @_bundles.seal_option
 @click.option("--force", is_flag=True, help="Replace participants that are there already.")
 @click.option("--after-revocation", is_flag=True, help="Also those that were revoked.")
-@_common.passphrase_option
-@_common.command_options
+@_bundles.compromised_option
+@_passphrases.option
+@_settings.command_options
 def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     names: tuple[str, ...],
     domains: str | None,
@@ -53,33 +54,38 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     *,
     force: bool,
     after_revocation: bool,
-    **wanted: Any,
+    compromised_keys: bool,
+    **how: Any,
 ) -> None:
     """Issue participants: key, certificate and signed permissions.
 
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
     expressions as they stand on the wire (rt/chatter); --ros-... takes ROS names. Each
-    NAME may do what is named here, or in its grant of --policy, and nothing else. With
-    --csr the keys were made elsewhere, and the answers are bundles for `pqsec install`.
+    NAME may do what is named here, or in its grant of --policy, and nothing else; without
+    a NAME, everybody in --policy is issued. With --csr the keys were made elsewhere, and
+    the answers are bundles for `pqsec install`.
     """
+    wanted = Wanted.of(**how)
     if not requests:
-        _refuse_without_requests(names, patterns, folder, seal_for)
-    keystore = _common.open_keystore()
+        _refuse_without_requests(patterns, folder, seal_for)
+        names = names or _everybody(wanted)
+    keystore = _settings.open_keystore()
     asked = _bundles.read_requests(requests, keystore.profile, names, patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
-    wishes = Wanted.of(**wanted).wishes(tuple(asked) or names, domain_set)
+    wishes = wanted.wishes(tuple(asked) or names, domain_set)
     wishes = [_bundles.with_keys(wish, asked) for wish in wishes]
     goals = _bundles.goals(asked, folder, force=force)
     governance = Governance.from_xml(document_in(keystore.governance))
     recipient = _bundles.recipient(seal_for)
-    authorities = _common.unlock(keystore, passphrase_file)
+    authorities = _passphrases.unlock(keystore, passphrase_file)
     issued = issue_participants(
         keystore,
         authorities,
         wishes,
-        now=_common.now(),
+        now=_settings.now(),
         force=force,
         after_revocation=after_revocation,
+        compromised_keys=compromised_keys,
     )
     _warn(governance, wishes)
     for name, goal in goals.items():
@@ -87,33 +93,37 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     tell(keystore, issued, goals)
 
 
-def _refuse_without_requests(
-    names: tuple[str, ...], patterns: tuple[str, ...], *others: Path | None
-) -> None:
+def _refuse_without_requests(patterns: tuple[str, ...], *others: Path | None) -> None:
     if patterns or any(others):
         raise UsageError("--allow-name, --bundles and --seal-for are for requests: --csr FILE")
-    if not names:
-        raise UsageError("whom to issue is not said", hint="name them, or a request: --csr FILE")
+
+
+def _everybody(wanted: Wanted) -> tuple[str, ...]:
+    """Whom the policy is about; UsageError if there is none."""
+    if not wanted.policy:
+        raise UsageError(
+            "whom to issue is not said", hint="name them, or a --policy, or a request: --csr FILE"
+        )
+    return wanted.everybody
 
 
 def _answer(
     keystore: Keystore, name: str, goal: Path, recipient: SealingPublicKey | None, *, force: bool
 ) -> None:
-    bundle = Bundle.of(keystore, [name], now=_common.now())
-    try:
+    bundle = Bundle.of(keystore, [name], now=_settings.now())
+    with _printing.advising(
+        f"{name} is issued all the same: `pqsec bundle {name}` makes its bundle"
+    ):
         _bundles.write(bundle, goal, recipient, force=force)
-    except FileError as error:
-        error.hint = f"{name} is issued all the same: `pqsec bundle {name}` makes its bundle"
-        raise
 
 
 def _warn(governance: Governance, wishes: list[Wish]) -> None:
     if not any(wish.publish or wish.subscribe or wish.grants for wish in wishes):
-        _common.note("no topic was named: the permissions deny everything, even to join")
+        _printing.note("no topic was named: the permissions deny everything, even to join")
     wanted = sorted({domain for wish in wishes for domain in wish.domains.ids()})
     ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]
     if ungoverned:
-        _common.note(
+        _printing.note(
             f"the governance does not name domain {', '.join(map(str, ungoverned))}: nobody can"
             " join there until you add it and run `pqsec sign-governance`"
         )
@@ -126,7 +136,7 @@ def tell(
     bundles = bundles or {}
     if issued and issued[0].shortened:
         end = issued[0].not_after
-        _common.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
+        _printing.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
     value = {
         "keystore": str(keystore.root),
         "issued": [
@@ -143,7 +153,7 @@ def tell(
         ],
     }
     places = {each.name: bundles.get(each.name, each.folder) for each in issued}
-    _common.emit(
+    _printing.emit(
         value,
         [f"{each.name}  until {each.not_after:%Y-%m-%d}  {places[each.name]}" for each in issued],
     )

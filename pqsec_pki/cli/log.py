@@ -2,7 +2,7 @@
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import Keystore, Line, audit
 
@@ -16,7 +16,7 @@ _HEADS = ("line", "when", "who", "what", "name", "serial or hash")
     "--verify", is_flag=True, help="Check that no line was altered or removed, and none missing."
 )
 @click.option("--head", metavar="HASH", help="With --verify: the head an earlier --verify printed.")
-@_common.command_options
+@_settings.command_options
 def log(*, verify: bool, head: str | None) -> None:
     """Show the ledger: every certificate, document and revocation made here.
 
@@ -24,27 +24,31 @@ def log(*, verify: bool, head: str | None) -> None:
     entered. Keep the head it prints elsewhere: with --head, a ledger that was cut or
     written anew shows.
     """
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     if verify or head is not None:
         _verify(keystore, head)
         return
     lines = keystore.lines()
-    _common.emit({"lines": list(map(_value, lines))}, _common.table(_HEADS, map(_row, lines)))
+    _printing.emit({"lines": list(map(_value, lines))}, _printing.table(_HEADS, map(_row, lines)))
 
 
 def _verify(keystore: Keystore, head: str | None) -> None:
     try:
         count, newest = audit(keystore, head)
     except VerificationError as error:
-        if _common.settings().json:
-            _common.emit({"ok": False, "problems": error.problems}, [])
+        if _settings.settings().json:
+            _printing.emit({"ok": False, "problems": error.problems}, [])
         raise
-    _common.emit({"ok": True, "lines": count, "head": newest}, [f"{count} lines, head {newest}"])
+    _printing.emit({"ok": True, "lines": count, "head": newest}, [f"{count} lines, head {newest}"])
+
+
+_FOR_MACHINES = {"keys"}
+"""Details that --json has alone."""
 
 
 def _row(line: Line) -> tuple[str, ...]:
     entry = line.entry
-    told = {key: _short(value) for key, value in entry.details.items() if value}
+    told = {key: _short(v) for key, v in entry.details.items() if v and key not in _FOR_MACHINES}
     details = ", ".join(f"{key} {value}" for key, value in told.items())
     what = f"{entry.kind} ({details})" if details else entry.kind
     last = entry.serial or entry.sha256[:16]

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.keystore import change_passphrase
 
 
 @click.command()
-@_common.passphrase_option
+@_passphrases.option
 @click.option(
-    "--new-passphrase-file", type=_common.FILE, help="A file whose first line is the new one."
+    "--new-passphrase-file", type=_settings.FILE, help="A file whose first line is the new one."
 )
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
-@_common.command_options
+@_settings.command_options
 def passphrase(
     passphrase_file: Path | None, new_passphrase_file: Path | None, *, no_passphrase: bool
 ) -> None:
@@ -24,14 +24,12 @@ def passphrase(
     blocks, and in backups, what they held may stay; keys of older generations keep the
     passphrase they had.
     """
-    keystore = _common.open_keystore()
-    authorities = _common.unlock(keystore, passphrase_file)
-    new = _common.new_passphrase(
-        new_passphrase_file, none=no_passphrase, option="--new-passphrase-file"
-    )
+    keystore = _settings.open_keystore()
+    authorities = _passphrases.unlock(keystore, passphrase_file)
+    new = _passphrases.new(new_passphrase_file, none=no_passphrase, option="--new-passphrase-file")
     paths = change_passphrase(keystore, authorities, new)
     if new is None:
-        _common.note(f"the CA keys in {paths[0].parent} are not encrypted; guard that folder")
+        _printing.note(f"the CA keys in {paths[0].parent} are not encrypted; guard that folder")
     word = "not encrypted" if new is None else "encrypted anew"
     value = {"keys": [str(path) for path in paths], "encrypted": new is not None}
-    _common.emit(value, [f"{path}  {word}" for path in paths])
+    _printing.emit(value, [f"{path}  {word}" for path in paths])

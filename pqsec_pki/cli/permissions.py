@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common, _policy
+from pqsec_pki.cli import _policy, _printing, _settings
 from pqsec_pki.documents import (
     DomainSet,
     Permissions,
@@ -20,7 +20,7 @@ from pqsec_pki.errors import UsageError
 
 
 @click.group()
-@_common.command_options
+@_settings.command_options
 def permissions() -> None:
     """Write permissions documents in YAML, and import policies of SROS2."""
 
@@ -30,10 +30,10 @@ def permissions() -> None:
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
-@click.option("--validity", type=_common.Duration(), default="1y", show_default=True)
+@click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
 @click.option("--dds", is_flag=True, help="They are no ROS 2 nodes: with DDS topics only.")
 @_policy.output_options
-@_common.command_options
+@_settings.command_options
 def new(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
     domains: str,
@@ -57,18 +57,18 @@ def new(  # noqa: PLR0913 -- one for each option, by name
 
 
 @permissions.command("import")
-@click.argument("policy", type=_common.FILE)
+@click.argument("policy", type=_settings.FILE)
 @click.option("--enclave", "wanted", multiple=True, metavar="PATH", help="Only this enclave.")
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
-@click.option("--validity", type=_common.Duration(), default="1y", show_default=True)
+@click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
 @click.option("--complete", is_flag=True, help="Add what its Jazzy nodes need to start.")
 @click.option(
-    "--root", type=_common.FOLDER, help="Includes may come from here. [default: POLICY's]"
+    "--root", type=_settings.FOLDER, help="Includes may come from here. [default: POLICY's]"
 )
 @_policy.output_options
-@_common.command_options
+@_settings.command_options
 def import_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     policy: Path,
     wanted: tuple[str, ...],
@@ -86,7 +86,7 @@ def import_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     POLICY only.
     """
     enclaves = _wanted(sros2.read_policy(policy, root=root), wanted)
-    not_before, not_after = lasting(_common.now(), validity)
+    not_before, not_after = lasting(_settings.now(), validity)
     value = sros2.permissions_of(
         enclaves,
         domains=DomainSet.parse(domains),
@@ -123,7 +123,7 @@ def _warn(enclaves: tuple[sros2.Enclave, ...]) -> None:
     for enclave in enclaves:
         if topics := sros2.lacking(enclave):
             others = f" and {len(topics) - 1} more topic(s)" if len(topics) > 1 else ""
-            _common.note(
+            _printing.note(
                 f"{enclave.path} lacks {topics[0]}{others}, without which a Jazzy node does not"
                 " start: --complete adds them"
             )
@@ -131,7 +131,7 @@ def _warn(enclaves: tuple[sros2.Enclave, ...]) -> None:
 
 _policy.add_commands(
     permissions,
-    lambda data: permissions_from_yaml(data, now=_common.now()),
+    lambda data: permissions_from_yaml(data, now=_settings.now()),
     permissions_to_yaml,
     Permissions.from_xml,
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.domain import Action, Desired, Plan, new_domain, read_domain
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.errors import ExistsError, KeystoreError
@@ -17,9 +17,14 @@ DEFAULT_FILE = Path("domain.yaml")
 _SHOWN = 5
 """Names on one line; --json has all."""
 
-file_argument = click.argument("file", type=_common.FILE, default=DEFAULT_FILE, metavar="[FILE]")
+file_argument = click.argument("file", type=_settings.FILE, default=DEFAULT_FILE, metavar="[FILE]")
 prune_option = click.option(
     "--prune", is_flag=True, help="Also revoke participants that FILE does not name."
+)
+new_keys_option = click.option(
+    "--new-keys",
+    is_flag=True,
+    help="Also answer requests for other keys than their participants had.",
 )
 
 
@@ -27,8 +32,9 @@ prune_option = click.option(
 @file_argument
 @click.option("--init", is_flag=True, help="Write a new FILE with comments, to be edited.")
 @prune_option
-@_common.command_options
-def plan(file: Path, *, init: bool, prune: bool) -> None:
+@new_keys_option
+@_settings.command_options
+def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
     """Tell what FILE wants and the keystore has not: what `pqsec apply` would do.
 
     FILE is domain.yaml if it is not named. Exit code 0 if there is nothing to do, 1 if
@@ -36,10 +42,11 @@ def plan(file: Path, *, init: bool, prune: bool) -> None:
     """
     if init:
         _files.write(file, new_domain("Robots"))
-        _common.emit({"written": str(file)}, [f"{file}: edit it, then `pqsec plan`"])
+        _printing.emit({"written": str(file)}, [f"{file}: edit it, then `pqsec plan`"])
         return
     desired = read_domain(file)
-    found = plan_steps(desired, keystore_or_none(), now=_common.now(), prune=prune)
+    keystore, now = keystore_or_none(), _settings.now()
+    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     show(found, desired)
     if not found.in_order:
         click.get_current_context().exit(1)
@@ -47,7 +54,7 @@ def plan(file: Path, *, init: bool, prune: bool) -> None:
 
 def keystore_or_none() -> Keystore | None:
     """The keystore the user means; None if nothing is there yet."""
-    path = _common.keystore_path()
+    path = _settings.keystore_path()
     try:
         return Keystore.open(path)
     except KeystoreError:
@@ -62,14 +69,14 @@ def keystore_or_none() -> Keystore | None:
 
 def show(found: Plan, desired: Desired) -> None:
     """The plan, and notes on what it leaves alone."""
-    as_json = _common.settings().json
-    _common.emit(value(found) if as_json else None, lines(found))
+    as_json = _settings.settings().json
+    _printing.emit(value(found) if as_json else None, lines(found))
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
-        _common.note(f"the governance does not name domain {where}: nobody can join there")
+        _printing.note(f"the governance does not name domain {where}: nobody can join there")
     if found.unlisted:
-        names = _few(found.unlisted)
-        _common.note(f"not in {desired.path}: {names}; --prune revokes what is not in it")
+        names = few(found.unlisted)
+        _printing.note(f"not in {desired.path}: {names}; --prune revokes what is not in it")
 
 
 def value(found: Plan) -> dict[str, object]:
@@ -80,7 +87,9 @@ def value(found: Plan) -> dict[str, object]:
             {"action": step.action, "name": step.name or None, "why": step.why}
             for step in found.steps
         ],
-        "blocked": [{"name": each.name, "why": each.why} for each in found.blocked],
+        "blocked": [
+            {"name": each.name, "why": each.why, "way_out": each.way_out} for each in found.blocked
+        ],
         "unlisted": list(found.unlisted),
         "unchanged": found.unchanged,
     }
@@ -92,9 +101,9 @@ def lines(found: Plan) -> Iterator[str]:
     alike = groupby(found.steps, key=lambda step: (step.action, _kind(step.action, step.why)))
     for (action, why), steps in alike:
         names = [step.name for step in steps]
-        yield f"{action.words:<{width}}  {_few(names)}{'  ' * any(names)}({why})"
+        yield f"{action.words:<{width}}  {few(names)}{'  ' * any(names)}({why})"
     for each in found.blocked:
-        yield f"blocked: {each.name} {each.why}; take it out of the file, or issue it by hand"
+        yield f"blocked: {each.name} {each.why}; {each.way_out}"
     count = len(found.steps)
     right = found.unchanged
     rest = (
@@ -108,7 +117,8 @@ def _kind(action: Action, why: str) -> str:
     return why.split(maxsplit=1)[0] if action is Action.RENEW else why
 
 
-def _few(names: Iterable[str]) -> str:
+def few(names: Iterable[str]) -> str:
+    """The names, but not more than fit on a line."""
     some = [name for name in names if name]
     if len(some) <= _SHOWN:
         return ", ".join(some)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
 from pqsec_pki.cli.issue import tell
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Renewal, State, Status
@@ -20,7 +20,7 @@ _THIRD = timedelta()
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--due",
-    type=_common.Duration(),
+    type=_settings.Duration(),
     is_flag=False,
     flag_value=_THIRD,
     help="Whatever ends within this time; without one, what has less than a third of its life"
@@ -33,11 +33,12 @@ _THIRD = timedelta()
     help="Make new keys, or certify again those in the certificate.  [default: new ones, where"
     " the old ones lie here]",
 )
+@_bundles.compromised_option
 @click.option(
-    "--validity", type=_common.Duration(), help="From now on.  [default: as long as before]"
+    "--validity", type=_settings.Duration(), help="From now on.  [default: as long as before]"
 )
-@_common.passphrase_option
-@_common.command_options
+@_passphrases.option
+@_settings.command_options
 def renew(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
     due: timedelta | None,
@@ -46,6 +47,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     *,
     everybody: bool,
     rekey: bool | None,
+    compromised_keys: bool,
 ) -> None:
     """Renew participants: certificate and permissions together, allowed the same as before.
 
@@ -54,17 +56,17 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     """
     if [bool(names), due is not None, everybody].count(True) != 1:
         raise UsageError("say whom to renew: names, or --due, or --all")
-    keystore, now = _common.open_keystore(), _common.now()
+    keystore, now = _settings.open_keystore(), _settings.now()
     standing = status_of(keystore, names or None, now=now, due=due or None)
     chosen = standing.due if due is not None else _all_but_the_dead(standing, names)
     if not chosen and not standing.list_is_due:
-        _common.emit({"keystore": str(keystore.root), "issued": []}, ["nothing to renew"])
+        _printing.emit({"keystore": str(keystore.root), "issued": []}, ["nothing to renew"])
         return
-    terms = Renewal(rekey=rekey, validity=validity, due=due or None)
-    authorities = _common.unlock(keystore, passphrase_file)
+    terms = Renewal(rekey, validity, due or None, compromised_keys)
+    authorities = _passphrases.unlock(keystore, passphrase_file)
     renewed = renew_participants(keystore, authorities, chosen, terms, now=now)
     if standing.list_is_due:
-        _common.note("the revocation list was due and is made anew: give it to every robot")
+        _printing.note("the revocation list was due and is made anew: give it to every robot")
     tell(keystore, renewed)
 
 
@@ -78,18 +80,18 @@ def _all_but_the_dead(standing: Status, names: tuple[str, ...]) -> list[str]:
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--due",
-    type=_common.Duration(),
+    type=_settings.Duration(),
     help="What ends within this time.  [default: less than a third of its life is left]",
 )
-@_common.command_options
+@_settings.command_options
 def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
     """Tell whether participants, or the revocation list, should be renewed.
 
     Exit code 0 if any of them should, 1 if none. Without a NAME it is about all, and the
     list.
     """
-    keystore = _common.open_keystore()
-    standing = status_of(keystore, names or None, now=_common.now(), due=due)
+    keystore = _settings.open_keystore()
+    standing = status_of(keystore, names or None, now=_settings.now(), due=due)
     found = [each for each in standing.participants if each.state.calls_for_renewal]
     lines = [f"{each.name}  {each.state}, until {each.not_after:%Y-%m-%d %H:%M}" for each in found]
     terms = [] if names else [each for each in standing.shared if each.kind == "crl"]
@@ -103,6 +105,6 @@ def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
         ],
         "revocation_list": bool(lists),
     }
-    _common.emit(value, lines or ["nothing needs renewal"])
+    _printing.emit(value, lines or ["nothing needs renewal"])
     if not lines:
         click.get_current_context().exit(1)

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.enrolment import make_sealing_key
 from pqsec_pki.enrolment import request as make_request
@@ -14,7 +14,7 @@ folder_option = click.option(
     "--dir",
     "-o",
     "folder",
-    type=_common.FOLDER,
+    type=_settings.FOLDER,
     default=Path("credentials"),
     show_default=True,
     metavar="DIR",
@@ -29,7 +29,7 @@ folder_option = click.option(
 @click.option("--alt-key", metavar="NAME", help="Another alternative key.")
 @folder_option
 @click.option("--force", is_flag=True, help="Replace a request for NAME, and its keys.")
-@_common.command_options
+@_settings.command_options
 def request(  # noqa: PLR0913 -- one for each option, by name
     name: str,
     profile_name: str,
@@ -49,17 +49,17 @@ def request(  # noqa: PLR0913 -- one for each option, by name
     )
     made = make_request(name, profile, folder, force=force)
     value = {"name": made.name, "request": str(made.path), "sha256": made.request.fingerprint}
-    _common.emit(value, [f"{made.name}  {made.path}"])
+    _printing.emit(value, [f"{made.name}  {made.path}"])
 
 
 @click.command("bundle-key")
 @folder_option
 @click.option("--force", is_flag=True, help="Replace the key: older bundles cannot be opened then.")
-@_common.command_options
+@_settings.command_options
 def bundle_key(folder: Path, *, force: bool) -> None:
     """Make the key on the robot with which it opens sealed bundles.
 
     Send the bundle.pub.pem that is printed to where the CAs are, for --seal-for.
     """
     path, sha256 = make_sealing_key(folder, force=force)
-    _common.emit({"public_key": str(path), "sha256": sha256}, [f"{path}  SHA-256 {sha256}"])
+    _printing.emit({"public_key": str(path), "sha256": sha256}, [f"{path}  SHA-256 {sha256}"])

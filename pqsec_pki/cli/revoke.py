@@ -6,13 +6,13 @@ from pathlib import Path
 import click
 
 from pqsec_pki.certificates import Reason, RevocationList
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.keystore import LIST_VALIDITY, Keystore, Revoked
 from pqsec_pki.keystore import revoke as take_back
 
 list_validity_option = click.option(
     "--validity",
-    type=_common.Duration(),
+    type=_settings.Duration(),
     default=LIST_VALIDITY,
     show_default="1y",
     help="When the next list is due: past that, stacks refuse everybody.",
@@ -29,8 +29,8 @@ list_validity_option = click.option(
     help="What the list says of it (RFC 5280 5.3.1).",
 )
 @list_validity_option
-@_common.passphrase_option
-@_common.command_options
+@_passphrases.option
+@_settings.command_options
 def revoke(
     subjects: tuple[str, ...], reason: str, validity: timedelta, passphrase_file: Path | None
 ) -> None:
@@ -40,26 +40,26 @@ def revoke(
     one certificate. Give the new crl.pem to every robot: who has an old list, or none,
     still lets them in.
     """
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     first = not keystore.has_revocation_list
-    authorities = _common.unlock(keystore, passphrase_file)
+    authorities = _passphrases.unlock(keystore, passphrase_file)
     revoked, made = take_back(
         keystore,
         authorities,
         subjects,
         reason=Reason(reason),
-        now=_common.now(),
+        now=_settings.now(),
         validity=validity,
     )
     if first:
-        _common.note("DDS stacks read crl.pem when a participant starts, and OpenDDS not at all")
+        _printing.note("DDS stacks read crl.pem when a participant starts, and OpenDDS not at all")
     if not all(each.listed for each in revoked):
-        _common.note(
+        _printing.note(
             "what an earlier CA issued is in no list: who still trusts that CA lets it in;"
             " bring every robot the files of the present one"
         )
     value = {"revoked": [_value(each) for each in revoked], **list_value(keystore, made)}
-    _common.emit(value, [*map(_line, revoked), list_line(keystore, made)])
+    _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
 
 
 def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:
@@ -75,8 +75,7 @@ def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:
 def list_line(keystore: Keystore, made: RevocationList) -> str:
     """The list, for a person."""
     due = f", due again by {made.next_update:%Y-%m-%d}" if made.next_update else ""
-    count = len(made.revoked)
-    what = "1 certificate" if count == 1 else f"{count} certificates"
+    what = _printing.counted(len(made.revoked), "certificate")
     return f"list {made.number}: {what}{due}  {keystore.revocation_list_path}"
 
 

@@ -1,6 +1,6 @@
 """pqsec ca rotate: a new generation of CAs, and what that means, told before."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli._overlap import Order, Step, run
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import CA_VALIDITY, Keystore, Outlook, Rollover, Scope, foresee
 from pqsec_pki.keystore import rotate as rotate_keystore
@@ -36,17 +37,22 @@ _CAS = {
     type=click.Choice([Scope.IDENTITY.value, Scope.PERMISSIONS.value]),
     help="Leave the other CA as it is.  [default: both are made anew]",
 )
+@click.option(
+    "--overlap",
+    type=click.Choice([step.value for step in Step]),
+    help="A step of the way on which robots trust two identity CAs, the old and the new.",
+)
 @click.option("--name", help="The start of the new CAs' names.  [default: as before, with G2, G3]")
 @click.option(
-    "--validity", type=_common.Duration(), default=CA_VALIDITY, show_default="10y", help="Of CAs."
+    "--validity", type=_settings.Duration(), default=CA_VALIDITY, show_default="10y", help="Of CAs."
 )
 @click.option("--rekey", is_flag=True, help="New keys for participants whose kind stays too.")
 @click.option(
     "--destroy-old-keys", "destroy", is_flag=True, help="Overwrite the old CA keys, keep none."
 )
-@_common.passphrase_option
+@_passphrases.option
 @click.option("--no-passphrase", is_flag=True, help="Leave the new CA keys unencrypted.")
-@_common.command_options
+@_settings.command_options
 def rotate(  # noqa: PLR0913 -- one for each option, by name
     profile_name: str | None,
     scope: str | None,
@@ -54,6 +60,7 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     validity: timedelta,
     passphrase_file: Path | None,
     *,
+    overlap: str | None,
     plan: bool,
     do: bool,
     rekey: bool,
@@ -64,21 +71,27 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
 
     Participants may do what they might before, and keep their keys where the profile asks
     for no other kind. The old CAs need not be unlocked, unless one of them stays.
+
+    With --overlap, robots go over to a new identity CA one after the other, where their
+    stack trusts two: begin, switch, finish, and the robots' files in between.
     """
     if plan and do:
         raise UsageError("--plan and --apply exclude each other")
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     terms = Rollover(
         profile=_profile(keystore, profile_name),
-        scope=Scope(scope) if scope else Scope.BOTH,
+        scope=Scope(scope) if scope else Scope.IDENTITY if overlap else Scope.BOTH,
         name=name,
         validity=validity,
         rekey=rekey,
         destroy=destroy,
     )
-    outlook = foresee(keystore, terms)
+    if overlap:
+        run(Order(keystore, terms, passphrase_file), Step(overlap), do=do)
+        return
+    outlook = foresee(keystore, terms, now=_settings.now())
     if not do:
-        _common.emit(_plan_value(outlook), _plan_lines(outlook))
+        _printing.emit(_plan_value(outlook), _plan_lines(outlook))
         return
     _apply(keystore, terms, outlook, passphrase_file, no_passphrase=no_passphrase)
 
@@ -100,11 +113,11 @@ def _apply(
 ) -> None:
     kept = None
     if terms.scope is not Scope.BOTH:
-        kept = _common.unlock(keystore, passphrase_file)
-    passphrase = _common.new_passphrase(passphrase_file, none=no_passphrase)
-    done = rotate_keystore(keystore, terms, kept=kept, passphrase=passphrase, now=_common.now())
+        kept = _passphrases.unlock(keystore, passphrase_file)
+    passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
+    done = rotate_keystore(keystore, terms, kept=kept, passphrase=passphrase, now=_settings.now())
     for name, reason in done.left_out.items():
-        _common.note(f"{name} stays behind: {reason}")
+        _printing.note(f"{name} stays behind: {reason}")
     value = {
         "generation": done.generation,
         "profile": terms.profile.name,
@@ -114,14 +127,14 @@ def _apply(
         "new_list": done.new_list,
         "archive": str(done.archive),
     }
-    count = _count(len(done.issued), "participant")
+    count = _whom(done.issued)
     keys = "certificates only, the keys are destroyed" if terms.destroy else "for their owner only"
     lines = [
         f"generation {done.generation}: {_CAS[terms.scope]}, {count} issued anew",
         f"generation {done.generation - 1} is in {done.archive} ({keys})",
         *(f"next: {step}" for step in _to_robots(outlook)),
     ]
-    _common.emit(value, lines)
+    _printing.emit(value, lines)
 
 
 def _plan_value(outlook: Outlook) -> dict[str, Any]:
@@ -153,10 +166,11 @@ def _plan_lines(outlook: Outlook) -> Iterator[str]:
     yield from _numbered(_to_robots(outlook))
     yield from ("", "What breaks:")
     yield from (f"  - {text}" for text in _breaks(outlook))
-    yield from ("", "Who can trust both generations for a while (docs/rollover.md tells how):")
+    yield from ("", "Who can trust two generations for a while, and needs no switch:")
     if outlook.scope is not Scope.IDENTITY:
-        yield "  of permissions CAs nobody; of identity CAs, with `--only identity`:"
+        yield "  of permissions CAs nobody"
     if outlook.scope is not Scope.PERMISSIONS:
+        yield "  of identity CAs, by way of `--overlap begin`:"
         yield from (f"  {row.stack}: {row.how or 'no'}" for row in TRUST)
 
 
@@ -178,10 +192,11 @@ def _steps(outlook: Outlook) -> Iterator[str]:
     if outlook.scope is not Scope.IDENTITY:
         yield f"make a permissions CA ({after.permissions_key.name}{second})"
     if outlook.keeping:
-        yield f"certify {_count(len(outlook.keeping), 'participant')} again, with the same keys"
+        yield f"certify {_whom(outlook.keeping)} again, with the same keys"
     if outlook.rekeyed:
-        yield f"issue {_count(len(outlook.rekeyed), 'participant')} anew, with new keys"
-    yield f"sign the governance and {_count(outlook.participants, 'permissions document')} anew"
+        yield f"issue {_whom(outlook.rekeyed)} anew, with new keys"
+    permissions = _printing.counted(outlook.participants, "permissions document")
+    yield f"sign the governance and {permissions} anew"
     if outlook.new_list:
         yield "make a revocation list with nothing in it: nobody trusts what the old CA issued"
     for name, reason in outlook.left_out.items():
@@ -222,5 +237,5 @@ def _breaks(outlook: Outlook) -> Iterator[str]:
         )
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+def _whom(participants: Sized) -> str:
+    return _printing.counted(len(participants), "participant")

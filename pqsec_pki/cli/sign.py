@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from pqsec_pki._files import read, refuse_existing
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.documents import (
     Governance,
     Kind,
@@ -18,7 +18,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import InvalidDocumentError, MalformedError, Problem, located
 
 
-def _options(command: _common.Command) -> _common.Command:
+def _options(command: _settings.Command) -> _settings.Command:
     for option in (
         click.option("--force", is_flag=True, help="Replace the signed file if it is there."),
         click.option(
@@ -29,10 +29,10 @@ def _options(command: _common.Command) -> _common.Command:
         click.option(
             "-o",
             "--output",
-            type=_common.FILE,
+            type=_settings.FILE,
             help="Where to write. [default: FILE with .p7s]",
         ),
-        click.argument("file", type=_common.FILE),
+        click.argument("file", type=_settings.FILE),
     ):
         command = option(command)
     return command
@@ -40,8 +40,8 @@ def _options(command: _common.Command) -> _common.Command:
 
 @click.command("sign-governance")
 @_options
-@_common.passphrase_option
-@_common.command_options
+@_passphrases.option
+@_settings.command_options
 def sign_governance(file: Path, **choices: Any) -> None:
     """Check a governance document against its schema and sign it.
 
@@ -53,8 +53,8 @@ def sign_governance(file: Path, **choices: Any) -> None:
 
 @click.command("sign-permissions")
 @_options
-@_common.passphrase_option
-@_common.command_options
+@_passphrases.option
+@_settings.command_options
 def sign_permissions(file: Path, **choices: Any) -> None:
     """Check a permissions document against its schema and sign it.
 
@@ -87,20 +87,20 @@ def _sign(  # noqa: PLR0913 -- one for each option
     goal = output or file.with_suffix(".p7s")
     if not force:  # told before anyone types a passphrase
         refuse_existing(goal)
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     signed = keystore.sign_document(
         kind,
         document,
         goal,
-        _common.unlock(keystore, passphrase_file),
-        now=_common.now(),
+        _passphrases.unlock(keystore, passphrase_file),
+        now=_settings.now(),
         embed_certificate=embed_certificate,
         force=force,
     )
-    _common.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
+    _printing.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
 
 
 def _rendered(kind: Kind, document: bytes) -> bytes:
     if kind is Kind.GOVERNANCE:
         return governance_from_yaml(document).to_xml()
-    return permissions_from_yaml(document, now=_common.now()).to_xml()
+    return permissions_from_yaml(document, now=_settings.now()).to_xml()

@@ -1,13 +1,14 @@
 """pqsec sign-request: requests to CAs that have no network, and their answers."""
 
 import hashlib
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _bundles, _common
+from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
 from pqsec_pki.cli._wishes import Wanted, wish_options
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, sign
@@ -19,20 +20,20 @@ _force = click.option("--force", is_flag=True, help="Replace what is there alrea
 
 
 @click.group("sign-request")
-@_common.command_options
+@_settings.command_options
 def sign_request() -> None:
     """Have requests signed by CAs on a machine without a network."""
 
 
 @sign_request.command()
-@click.argument("requests", nargs=-1, required=True, type=_common.FILE, metavar="CSR...")
+@click.argument("requests", nargs=-1, required=True, type=_settings.FILE, metavar="CSR...")
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
 @wish_options
-@click.option("-o", "--output", type=_common.FILE, required=True, help="Where to write.")
+@click.option("-o", "--output", type=_settings.FILE, required=True, help="Where to write.")
 @_force
-@_common.command_options
+@_settings.command_options
 def export(
     requests: tuple[Path, ...], domains: str, output: Path, *, force: bool, **wanted: Any
 ) -> None:
@@ -53,16 +54,16 @@ def export(
     if len(set(names)) < len(names):
         raise UsageError("two requests have one name")
     wishes = Wanted.of(**wanted).wishes(tuple(names), DomainSet.parse(domains))
-    data = SignRequest(tuple(found), tuple(wishes)).to_bytes(now=_common.now())
+    data = SignRequest(tuple(found), tuple(wishes)).to_bytes(now=_settings.now())
     _files.write(output, data, force=force)
     sha256 = hashlib.sha256(data).hexdigest()
     value = {"written": str(output), "names": names, "sha256": sha256}
-    _common.emit(value, [*names, f"{output}  SHA-256 {sha256}"])
+    _printing.emit(value, [*names, f"{output}  SHA-256 {sha256}"])
 
 
 @sign_request.command("sign")
-@click.argument("file", type=_common.FILE)
-@click.option("-o", "--output", type=_common.FILE, help="Where the answer goes.")
+@click.argument("file", type=_settings.FILE)
+@click.option("-o", "--output", type=_settings.FILE, help="Where the answer goes.")
 @click.option("--sha256", metavar="HASH", help="Refuse FILE if this is not its SHA-256.")
 @click.option(
     "--allow-name",
@@ -74,8 +75,9 @@ def export(
 @click.option("--show", is_flag=True, help="Tell what is asked for, and sign nothing.")
 @_force
 @click.option("--after-revocation", is_flag=True, help="Also those that were revoked.")
-@_common.passphrase_option
-@_common.command_options
+@_bundles.compromised_option
+@_passphrases.option
+@_settings.command_options
 def sign_(  # noqa: PLR0913 -- one for each option, by name
     file: Path,
     output: Path | None,
@@ -86,13 +88,14 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     show: bool,
     force: bool,
     after_revocation: bool,
+    compromised_keys: bool,
 ) -> None:
     """Issue what a file of `sign-request export` asks for, and write the answer.
 
     For the machine with the CA keys. What was issued for this very file before is not
     issued again: sign it as often as you like.
     """
-    keystore = _common.open_keystore()
+    keystore = _settings.open_keystore()
     asked = _read(file)
     with located(file):
         if sha256 and sha256.lower() != asked.sha256:
@@ -105,28 +108,30 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
         raise UsageError("where the answer goes is not said", hint="-o FILE, or only --show")
     if not force:
         _files.refuse_existing(output)
-    authorities = _common.unlock(keystore, passphrase_file)
+    authorities = _passphrases.unlock(keystore, passphrase_file)
     answer = sign(
         asked,
         keystore,
         authorities,
-        now=_common.now(),
+        now=_settings.now(),
         patterns=patterns,
         force=force,
         after_revocation=after_revocation,
+        compromised_keys=compromised_keys,
     )
-    _files.write(output, answer, force=force)
+    with _printing.advising("it is issued all the same: sign it again, with another -o"):
+        _files.write(output, answer, force=force)
     names = [wish.name for wish in asked.wishes]
     value = {"answer": str(output), "names": names, "request_sha256": asked.sha256}
-    _common.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
+    _printing.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
 
 
 @sign_request.command("import")
-@click.argument("answer", type=_common.FILE)
+@click.argument("answer", type=_settings.FILE)
 @click.option(
     "--request",
     "file",
-    type=_common.FILE,
+    type=_settings.FILE,
     required=True,
     help="The file that was exported, which it must answer.",
 )
@@ -135,7 +140,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
 )
 @_bundles.folder_option
 @_force
-@_common.command_options
+@_settings.command_options
 def import_(
     answer: Path,
     file: Path,
@@ -156,7 +161,7 @@ def import_(
             asked,
             folder or Path(),
             fingerprints=fingerprints,
-            now=_common.now(),
+            now=_settings.now(),
             force=force,
         )
     value = {
@@ -165,7 +170,7 @@ def import_(
         ]
     }
     words = {True: "  (was there)", False: ""}
-    _common.emit(value, [f"{each.name}  {each.path}{words[each.already]}" for each in found])
+    _printing.emit(value, [f"{each.name}  {each.path}{words[each.already]}" for each in found])
 
 
 def _read(path: Path) -> SignRequest:
@@ -185,7 +190,7 @@ def _show(asked: SignRequest) -> None:
                 "subscribe": wish.subscribe,
                 "policy": bool(wish.grants),
                 "permissions": "\n".join(_policy(wish)) or None,
-                "days": wish.validity.days,
+                "hours": wish.validity // timedelta(hours=1),
             }
             for wish in asked.wishes
         ],
@@ -197,18 +202,23 @@ def _show(asked: SignRequest) -> None:
             _topics(wish.publish),
             _topics(wish.subscribe),
             "policy" if wish.grants else "-",
-            f"{wish.validity.days}d",
+            _length(wish.validity),
         )
         for wish in asked.wishes
     ]
     heads = ("participant", "domains", "publish", "subscribe", "by", "for")
     policies = [line for wish in asked.wishes for line in _policy(wish)]
-    _common.emit(value, [*_common.table(heads, rows), *policies, f"SHA-256 {asked.sha256}"])
+    _printing.emit(value, [*_printing.table(heads, rows), *policies, f"SHA-256 {asked.sha256}"])
+
+
+def _length(validity: timedelta) -> str:
+    hours = validity // timedelta(hours=1)
+    return f"{hours}h" if hours % 24 else f"{hours // 24}d"
 
 
 def _topics(expressions: tuple[str, ...]) -> str:
-    """Whole, and without what could move the cursor: somebody decides by it."""
-    return " ".join(_common.printable(each) for each in expressions) or "-"
+    """Whole: somebody decides by it."""
+    return " ".join(expressions) or "-"
 
 
 def _policy(wish: Wish) -> list[str]:
@@ -216,4 +226,4 @@ def _policy(wish: Wish) -> list[str]:
     if not wish.grants:
         return []
     document = Permissions(grants=wish.grants).to_xml().decode()
-    return [_common.printable(line) for line in document.splitlines()]
+    return document.splitlines()

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki._files import read, write
-from pqsec_pki.cli import _common
+from pqsec_pki._files import is_there, read, write
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore, State, Status
 from pqsec_pki.keystore import status as status_of
@@ -17,6 +17,7 @@ _ROLES = {
     "identity-ca": "identity CA",
     "permissions-ca": "permissions CA",
     "countersigner": "countersigner",
+    "trusted-too": "trusted too",
     "crl": "revocation list",
 }
 _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
@@ -25,29 +26,28 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 @click.command()
 @click.option(
     "--due",
-    type=_common.Duration(),
+    type=_settings.Duration(),
     help="Call due what ends within this time.  [default: less than a third of its life is left]",
 )
 @click.option(
     "--prometheus",
-    type=_common.FILE,
+    type=_settings.FILE,
     help="Write metrics there too, for the textfile collector; replaces its own older file.",
 )
-@_common.command_options
+@_settings.command_options
 def status(due: timedelta | None, prometheus: Path | None) -> None:
     """Show every participant, how long it lasts and its state, the most urgent first.
 
     All of it comes from the ledger: what was issued here. `pqsec check` looks at the
     files.
     """
-    keystore = _common.open_keystore()
-    standing = status_of(keystore, now=_common.now(), due=due)
+    keystore = _settings.open_keystore()
+    standing = status_of(keystore, now=_settings.now(), due=due)
     if prometheus:
         _write(prometheus, "".join(_metrics(standing)))
-    # Of the two, the one that is wanted: with thousands of participants it shows.
-    as_json = _common.settings().json
-    value = _value(keystore, standing) if as_json else None
-    _common.emit(value, [] if as_json else ["\n".join(_lines(keystore, standing))])
+    # Only if it is wanted: with thousands of participants it shows.
+    value = _value(keystore, standing) if _settings.settings().json else None
+    _printing.emit(value, _lines(keystore, standing))
 
 
 def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
@@ -59,7 +59,7 @@ def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
     yield f"participants     {', '.join(counts) or 'none yet: pqsec issue NAME'}"
     if standing.participants:
         yield ""
-        yield from _common.table(
+        yield from _printing.table(
             _HEADS,
             (
                 (
@@ -122,6 +122,6 @@ def _label(text: str) -> str:
 
 def _write(path: Path, metrics: str) -> None:
     """Replace metrics by newer ones, and nothing else."""
-    if path.exists() and not read(path).startswith(_FIRST_LINE.encode()):
+    if is_there(path) and not read(path).startswith(_FIRST_LINE.encode()):
         raise ExistsError(f"{path} is not a file of pqsec's metrics", hint="choose another place")
     write(path, metrics.encode(), force=True)

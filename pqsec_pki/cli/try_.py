@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
@@ -46,11 +46,11 @@ _COUPLE = 2
     help="How long to wait for the sample.",
 )
 @click.option(
-    "--password-file", type=_common.FILE, help="Whose first line opens the participants' keys."
+    "--password-file", type=_settings.FILE, help="Whose first line opens the participants' keys."
 )
 @click.option(
     "--root",
-    type=_common.FOLDER,
+    type=_settings.FOLDER,
     default=MACHINE,
     metavar="DIR",
     help="Use the stack in this root file system. [default: the one that is installed]",
@@ -66,7 +66,7 @@ _COUPLE = 2
 @click.option(
     "--dry-run", is_flag=True, help="For ros2: check what it would need, and run nothing."
 )
-@_common.command_options
+@_settings.command_options
 def try_(stack: str, names: tuple[str, ...], *, dry_run: bool, **given: Any) -> int:
     """Let two participants meet in a real DDS stack on this machine.
 
@@ -102,13 +102,13 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
             f"two participants are to meet, and here are {len(names)}",
             hint=f"name two, as in `pqsec try {stack} /talker /listener`",
         )
-    keystore, now = _common.open_keystore(), _common.now()
+    keystore, now = _settings.open_keystore(), _settings.now()
     way = _way(keystore, names, now, topic=given["topic"], domain=given["domain"])
     trial = Trial(
         installation=find(stack, given["root"]),
         keystore=keystore,
         timeout=given["timeout"],
-        password=_common.key_password(given["password_file"]),
+        password=_passphrases.of_key(given["password_file"]),
         anyway=given["anyway"],
         stock=given["stock"],
         now=now,
@@ -116,8 +116,8 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
     with plugin() if given["plugin"] else nullcontext() as ours:
         report = meet(replace(trial, plugin=ours), way)
     for warning in report.warnings:
-        _common.note(warning)
-    _common.emit(_as_json(report), _lines(report))
+        _printing.note(warning)
+    _printing.emit(_as_json(report), _lines(report))
     return 0 if report.ok else 1
 
 
@@ -208,7 +208,7 @@ def _why(report: Report) -> Iterator[str]:
         yield f"      {', '.join(found.participants)}: {found.said}"
         for what, text in (("cause", found.cause), ("remedy", found.remedy)):
             if text:
-                yield paragraph(f"        {what:<7} ", text)
+                yield from paragraph(f"        {what:<7} ", text)
 
 
 def _stranger(report: Report) -> Iterator[str]:

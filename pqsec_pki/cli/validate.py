@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import validate as validate_xml
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.smime import document_in, is_signed
@@ -17,10 +17,10 @@ from pqsec_pki.smime import document_in, is_signed
     "files",
     nargs=-1,
     required=True,
-    type=_common.FILE,
+    type=_settings.FILE,
     metavar="FILE...",
 )
-@_common.command_options
+@_settings.command_options
 def validate(files: tuple[Path, ...]) -> None:
     """Check governance and permissions documents against their schemas.
 
@@ -33,7 +33,7 @@ def validate(files: tuple[Path, ...]) -> None:
         if result["valid"]:
             lines.append(f"{result['file']}: valid {result['kind']} document")
         lines += [f"{result['file']}: {problem['text']}" for problem in result["problems"]]
-    _common.emit(results, lines)
+    _printing.emit(results, lines)
     if not all(result["valid"] for result in results):
         click.get_current_context().exit(1)
 

@@ -1,13 +1,12 @@
 """pqsec verify: who signed this document?"""
 
-from contextlib import suppress
 from pathlib import Path
 
 import click
 
-from pqsec_pki._files import read
+from pqsec_pki._files import is_there, read
 from pqsec_pki.certificates import Certificate, verify_authority
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import validate
 from pqsec_pki.errors import PqsecError, VerificationError, located
 from pqsec_pki.keystore import load_certificate
@@ -17,15 +16,15 @@ from pqsec_pki.smime import verify as verify_signed
 
 
 @click.command()
-@click.argument("file", type=_common.FILE)
+@click.argument("file", type=_settings.FILE)
 @click.option(
     "--ca",
-    type=_common.FILE,
+    type=_settings.FILE,
     help="The permissions CA's certificate. [default: the keystore's]",
 )
 @click.option(
     "--alt-ca",
-    type=_common.FILE,
+    type=_settings.FILE,
     help="The countersigner's certificate. [default: *.alt.cert.pem beside the CA's]",
 )
 @click.option(
@@ -34,7 +33,7 @@ from pqsec_pki.smime import verify as verify_signed
     help="Refuse a file without such a signature. [default: what the keystore's profile"
     " promises; both with --alt-ca; any with --ca]",
 )
-@_common.command_options
+@_settings.command_options
 def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
     """Check who signed a governance or permissions document.
 
@@ -46,7 +45,7 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
     # Who names a countersigner expects its signature.
     required = Require(require or (Require.BOTH if alt_ca else Require.ANY))
     if ca is None:
-        keystore = _common.open_keystore()
+        keystore = _settings.open_keystore()
         ca = keystore.permissions_ca_path
         required = Require(require or required_signatures(keystore.profile))
     message = read(file)
@@ -57,8 +56,8 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
         with located(file):
             verified = verify_signed(message, certificate, alternative_ca=second, require=required)
     except VerificationError as error:
-        if _common.settings().json:
-            _common.emit({"ok": False, "file": str(file), "problems": error.problems}, [])
+        if _settings.settings().json:
+            _printing.emit({"ok": False, "file": str(file), "problems": error.problems}, [])
         raise
     _tell(file, verified, certificate, second)
 
@@ -66,15 +65,13 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
 def _beside(ca: Path) -> Path | None:
     """The countersigner's certificate, where a keystore has it."""
     beside = ca.with_name(ca.name.replace(".cert.pem", ".alt.cert.pem"))
-    with suppress(OSError):  # its name may be too long to be one
-        return beside if beside != ca and beside.exists() else None
-    return None
+    return beside if beside != ca and is_there(beside) else None
 
 
 def _current(path: Path) -> Certificate:
     certificate = load_certificate(path)
     with located(path):
-        verify_authority(certificate, now=_common.now())
+        verify_authority(certificate, now=_settings.now())
     return certificate
 
 
@@ -105,9 +102,9 @@ def _tell(
         lines.append(f"  good {kind}: {each['algorithm']} ({each['family']}){when}")
     countersigned = any(each.countersignature for each in verified.signatures)
     if second and not countersigned:
-        _common.note("there is no countersignature: it was never made, or it was stripped")
+        _printing.note("there is no countersignature: it was never made, or it was stripped")
     if verified.unchecked:
-        _common.note("a countersignature was not checked: name its certificate with --alt-ca")
+        _printing.note("a countersignature was not checked: name its certificate with --alt-ca")
     value = {
         "ok": True,
         "file": str(file),
@@ -115,4 +112,4 @@ def _tell(
         "signer": certificate.subject_name,
         "countersigned": countersigned,
     }
-    _common.emit(value | {"signatures": found, "unchecked": verified.unchecked}, lines)
+    _printing.emit(value | {"signatures": found, "unchecked": verified.unchecked}, lines)

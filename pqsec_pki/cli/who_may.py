@@ -9,13 +9,13 @@ import click
 from pqsec_pki.access import READINGS, reading_named
 from pqsec_pki.access.matrix import Row, topics_named
 from pqsec_pki.access.matrix import who_may as ask
-from pqsec_pki.cli import _common
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.cli._fleet import Fleet, fleet_of
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import UsageError
 
-_PATH = type(_common.FILE)(path_type=Path, readable=False)
+_PATH = type(_settings.FILE)(path_type=Path, readable=False)
 _MOST = 6
 """Names in a cell of the table for a terminal."""
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
@@ -28,7 +28,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
 @click.option(
     "--domain", type=click.IntRange(0), default=0, show_default=True, help="On this DDS domain."
 )
-@click.option("--governance", type=_common.FILE, help="With PATHs: the governance document.")
+@click.option("--governance", type=_settings.FILE, help="With PATHs: the governance document.")
 @click.option(
     "--as",
     "stack",
@@ -44,7 +44,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
     default="table",
     show_default=True,
 )
-@_common.command_options
+@_settings.command_options
 def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     paths: tuple[Path, ...],
     topics: tuple[str, ...],
@@ -59,12 +59,12 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     Of the keystore, or of PATHs: a keystore, permissions documents (.p7s, .xml, .yaml), or
     folders of them. Without --topic, of all topics that rules name.
     """
-    now = _common.now()
+    now = _settings.now()
     fleet = fleet_of(paths, governance, now)
     for name, reason in fleet.refused.items():
-        _common.note(f"{plain(name)} is left out: {plain(reason)}")
+        _printing.note(f"{plain(name)} is left out: {plain(reason)}")
     if fleet.governance.rule_for(domain) is None:
-        _common.note(f"the governance does not name domain {domain}: nobody can join there")
+        _printing.note(f"the governance does not name domain {domain}: nobody can join there")
     wanted = (*topics, *map(ros.topic, ros_topics)) or topics_named(fleet.members)
     if "" in wanted:
         raise UsageError("a topic has a name")
@@ -76,9 +76,9 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         now=now,
         reading=reading_named(stack),
     )
-    form = "json" if _common.settings().json else form
-    _common.settings().json = form == "json"
-    _common.emit(_as_json(fleet, rows, domain, stack), _FORMS[form](rows, len(fleet.members)))
+    form = "json" if _settings.settings().json else form
+    _settings.settings().json = form == "json"
+    _printing.emit(_as_json(fleet, rows, domain, stack), _FORMS[form](rows, len(fleet.members)))
 
 
 # Printing
@@ -112,7 +112,7 @@ def _table(rows: Sequence[Row], count: int) -> Iterator[str]:
 
     heads = ("topic", "may publish", "may subscribe")
     cells = ((_topic(row), cell(row.publishers), cell(row.subscribers)) for row in rows)
-    yield from _common.table(heads, cells)
+    yield from _printing.table(heads, cells)
 
 
 def _topic(row: Row) -> str:

@@ -2,10 +2,11 @@
 
 For every room that asks what a participant may do or writes it down. Here are also the
 two kinds of names such documents are full of: certificate subjects as text, and ROS 2
-names in their DDS form (`ros`, a module of its own). No XML element leaves this room.
+names in their DDS form (`ros`, a module of its own). `sros2` is another, which is loaded only
+by who asks for it. No XML element leaves this room.
 """
 
-from pqsec_pki.documents import ros, sros2
+from pqsec_pki.documents import ros
 from pqsec_pki.documents._schema import Kind, validate
 from pqsec_pki.documents.domains import DomainRange, DomainSet
 from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
@@ -56,6 +57,5 @@ __all__ = [
     "read_tree",
     "ros",
     "same_subject",
-    "sros2",
     "validate",
 ]

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 LAST_YEAR = 2261
 """Cyclone DDS counts nanoseconds in 64 bits: to it, a later time has passed."""
 
-# XML 1.0, production 2.
-_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# XML 1.0, production 2. Compiled when it is needed, which takes some milliseconds.
+_NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 # Written as they are, a parser would make spaces or line feeds of them.
 _REFERENCES = {ord("\t"): "&#9;", ord("\n"): "&#10;", ord("\r"): "&#13;"}
 
@@ -59,7 +59,7 @@ def _environment() -> "Environment":
 def _text(value: str) -> str:
     if value.isprintable():
         return value  # and nothing but <, > and & need care: autoescape has it
-    if found := _NOT_XML.search(value):
+    if found := re.search(_NOT_XML, value):
         raise UsageError(f"{value!r} holds the character {found[0]!r}, which XML cannot carry")
     from markupsafe import Markup, escape  # noqa: PLC0415 - comes and loads with jinja2
 

@@ -5,6 +5,7 @@ elements to take: `xpointer(/profile/*)`. Everything else in the standard reads 
 meant to read, or fetches: it is refused. Files are opened here, never by libxml2.
 """
 
+import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,8 +41,13 @@ def assembled(path: Path, *, root: Path | None = None) -> "_Element":
     or above. FileError, MalformedError, and InvalidDocumentError for includes not taken.
     """
     data = read(path)  # before its folder is looked for: it may not exist
-    folder = (root or path.resolve().parent).resolve()
-    return _Assembly(folder).document(path, data, (path.resolve(),))
+    folder = _resolved(root) if root else _resolved(path).parent
+    return _Assembly(folder).document(path, data, (_resolved(path),))
+
+
+def _resolved(path: Path) -> Path:
+    """Where links lead; Path.resolve raises where they lead in a circle."""
+    return Path(os.path.realpath(path))
 
 
 @dataclass(slots=True)

@@ -15,6 +15,7 @@ from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from pqsec_pki.documents._yaml_guesses import TAG, add_guesses
 from pqsec_pki.errors import InvalidDocumentError, Problem, UsageError, shown
 
 if TYPE_CHECKING:
@@ -30,13 +31,7 @@ MAX_ITEMS = 500_000
 _CODECS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"),
            (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
 
-# What YAML 1.1, and with the last two 1.2, makes of text without quotes.
-_GUESSES = {"bool": "true or false", "int": "a number", "float": "a number", "null": "nothing",
-            "timestamp": "a date", "merge": "a merge key", "value": "a default key"}  # fmt: skip
 _SURROGATE = re.compile("[\ud800-\udfff]")
-_TAG = "tag:yaml.org,2002:"
-_OCTAL_1_2 = re.compile(r"0o[0-7]+\Z")
-_FLOAT_1_2 = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+\Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,11 +215,11 @@ def _dumper() -> "type[yaml.SafeDumper]":
     Dumper.add_representer(
         datetime,
         lambda dumper, value: dumper.represent_scalar(
-            f"{_TAG}timestamp", f"{value.replace(tzinfo=None).isoformat()}Z"
+            f"{TAG}timestamp", f"{value.replace(tzinfo=None).isoformat()}Z"
         ),
     )
     Dumper.add_representer(str, _represented)
-    _more_guesses(Dumper)
+    add_guesses(Dumper)
     return Dumper
 
 
@@ -233,28 +228,4 @@ def _represented(dumper: Any, text: str) -> Any:
     if found := _SURROGATE.search(text):
         raise UsageError(f"{found[0]!a} is a character that no file can hold")
     style = None if text.isprintable() else '"'
-    return dumper.represent_scalar(f"{_TAG}str", text, style)
-
-
-def guess(text: str) -> str | None:
-    """What YAML would make of this text without quotes, if not text."""
-    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
-
-    tag = _resolver().resolve(yaml.ScalarNode, text, (True, False)).removeprefix(_TAG)
-    return None if tag == "str" else _GUESSES.get(tag, "no text")
-
-
-@cache
-def _resolver() -> Any:
-    import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
-
-    class Resolver(yaml.resolver.Resolver):
-        """What YAML 1.1 or 1.2 would make of plain text."""
-
-    _more_guesses(Resolver)
-    return Resolver()
-
-
-def _more_guesses(resolver: Any) -> None:
-    resolver.add_implicit_resolver(f"{_TAG}int", _OCTAL_1_2, ["0"])
-    resolver.add_implicit_resolver(f"{_TAG}float", _FLOAT_1_2, list("-+0123456789"))
+    return dumper.represent_scalar(f"{TAG}str", text, style)

@@ -14,7 +14,8 @@ from functools import partial
 from typing import Any, TypeVar
 
 from pqsec_pki.documents._schema import MAX_PROBLEMS
-from pqsec_pki.documents._yaml import Item, Items, Table, Text, guess, parse, refused
+from pqsec_pki.documents._yaml import Item, Items, Table, Text, parse, refused
+from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.errors import InvalidDocumentError, Problem, UsageError, shown
 
 Value = TypeVar("Value")
@@ -75,7 +76,9 @@ def one_or_more(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...
 def table(item: Item) -> Table:
     """The item, which must be a mapping."""
     if not isinstance(item, Table):
-        raise refused(item, f"`key: value` is wanted here, and this is {_described(item)}")
+        # A text is not quoted: of a file that is none of ours, it may be a key or a passphrase.
+        what = "a text" if isinstance(item, Text) and item.text else _described(item)
+        raise refused(item, f"`key: value` is wanted here, and this is {what}")
     return item
 
 

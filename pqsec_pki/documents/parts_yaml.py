@@ -6,7 +6,8 @@ it; above that whole parts: domains, a governance, the rules of a grant.
 
 from pqsec_pki.documents._domains_yaml import domains
 from pqsec_pki.documents._rules_yaml import ALLOWED, Readers
-from pqsec_pki.documents._yaml import Item, Items, Table, Text, guess, refused
+from pqsec_pki.documents._yaml import Item, Items, Table, Text, refused
+from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.documents._yaml_reading import (
     all_of,
     boolean,

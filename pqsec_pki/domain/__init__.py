@@ -6,8 +6,9 @@ there from what the keystore's ledger says, and `perform` takes them.
 
 from pqsec_pki.domain.apply import make, perform
 from pqsec_pki.domain.desired import Desired, Member, Role
-from pqsec_pki.domain.plan import Action, Blocked, Plan, Step, plan
+from pqsec_pki.domain.plan import plan
 from pqsec_pki.domain.reading import new_domain, read_domain
+from pqsec_pki.domain.steps import Action, Blocked, Plan, Step
 
 __all__ = [
     "Action",

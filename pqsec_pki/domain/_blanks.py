@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Collection, Iterator, Mapping
 from string import Template
 
@@ -11,6 +12,17 @@ OWN = ("name", "base", "parent")
 """What is known of each participant: /fleet/robot1, robot1 and /fleet."""
 
 
+_UNFIT = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What XML cannot carry (XML 1.0, 2.2)."""
+
+
+def fit(item: Text) -> str:
+    """The text; InvalidDocumentError for a character that no permissions document can hold."""
+    if found := _UNFIT.search(item.text):
+        raise refused(item, f"the character {found[0]!r}, which XML cannot carry")
+    return item.text
+
+
 def own_values(name: str) -> dict[str, str]:
     """The values of OWN for the participant called `name`; the parent of /talker is empty."""
     parent, _, base = name.rpartition("/")
@@ -18,10 +30,10 @@ def own_values(name: str) -> dict[str, str]:
 
 
 def blanks_in(item: Item) -> frozenset[str]:
-    """The names behind a `$`; InvalidDocumentError for a `$` that no name follows."""
+    """The names behind a `$`; InvalidDocumentError for a `$` that no name follows, and as `fit`."""
     found: set[str] = set()
     for each in _texts(item):
-        template = Template(each.text)
+        template = Template(fit(each))
         if not template.is_valid():
             raise refused(each, "a $ that no name follows; write $$ for the character")
         found.update(template.get_identifiers())

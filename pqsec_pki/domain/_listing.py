@@ -18,6 +18,8 @@ MAX_PARTICIPANTS = 100_000
 """Of one domain; a slip in a pattern asks for more than that soon."""
 MAX_PROBLEMS = 20
 """Shown of one list; the others are mostly alike."""
+MAX_BRACES = 16
+"""In one pattern: {,} sixteen times stands for 65,536 names."""
 MAX_NAME = 64
 """Characters: the name is a certificate's CN (RFC 5280, ub-common-name)."""
 
@@ -36,11 +38,14 @@ class Listed:
 
 def names_of(pattern: str, line: int) -> list[Listed]:
     """All that a pattern stands for: {1..9} counts, {a,b} chooses; InvalidDocumentError."""
-    choices = [_choices(each, pattern, line) for each in _BRACES.findall(pattern)]
+    braces = _BRACES.findall(pattern)
+    if len(braces) > MAX_BRACES:
+        raise refused(line, f"'{shown(pattern)}' has more than {MAX_BRACES} pairs of braces")
+    choices = [_choices(each, pattern, line) for each in braces]
     count = math.prod(map(len, choices))
     if count > MAX_PARTICIPANTS:
         raise refused(line, f"'{shown(pattern)}' stands for {count} names")
-    widths = [_width(each) for each in _BRACES.findall(pattern)]
+    widths = list(map(_width, braces))
     between = _BRACES.split(pattern)[::2]
     return [
         Listed(_name("".join(_woven(between, chosen, widths)), line), line)
@@ -89,6 +94,9 @@ def names_in_csv(path: Path) -> list[Listed]:
             raise refused(rows.line_num, f"not CSV: {error}") from None
         if not numbered or "name" not in (heads := [each.strip() for each in numbered[0][1]]):
             raise refused(1, "the first line names the columns, and one of them is `name`")
+        twice = [each for each in dict.fromkeys(heads) if heads.count(each) > 1]
+        if twice:
+            raise refused(1, f"the column '{shown(twice[0])}' comes twice")
         return list(all_of(partial(_row, heads, line, row) for line, row in numbered[1:]))
 
 

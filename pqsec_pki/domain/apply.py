@@ -9,10 +9,12 @@ from itertools import groupby
 from pathlib import Path
 
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
+from pqsec_pki.certificates import Reason
 from pqsec_pki.domain.desired import Desired
-from pqsec_pki.domain.plan import Action, Plan, Step
+from pqsec_pki.domain.plan import plan as plan_anew
+from pqsec_pki.domain.requests import wish_of
+from pqsec_pki.domain.steps import Action, Plan, Step
 from pqsec_pki.errors import (
-    ExistsError,
     InvalidDocumentError,
     KeystoreError,
     MalformedError,
@@ -24,7 +26,6 @@ from pqsec_pki.keystore import (
     Authorities,
     Keystore,
     Renewal,
-    Wish,
     govern,
     issue,
     permit,
@@ -66,10 +67,11 @@ def perform(
 ) -> Iterator[Sequence[Step]]:
     """Take the steps, but that of making the keystore; gives those of each batch, done.
 
-    Errors as those of the keystore's operations. What was given is done, whatever comes
+    What another command did since the plan was made is not done again: such a step is left
+    out. Errors as those of the keystore's operations. What was given is done, whatever comes
     after; a participant that cannot be done keeps nobody else from it, and is told last.
     """
-    worker = _Worker(desired, keystore, authorities, now)
+    worker = _Worker(desired, keystore, authorities, plan, now)
     for action, group in groupby(plan.steps, key=lambda step: step.action):
         for steps in worker.alike(action, group):
             size = len(steps) if action is Action.REVOKE else BATCH  # one list tells of all
@@ -82,12 +84,19 @@ class _Worker:
     """Takes a batch of steps of one kind."""
 
     def __init__(
-        self, desired: Desired, keystore: Keystore, authorities: Authorities, now: datetime
+        self,
+        desired: Desired,
+        keystore: Keystore,
+        authorities: Authorities,
+        plan: Plan,
+        now: datetime,
     ) -> None:
         self._desired = desired
         self._keystore = keystore
         self._authorities = authorities
         self._now = now
+        self._wanted = {(step.action, step.name) for step in plan.steps}
+        self._head = plan.head or keystore.head
         self._failures: list[PqsecError] = []
 
     def alike(self, action: Action, steps: Iterable[Step]) -> Iterable[list[Step]]:
@@ -101,19 +110,44 @@ class _Worker:
 
     def batch(self, action: Action, steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
         """Take them all at once; if one fails by itself, those that do not."""
-        try:
-            self.take(action, [step.name for step in steps])
-        except _OWN_FAULTS as error:
-            if not steps[0].name or len(self._failures) == MAX_FAILURES:
-                raise
-            if len(steps) == 1:
-                self._failures.append(error)
-                return
+        steps, error = self._try(action, steps)
+        if error is None:
+            yield steps
+        elif not steps[0].name or len(self._failures) == MAX_FAILURES:
+            raise error
+        elif len(steps) == 1:
+            self._failures.append(error)
+        else:
             half = len(steps) // 2
             yield from self.batch(action, steps[:half])
             yield from self.batch(action, steps[half:])
-        else:
-            yield steps
+
+    def _try(
+        self, action: Action, steps: Sequence[Step]
+    ) -> tuple[Sequence[Step], PqsecError | None]:
+        """The steps that are still wanted, taken; or what is wrong with some of them.
+
+        No other command comes between the question and the deed.
+        """
+        with self._keystore.hold():
+            if self._keystore.head != self._head:
+                self._look_again()
+            steps = [step for step in steps if (step.action, step.name) in self._wanted]
+            try:
+                if steps:
+                    self.take(action, steps)
+            except _OWN_FAULTS as error:
+                return steps, error
+            finally:
+                self._head = self._keystore.head
+        return steps, None
+
+    def _look_again(self) -> None:
+        """Another command was at work since: what is left of the plan?"""
+        self._authorities.refuse_outdated(self._keystore.root)
+        prune = any(action is Action.REVOKE for action, _ in self._wanted)
+        found = plan_anew(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
+        self._wanted &= {(step.action, step.name) for step in found.steps} | {(Action.MAKE, "")}
 
     def tell_failures(self) -> None:
         """The error, if there was one; KeystoreError for several."""
@@ -127,10 +161,11 @@ class _Worker:
             hint=first.hint,
         )
 
-    def take(self, action: Action, names: list[str]) -> None:
-        """Do it, for all names or for none."""
+    def take(self, action: Action, steps: Sequence[Step]) -> None:
+        """Do it, for all or for none."""
         at = (self._keystore, self._authorities)
-        wanted = [self._desired.members[name] for name in names if name in self._desired.members]
+        names = [step.name for step in steps]
+        members, profile = self._desired.members, self._keystore.profile
         match action:
             case Action.MAKE:
                 pass
@@ -138,22 +173,16 @@ class _Worker:
                 mark = self._desired.governance_mark
                 govern(*at, self._desired.governance, now=self._now, mark=mark)
             case Action.ISSUE | Action.REPLACE:
-                self._issue([member.wish() for member in wanted], force=action is Action.REPLACE)
+                wishes = [wish_of(members[step.name], profile, step.keys) for step in steps]
+                issue(*at, wishes, now=self._now, force=action is Action.REPLACE)
             case Action.PERMIT:
-                permit(*at, [member.wish() for member in wanted], now=self._now)
+                permit(*at, [members[name].wish() for name in names], now=self._now)
             case Action.RENEW:
                 self._renew(names)
             case Action.REVOKE:
-                revoke(*at, names, now=self._now)
+                revoke(*at, names, reason=Reason.CESSATION_OF_OPERATION, now=self._now)
             case Action.LIST:
                 renew_list(*at, now=self._now)
-
-    def _issue(self, wishes: list[Wish], *, force: bool) -> None:
-        try:
-            issue(self._keystore, self._authorities, wishes, now=self._now, force=force)
-        except ExistsError as error:
-            error.hint = "another command issued them meanwhile; apply again does what is left"
-            raise
 
     def _renew(self, names: list[str]) -> None:
         validity = self._desired.members[names[0]].validity

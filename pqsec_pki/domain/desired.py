@@ -78,6 +78,8 @@ class Member:
     """For the blanks of its role, but those that any participant has."""
     source: Path
     """The domain file, for errors in its role."""
+    request: Path | None = None
+    """Where its own request is, or will be; None if its keys are made here."""
 
     @property
     def mark(self) -> str:

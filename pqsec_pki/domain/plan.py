@@ -1,115 +1,60 @@
 """What differs between a domain file and a keystore, as the steps that lead from one to the other.
 
-All is asked of the ledger and of the files' stamps; no certificate or document is parsed.
+All is asked of the ledger, of the files' stamps and of requests; no certificate or document is
+parsed.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
 
-from pqsec_pki.domain.desired import Desired, Member
+from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
+from pqsec_pki.domain._needs import Needs
+from pqsec_pki.domain.desired import Desired
+from pqsec_pki.domain.steps import Action, Blocked, Plan, Step
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import (
-    Files,
-    Holding,
-    Holdings,
-    Keystore,
-    holdings,
-    signed_governance,
-    status,
-)
+from pqsec_pki.keystore import Holdings, Keystore, Overlap, holdings, signed_governance, status
 
-
-class Action(StrEnum):
-    """What a step does, in the order in which steps are taken."""
-
-    MAKE = "make"
-    GOVERN = "govern"
-    ISSUE = "issue"
-    REPLACE = "replace"
-    PERMIT = "permit"
-    RENEW = "renew"
-    REVOKE = "revoke"
-    LIST = "list"
-
-    @property
-    def words(self) -> str:
-        """It, for a person."""
-        return _WORDS[self]
-
-
-_WORDS = {
-    Action.MAKE: "make the CAs",
-    Action.GOVERN: "sign the governance",
-    Action.ISSUE: "issue",
-    Action.REPLACE: "issue anew",
-    Action.PERMIT: "sign permissions for",
-    Action.RENEW: "renew",
-    Action.REVOKE: "revoke",
-    Action.LIST: "renew the revocation list",
-}
+_TWO_CAS = "is not in the file, and nobody can be revoked while two identity CAs are trusted"
 _PLACE = {action: place for place, action in enumerate(Action)}
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One thing to be done."""
-
-    action: Action
-    name: str
-    """Of the participant; empty where all share the thing."""
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class Blocked:
-    """A participant that is wanted and that no step can bring back."""
-
-    name: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What is to be done, and what is not."""
-
-    steps: tuple[Step, ...]
-    blocked: tuple[Blocked, ...]
-    unlisted: tuple[str, ...]
-    """In the keystore and not in the file, and valid: they stay, as nothing says `prune`."""
-    unchanged: int
-    """Participants that are as they should be."""
-
-    @property
-    def in_order(self) -> bool:
-        """Whether the keystore is as the file wants it."""
-        return not self.steps and not self.blocked
-
-
 def plan(
-    desired: Desired, keystore: Keystore | None, *, now: datetime, prune: bool = False
+    desired: Desired,
+    keystore: Keystore | None,
+    *,
+    now: datetime,
+    prune: bool = False,
+    new_keys: bool = False,
 ) -> Plan:
     """The steps from the keystore, None if there is none yet, to what is desired.
 
-    `prune` as in the file, if that does not say it. KeystoreError if the keystore is of
-    another name or profile.
+    `prune` as in the file, if that does not say it. `new_keys` answers requests for other
+    keys than a participant had. KeystoreError if the keystore is of another name or profile.
     """
     if keystore is None:
         return _from_nothing(desired)
     _refuse_another(desired, keystore)
     actual = holdings(keystore)
-    ca_ends = keystore.identity_ca.not_after
-    return _Planner(desired, keystore, actual, now, ca_ends, prune or desired.prune).plan()
+    needs = Needs(
+        profile=keystore.profile,
+        keystore=keystore,
+        ca_ends=keystore.identity_ca.not_after,
+        renew_before=desired.renew_before,
+        now=now,
+        new_keys=new_keys,
+    )
+    return _Planner(desired, keystore, actual, needs, now, prune or desired.prune).plan()
 
 
 def _from_nothing(desired: Desired) -> Plan:
+    needs = Needs(profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE)
+    found = [each for member in desired.members.values() for each in needs.of(member, None)]
     steps = [
         Step(Action.MAKE, "", "there is no keystore"),
         Step(Action.GOVERN, "", "there is no keystore"),
-        *(Step(Action.ISSUE, name, "new") for name in desired.members),
+        *(each for each in found if isinstance(each, Step)),
     ]
-    return Plan(tuple(steps), (), (), 0)
+    return Plan(tuple(steps), tuple(each for each in found if isinstance(each, Blocked)), (), 0)
 
 
 def _refuse_another(desired: Desired, keystore: Keystore) -> None:
@@ -132,8 +77,8 @@ class _Planner:
     desired: Desired
     keystore: Keystore
     actual: Holdings
+    needs: Needs
     now: datetime
-    ca_ends: datetime
     prune: bool
 
     def plan(self) -> Plan:
@@ -143,16 +88,21 @@ class _Planner:
         if why := self._why_govern():
             steps.append(Step(Action.GOVERN, "", why))
         for member in self.desired.members.values():
-            found = list(self._for(member))
+            found = list(self.needs.of(member, self.actual.participants.get(member.name)))
             steps += [each for each in found if isinstance(each, Step)]
             blocked += [each for each in found if isinstance(each, Blocked)]
             unchanged += not found
         others = self._others()
         if self.prune:
-            steps += [Step(Action.REVOKE, name, "not in the file") for name in others]
+            overlap = Overlap.of(self.keystore)
+            if overlap:
+                blocked += [Blocked(name, _TWO_CAS, overlap.way_on) for name in others]
+            else:
+                steps += [Step(Action.REVOKE, name, "not in the file") for name in others]
         steps += self._list_steps(steps)
         steps.sort(key=lambda step: _PLACE[step.action])
-        return Plan(tuple(steps), tuple(blocked), () if self.prune else others, unchanged)
+        unlisted = () if self.prune else others
+        return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, self.actual.head)
 
     def _why_govern(self) -> str:
         mark = self.actual.governance_mark
@@ -164,42 +114,14 @@ class _Planner:
             return ""  # by other means, but the same
         return "it was changed" if mark else "it says something else"
 
-    def _for(self, member: Member) -> Iterator[Step | Blocked]:
-        """What is to be done for one participant."""
-        held = self.actual.participants.get(member.name)
-        if held is None:
-            yield Step(Action.ISSUE, member.name, "new")
-        elif held.revoked:
-            yield Blocked(member.name, "was revoked")
-        elif held.requested and held.files in {Files.GONE, Files.OTHER_CERTIFICATE}:
-            yield Blocked(member.name, "lacks its certificate here, and has its key elsewhere")
-        elif held.files is Files.GONE:
-            yield Step(Action.ISSUE, member.name, "its certificate is gone")
-        elif held.files is Files.OTHER_CERTIFICATE:
-            yield Step(Action.REPLACE, member.name, "its certificate is not the one issued last")
-        else:
-            if why := _why_permit(member, held):
-                yield Step(Action.PERMIT, member.name, why)
-            if why := self._why_renew(member, held):
-                yield Step(Action.RENEW, member.name, why)
-
-    def _why_renew(self, member: Member, held: Holding) -> str:
-        notice = self.desired.renew_before
-        if notice is None:
-            notice = (held.not_after - held.made_at) / 3
-        left = held.not_after - self.now
-        if left > notice or left >= member.validity:
-            return ""
-        if self.ca_ends <= held.not_after:
-            return ""  # no certificate outlives its CA
-        word = "expired" if held.not_after < self.now else "ends"
-        return f"{word} {held.not_after:%Y-%m-%d}"
-
     def _others(self) -> tuple[str, ...]:
+        """Whom somebody would still take for a participant, and the file does not name."""
         return tuple(
             name
             for name, held in self.actual.participants.items()
-            if name not in self.desired.members and not held.revoked and held.not_after >= self.now
+            if name not in self.desired.members
+            and not (held.revoked or held.stranded)
+            and held.not_after >= self.now
         )
 
     def _list_steps(self, steps: list[Step]) -> list[Step]:
@@ -210,11 +132,3 @@ class _Planner:
         shared = status(self.keystore, (), now=self.now, due=self.desired.renew_before)
         ends = [term.not_after for term in shared.shared if term.kind == "crl"]
         return [Step(Action.LIST, "", f"ends {end:%Y-%m-%d}") for end in ends if shared.list_is_due]
-
-
-def _why_permit(member: Member, held: Holding) -> str:
-    if held.files is Files.OTHER_PERMISSIONS:
-        return "its permissions are not the ones signed last"
-    if held.mark == member.mark:
-        return ""
-    return f"its role ({member.role.label}) was changed" if held.mark else "not made of the file"

@@ -8,6 +8,7 @@ from pqsec_pki.enrolment.admission import NAMELESS, admit, name_asked_for
 from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
 from pqsec_pki.enrolment.install import Installed, install, rollback
 from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
+from pqsec_pki.enrolment.outbox import refresh
 from pqsec_pki.enrolment.place import InstalledSet
 from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
 from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
@@ -31,6 +32,7 @@ __all__ = [
     "make_sealing_key",
     "name_asked_for",
     "open_sealed",
+    "refresh",
     "request",
     "rollback",
     "save",

@@ -13,11 +13,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import write
+from pqsec_pki._files import disk_errors, write
 from pqsec_pki.algorithms import unpem
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.enrolment.parcel import Parcel
-from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError, located, shown
+from pqsec_pki.errors import MalformedError, PqsecError, UsageError, located, shown
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.keystore.enclave import (
     FILES,
@@ -155,10 +155,8 @@ def certificates_in(data: bytes, where: str) -> list[Certificate]:
 
 def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
     """Write `data` to the file `goal`, and make its folder; errors as _files.write."""
-    try:
+    with disk_errors(goal.parent):
         goal.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{goal.parent}: {(error.strerror or str(error)).lower()}") from error
     write(goal, data, private=private, force=force)
 
 

@@ -1,6 +1,5 @@
 """Installing a bundle on its robot, and going back: all of it or nothing."""
 
-import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,7 +12,7 @@ from pqsec_pki.enrolment.bundle import CAS, Bundle
 from pqsec_pki.enrolment.place import CURRENT, InstalledSet, Place, changing
 from pqsec_pki.enrolment.request import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
-from pqsec_pki.enrolment.verification import Credentials, keys_of, older_parts, verify_bundle
+from pqsec_pki.enrolment.verification import Credentials, keys_of, older_parts, pin, verify_bundle
 from pqsec_pki.errors import (
     KeystoreError,
     PqsecError,
@@ -21,7 +20,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore.enclave import KEYS, NEEDED
+from pqsec_pki.keystore.enclave import KEYS, LIST, NEEDED
 
 MAX_FILE = MAX_ARCHIVE + (64 << 10)
 """Bytes: sealing adds to the archive."""
@@ -48,12 +47,14 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     now: datetime,
     trust_first: bool = False,
     older: bool = False,
+    alone: bool = False,
 ) -> Installed:
-    """Let the bundle in file `path` be what the robot's folder `root` holds.
+    """Let the robot's folder `root` hold what is in the bundle in file `path`.
 
     Its CAs must be those of `fingerprints`; without any, those of what is installed. On a
     first installation `trust_first` takes whatever CAs the bundle has. `older` also takes
-    what is older than what is installed.
+    what is older than what is installed. Other participants that are installed stay, with
+    the bundle's revocation list, unless it shall be there `alone`.
 
     VerificationError lists everything that is wrong with the bundle; then, as with any
     error, nothing has changed.
@@ -67,7 +68,9 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         if before and not older:
             _refuse_older(credentials, before)
         keys = {each.name: _keys(each, bundle, place) for each in credentials}
+        others = {} if alone else _others(before, bundle)
         wanted = {name: {**files, **keys[name]} for name, files in bundle.enclaves.items()}
+        wanted = dict(sorted({**others, **wanted}.items()))
         already = before is not None and before.enclaves == wanted
         if not already:
             place.put(wanted, now)
@@ -114,7 +117,7 @@ def _pins(
 ) -> tuple[str, ...]:
     """Which CAs are believed in."""
     if fingerprints:
-        return tuple(map(_fingerprint, fingerprints))
+        return tuple(map(pin, fingerprints))
     if before:
         installed = Bundle(before.at, before.enclaves)
         _refuse_other_roles(bundle, installed)
@@ -152,13 +155,6 @@ def _refuse_other_roles(bundle: Bundle, installed: Bundle) -> None:
         )
 
 
-def _fingerprint(text: str) -> str:
-    plain = text.replace(":", "").lower()
-    if not re.fullmatch("[0-9a-f]{64}", plain):
-        raise UsageError(f"{text!r} is not a SHA-256 fingerprint: 64 hexadecimal digits")
-    return plain
-
-
 def _refuse_older(credentials: Collection[Credentials], before: InstalledSet) -> None:
     """Nobody gets old rights back, or revoked peers in again, by sending an old bundle."""
     installed = _installed(before)
@@ -183,6 +179,29 @@ def _installed(before: InstalledSet) -> list[Credentials]:
     except PqsecError as error:
         error.hint = "with --older the bundle is not compared with what is installed"
         raise
+
+
+def _others(before: InstalledSet | None, bundle: Bundle) -> dict[str, dict[str, bytes]]:
+    """What else is installed, of the same CAs; VerificationError for what is of others."""
+    there = before.enclaves if before else {}
+    others = {name: dict(files) for name, files in there.items() if name not in bundle.names}
+    if before and others and not _same_authorities(Bundle(before.at, others), bundle):
+        raise VerificationError(
+            f"also installed: {', '.join(others)}, which are not of the bundle's CAs",
+            hint="`pqsec bundle` makes one for all of them; or --only lets them go",
+        )
+    for revoked in (files[LIST] for files in bundle.enclaves.values() if LIST in files):
+        for files in others.values():
+            files[LIST] = revoked
+    return others
+
+
+def _same_authorities(one: Bundle, other: Bundle) -> bool:
+    """In the same places; not, if that of one cannot be read."""
+    try:
+        return one.roles == other.roles
+    except PqsecError:
+        return False
 
 
 def _keys(credentials: Credentials, bundle: Bundle, place: Place) -> Mapping[str, bytes]:

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import read
+from pqsec_pki._files import is_there, read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.documents import Permissions
@@ -20,7 +20,7 @@ from pqsec_pki.enrolment.admission import admit
 from pqsec_pki.enrolment.archive import MAX_ARCHIVE
 from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
 from pqsec_pki.enrolment.parcel import Parcel
-from pqsec_pki.enrolment.verification import verify_bundle
+from pqsec_pki.enrolment.verification import pin, verify_bundle
 from pqsec_pki.enrolment.wishes import policy_file, read_wish, wish_value
 from pqsec_pki.errors import (
     ExistsError,
@@ -101,6 +101,7 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     patterns: Collection[str] = (),
     force: bool = False,
     after_revocation: bool = False,
+    compromised_keys: bool = False,
 ) -> bytes:
     """Issue what is `asked` for, and give the answer: a bundle for each request.
 
@@ -115,7 +116,15 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     }
     new = [wish for wish in wishes if done.get(wish.name) != asked.sha256]
     if new:
-        issue(keystore, authorities, new, now=now, force=force, after_revocation=after_revocation)
+        issue(
+            keystore,
+            authorities,
+            new,
+            now=now,
+            force=force,
+            after_revocation=after_revocation,
+            compromised_keys=compromised_keys,
+        )
     files = {
         _bundle_file(wish.name): Bundle.of(keystore, [wish.name], now=now, keys=False).to_bytes()
         for wish in wishes
@@ -153,9 +162,10 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
     its CAs must be these. ExistsError for another bundle in the place of one, unless
     `force`.
     """
+    pins = tuple(map(pin, fingerprints))
     bundles = _answers(Parcel.unpack(answer, ANSWER_KIND), asked)
     for bundle in bundles.values():
-        verify_bundle(bundle, fingerprints or bundle.fingerprints, now=now)
+        verify_bundle(bundle, pins or bundle.fingerprints, now=now)
     goals = {name: folder / f"{flat_name(name)}.bundle" for name in bundles}
     there = {name for name, goal in goals.items() if _is_there(goal, bundles[name], force=force)}
     for name in (each for each in bundles if each not in there):
@@ -203,7 +213,7 @@ def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:
 
 def _is_there(goal: Path, bundle: Bundle, *, force: bool) -> bool:
     """Whether that bundle is there already; ExistsError if something else is."""
-    if not goal.exists():
+    if not is_there(goal):
         return False
     try:
         same = Bundle.from_bytes(read(goal, limit=MAX_ARCHIVE)).sha256 == bundle.sha256

@@ -25,12 +25,13 @@ from pqsec_pki._files import (
     PRIVATE_MODE,
     PUBLIC_MODE,
     create,
+    disk_errors,
     read,
     sync_filesystem,
     sync_folder,
 )
 from pqsec_pki.enrolment.bundle import ENCLAVES, flat_name
-from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore.enclave import CERTIFICATE, FILES, KEY, KEYS
 
 CURRENT, SETS, REQUESTS = "current", "sets", "requests"
@@ -170,22 +171,24 @@ def changing(root: Path) -> Iterator[Place]:
     A folder that was made for it goes again if nothing came of it. FileError if the disk
     refuses, KeystoreError if another process is at work there, or anybody may write there.
     """
-    try:
+    with disk_errors(root):
         new = not root.exists()
         make_private(root)
         try:
             with _locked(root):
                 _refuse_anybodys(root)
                 _sweep(root)
-                yield Place(root)
+                try:
+                    yield Place(root)
+                except BaseException:
+                    with suppress(OSError):  # then the next one sweeps
+                        _sweep(root)
+                    raise
         except BaseException:
             if new:
                 with suppress(OSError):  # something is in it
                     root.rmdir()
             raise
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(f"{error.filename or root}: {reason}") from error
 
 
 def make_private(folder: Path) -> None:

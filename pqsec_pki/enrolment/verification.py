@@ -4,6 +4,7 @@ What is believed without proof is the fingerprints of the CAs' certificates. The
 that of DDS-Security 1.1, 9.3.3 (identity) and 9.4.3 (permissions).
 """
 
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ from pqsec_pki.certificates import (
 )
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.enrolment.bundle import Bundle, certificates_in
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, located
+from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError, located
 from pqsec_pki.keystore.enclave import (
     ALT_KEY,
     CERTIFICATE,
@@ -43,6 +44,8 @@ class Credentials:
     name: str
     certificate: Certificate
     identity_ca: Certificate
+    trusts_two: bool
+    """Whether another identity CA stands behind it: then no revocation list can be given."""
     permissions_ca: Certificate
     countersigner: Certificate | None
     revocation_list: RevocationList | None
@@ -63,13 +66,14 @@ class Credentials:
                 raise MalformedError(f"{name} {file}: {len(found)} certificates, not one")
             return found[0]
 
-        alternative = PERMISSIONS_ALT_CA
+        identity_cas = certificates_in(files[IDENTITY_CA], f"{name} {IDENTITY_CA}")
         return cls(
             name=name,
             certificate=only(CERTIFICATE),
-            identity_ca=certificates_in(files[IDENTITY_CA], f"{name} {IDENTITY_CA}")[0],
+            identity_ca=identity_cas[0],
+            trusts_two=len(identity_cas) > 1,
             permissions_ca=only(PERMISSIONS_CA),
-            countersigner=only(alternative) if alternative in files else None,
+            countersigner=only(PERMISSIONS_ALT_CA) if PERMISSIONS_ALT_CA in files else None,
             revocation_list=_revocation_list(name, files.get(LIST)),
             permissions=files[PERMISSIONS],
             governance=files[GOVERNANCE],
@@ -87,6 +91,14 @@ class Credentials:
         if self.twice or family is Family.HYBRID:
             return Require.BOTH
         return Require.PQ if family is Family.PQ else Require.CLASSICAL
+
+
+def pin(text: str) -> str:
+    """A fingerprint that a person gives, as certificates have theirs; UsageError if it is none."""
+    plain = text.replace(":", "").lower()
+    if not re.fullmatch("[0-9a-f]{64}", plain):
+        raise UsageError(f"{text!r} is not a SHA-256 fingerprint: 64 hexadecimal digits")
+    return plain
 
 
 def verify_bundle(
@@ -116,8 +128,10 @@ def older_parts(new: Credentials, old: Credentials) -> list[str]:
         files.append(PERMISSIONS)
         if new.certificate.not_before < old.certificate.not_before:
             problems.append("the certificate is older than the one installed")
-    # Another CA counts its lists from one.
-    if new.identity_ca.spki == old.identity_ca.spki and _number(new) < _number(old):
+    # Another CA counts its lists from one, and who trusts two has none (docs/rollover.md).
+    comparable = new.identity_ca.spki == old.identity_ca.spki
+    comparable &= not (new.trusts_two and new.revocation_list is None)
+    if comparable and _number(new) < _number(old):
         problems.append("the revocation list is older than the one installed")
     problems += [
         f"{file} is older than the one installed"

@@ -2,6 +2,38 @@
 
 The only room that knows what lies where on disk. SROS2's tools and ROS 2 itself can use
 the folder as it is.
+
+What there is:
+    _layout       where each file lies
+    participant   one participant, read whole; `enclave`, its files as bytes
+    authorities   the CAs, with their private keys
+    keystore      the folder, made and opened
+The ledger:
+    _chain        a line, and how it holds the one before
+    _table        lines in SQLite
+    _ledger       the database, and what it is asked
+    _entries      the lines on what is made
+Changing anything:
+    _lock         one command at a time
+    _draft        what shall be done
+    _journal      done wholly or not at all
+    _shredding    private keys that go
+Participants and documents:
+    issuing       new participants; `_making`, what one runs with
+    renewing      the same again; `_inspector`, what was the newest of its own
+    signing       new documents for what is there
+    revoking      taking back, and the revocation list
+    compromised   keys that nobody may have any more
+CAs:
+    rotating      new ones; `rollover`, which and for whom; `_turn`, each of its parts;
+                  `foreseeing`, the same told beforehand
+    overlapping   new ones while the old are trusted; `overlap`, what a keystore says of that
+    passphrase    another one
+    adopting      those that others made; `_survey`, what is there
+Questions:
+    status        how long everything lasts
+    holdings      what each participant has, and whether its files are that
+    auditing      whether the ledger is whole
 """
 
 from pqsec_pki.keystore._chain import Entry, Line
@@ -9,11 +41,21 @@ from pqsec_pki.keystore._making import Issued, PublicKeys
 from pqsec_pki.keystore.adopting import Adopted, adopt
 from pqsec_pki.keystore.auditing import audit
 from pqsec_pki.keystore.authorities import Authorities, required_signatures
+from pqsec_pki.keystore.compromised import key_hashes
 from pqsec_pki.keystore.enclave import regular_name
 from pqsec_pki.keystore.foreseeing import Outlook, foresee
 from pqsec_pki.keystore.holdings import Files, Holding, Holdings, holdings
 from pqsec_pki.keystore.issuing import Wish, issue
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap, Phase
+from pqsec_pki.keystore.overlapping import (
+    Begun,
+    begin_overlap,
+    cancel_overlap,
+    check_begin,
+    finish_overlap,
+    switch_overlap,
+)
 from pqsec_pki.keystore.participant import (
     Participant,
     load_certificate,
@@ -33,6 +75,7 @@ __all__ = [
     "LIST_VALIDITY",
     "Adopted",
     "Authorities",
+    "Begun",
     "Entry",
     "Files",
     "Holding",
@@ -41,7 +84,9 @@ __all__ = [
     "Keystore",
     "Line",
     "Outlook",
+    "Overlap",
     "Participant",
+    "Phase",
     "PublicKeys",
     "Renewal",
     "Revoked",
@@ -55,11 +100,16 @@ __all__ = [
     "Wish",
     "adopt",
     "audit",
+    "begin_overlap",
+    "cancel_overlap",
     "change_passphrase",
+    "check_begin",
+    "finish_overlap",
     "foresee",
     "govern",
     "holdings",
     "issue",
+    "key_hashes",
     "load_certificate",
     "load_participant",
     "load_revocation_list",
@@ -72,4 +122,5 @@ __all__ = [
     "rotate",
     "signed_governance",
     "status",
+    "switch_overlap",
 ]

@@ -27,12 +27,14 @@ class Entry:
     at: str
     """ISO 8601, UTC."""
     kind: str
-    """identity-ca, permissions-ca, participant, governance, permissions, revocation or crl."""
+    """identity-ca, permissions-ca, participant, governance, permissions, revocation, crl or
+    trust."""
     name: str
     serial: str | None
     """A certificate's serial number in hex; None for documents."""
     sha256: str
-    """Of a certificate's DER, or of the file of a signed document or revocation list."""
+    """Of a certificate's DER, or of the file of a signed document, a revocation list, or the
+    identity CAs that are trusted (overlap.py)."""
     not_after: str | None
     """ISO 8601, UTC; of a certificate. For a revocation list, when the next one is due."""
     issuer: str | None = None

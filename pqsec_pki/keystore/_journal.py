@@ -11,110 +11,34 @@ are: ten thousand enclaves need not be drafted to give each a link.
 """
 
 import errno
-import fcntl
 import json
 import os
-import pwd
 import secrets
 import shutil
-import stat
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import astuple, dataclass, field, replace
-from functools import cache
+from dataclasses import fields, replace
+from operator import attrgetter
 from pathlib import Path
 
-from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create, sync_filesystem, sync_folder
-from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki._files import (
+    PRIVATE_MODE,
+    create,
+    disk_errors,
+    sync_filesystem,
+    sync_folder,
+)
+from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _layout, _shredding
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._draft import Draft, refuse_detours
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._lock import locked
 
 JOURNAL = ".journal"
 DRAFT = ".draft-"
 _MOVES = "moves.json"
-PATIENCE = 30.0
-"""Seconds to wait for another command to finish with the keystore."""
-
-
-@dataclass(frozen=True, slots=True)
-class DraftedFolder:
-    """Files that will stand in one folder of the keystore."""
-
-    path: str
-
-    def public(self, name: str, data: bytes) -> None:
-        """A file anyone may read."""
-        create(f"{self.path}/{name}", data, mode=PUBLIC_MODE)
-
-    def private(self, name: str, data: bytes) -> None:
-        """A file for its owner only."""
-        create(f"{self.path}/{name}", data, mode=PRIVATE_MODE)
-
-    def link(self, name: str, target: str) -> None:
-        """A symbolic link, relative to where it will stand."""
-        os.symlink(target, f"{self.path}/{name}")
-
-
-@dataclass(slots=True)
-class Draft:
-    """A change in the making. Folders are added by one thread; each may be filled by any."""
-
-    root: Path
-    path: Path
-    targets: list[str] = field(default_factory=list)
-    links: list[tuple[str, str]] = field(default_factory=list)
-    """Where, and what it will show, relative to its folder."""
-    removed: list[str] = field(default_factory=list)
-    entries: list[Entry] = field(default_factory=list)
-
-    def folder(self, target: str, *, private: bool) -> DraftedFolder:
-        """An empty folder that will stand at, or be merged into, `target`."""
-        _refuse_detours(self.root, [target])
-        path = f"{self.path}/{len(self.targets)}"
-        os.mkdir(path)
-        os.chmod(path, 0o700 if private else 0o755)
-        self.targets.append(target)
-        return DraftedFolder(path)
-
-    def link(self, place: str, target: str) -> None:
-        """A symbolic link at `place`, in a folder that is there; another link is replaced.
-
-        KeystoreError if a file or folder is there.
-        """
-        _refuse_detours(self.root, [os.path.dirname(place)])
-        with suppress(FileNotFoundError):
-            if not stat.S_ISLNK(os.lstat(f"{self.root}/{place}").st_mode):
-                raise KeystoreError(
-                    f"{self.root}/{place} should be a link, and is not", hint="move it away"
-                )
-        self.links.append((place, target))
-
-    def remove(self, place: str) -> None:
-        """The file or link at `place`, if there is one, goes when the change is done.
-
-        KeystoreError if that is a folder.
-        """
-        _refuse_detours(self.root, [os.path.dirname(place)])
-        with suppress(FileNotFoundError):
-            if stat.S_ISDIR(os.lstat(f"{self.root}/{place}").st_mode):
-                raise KeystoreError(f"{self.root}/{place} should be a file, and is a folder")
-        self.removed.append(place)
-
-    def shred(self, place: str) -> None:
-        """What the file at `place` held is overwritten, once the change has replaced it."""
-        _shredding.hold(self.path, f"{self.root}/{place}")
-
-    def record(self, *entries: Entry) -> None:
-        """Lines for the ledger, written when the change is.
-
-        KeystoreError if that will not be possible.
-        """
-        if not self.entries:
-            _check_ledger(self.root)
-        operator = _operator()
-        self.entries += [replace(entry, operator=operator) for entry in entries]
+_VALUES = attrgetter(*(each.name for each in fields(Entry)))
 
 
 @contextmanager
@@ -126,7 +50,7 @@ def change(root: Path) -> Iterator[Draft]:
     """
     with disk_errors(root):
         root.mkdir(mode=0o755, parents=True, exist_ok=True)
-        with _locked(root):
+        with locked(root):
             _finish(root)
             _sweep(root)
             draft = Draft(root, root / f"{DRAFT}{secrets.token_hex(8)}")
@@ -140,6 +64,17 @@ def change(root: Path) -> Iterator[Draft]:
             _finish(root)
 
 
+@contextmanager
+def hold(root: Path) -> Iterator[None]:
+    """Nobody else changes the keystore at `root` meanwhile, and no change is unfinished.
+
+    The thread that holds it may change it as often as it likes. Errors as with `change`.
+    """
+    with disk_errors(root), locked(root):
+        _finish(root)
+        yield
+
+
 def recover(root: Path) -> None:
     """Finish a change that was committed but not completed, if there is one."""
     with disk_errors(root):
@@ -149,47 +84,18 @@ def recover(root: Path) -> None:
             pass
 
 
-@contextmanager
-def disk_errors(root: Path) -> Iterator[None]:
-    """Say what the disk refuses as a FileError."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise FileError(f"{error.filename or root}: {reason.lower()}") from error
-
-
-@cache
-def _operator() -> str:
-    """Who runs this, as the system calls them."""
-    try:
-        return pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:
-        return f"uid {os.getuid()}"
-
-
 def _commit(draft: Draft) -> None:
+    draft.refuse_folders()
     moves = {
         "targets": draft.targets,
         "links": draft.links,
         "removed": draft.removed,
-        "entries": [astuple(entry) for entry in draft.entries],
+        "entries": [_VALUES(entry) for entry in draft.entries],
     }
     create(draft.path / _MOVES, json.dumps(moves).encode(), mode=PRIVATE_MODE)
     sync_filesystem(draft.path)
     draft.path.rename(draft.root / JOURNAL)
     sync_folder(draft.root)
-
-
-def _check_ledger(root: Path) -> None:
-    """Before the point of no return: the ledger can be written, and is where it should be."""
-    path = root / _layout.PRIVATE / _layout.LEDGER
-    _refuse_detours(root, [_layout.PRIVATE])
-    if path.is_symlink():
-        raise KeystoreError(f"{path} should be a file, and is not")
-    if path.parent.exists():
-        with Ledger(path) as ledger:
-            ledger.check()
 
 
 def _finish(root: Path) -> None:
@@ -199,7 +105,7 @@ def _finish(root: Path) -> None:
         return
     targets, links, removed, entries = _read_moves(journal / _MOVES)
     others = (*(place for place, _ in links), *removed)
-    _refuse_detours(root, (*targets, *map(os.path.dirname, others)))
+    refuse_detours(root, (*targets, *map(os.path.dirname, others)))
     for parent in {os.path.dirname(f"{root}/{target}") for target in targets}:
         _make_folders(Path(parent))
     for number, target in enumerate(targets):
@@ -209,7 +115,7 @@ def _finish(root: Path) -> None:
     for place in removed:
         Path(root, place).unlink(missing_ok=True)
     if entries:
-        with Ledger(root / _layout.PRIVATE / _layout.LEDGER) as ledger:
+        with Ledger(root / _layout.PRIVATE / _layout.LEDGER, begin=True) as ledger:
             ledger.add(entries)
     sync_filesystem(root)
     _shredding.shred(journal)
@@ -281,39 +187,3 @@ def _sweep(root: Path) -> None:
             shutil.rmtree(leftover)
         else:
             leftover.unlink()
-
-
-def _refuse_detours(root: Path, targets: Iterable[str]) -> None:
-    """Nothing is written through a link, or where a file stands."""
-    places = set(targets)
-    for target in targets:
-        above = target
-        while (above := os.path.dirname(above)) and above not in places:
-            places.add(above)
-    for place in sorted(places):
-        with suppress(FileNotFoundError):
-            if not stat.S_ISDIR(os.lstat(f"{root}/{place}").st_mode):
-                raise KeystoreError(f"{root}/{place} should be a folder, and is not")
-
-
-@contextmanager
-def _locked(root: Path) -> Iterator[None]:
-    handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        _lock(handle, root)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _lock(handle: int, root: Path) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while True:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() > give_up:
-                raise KeystoreError(f"{root}: another pqsec command is at work here") from None
-            time.sleep(0.05)
-        else:
-            return

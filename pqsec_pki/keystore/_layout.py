@@ -4,7 +4,7 @@ pqsec.json                          profile and default domains
 public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
           [identity_ca.crl.pem]
 private/  identity_ca.key.pem permissions_ca.key.pem [*.alt.key.pem] ledger.sqlite3
-          [generations/<number>/]
+          [next_identity_ca.key.pem next_identity_ca.alt.key.pem] [generations/<number>/]
 enclaves/ governance.xml governance.p7s
 enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
                   and links to the governance, the CA certificates, and as crl.pem to the list
@@ -13,7 +13,7 @@ enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
 import re
 from pathlib import Path, PurePosixPath
 
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import UsageError, shown
 
 SETTINGS = "pqsec.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", "enclaves"
@@ -24,6 +24,8 @@ LEDGER = "ledger.sqlite3"
 IDENTITY_CA, PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem"
 PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
 IDENTITY_KEY, IDENTITY_ALT_KEY = "identity_ca.key.pem", "identity_ca.alt.key.pem"
+NEXT_KEY, NEXT_ALT_KEY = "next_identity_ca.key.pem", "next_identity_ca.alt.key.pem"
+"""Of the identity CA that will issue, once an overlap has begun and until it is switched."""
 PERMISSIONS_KEY, PERMISSIONS_ALT_KEY = "permissions_ca.key.pem", "permissions_ca.alt.key.pem"
 
 CERTIFICATE, KEY, ALT_KEY = "cert.pem", "key.pem", "alt.key.pem"
@@ -50,11 +52,12 @@ def enclave_name(text: str) -> str:
     for segment in segments:
         if not _SEGMENT.fullmatch(segment) or _RESERVED.fullmatch(segment):
             raise UsageError(
-                f"{text!r} cannot be a participant's name: {segment!r} is not allowed in it",
+                f"'{shown(text)}' cannot be a participant's name:"
+                f" '{shown(segment)}' is not allowed in it",
                 hint="write names like /talker or /fleet/robot1: letters, digits, _ - and .",
             )
     if not segments:
-        raise UsageError(f"{text!r} cannot be a participant's name", hint="write /talker")
+        raise UsageError(f"'{shown(text)}' cannot be a participant's name", hint="write /talker")
     return "/" + "/".join(segments)
 
 

@@ -4,15 +4,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from pqsec_pki.algorithms import PrivateKey, Profile, PublicKey, private_key_pem
+from pqsec_pki.algorithms import PublicKey, private_key_pem
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Permissions
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import DraftedFolder
-from pqsec_pki.keystore.authorities import Authorities, certificate_entry, document_entry
+from pqsec_pki.keystore._draft import DraftedFolder
+from pqsec_pki.keystore._entries import certificate_entry, document_entry
+from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.keystore import Keystore
 
 
@@ -25,31 +26,6 @@ class PublicKeys(NamedTuple):
     """SHA-256 of what asks for them, as the ledger will have it."""
     csr: bytes | None = None
     """The request itself, in PEM: whoever made it has the private keys."""
-
-
-class Keys(NamedTuple):
-    """A participant's private keys."""
-
-    key: PrivateKey
-    alternative: PrivateKey | None
-
-    @property
-    def public(self) -> PublicKeys:
-        """Their public halves."""
-        second = self.alternative
-        return PublicKeys(self.key.public_key, second.public_key if second else None)
-
-    @classmethod
-    def generate(cls, profile: Profile) -> Self:
-        """New ones, as the profile wants them."""
-        second = profile.alternative_key
-        return cls(profile.participant_key.generate(), second.generate() if second else None)
-
-    def draft(self, folder: DraftedFolder) -> None:
-        """Into key.pem and alt.key.pem."""
-        folder.private(_layout.KEY, private_key_pem(self.key))
-        if self.alternative:
-            folder.private(_layout.ALT_KEY, private_key_pem(self.alternative))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +52,16 @@ class Maker:
     keystore: Keystore
     authorities: Authorities
     now: datetime
+
+    def new_keys(self, folder: DraftedFolder) -> PublicKeys:
+        """Made as the profile wants them; the private halves into key.pem and alt.key.pem."""
+        profile = self.keystore.profile
+        first = profile.participant_key.generate()
+        second = profile.alternative_key.generate() if profile.alternative_key else None
+        for name, key in ((_layout.KEY, first), (_layout.ALT_KEY, second)):
+            if key:
+                folder.private(name, private_key_pem(key))
+        return PublicKeys(first.public_key, second.public_key if second else None)
 
     def draft(  # noqa: PLR0913 -- what it is made from, all by the room itself
         self,

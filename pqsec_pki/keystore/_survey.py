@@ -1,27 +1,25 @@
 """Looking at what others made: what of it the CAs stand for, and the ledger's lines on that."""
 
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Self
 
 from pqsec_pki._files import read
+from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.certificates import Certificate, Reason, RevocationList, verify_chain
 from pqsec_pki.documents import DomainSet, Governance, Permissions
-from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.errors import KeystoreError, PassphraseError, PqsecError
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
 from pqsec_pki.keystore._making import domains_of
-from pqsec_pki.keystore.authorities import (
-    certificate_entry,
-    document_entry,
-    required_signatures,
-)
+from pqsec_pki.keystore.authorities import required_signatures
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, load_revocation_list
-from pqsec_pki.keystore.revoking import list_entry
 from pqsec_pki.smime import verify
 
 
@@ -59,6 +57,7 @@ class Survey:
 
     def look(self) -> None:
         """At the CAs, the governance, every enclave, and their revocation list."""
+        self._look_at_ca_files()
         self._authority("identity-ca", self.identity_ca)
         self._authority("permissions-ca", self.permissions_ca)
         if self.permissions_alt_ca:
@@ -69,7 +68,21 @@ class Survey:
         names = self.keystore.names()
         for name in names:
             self._participant(name)
+        for path in (self.keystore.root / _layout.ENCLAVES).rglob("*"):
+            if path.name == _layout.CERTIFICATE and not path.exists():
+                place = str(path.relative_to(self.keystore.root))
+                self.refused[place] = f"a link to {path.readlink()}, which is not there"
         self._find_list(names)
+
+    def _look_at_ca_files(self) -> None:
+        """Certificates that nobody asked for, and keys that are not there or fit nothing."""
+        for role, ca in (("identity", self.identity_ca), ("permissions", self.permissions_ca)):
+            with self._telling(f"{_layout.PUBLIC}/{role}_ca.cert.pem") as path:
+                count = len(Certificate.all_from_pem(read(path)))
+                if count > 1:
+                    raise KeystoreError(f"{count} certificates: the first one is the CA")
+            with self._telling(f"{_layout.PRIVATE}/{role}_ca.key.pem") as path:
+                _check_key(path, ca)
 
     def _authority(self, kind: str, ca: Certificate) -> None:
         self.entries.append(certificate_entry(kind, ca.subject_name, ca, self.now))
@@ -112,7 +125,7 @@ class Survey:
         """It stays in force: the next one that the CA makes takes over what it revokes."""
         lists: dict[Path, RevocationList] = {}
         for place in (f"{_layout.enclave_folder(name)}/{_layout.LIST}" for name in names):
-            if (self.keystore.root / place).is_file():
+            if os.path.lexists(self.keystore.root / place):
                 with self._telling(place) as path:
                     found = load_revocation_list(path)
                     found.verify(self.identity_ca)
@@ -138,3 +151,13 @@ class Survey:
             yield path
         except PqsecError as error:
             self.refused[place] = str(error).removeprefix(f"{path}: ")
+
+
+def _check_key(path: Path, ca: Certificate) -> None:
+    """KeystoreError, FileError or MalformedError if nothing could be signed with it.
+
+    Whether an encrypted one fits shows when it is used.
+    """
+    with suppress(PassphraseError):
+        if load_private_key(read(path)).public_key.spki != ca.spki:
+            raise KeystoreError("the key is not that of the CA: nothing can be issued with it")

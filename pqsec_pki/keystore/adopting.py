@@ -5,21 +5,31 @@ pqsec.json, the ledger and, where the enclaves have a revocation list of their o
 of it in public/.
 """
 
+import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki._files import read
+from pqsec_pki._files import disk_errors, read
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
+from pqsec_pki.errors import (
+    ExistsError,
+    KeystoreError,
+    MalformedError,
+    PqsecError,
+    UsageError,
+    located,
+)
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._journal import Draft
+from pqsec_pki.keystore._draft import Draft
 from pqsec_pki.keystore._survey import Survey
 from pqsec_pki.keystore.keystore import Keystore, settings_file
 from pqsec_pki.keystore.participant import load_certificate
 
+_FOLDERS = (_layout.PUBLIC, _layout.PRIVATE, _layout.ENCLAVES)
 _NEEDED = (
     f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
     f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
@@ -81,30 +91,40 @@ def _draft(draft: Draft, keystore: Keystore, survey: Survey) -> None:
 
 
 def _refuse_unfit(root: Path) -> None:
-    with _journal.disk_errors(root):
-        if (root / _layout.SETTINGS).exists():
+    with disk_errors(root):
+        if os.path.lexists(root / _layout.SETTINGS):
             raise ExistsError(f"{root} is a keystore of pqsec's already")
         missing = [name for name in _NEEDED if not (root / name).is_file()]
+        links = [root / name for name in _FOLDERS if (root / name).is_symlink()]
     if missing:
         raise KeystoreError(
             f"{root} lacks {', '.join(missing)}",
             hint="put the files where SROS2 has them; docs/keystore.md shows its layout",
         )
+    if links:
+        raise KeystoreError(
+            f"{links[0]} should be a folder, and is a link: nothing could be changed there later",
+            hint="put the folder itself there",
+        )
 
 
 def _profile(root: Path) -> Profile | None:
-    """One whose promises the CAs and the first participant keep; None if there is none."""
+    """One whose promises the CAs and the first participant keep; None if there is none.
+
+    MalformedError, with the way out, for a CA that is no certificate in PEM.
+    """
     public = root / _layout.PUBLIC
-    identity, permissions = (
-        load_certificate(public / name) for name in (_layout.IDENTITY_CA, _layout.PERMISSIONS_CA)
-    )
-    names = _layout.names_in(root)
-    first = root / _layout.enclave_folder(names[0]) / _layout.CERTIFICATE if names else None
-    participant = load_certificate(first) if first else identity
+    try:
+        identity = load_certificate(public / _layout.IDENTITY_CA)
+        permissions = load_certificate(public / _layout.PERMISSIONS_CA)
+    except MalformedError as error:
+        error.hint = error.hint or "`openssl x509 -inform DER` makes PEM of DER"
+        raise
+    participant = _first_participant(root) or identity
     second = identity.alternative_key
     kinds: dict[str, str | None] = {
-        "identity_key": identity.public_key.algorithm.name,
-        "permissions_key": permissions.public_key.algorithm.name,
+        "identity_key": _kind(identity, public / _layout.IDENTITY_CA),
+        "permissions_key": _kind(permissions, public / _layout.PERMISSIONS_CA),
         "participant_key": participant.public_key.algorithm.name,
         "alternative_key": second.algorithm.name if second else None,
     }
@@ -113,3 +133,19 @@ def _profile(root: Path) -> Profile | None:
             with suppress(UsageError):
                 return profile.changed(kinds)
     return None
+
+
+def _first_participant(root: Path) -> Certificate | None:
+    """The certificate of the first that can be read; the others are told of later."""
+    for name in _layout.names_in(root):
+        with suppress(PqsecError):
+            found = load_certificate(root / _layout.enclave_folder(name) / _layout.CERTIFICATE)
+            if found.public_key.algorithm.name:  # it is of a kind that is known
+                return found
+    return None
+
+
+def _kind(ca: Certificate, path: Path) -> str:
+    """The algorithm of its key; UnknownAlgorithmError, naming the file, for a strange one."""
+    with located(path):
+        return ca.public_key.algorithm.name

@@ -4,12 +4,13 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from pqsec_pki._files import read
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki._files import disk_errors, read
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError, VerificationError, located
 from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._chain import START, Line, problems
-from pqsec_pki.keystore._journal import disk_errors
+from pqsec_pki.keystore._chain import START, Entry, Line, problems
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import trusted_last
 from pqsec_pki.keystore.participant import load_certificate
 
 
@@ -42,18 +43,21 @@ def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
     entries = [line.entry for line in lines]
     known = {(each.kind, name, each.sha256) for each in entries for name in (each.name, None)}
     lists = [each.sha256 for each in entries if each.kind == "crl"]
+    trusted = trusted_last(entries)
     with disk_errors(keystore.root):
         for path, kind, name in _issued(keystore):
             if not path.exists():
                 continue
             try:
-                sha256 = _sha256(path)
-            except MalformedError as error:
+                hashes = _hashes(path, kind)
+            except PqsecError as error:
                 yield str(error)
                 continue
-            if (kind, name, sha256) not in known:
+            if any((kind, name, each) not in known for each in hashes):
                 yield f"{path} is in no line of the ledger"
-            elif kind == "crl" and sha256 != lists[-1]:
+            elif len(hashes) > 1 and not (trusted and _is_file(trusted, path)):
+                yield f"{path} holds {len(hashes)} certificates, and the ledger knows of one"
+            elif kind == "crl" and hashes != [lists[-1]]:
                 yield f"{path} is not the newest list in the ledger"
 
 
@@ -71,8 +75,18 @@ def _issued(keystore: Keystore) -> Iterator[tuple[Path, str, str | None]]:
         yield folder / _layout.PERMISSIONS, "permissions", None
 
 
-def _sha256(path: Path) -> str:
-    """As the ledger has it: of a certificate's DER, of any other file."""
+def _is_file(line: Entry, path: Path) -> bool:
+    return hashlib.sha256(read(path)).hexdigest() == line.sha256
+
+
+def _hashes(path: Path, kind: str) -> list[str]:
+    """As the ledger has them: of a certificate's DER, of any other file.
+
+    Of a CA's file all: Fast DDS trusts whatever stands in it.
+    """
+    if kind.endswith("-ca"):
+        with located(path):
+            return [each.fingerprint for each in Certificate.all_from_pem(read(path))]
     if path.name.endswith(_layout.CERTIFICATE):
-        return load_certificate(path).fingerprint
-    return hashlib.sha256(read(path)).hexdigest()
+        return [load_certificate(path).fingerprint]
+    return [hashlib.sha256(read(path)).hexdigest()]

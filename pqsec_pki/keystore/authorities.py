@@ -1,7 +1,5 @@
 """The CAs of a keystore, unlocked: what issuing and signing need."""
 
-import hashlib
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,7 +20,8 @@ from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import KeystoreError, PassphraseError, located
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import DraftedFolder
+from pqsec_pki.keystore._draft import DraftedFolder
+from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.smime import Require, Signer, sign
 
@@ -76,7 +75,10 @@ class Authorities:
             end = each.certificate.not_after
             if now > end:
                 name = each.certificate.subject_name
-                raise KeystoreError(f"{name} expired on {end:%Y-%m-%d}: it cannot sign any more")
+                raise KeystoreError(
+                    f"{name} expired on {end:%Y-%m-%d}: it cannot sign any more",
+                    hint="make new CAs with `pqsec ca rotate`, or set the clock right",
+                )
         return sign(
             document,
             Signer(self.permissions.certificate, self.permissions.key),
@@ -86,11 +88,20 @@ class Authorities:
         )
 
     def write(
-        self, public: DraftedFolder, private: DraftedFolder, passphrase: bytes | None
+        self,
+        public: DraftedFolder,
+        private: DraftedFolder,
+        passphrase: bytes | None,
+        *,
+        trusted: Certificate | None = None,
     ) -> None:
-        """Draft the certificates and, encrypted under `passphrase`, the keys."""
+        """Draft the certificates and, encrypted under `passphrase`, the keys.
+
+        `trusted` is another identity CA, which participants trust too: it comes behind.
+        """
         for name, certificate in _certificates(self):
-            public.public(name, certificate.pem)
+            behind = trusted.pem if trusted and name == _layout.IDENTITY_CA else b""
+            public.public(name, certificate.pem + behind)
         self.write_keys(private, passphrase)
 
     def write_keys(self, private: DraftedFolder, passphrase: bytes | None) -> None:
@@ -131,7 +142,7 @@ def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authoritie
     if profile.alternative_key:
         names += [_layout.IDENTITY_ALT_KEY, _layout.PERMISSIONS_ALT_KEY]
     with ThreadPoolExecutor() as pool:
-        loaded = pool.map(lambda n: _load_key(root / _layout.PRIVATE / n, passphrase), names)
+        loaded = pool.map(lambda n: load_ca_key(root / _layout.PRIVATE / n, passphrase), names)
         keys = dict(zip(names, loaded, strict=True))
     public = root / _layout.PUBLIC
     counter_key = keys.get(_layout.PERMISSIONS_ALT_KEY)
@@ -162,40 +173,6 @@ def required_signatures(profile: Profile) -> Require:
     return Require.CLASSICAL
 
 
-def certificate_entry(  # noqa: PLR0913 -- what the line says, the rarer things by name
-    kind: str,
-    name: str,
-    certificate: Certificate,
-    now: datetime,
-    *,
-    issuer: Certificate | None = None,
-    details: dict[str, str] | None = None,
-) -> Entry:
-    """The ledger's line on a certificate."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=kind,
-        name=name,
-        serial=f"{certificate.serial_number:x}",
-        sha256=certificate.fingerprint,
-        not_after=certificate.not_after.isoformat(),
-        issuer=issuer.fingerprint if issuer else None,
-        details=details or {},
-    )
-
-
-def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
-    """The ledger's line on a signed document; `name` may be a path of any bytes."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=kind,
-        name=os.fsencode(name).decode(errors="backslashreplace"),
-        serial=None,
-        sha256=hashlib.sha256(signed).hexdigest(),
-        not_after=None,
-    )
-
-
 def _certificates(authorities: Authorities) -> Iterator[tuple[str, Certificate]]:
     yield _layout.IDENTITY_CA, authorities.identity.certificate
     yield _layout.PERMISSIONS_CA, authorities.permissions.certificate
@@ -212,7 +189,8 @@ def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
         yield _layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
 
 
-def _load_key(path: Path, passphrase: bytes | None) -> PrivateKey:
+def load_ca_key(path: Path, passphrase: bytes | None) -> PrivateKey:
+    """The private key in the file `path`; PassphraseError if `passphrase` is not its own."""
     try:
         with located(path):
             return load_private_key(read(path), passphrase)
@@ -229,12 +207,16 @@ def _check_pairs(authorities: Authorities) -> None:
             hint="make two that are distinct, and everything anew with them: `pqsec ca rotate`",
         )
     for authority in (authorities.identity, authorities.permissions, authorities.countersigner):
-        if authority is None:
-            continue
-        certificate = authority.certificate
-        held: list[tuple[PrivateKey, PublicKey | None]] = [(authority.key, certificate.public_key)]
-        if authority.alternative_key:
-            held.append((authority.alternative_key, certificate.alternative_key))
-        for key, known in held:
-            if known is None or key.public_key.spki != known.spki:
-                raise KeystoreError(f"{certificate.subject_name}: a private key is not its own")
+        if authority:
+            check_pair(authority)
+
+
+def check_pair(authority: Authority) -> None:
+    """KeystoreError if a private key is not its certificate's."""
+    certificate = authority.certificate
+    held: list[tuple[PrivateKey, PublicKey | None]] = [(authority.key, certificate.public_key)]
+    if authority.alternative_key:
+        held.append((authority.alternative_key, certificate.alternative_key))
+    for key, known in held:
+        if known is None or key.public_key.spki != known.spki:
+            raise KeystoreError(f"{certificate.subject_name}: a private key is not its own")

@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from pqsec_pki._files import read
+from pqsec_pki._files import disk_errors, read
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._journal import disk_errors
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import refuse_unknown
 

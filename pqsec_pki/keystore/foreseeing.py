@@ -1,12 +1,18 @@
 """What a rollover will do, told before it is done; nothing is changed, no key is unlocked."""
 
 from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 
+from pqsec_pki._files import read
+from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
+from pqsec_pki.errors import located
 from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._inspector import Inspector
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.renewing import Inspector
+from pqsec_pki.keystore.overlap import WAIT, refuse_overlap
 from pqsec_pki.keystore.rollover import (
     Rollover,
     Scope,
@@ -46,22 +52,30 @@ class Outlook:
         return len(self.keeping) + len(self.rekeyed)
 
 
-def foresee(keystore: Keystore, terms: Rollover) -> Outlook:
+def foresee(
+    keystore: Keystore, terms: Rollover, *, now: datetime, within_overlap: bool = False
+) -> Outlook:
     """What `rotate` would do with these terms; it refuses what that refuses beforehand."""
     check_scope(keystore, terms)
+    if not within_overlap:
+        refuse_overlap(keystore, WAIT)
     number = generation(keystore)
     with keystore.open_ledger() as ledger:
         inspector = Inspector.of(keystore, ledger)
-        left_out = stay_behind(keystore, terms, inspector)
+        left_out = stay_behind(keystore, terms, inspector, now)
     names = [name for name in keystore.names() if name not in left_out]
-    rekeyed = tuple(name for name in names if gets_keys(keystore, terms, inspector, name))
+    path = keystore.root / _layout.ENCLAVES / _layout.GOVERNANCE
+    with located(path):
+        inspector.verified(read(path))
+    new_keys = shared_out(partial(gets_keys, keystore, terms, inspector), names)
+    rekeyed = tuple(name for name, new in zip(names, new_keys, strict=True) if new)
     return Outlook(
         generation=number + 1,
         before=keystore.profile,
         after=terms.profile,
         scope=terms.scope,
         one_ca=keystore.identity_ca.spki == keystore.permissions_ca.spki,
-        keeping=tuple(name for name in names if name not in set(rekeyed)),
+        keeping=tuple(name for name, new in zip(names, new_keys, strict=True) if not new),
         rekeyed=rekeyed,
         left_out=left_out,
         new_list=terms.scope is not Scope.PERMISSIONS and keystore.has_revocation_list,

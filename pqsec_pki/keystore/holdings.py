@@ -18,12 +18,12 @@ from functools import lru_cache
 from pathlib import Path
 from sys import intern
 
-from pqsec_pki._files import write
+from pqsec_pki._files import disk_errors, write
 from pqsec_pki.errors import FileError, KeystoreError, shown
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import disk_errors
-from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._ledger import Ledger, Newest
+from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
 
 _SEEN = "seen.json"
@@ -49,6 +49,12 @@ class Holding:
     not_after: datetime
     """Of its newest certificate."""
     revoked: bool
+    stranded: bool
+    """Whether its identity CA made way for another, and it did not come along."""
+    compromised: bool
+    """Whether a certificate of its key, but not this one, was revoked as compromised."""
+    keys: str
+    """Hashes of those that are certified, as `key_hashes` has them; empty if not known."""
     requested: bool
     """Whether it ever asked for a certificate of its own key, which is not here then."""
     mark: str
@@ -63,6 +69,8 @@ class Holdings:
     participants: dict[str, Holding]
     governance_mark: str | None
     """What the governance was signed with; None if the file is not the newest that was."""
+    head: str
+    """Of the ledger, before it was asked."""
 
 
 def holdings(keystore: Keystore) -> Holdings:
@@ -70,42 +78,49 @@ def holdings(keystore: Keystore) -> Holdings:
 
     KeystoreError for a damaged ledger; FileError if the disk refuses.
     """
+    authority = keystore.identity_ca.fingerprint
     with keystore.open_ledger() as ledger, disk_errors(keystore.root):
+        head = ledger.head
         revoked = {each.sha256 for each in ledger.of_kind("revocation")}
+        compromised = compromised_keys_in(keystore.root, ledger)
         files = _Files.of(keystore)
         found: dict[str, Holding] = {}
-        for name, certificate, at, not_after, mark, requests, permissions in _newest(ledger):
-            found[name] = Holding(
-                made_at=_time(at),
-                not_after=_time(not_after),
-                revoked=certificate in revoked,
-                requested=requests > 0,
+        for line, mark, permissions in _newest(ledger):
+            found[line.name] = Holding(
+                made_at=_time(line.at),
+                not_after=_time(line.not_after),
+                revoked=line.sha256 in revoked,
+                stranded=line.issuer not in {"", authority},
+                compromised=any(each in compromised for each in line.keys.split()),
+                keys=line.keys,
+                requested=line.requests > 0,
                 mark=intern(mark),  # thousands have the same
-                files=files.look(name, certificate, permissions),
+                files=files.look(line.name, line.sha256, permissions),
             )
         files.remember()
-        return Holdings(found, _governance_mark(keystore, ledger.of_name("governance", "")[-1:]))
+        governance = _governance_mark(keystore, ledger.of_name("governance", "")[-1:])
+        return Holdings(found, governance, head)
 
 
 def marks_in(ledger: Ledger) -> dict[str, str]:
     """Name -> what it was issued, or given permissions, with."""
-    return {each[0]: each[4] for each in _newest(ledger)}
+    return {line.name: mark for line, mark, _ in _newest(ledger)}
 
 
-def _newest(ledger: Ledger) -> Iterator[tuple[str, str, str, str, str, int, str]]:
-    """Of each participant what `newest_marked` has, and the SHA-256 of its permissions.
+def _newest(ledger: Ledger) -> Iterator[tuple[Newest, str, str]]:
+    """Of each participant its newest line, its mark, and the SHA-256 of its permissions.
 
     Permissions that were signed anew for the same certificate have a mark of their own.
     """
     documents = ledger.newest_marked("permissions")
     document = next(documents, None)
-    for name, sha256, at, not_after, mark, requests in ledger.newest_marked("participant"):
-        while document and document[0] < name:  # signed for somebody who was not issued here
+    for line in ledger.newest_marked("participant"):
+        while document and document.name < line.name:  # of somebody who was not issued here
             document = next(documents, None)
-        permissions, own_mark = "", ""
-        if document and document[0] == name:
-            _, permissions, _, _, own_mark, _ = document
-        yield name, sha256, at, not_after, own_mark or mark, requests, permissions
+        if document and document.name == line.name:
+            yield line, document.mark or line.mark, document.sha256
+        else:
+            yield line, line.mark, ""
 
 
 @lru_cache(maxsize=1024)

@@ -1,18 +1,19 @@
 """Issuing participants: key, certificate and permissions for each, all or none."""
 
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import partial
 
+from pqsec_pki._processes import shared_out
 from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._journal import Draft, DraftedFolder
-from pqsec_pki.keystore._making import Issued, Keys, Maker, PublicKeys
+from pqsec_pki.keystore._draft import Draft, DraftedFolder
+from pqsec_pki.keystore._making import Issued, Maker, PublicKeys
 from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.compromised import compromised_keys_in, refuse_compromised, refuse_shared
 from pqsec_pki.keystore.keystore import Keystore
 
 _SHARED = {
@@ -39,7 +40,7 @@ class Wish:
     keys: PublicKeys | None = None
     """Of a request that was checked; None to make new keys here."""
     mark: str = ""
-    """What the caller wants to find again in the ledger and in `status`, renewed or not."""
+    """What the caller wants to find again in the ledger and in `holdings`, renewed or not."""
 
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -50,34 +51,36 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     now: datetime,
     force: bool = False,
     after_revocation: bool = False,
+    compromised_keys: bool = False,
 ) -> list[Issued]:
     """Make every participant wished for; on any failure, none.
 
     Names are taken as `Wish.name` says and must differ. ExistsError for participants
     that are there already, unless `force`; KeystoreError for those that were revoked,
-    unless `after_revocation`; UsageError for a name, topic or validity that cannot be
-    used.
+    unless `after_revocation`; VerificationError for keys that were revoked as compromised,
+    unless `compromised_keys`, and for those of another participant; UsageError for a name,
+    topic or validity that cannot be used.
     """
     wishes = _checked(keystore, wishes, force=force)
     maker = Maker(keystore, authorities, now)
-    with _journal.change(keystore.root) as draft, ThreadPoolExecutor() as pool:
+    with _journal.change(keystore.root) as draft:
         authorities.refuse_outdated(keystore.root)
         _refuse_issued(keystore, wishes, force=force)  # by another command, since
         if not after_revocation:
             _refuse_revoked(keystore, wishes)
+        _refuse_keys(keystore, wishes, now, compromised=compromised_keys)
         shared = _shared(keystore, authorities)
         folders = [draft.folder(_layout.enclave_folder(wish.name), private=True) for wish in wishes]
         for wish in wishes:
             _clear(draft, wish)
-        # Signing does not hold the interpreter, so threads use every core.
-        issued = list(pool.map(partial(_make, maker, shared), wishes, folders))
+        issued = shared_out(partial(_make, maker, shared), wishes, folders)
         for each in issued:
             draft.record(*each.entries)
     return issued
 
 
 def _make(maker: Maker, shared: dict[str, str], wish: Wish, folder: DraftedFolder) -> Issued:
-    keys = wish.keys or _new_keys(maker, folder)
+    keys = wish.keys or maker.new_keys(folder)
     certificate = maker.authorities.identity.issue(
         wish.name, keys.key, alternative=keys.alternative, now=maker.now, validity=wish.validity
     )
@@ -96,12 +99,6 @@ def _make(maker: Maker, shared: dict[str, str], wish: Wish, folder: DraftedFolde
         mark=wish.mark,
         request=keys.request,
     )
-
-
-def _new_keys(maker: Maker, folder: DraftedFolder) -> PublicKeys:
-    keys = Keys.generate(maker.keystore.profile)
-    keys.draft(folder)
-    return keys.public
 
 
 def _clear(draft: Draft, wish: Wish) -> None:
@@ -174,6 +171,19 @@ def _refuse_issued(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -
             f"already issued: {', '.join(there)}",
             hint="choose another name, or --force to replace key, certificate and permissions",
         )
+
+
+def _refuse_keys(
+    keystore: Keystore, wishes: Iterable[Wish], now: datetime, *, compromised: bool
+) -> None:
+    """Of requests, those that somebody else has too."""
+    asked = {wish.name: wish.keys[:2] for wish in wishes if wish.keys}
+    if asked:
+        with keystore.open_ledger() as ledger:
+            stolen = {} if compromised else compromised_keys_in(keystore.root, ledger)
+            for name, keys in asked.items():
+                refuse_compromised(stolen, name, keys)
+            refuse_shared(ledger, asked, now)
 
 
 def _refuse_revoked(keystore: Keystore, wishes: Iterable[Wish]) -> None:

@@ -2,20 +2,23 @@
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import read, write
+from pqsec_pki._files import disk_errors, read, write
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.documents import DomainSet, Governance, Kind
 from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import Authorities, document_entry, unlock
+from pqsec_pki.keystore.authorities import Authorities, unlock
 from pqsec_pki.keystore.participant import (
     Participant,
     load_certificate,
@@ -75,7 +78,7 @@ class Keystore:
         """The keystore at `root`; KeystoreError if there is none."""
         _journal.recover(root)
         path = root / _layout.SETTINGS
-        with _journal.disk_errors(path):
+        with disk_errors(path):
             there = path.is_file()
         if not there:
             raise KeystoreError(
@@ -95,7 +98,7 @@ class Keystore:
     def refuse_occupied(root: Path) -> None:
         """ExistsError if anything of a keystore is in the folder `root` already."""
         parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
-        with _journal.disk_errors(root):
+        with disk_errors(root):
             taken = [name for name in parts if (root / name).exists()]
         if taken:
             raise ExistsError(
@@ -144,14 +147,30 @@ class Keystore:
         """Where it is, or will be; each enclave has a link to it, crl.pem."""
         return self.root / _layout.PUBLIC / _layout.CA_LIST
 
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Nobody else changes it meanwhile; who holds it may, as often as they like.
+
+        KeystoreError if another command holds it for half a minute.
+        """
+        with _journal.hold(self.root):
+            yield
+
+    @property
+    def head(self) -> str:
+        """The chain value of the ledger's last line: another one once anything was changed."""
+        with self.open_ledger() as ledger:
+            return ledger.head
+
     def unlock(self, passphrase: bytes | None) -> Authorities:
         """The CAs with their private keys; PassphraseError if `passphrase` is not theirs."""
         return unlock(self.root, self.profile, passphrase)
 
     @property
     def is_locked(self) -> bool:
-        """Whether the CA keys need a passphrase."""
-        return is_encrypted(read(self.root / _layout.PRIVATE / _layout.IDENTITY_KEY))
+        """Whether CA keys need a passphrase; of CAs that others made, it may be one of them."""
+        keys = (_layout.IDENTITY_KEY, _layout.PERMISSIONS_KEY)
+        return any(is_encrypted(read(self.root / _layout.PRIVATE / each)) for each in keys)
 
     def names(self) -> list[str]:
         """The participants' names, sorted."""
@@ -161,6 +180,11 @@ class Keystore:
         """Whether there is a participant called `name`."""
         folder = _layout.enclave_folder(_layout.enclave_name(name))
         return os.path.lexists(f"{self.root}/{folder}/{_layout.CERTIFICATE}")
+
+    def has_key(self, name: str) -> bool:
+        """Whether the private key of the participant called `name` lies here."""
+        folder = _layout.enclave_folder(_layout.enclave_name(name))
+        return os.path.lexists(f"{self.root}/{folder}/{_layout.KEY}")
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`."""

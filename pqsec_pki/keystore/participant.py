@@ -4,12 +4,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from pqsec_pki._files import read
+from pqsec_pki._files import disk_errors, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.errors import FileError, KeystoreError, located
+from pqsec_pki.errors import KeystoreError, located
 from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._journal import disk_errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,15 +64,14 @@ def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Part
 
 def refuse_unknown(root: Path, name: str) -> None:
     """KeystoreError if the keystore at `root` has nothing of a participant called `name`."""
-    try:
-        (root / _layout.enclave_folder(name) / _layout.CERTIFICATE).lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        raise KeystoreError(
-            f"there is no participant {name} in {root}",
-            hint=f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are",
-        ) from None
-    except OSError as error:
-        raise FileError(f"{error.filename}: {(error.strerror or '').lower()}") from error
+    with disk_errors(root):
+        try:
+            (root / _layout.enclave_folder(name) / _layout.CERTIFICATE).lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            raise KeystoreError(
+                f"there is no participant {name} in {root}",
+                hint=f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are",
+            ) from None
 
 
 def load_certificate(path: Path) -> Certificate:

@@ -6,6 +6,7 @@ from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap, Phase
 
 
 def change_passphrase(
@@ -14,10 +15,17 @@ def change_passphrase(
     """Encrypt the CA keys under `passphrase`, or not at all for None; which files it was.
 
     Keys of older generations keep the passphrase they had. KeystoreError for a key that
-    is a link: what it shows would stay as it is.
+    is a link: what it shows would stay as it is; and while the CA that will issue next
+    has a key of its own.
     """
     with _journal.change(keystore.root) as draft:
         authorities.refuse_outdated(keystore.root)
+        overlap = Overlap.of(keystore)
+        if overlap and overlap.phase is Phase.BEGUN:
+            raise KeystoreError(
+                "the identity CA that will issue next would keep the old passphrase",
+                hint=overlap.way_on,
+            )
         folder = draft.folder(_layout.PRIVATE, private=True)
         authorities.write_keys(folder, passphrase)
         names = sorted(path.name for path in Path(folder.path).iterdir())

@@ -5,31 +5,25 @@ from the signed permissions in its folder, once the permissions CA's signature h
 the ledger tells that they are the newest.
 """
 
-import hashlib
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from pathlib import Path
-from typing import Self
 
-from pqsec_pki._files import read
-from pqsec_pki.algorithms import Profile, PublicKey
+from pqsec_pki._files import disk_errors
+from pqsec_pki._processes import shared_out
+from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import BACKDATE, Certificate, end_of
 from pqsec_pki.documents import Grant, Permissions
-from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import DraftedFolder
-from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore._making import Issued, Keys, Maker
-from pqsec_pki.keystore.authorities import Authorities, required_signatures
-from pqsec_pki.keystore.holdings import marks_in
+from pqsec_pki.keystore._draft import DraftedFolder
+from pqsec_pki.keystore._inspector import Inspector
+from pqsec_pki.keystore._making import Issued, Maker, PublicKeys
+from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.compromised import refuse_compromised
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.participant import load_certificate, refuse_unknown
 from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher
 from pqsec_pki.keystore.status import status
-from pqsec_pki.smime import verify
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +37,8 @@ class Renewal:
     """From now on; None for as long as the old certificate was issued for."""
     due: timedelta | None = None
     """A revocation list that ends within this time is made anew; None as in `status`."""
+    compromised_keys: bool = False
+    """Whether keys that were revoked as compromised may be kept."""
 
 
 def renew(
@@ -65,116 +61,16 @@ def renew(
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger)
         inspector.refuse_revoked(regular)
+        inspector.refuse_stranded(regular)
         folders = [draft.folder(_layout.enclave_folder(name), private=False) for name in regular]
         renewer = Renewer(maker, inspector, terms)
-        with ThreadPoolExecutor() as pool:
-            # Signing does not hold the interpreter, so threads use every core.
-            renewed = list(pool.map(renewer.make, regular, folders))
+        renewed = shared_out(renewer.make, regular, folders)
         for each in renewed:
             draft.record(*each.entries)
         if status(keystore, (), now=now, due=terms.due).list_is_due:
             publisher = Publisher(keystore, authorities.identity, ledger, now)
             publisher.publish(draft, [], LIST_VALIDITY)
     return renewed
-
-
-@dataclass(frozen=True, slots=True)
-class Inspector:
-    """Knows what was issued last, and takes nothing else for a participant's own."""
-
-    keystore: Keystore
-    permissions_ca: Certificate
-    permissions_alt_ca: Certificate | None
-    certificates: dict[str, Entry]
-    """Name -> the newest line."""
-    revoked: frozenset[str]
-    """SHA-256 of certificates."""
-    newest: dict[str, int]
-    """Name -> number of the newest line on its permissions."""
-    known: dict[str, int]
-    """SHA-256 of signed permissions -> number of their line."""
-    marks: dict[str, str]
-    """Name -> what the newest lines were marked with."""
-
-    @classmethod
-    def of(cls, keystore: Keystore, ledger: Ledger) -> Self:
-        """What the ledger says now, while the keystore is locked."""
-        return cls(
-            keystore,
-            keystore.permissions_ca,
-            keystore.permissions_alt_ca,
-            {each.name: each for each in ledger.newest("participant")},
-            frozenset(each.sha256 for each in ledger.of_kind("revocation")),
-            ledger.newest_numbers("permissions"),
-            ledger.numbers("permissions"),
-            marks_in(ledger),
-        )
-
-    def revoked_of(self, names: Sequence[str]) -> list[str]:
-        """Those whose newest certificate was taken back."""
-        known = filter(None, map(self.certificates.get, names))
-        return [each.name for each in known if each.sha256 in self.revoked]
-
-    def refuse_revoked(self, names: Sequence[str]) -> None:
-        """KeystoreError if any of them was revoked."""
-        revoked = self.revoked_of(names)
-        if revoked:
-            raise KeystoreError(
-                f"revoked: {', '.join(revoked)}",
-                hint="if it may come back, `pqsec issue` it with --force --after-revocation",
-            )
-
-    def certificate(self, name: str, folder: Path) -> Certificate:
-        """The newest that was issued to `name`; KeystoreError if another lies there."""
-        refuse_unknown(self.keystore.root, name)
-        path = folder / _layout.CERTIFICATE
-        found = load_certificate(path)
-        known = self.certificates.get(name)
-        if known is None or found.fingerprint != known.sha256:
-            raise _stale(path, name, "certificate")
-        return found
-
-    def permissions(self, name: str, folder: Path) -> Permissions:
-        """What `name` was allowed last; its signatures hold."""
-        path = folder / _layout.PERMISSIONS
-        signed = read(path)
-        number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)
-        if number < self.newest.get(name, 1):
-            raise _stale(path, name, "permissions")
-        with located(path):
-            document = self.verified(signed)
-            _refuse_edited(folder / _layout.PERMISSIONS_XML, document)
-            return Permissions.from_xml(document)
-
-    def mark(self, name: str, folder: Path) -> str:
-        """What `name` was marked with; nothing if its permissions were signed by hand since."""
-        number = self.known.get(hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest())
-        return self.marks.get(name, "") if number == self.newest.get(name) else ""
-
-    def verified(self, signed: bytes) -> bytes:
-        """The document in a signed file; VerificationError if the CA did not sign it."""
-        return verify(
-            signed,
-            self.permissions_ca,
-            alternative_ca=self.permissions_alt_ca,
-            require=required_signatures(self.keystore.profile),
-        ).document
-
-
-def _refuse_edited(path: Path, signed: bytes) -> None:
-    """What somebody wrote into permissions.xml and did not sign yet is not overwritten."""
-    if path.exists() and read(path) not in (signed, signed.replace(b"\r\n", b"\n")):
-        raise KeystoreError(
-            f"{path} is not what permissions.p7s says",
-            hint="`pqsec sign-permissions` signs it; or remove it, and it is made anew",
-        )
-
-
-def _stale(path: Path, name: str, what: str) -> KeystoreError:
-    return KeystoreError(
-        f"{path} is not the newest {what} that the ledger has for {name}",
-        hint=f"put that back, or say what it may do: pqsec issue {name} --force ...",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,14 +85,14 @@ class Renewer:
         """Draft certificate, permissions and, where they are new, keys into `folder`."""
         keystore, now = self.maker.keystore, self.maker.now
         there = keystore.root / _layout.enclave_folder(name)
-        with _journal.disk_errors(there):
+        with disk_errors(there):
             old = self.inspector.certificate(name, there)
             allowed = self.inspector.permissions(name, there)
             rekey = self._rekey(name, (there / _layout.KEY).exists())
-            keys = self._new_keys(folder) if rekey else self._kept_keys(old)
+            keys = self.maker.new_keys(folder) if rekey else self._kept_keys(name, old)
         validity = self.terms.validity or _length(old)
         certificate = self.maker.authorities.identity.issue(
-            name, keys[0], alternative=keys[1], now=now, validity=validity
+            name, keys.key, alternative=keys.alternative, now=now, validity=validity
         )
         permissions = Permissions(
             grants=tuple(_moved(grant, old, certificate) for grant in allowed.grants)
@@ -213,13 +109,7 @@ class Renewer:
             )
         return has_key if self.terms.rekey is None else self.terms.rekey
 
-    def _new_keys(self, folder: DraftedFolder) -> tuple[PublicKey, PublicKey | None]:
-        keys = Keys.generate(self.maker.keystore.profile)
-        keys.draft(folder)
-        second = keys.alternative
-        return keys.key.public_key, second.public_key if second else None
-
-    def _kept_keys(self, old: Certificate) -> tuple[PublicKey, PublicKey | None]:
+    def _kept_keys(self, name: str, old: Certificate) -> PublicKeys:
         """Those in the certificate: the private ones may be elsewhere."""
         profile = self.maker.keystore.profile
         if not keys_fit(old, profile):
@@ -227,13 +117,19 @@ class Renewer:
                 f"the keys of {old.subject_name} are not of profile {profile.name}",
                 hint="renew it with --rekey",
             )
-        return old.public_key, old.alternative_key
+        keys = PublicKeys(old.public_key, old.alternative_key)
+        if not self.terms.compromised_keys:
+            refuse_compromised(self.inspector.compromised, name, keys[:2])
+        return keys
 
 
 def keys_fit(certificate: Certificate, profile: Profile) -> bool:
     """Whether its keys are of the kinds that the profile wants of participants."""
-    second = certificate.alternative_key
-    kinds = (certificate.public_key.algorithm, second.algorithm if second else None)
+    try:
+        first, second = certificate.public_key, certificate.alternative_key
+    except UnknownAlgorithmError:  # of a certificate that was adopted
+        return False
+    kinds = (first.algorithm, second.algorithm if second else None)
     return kinds == (profile.participant_key, profile.alternative_key)
 
 

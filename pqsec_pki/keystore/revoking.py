@@ -4,14 +4,12 @@ All of it is one change. The list is made from the ledger; it lies once, in publ
 each enclave has a link to it, so a new list reaches all of them in one rename.
 """
 
-import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from pqsec_pki.certificates import (
     Authority,
-    Certificate,
     Reason,
     RevocationList,
     RevokedCertificate,
@@ -20,10 +18,15 @@ from pqsec_pki.certificates import (
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import Draft
+from pqsec_pki.keystore._draft import Draft
+from pqsec_pki.keystore._entries import list_entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import refuse_overlap
+
+COMPROMISE = "compromise"
+"""The kind of the ledger's lines on what was revoked for another reason before."""
 
 LIST_VALIDITY = timedelta(days=365)
 """Once a list has ended, stacks that were given it refuse everybody: it lasts as long as
@@ -57,8 +60,9 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     """Take back what `subjects` name, and make a new list; all of it or nothing.
 
     A subject is a participant, which means all its certificates that have not expired,
-    or one certificate's serial number in hex. What was revoked before stays so.
-    KeystoreError for a subject the ledger does not know or that has expired.
+    or one certificate's serial number in hex. What was revoked before stays so, since then
+    and for its reason; only that a key is compromised may become known later. KeystoreError
+    for a subject the ledger does not know or that has expired.
     """
     with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
@@ -67,11 +71,14 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
             for subject in subjects
             for each in _certificates(ledger, subject, now)
         }
-        before = {each.sha256: each for each in ledger.of_kind("revocation")}
-        new = [_revocation(each, reason, now) for each in chosen.values()]
-        new = [each for each in new if each.sha256 not in before]
+        before = _taken_back(ledger)
+        new = [
+            _revocation(each, reason, now, again=each.sha256 in before)
+            for each in chosen.values()
+            if _is_news(before.get(each.sha256), reason)
+        ]
         made = Publisher(keystore, authorities.identity, ledger, now).publish(draft, new, validity)
-    after = before | {each.sha256: each for each in new}
+    after = _merged((*before.values(), *new))
     listed = {each.serial_number for each in made.revoked}
     return [_told(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
 
@@ -100,7 +107,11 @@ class Publisher:
     now: datetime
 
     def publish(self, draft: Draft, new: Sequence[Entry], validity: timedelta) -> RevocationList:
-        """Draft the next list, with `new` revocations, and the links to it that are missing."""
+        """Draft the next list, with `new` revocations, and the links to it that are missing.
+
+        KeystoreError while two identity CAs are trusted: a list of one is none of the other.
+        """
+        refuse_overlap(self.keystore, "a revocation list would be of one of them only")
         made = self.draft(draft, new, validity)
         for place, target in _missing_links(self.keystore):
             draft.link(place, target)
@@ -143,7 +154,7 @@ class Publisher:
     ) -> list[RevokedCertificate]:
         """What the ledger says; and what only the old list does, if the ledger was lost."""
         listed = {each.serial_number: each for each in old.revoked} if old else {}
-        for entry in (*self.ledger.of_kind("revocation"), *new):
+        for entry in _merged((*_taken_back(self.ledger).values(), *new)).values():
             if entry.issuer != self._issuer:
                 continue
             # RFC 5280 3.3: an entry goes once a list later than the certificate had it
@@ -153,20 +164,6 @@ class Publisher:
             else:
                 listed[entry.serial_number] = _revoked(entry)
         return list(listed.values())
-
-
-def list_entry(made: RevocationList, pem: bytes, issuer: Certificate, now: datetime) -> Entry:
-    """The ledger's line on a list; `pem` is its file."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind="crl",
-        name="",
-        serial=None,
-        sha256=hashlib.sha256(pem).hexdigest(),
-        not_after=made.next_update.isoformat() if made.next_update else None,
-        issuer=issuer.fingerprint,
-        details={"number": str(made.number or 0), "revoked": str(len(made.revoked))},
-    )
 
 
 def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
@@ -196,11 +193,30 @@ def _name(subject: str) -> str:
         return subject
 
 
-def _revocation(line: Entry, reason: Reason, now: datetime) -> Entry:
+def _taken_back(ledger: Ledger) -> dict[str, Entry]:
+    """The ledger's revocations, by the certificate's hash."""
+    return _merged((*ledger.of_kind("revocation"), *ledger.of_kind(COMPROMISE)))
+
+
+def _merged(lines: Iterable[Entry]) -> dict[str, Entry]:
+    """The first line on each certificate, with the reason that the last one gives."""
+    found: dict[str, Entry] = {}
+    for line in lines:
+        first = found.get(line.sha256, line)
+        found[line.sha256] = replace(first, details=line.details)
+    return found
+
+
+def _is_news(before: Entry | None, reason: Reason) -> bool:
+    known = before.details.get("reason") if before else None
+    return before is None or (reason is Reason.KEY_COMPROMISE and known != reason.value)
+
+
+def _revocation(line: Entry, reason: Reason, now: datetime, *, again: bool) -> Entry:
     return replace(
         line,
         at=now.isoformat(timespec="seconds"),
-        kind="revocation",
+        kind=COMPROMISE if again else "revocation",
         details={"reason": reason.value},
     )
 

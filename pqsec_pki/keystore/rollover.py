@@ -1,14 +1,21 @@
 """What a rollover shall be, and whom it takes along: known before anything is done."""
 
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
 from enum import StrEnum
 
+from pqsec_pki._files import disk_errors
+from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
+from pqsec_pki.certificates import BACKDATE, Certificate
+from pqsec_pki.documents import Permissions
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import _journal, _layout
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._inspector import Inspector
+from pqsec_pki.keystore.compromised import KEYS, keys_detail
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.renewing import Inspector, keys_fit
+from pqsec_pki.keystore.renewing import keys_fit
+from pqsec_pki.smime import document_in
 
 CA_VALIDITY = timedelta(days=3650)
 
@@ -42,28 +49,56 @@ def check_scope(keystore: Keystore, terms: Rollover) -> None:
     if terms.scope is not Scope.BOTH and terms.profile.to_names() != keystore.profile.to_names():
         raise UsageError(
             "another profile is for both CAs",
-            hint="leave --only out, or --profile",
+            hint="leave --profile out; or --only and --overlap",
         )
 
 
 def generation(keystore: Keystore) -> int:
     """Which generation of CAs the keystore has now, counted from 1."""
-    with _journal.disk_errors(keystore.root):
+    with disk_errors(keystore.root):
         found = (keystore.root / _layout.GENERATIONS).glob("[0-9]*")
-        return 1 + max((int(path.name) for path in found if path.name.isdigit()), default=0)
+        return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
 
 
-def stay_behind(keystore: Keystore, terms: Rollover, inspector: Inspector) -> dict[str, str]:
-    """The participants that cannot come along, and why."""
+def stay_behind(
+    keystore: Keystore, terms: Rollover, inspector: Inspector, now: datetime
+) -> dict[str, str]:
+    """The participants that cannot come along, and why.
+
+    KeystoreError for one whose files are not the newest that the ledger knows. That the CAs
+    signed them is not looked at: it takes long for thousands.
+    """
     names = keystore.names()
+    stranded = set(inspector.stranded_of(names))
     behind = dict.fromkeys(inspector.revoked_of(names), "revoked")
-    for name in names:
+    others = [name for name in names if name not in behind]
+
+    def why(name: str) -> str:
         folder = keystore.root / _layout.enclave_folder(name)
-        if name in behind or (folder / _layout.KEY).exists():
-            continue
-        if not keys_fit(inspector.certificate(name, folder), terms.profile):
-            behind[name] = "its key is not here, and of another kind: it needs a new request"
-    return behind
+        certificate = inspector.certificate(name, folder)
+        has_key = (folder / _layout.KEY).exists()
+        if name in stranded:
+            return "it stayed behind before: an earlier CA issued it"
+        if not (has_key or keys_fit(certificate, terms.profile)):
+            return "its key is not here, and of another kind: it needs a new request"
+        if not has_key and _is_compromised(inspector, certificate):
+            return "its key is not here, and compromised: it needs a new request"
+        ended = _ended(inspector.signed_permissions(name, folder), certificate, now)
+        return f"what it was allowed ended on {ended:%Y-%m-%d}" if ended else ""
+
+    reasons = zip(others, shared_out(why, others), strict=True)
+    return behind | {name: reason for name, reason in reasons if reason}
+
+
+def _ended(signed: bytes, certificate: Certificate, now: datetime) -> datetime | None:
+    """When a policy took back what its holder was allowed, if it did before the certificate."""
+    own = certificate.subject_name
+    ends = [
+        grant.not_after
+        for grant in Permissions.from_xml(document_in(signed)).grants
+        if grant.subject_name == own and grant.not_after < certificate.not_after
+    ]
+    return min((end for end in ends if end <= now - BACKDATE), default=None)
 
 
 def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: str) -> bool:
@@ -71,4 +106,12 @@ def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: s
     folder = keystore.root / _layout.enclave_folder(name)
     if not (folder / _layout.KEY).exists():  # it was made elsewhere, and fits
         return False
-    return terms.rekey or not keys_fit(inspector.certificate(name, folder), terms.profile)
+    certificate = inspector.certificate(name, folder)
+    fits = keys_fit(certificate, terms.profile)
+    return terms.rekey or not fits or _is_compromised(inspector, certificate)
+
+
+def _is_compromised(inspector: Inspector, certificate: Certificate) -> bool:
+    """Whether one with the same key was revoked for that."""
+    hashes = keys_detail(certificate).get(KEYS, "").split()
+    return any(each in inspector.compromised for each in hashes)

@@ -4,54 +4,27 @@ The CAs that go need not be unlocked, unless one of the two stays: what they sig
 checked with their certificates. They are kept in private/generations/, or destroyed.
 """
 
-import hashlib
 import re
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki._files import read
-from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import KeystoreError, UsageError, located
+from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._journal import Draft, DraftedFolder
-from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore._making import Issued, Maker
-from pqsec_pki.keystore.authorities import Authorities, document_entry
-from pqsec_pki.keystore.keystore import Keystore, settings_file
-from pqsec_pki.keystore.renewing import Inspector, Renewal, Renewer
-from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher
+from pqsec_pki.keystore._inspector import Inspector
+from pqsec_pki.keystore._making import Issued
+from pqsec_pki.keystore._turn import Turn
+from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import WAIT, Overlap, Phase, refuse_overlap
 from pqsec_pki.keystore.rollover import (
     Rollover,
     Scope,
     check_scope,
     generation,
-    gets_keys,
     stay_behind,
 )
-
-_IDENTITY = (
-    f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
-    f"{_layout.PUBLIC}/{_layout.CA_LIST}",
-    f"{_layout.PRIVATE}/{_layout.IDENTITY_KEY}",
-    f"{_layout.PRIVATE}/{_layout.IDENTITY_ALT_KEY}",
-)
-_PERMISSIONS = (
-    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
-    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_ALT_CA}",
-    f"{_layout.PRIVATE}/{_layout.PERMISSIONS_KEY}",
-    f"{_layout.PRIVATE}/{_layout.PERMISSIONS_ALT_KEY}",
-)
-# SROS2's one CA, to which the names above are links.
-_SROS2 = (f"{_layout.PUBLIC}/ca.cert.pem", f"{_layout.PRIVATE}/ca.key.pem")
-_PLACES = {
-    Scope.BOTH: (*_IDENTITY, *_PERMISSIONS, *_SROS2),
-    Scope.IDENTITY: _IDENTITY,
-    Scope.PERMISSIONS: _PERMISSIONS,
-}
-"""Scope -> the files of the CAs that make way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,31 +43,39 @@ class Rotated:
     """Whether there is a new revocation list, with nothing in it."""
 
 
-def rotate(
+def rotate(  # noqa: PLR0913 -- what follows, by what, and when, all by name
     keystore: Keystore,
     terms: Rollover,
     *,
     kept: Authorities | None = None,
     passphrase: bytes | None,
     now: datetime,
+    successor: Authority | None = None,
 ) -> Rotated:
     """New CAs, and with them every participant and document anew; all of it or nothing.
 
     `kept` are the keystore's CAs, needed where one of them stays. The new keys are
-    encrypted under `passphrase`. KeystoreError for a participant whose files are not the
-    newest that the ledger knows, or whose keys cannot be made anew here; VerificationError
+    encrypted under `passphrase`. `successor` is the identity CA that an overlap began with
+    (`overlapping.py`): it issues from now on, and the old one stays trusted. KeystoreError
+    for a participant whose files are not the newest that the ledger knows, or whose keys
+    cannot be made anew here, and during an overlap without its successor; VerificationError
     for documents that the old permissions CA did not sign; UsageError for another profile
     while one CA stays.
     """
     check_scope(keystore, terms)
     new = replace(keystore, profile=terms.profile)
     with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+        _check_overlap(keystore, successor)
         number = generation(keystore)
-        authorities = _authorities(keystore, terms, number + 1, kept, now)
+        authorities = _authorities(
+            keystore, terms, number + 1, kept=kept, successor=successor, now=now
+        )
         inspector = Inspector.of(keystore, ledger)
-        left_out = stay_behind(keystore, terms, inspector)
+        left_out = stay_behind(keystore, terms, inspector, now)
         governances = {each.sha256: each.details for each in ledger.of_kind("governance")}
-        turn = _Turn(keystore, new, terms, authorities, draft, inspector, governances, now)
+        turn = Turn(
+            keystore, new, terms, authorities, draft, inspector, governances, now, successor
+        )
         turn.archive(number)
         turn.write_authorities(passphrase)
         turn.sign_governance()
@@ -110,19 +91,51 @@ def rotate(
     )
 
 
-def _authorities(
-    keystore: Keystore, terms: Rollover, number: int, kept: Authorities | None, now: datetime
+def _check_overlap(keystore: Keystore, successor: Authority | None) -> None:
+    """KeystoreError if CAs would make way for others than those that an overlap is about."""
+    if successor is None:
+        refuse_overlap(keystore, WAIT)
+        return
+    overlap = Overlap.of(keystore)
+    trusted = overlap.other if overlap and overlap.phase is Phase.BEGUN else None
+    if trusted is None or trusted.der != successor.certificate.der:
+        raise KeystoreError(
+            f"{successor.certificate.subject_name} is not the CA that will issue next",
+            hint="run the command again",
+        )
+
+
+def _authorities(  # noqa: PLR0913 -- of this module only
+    keystore: Keystore,
+    terms: Rollover,
+    number: int,
+    *,
+    kept: Authorities | None,
+    successor: Authority | None,
+    now: datetime,
 ) -> Authorities:
-    name = terms.name if terms.name is not None else _name(keystore.identity_ca, number)
-    new = Authorities.create(terms.profile, name, now=now, validity=terms.validity)
     if terms.scope is Scope.BOTH:
-        return new
+        return new_authorities(keystore, terms, number, now)
     if kept is None:
         raise UsageError("one CA stays, and its key is needed")
     kept.refuse_outdated(keystore.root)
+    if successor:
+        return replace(kept, identity=successor)
+    new = new_authorities(keystore, terms, number, now)
     if terms.scope is Scope.IDENTITY:
         return replace(kept, identity=new.identity)
     return replace(new, identity=kept.identity)
+
+
+def new_authorities(keystore: Keystore, terms: Rollover, number: int, now: datetime) -> Authorities:
+    """CAs of generation `number`, called as `terms` say or after the keystore's."""
+    name = terms.name if terms.name is not None else _name(keystore.identity_ca, number)
+    try:
+        return Authorities.create(terms.profile, name, now=now, validity=terms.validity)
+    except UsageError as error:
+        if terms.name is None and error.hint is None:
+            error.hint = "say how the new CAs shall be called: --name"
+        raise
 
 
 def _name(old: Certificate, number: int) -> str:
@@ -131,110 +144,3 @@ def _name(old: Certificate, number: int) -> str:
     base = (found[1] if found else "").removesuffix("Identity CA").strip()
     base = re.sub(r"(^| )G[0-9]+$", "", base)
     return f"{base} G{number}".strip()
-
-
-@dataclass(frozen=True, slots=True)
-class _Turn:
-    """One rollover, while the keystore is locked."""
-
-    old: Keystore
-    new: Keystore
-    terms: Rollover
-    authorities: Authorities
-    draft: Draft
-    inspector: Inspector
-    governances: dict[str, dict[str, str]]
-    """SHA-256 of the signed ones -> what the ledger has on them, for whoever looks there."""
-    now: datetime
-
-    def archive(self, number: int) -> None:
-        """Copies of what makes way; its private keys instead destroyed, if that is wanted."""
-        folder = self.draft.folder(f"{_layout.GENERATIONS}/{number}", private=True)
-        for place in self._making_way():
-            path = self.old.root / place
-            if not place.startswith(_layout.PRIVATE):
-                folder.public(path.name, read(path))
-            elif not self.terms.destroy:
-                folder.private(path.name, read(path))
-            elif path.resolve().parent != path.parent.resolve():
-                raise KeystoreError(f"{path} is a link: what it shows is not destroyed from here")
-            else:
-                self.draft.shred(place)
-
-    def write_authorities(self, passphrase: bytes | None) -> None:
-        """The new CAs and the settings; files of the old that have no successor go."""
-        public = self.draft.folder(_layout.PUBLIC, private=False)
-        private = self.draft.folder(_layout.PRIVATE, private=True)
-        self.authorities.write(public, private, passphrase)
-        drafted = (*Path(public.path).iterdir(), *Path(private.path).iterdir())
-        written = {_layout.CA_LIST, *(path.name for path in drafted)}
-        for place in self._making_way():
-            if Path(place).name not in written:
-                self.draft.remove(place)
-        settings = self.draft.folder(".", private=False)
-        settings.public(_layout.SETTINGS, settings_file(self.new.profile, self.new.domains))
-        self.draft.record(*self.authorities.entries(self.now))
-
-    def sign_governance(self) -> None:
-        """What the old permissions CA signed, signed by the new."""
-        enclaves = self.draft.folder(_layout.ENCLAVES, private=False)
-        self._sign(self.old.root / _layout.ENCLAVES / _layout.GOVERNANCE, enclaves, "")
-
-    def reissue(self, names: Sequence[str]) -> list[Issued]:
-        """Every participant in `names`, with its links, and without what it needs no more."""
-        folders = [self.draft.folder(_layout.enclave_folder(name), private=False) for name in names]
-        with ThreadPoolExecutor() as pool:
-            # Signing does not hold the interpreter, so threads use every core.
-            issued = list(pool.map(self._make, names, folders))
-        for each, folder in zip(issued, folders, strict=True):
-            self.draft.record(*each.entries)
-            governance = self._enclave(each.name) / _layout.GOVERNANCE
-            if governance.exists() and not governance.is_symlink():  # adopted: its own
-                self._sign(governance, folder, each.name)
-            self._tidy(each.name, folder)
-        return issued
-
-    def publish_list(self, ledger: Ledger) -> bool:
-        """A list of the new identity CA's, where there was one of the old's."""
-        wanted = self.terms.scope is not Scope.PERMISSIONS and self.old.has_revocation_list
-        if wanted:
-            publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
-            publisher.draft(self.draft, [], LIST_VALIDITY)
-        return wanted
-
-    def _making_way(self) -> list[str]:
-        return [place for place in _PLACES[self.terms.scope] if (self.old.root / place).exists()]
-
-    def _enclave(self, name: str) -> Path:
-        return self.old.root / _layout.enclave_folder(name)
-
-    def _make(self, name: str, folder: DraftedFolder) -> Issued:
-        maker = Maker(self.new, self.authorities, self.now)
-        renewal = Renewal(rekey=gets_keys(self.old, self.terms, self.inspector, name))
-        return Renewer(maker, self.inspector, renewal).make(name, folder)
-
-    def _sign(self, path: Path, folder: DraftedFolder, name: str) -> None:
-        old = read(path)
-        with located(path):
-            document = self.inspector.verified(old)
-        signed = self.authorities.sign(document, now=self.now)
-        folder.public(_layout.GOVERNANCE, signed)
-        details = self.governances.get(hashlib.sha256(old).hexdigest(), {})
-        self.draft.record(
-            replace(document_entry("governance", name, signed, self.now), details=details)
-        )
-
-    def _tidy(self, name: str, drafted: DraftedFolder) -> None:
-        """Links where they should be, and nothing left of keys that the profile lacks."""
-        folder = _layout.enclave_folder(name)
-        shared = _layout.CA_TARGETS | (_layout.LIST_TARGET if self.old.has_revocation_list else {})
-        if self.authorities.countersigner:
-            shared |= _layout.ALT_TARGET
-        else:
-            self.draft.remove(f"{folder}/{_layout.PERMISSIONS_ALT_CA}")
-        if not self.new.profile.alternative_key:
-            self.draft.remove(f"{folder}/{_layout.ALT_KEY}")
-        for link, target in _layout.shared_links(name, shared).items():
-            there = self.old.root / folder / link
-            if not (there.is_symlink() and str(there.readlink()) == target):
-                drafted.link(link, target)  # takes the place of a file, where one was adopted

@@ -5,18 +5,20 @@ change with its line in the ledger.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+from pqsec_pki._files import disk_errors
+from pqsec_pki._processes import shared_out
 from pqsec_pki.documents import Governance
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import DraftedFolder
-from pqsec_pki.keystore.authorities import Authorities, document_entry
+from pqsec_pki.keystore._draft import DraftedFolder
+from pqsec_pki.keystore._entries import document_entry
+from pqsec_pki.keystore._inspector import Inspector
+from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.issuing import Wish, permissions_for
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.renewing import Inspector
 from pqsec_pki.smime import document_in
 
 
@@ -36,9 +38,7 @@ def permit(
         inspector.refuse_revoked(names)
         folders = [draft.folder(_layout.enclave_folder(name), private=False) for name in names]
         signer = _Signer(keystore, authorities, inspector, now)
-        with ThreadPoolExecutor() as pool:
-            # Signing does not hold the interpreter, so threads use every core.
-            draft.record(*pool.map(signer.permit, names, wishes, folders))
+        draft.record(*shared_out(signer.permit, names, wishes, folders))
 
 
 def govern(
@@ -77,7 +77,7 @@ class _Signer:
 
     def permit(self, name: str, wish: Wish, folder: DraftedFolder) -> Entry:
         there = self.keystore.root / _layout.enclave_folder(name)
-        with _journal.disk_errors(there):
+        with disk_errors(there):
             certificate = self.inspector.certificate(name, there)
         document = permissions_for(wish, certificate).to_xml()
         signed = self.authorities.sign(document, now=self.now)

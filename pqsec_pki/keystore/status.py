@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
 
+from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._journal import disk_errors
-from pqsec_pki.keystore.authorities import certificate_entry
+from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap
 
 
 class State(StrEnum):
@@ -47,8 +48,6 @@ class Standing:
     """None where the ledger does not tell, for what was issued before it did."""
     domains: str | None
     """Where it was allowed anything when it was issued: 0,2-5."""
-    mark: str | None
-    """What the wish it was issued by was marked with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +55,7 @@ class Term:
     """How long something lasts that all share: a CA, or the revocation list."""
 
     kind: str
-    """identity-ca, permissions-ca, countersigner or crl."""
+    """identity-ca, permissions-ca, countersigner, trusted-too (overlap.py) or crl."""
     name: str
     state: State
     not_after: datetime
@@ -127,7 +126,6 @@ def status(
             serial=entry.serial or "",
             profile=entry.details.get("profile"),
             domains=entry.details.get("domains"),
-            mark=entry.details.get("mark"),
         )
 
     ordered = sorted(
@@ -139,10 +137,12 @@ def status(
 
 
 def _authorities(keystore: Keystore, now: datetime, due: timedelta | None) -> Iterator[Term]:
-    """The CAs that are in use, by their certificates."""
+    """The CAs that are in use, by their certificates; also one that is trusted beside."""
     signers = (keystore.permissions_ca, keystore.permissions_alt_ca)
-    kinds = ("identity-ca", "permissions-ca", "countersigner")
-    for kind, each in zip(kinds, (keystore.identity_ca, *signers), strict=True):
+    overlap = Overlap.of(keystore)
+    kinds = ("identity-ca", "permissions-ca", "countersigner", "trusted-too")
+    others = (*signers, overlap.other if overlap else None)
+    for kind, each in zip(kinds, (keystore.identity_ca, *others), strict=True):
         if each:
             yield _term(certificate_entry(kind, each.subject_name, each, each.not_before), now, due)
 

@@ -2,34 +2,20 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
-from pathlib import Path
 
 from pqsec_pki.documents import Governance, Grant, Node, Permissions, Tree, read_tree, validate
 from pqsec_pki.errors import InvalidDocumentError, PqsecError, Problem
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Found
 
 
 @dataclass(frozen=True)
-class Document:
+class Document(Content):
     """A governance or permissions document, bare or signed.
 
     What cannot be told to be one of the two is of this class itself.
     """
-
-    file: File
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-        return self.file.path
-
-    @property
-    def now(self) -> datetime:
-        """The time of the check."""
-        return self.file.now
 
     @cached_property
     def xml(self) -> bytes | None:

@@ -171,7 +171,8 @@ def unreadable(file: CertificateFile) -> Iterator[Found]:
     why="Cyclone DDS and OpenDDS read the first one and no intermediate CAs; Fast DDS reads"
     " all of a CA file, and 3.x checks the first of them strictly.",
     mend="Leave one in the file: the self-signed CA, or the participant's own. For two CAs,"
-    " issue all participants under one.",
+    " issue all participants under one. An overlap of two ends with `pqsec ca rotate --overlap"
+    " finish`.",
     rows=(
         "identity_ca=root, cert.pem=leaf+intermediate", "identity_ca=root+int, cert=leaf",
         "two CAs in file, right one second", "…, CA file = root+intermediate",

@@ -69,3 +69,20 @@ class File:
             return True
         head = self.data[:65536].replace(b"\0", b"")  # so that UTF-16 shows its tags too
         return bool(re.search(rb"(?i)<(dds|domain_access_rules|permissions)[\s>/]", head))
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is in a file."""
+
+    file: File
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        return self.file.path
+
+    @property
+    def now(self) -> datetime:
+        """The time of the check."""
+        return self.file.now

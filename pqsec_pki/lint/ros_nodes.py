@@ -19,7 +19,7 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
     "PQS267", ERROR, PermissionsFile, "a ROS 2 node without get_type_description",
     why="Since Iron every node offers that service, and dies in its constructor when it may not;"
     " SROS2's own sample policy lacks it.",
-    mend="Allow its topics, or import the policy with `pqsec permissions import`, which adds them.",
+    mend="Allow its topics, or make them of the policy with `pqsec permissions import --complete`.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
 )  # fmt: skip

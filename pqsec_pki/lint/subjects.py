@@ -15,7 +15,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import Content, File
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 PERMISSIONS, GOVERNANCE = "permissions.p7s", "governance.p7s"
@@ -25,20 +25,8 @@ SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 
 
 @dataclass(frozen=True)
-class CertificateFile:
+class CertificateFile(Content):
     """A file with certificates in PEM; `certificates` are those that can be read."""
-
-    file: File
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-        return self.file.path
-
-    @property
-    def now(self) -> datetime:
-        """The time of the check."""
-        return self.file.now
 
     @cached_property
     def _parsed(self) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:

@@ -9,24 +9,23 @@ In `.pqsec-check.yaml`, in the folder that is checked:
         until: 2027-06-30            # optional: the last day it holds
 """
 
+import re
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import date
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from pqsec_pki._files import read
-from pqsec_pki.errors import PqsecError, UsageError
+from pqsec_pki import _files
+from pqsec_pki.documents.parts_yaml import Item, Text, each, fields, read, refused
+from pqsec_pki.errors import InvalidDocumentError, PqsecError, UsageError, shown
 from pqsec_pki.lint.rule import Finding, Found
-
-if TYPE_CHECKING:
-    from yaml.nodes import MappingNode, Node
 
 FILE_NAME = ".pqsec-check.yaml"
 MAX_FILE = 256 << 10
 """Bytes. A thousand suppressions are 100 kB."""
-_KEYS = {"rule", "path", "reason", "until"}
+_REMARKS = re.compile(rb"(?m)^[ \t]*#.*$")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -93,85 +92,50 @@ def from_option(text: str) -> Suppression:
 
 def read_suppressions(path: Path) -> tuple[tuple[Suppression, ...], tuple[Found, ...]]:
     """The entries of the file, and what is wrong with it; nothing in it raises."""
-    import yaml  # noqa: PLC0415 -- few runs have such a file
-
-    try:
-        root = yaml.compose(read(path, limit=MAX_FILE), yaml.SafeLoader)
-        lists = _members(root)
-    except (PqsecError, yaml.YAMLError, RecursionError, ValueError) as error:
-        reason = str(error).removeprefix(f"{path}: ").splitlines()[0]
-        return (), (Found(f"cannot be read: {reason}"),)
-    broken = [Found(f"knows no {name!r}, only ignore", line) for name, line in lists.unknown]
     entries: list[Suppression] = []
-    for item in lists.items:
-        try:
-            entries.append(_entry(item))
-        except ValueError as error:
-            broken.append(Found(str(error), item.start_mark.line + 1))
+    broken: list[Found] = []
+    try:
+        data = _files.read(path, limit=MAX_FILE)
+        if _REMARKS.sub(b"", data).strip():
+            read(data, lambda item: fields(item, {"ignore": partial(_read_all, into=entries)}))
+    except InvalidDocumentError as error:
+        broken = [Found(each.message, each.line) for each in error.problems]
+    except PqsecError as error:
+        broken = [Found(f"cannot be read: {str(error).removeprefix(f'{path}: ')}")]
     return tuple(entries), tuple(broken)
 
 
-@dataclass(frozen=True, slots=True)
-class _Members:
-    items: "tuple[MappingNode, ...]"
-    unknown: tuple[tuple[str, int], ...]
+def _read_all(item: Item, *, into: list[Suppression]) -> None:
+    """Those that can be read hold, whatever is wrong with others."""
+    each(item, lambda one: into.append(_entry(one)))
 
 
-def _members(root: "Node | None") -> _Members:
-    """The entries under `ignore`; ValueError if the file is of another shape."""
-    from yaml.nodes import MappingNode, SequenceNode  # noqa: PLC0415
-
-    if root is None:
-        return _Members((), ())
-    if not isinstance(root, MappingNode):
-        raise ValueError("not a mapping with `ignore:` and a list under it")  # noqa: TRY004
-    items: list[MappingNode] = []
-    unknown: list[tuple[str, int]] = []
-    for key, value in root.value:
-        if key.value != "ignore":
-            unknown.append((_text(key), key.start_mark.line + 1))
-        elif not isinstance(value, SequenceNode):
-            raise ValueError("`ignore:` wants a list under it")
-        elif items:  # with aliases, a small file could so say millions
-            raise ValueError("`ignore:` comes twice")
-        else:
-            items += value.value
-    if not all(isinstance(item, MappingNode) for item in items):
-        raise ValueError("each entry of `ignore:` says rule and reason")
-    return _Members(tuple(items), tuple(unknown))
-
-
-def _entry(item: "MappingNode") -> Suppression:
-    """One entry; ValueError says what it lacks. A missing reason is a rule's business."""
-    words = {_text(key): _text(value) for key, value in item.value}
-    if len(words) < len(item.value):
-        raise ValueError("an entry says something twice")
-    if unknown := sorted(words.keys() - _KEYS):
-        raise ValueError(f"knows no {unknown[0]!r}, only {', '.join(sorted(_KEYS))}")
-    if not words.get("rule"):
-        raise ValueError("an entry says no rule")
+def _entry(item: Item) -> Suppression:
+    """One entry. A missing reason is a rule's business."""
+    readers = {"rule": _words, "path": _words, "reason": _words, "until": _day}
+    said = fields(item, readers, required=("rule",))
     return Suppression(
-        rule=words["rule"].strip(),
-        reason=words.get("reason", "").strip(),
-        path=words.get("path", "*"),
-        until=_day(words["until"]) if "until" in words else None,
-        line=item.start_mark.line + 1,
+        rule=said["rule"].strip(),
+        reason=said.get("reason", "").strip(),
+        path=said.get("path", "*"),
+        until=said.get("until"),
+        line=item.line,
     )
 
 
-def _text(node: "Node") -> str:
-    from yaml.nodes import ScalarNode  # noqa: PLC0415
+def _words(item: Item) -> str:
+    """Plain text, as a person writes it: a date or a number needs no quotes here."""
+    if not isinstance(item, Text):
+        raise refused(item, "plain text is wanted here")
+    return item.text
 
-    if not isinstance(node, ScalarNode):
-        raise ValueError("the words of an entry, and what they say, are plain text")  # noqa: TRY004
-    return str(node.value)
 
-
-def _day(text: str) -> date:
+def _day(item: Item) -> date:
+    words = _words(item)
     try:
-        return date.fromisoformat(text)
+        return date.fromisoformat(words)
     except ValueError:
-        raise ValueError(f"until: {text!r} is no day such as 2027-06-30") from None
+        raise refused(item, f"{shown(words)!r} is no day such as 2027-06-30") from None
 
 
 def _below(path: Path, folder: Path) -> str | None:

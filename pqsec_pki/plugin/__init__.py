@@ -8,6 +8,7 @@ and answers with the rooms of this package; private keys never enter the DDS pro
 from pqsec_pki.plugin.build import LIBRARY, NAMES, Built, build
 from pqsec_pki.plugin.control import Status, agent_status, stop_agent
 from pqsec_pki.plugin.place import Place
+from pqsec_pki.plugin.units import home, units_folder
 
 __all__ = [
     "LIBRARY",
@@ -17,5 +18,7 @@ __all__ = [
     "Status",
     "agent_status",
     "build",
+    "home",
     "stop_agent",
+    "units_folder",
 ]

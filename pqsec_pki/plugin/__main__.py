@@ -1,10 +1,11 @@
 """The agent as a process: `python -I -m pqsec_pki.plugin [--detach] SOCKET [IDLE-SECONDS]`.
 
-The shim starts it so, without the command line's weight. With --detach the process ends
-once it listens, and a child goes on. The log goes to stderr. Like the command line it has
-a clock; nothing else in the room has.
+The shim calls `start` with such words, without the command line's weight. With --detach the
+process ends once it listens, and a child goes on. The log goes to stderr. Like the command
+line it has a clock; nothing else in the room has.
 """
 
+import gc
 import os
 import stat
 import sys
@@ -18,7 +19,7 @@ from pqsec_pki.plugin.server import Agent
 
 IDLE_SECONDS = 300.0
 MAX_LOG = 1 << 20
-"""Bytes; then it begins anew."""
+"""Bytes; then its older half goes."""
 
 
 def _now() -> datetime:
@@ -29,9 +30,18 @@ def _log(line: str) -> None:
     with suppress(OSError):  # a full disk is no reason to end
         status = os.fstat(sys.stderr.fileno())
         if stat.S_ISREG(status.st_mode) and status.st_size > MAX_LOG:
-            os.ftruncate(sys.stderr.fileno(), 0)
+            _halve(sys.stderr.fileno())
         sys.stderr.write(f"{_now():%Y-%m-%dT%H:%M:%SZ} {line}\n")
         sys.stderr.flush()
+
+
+def _halve(handle: int) -> None:
+    with Path(f"/proc/self/fd/{handle}").open("rb") as file:
+        file.seek(-MAX_LOG // 2, os.SEEK_END)
+        _, _, kept = file.read().partition(b"\n")
+    os.ftruncate(handle, 0)
+    os.lseek(handle, 0, os.SEEK_SET)
+    os.write(handle, kept)
 
 
 def _detach() -> None:
@@ -42,6 +52,8 @@ def _detach() -> None:
 
 def main(arguments: list[str]) -> int:
     """0 when it has ended, 3 if it could not begin."""
+    gc.freeze()  # what was imported stays
+    gc.enable()
     os.closerange(3, 1 << 20)  # what a careless host left open
     detach = arguments[:1] == ["--detach"]
     place, *more = arguments[detach:]
@@ -54,5 +66,10 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-if __name__ == "__main__":
+def start() -> None:
+    """Run with the words of the command line."""
     sys.exit(main(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    start()

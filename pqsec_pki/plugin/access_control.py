@@ -13,9 +13,10 @@ from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import VerificationError, located
 from pqsec_pki.handshake import DataHolder, PermissionsToken
 from pqsec_pki.plugin import attributes, credentials, identity
-from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY, Clock
+from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY
 from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.handles import Handles
+from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
 from pqsec_pki.plugin.rights import Own, Rights, Signers, Theirs, anywhere
 
@@ -57,7 +58,7 @@ class AccessControl:
             message=message,
             identity=identity_handle,
         )
-        return _OK, self._handles.add(rights), rights.end(now)
+        return _OK, self._handles.add(rights), rights.end(now, signers)
 
     def validate_remote_permissions(
         self, identity_handle: int, peer: int, token: DataHolder, credential: DataHolder
@@ -77,7 +78,7 @@ class AccessControl:
             governance=own.governance,
             permissions=granted,
         )
-        return _OK, self._handles.add(rights), rights.end(now)
+        return _OK, self._handles.add(rights), rights.end(now, own.signers)
 
     # The handle tells whose rights they are: a check of the local participant's own is made as
     # it makes a thing, of a peer's as the thing is discovered.

@@ -7,9 +7,8 @@ DDS-Security and the values; a refusal is a PqsecError.
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from enum import IntEnum
-from typing import TypeAlias
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown
@@ -33,20 +32,16 @@ from pqsec_pki.handshake import (
 from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
-from pqsec_pki.plugin.meetings import Handshake, Relation, Remote
+from pqsec_pki.plugin.meetings import Handshake, Meetings
+from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
+from pqsec_pki.plugin.recalls import Recalls
 
 NO_TOKEN = DataHolder("")
 """TOKEN_NIL: Cyclone DDS looks at the length of its class id, so it must have one."""
 CREDENTIAL, CREDENTIAL_PROPERTY = "DDS:Access:PermissionsCredential", "dds.perm.cert"
 PEER_CREDENTIAL = "DDS:Auth:PKI-DH:1.0"
 _TEXT = "surrogateescape"
-
-MAX_ANSWERED = 1024
-"""Handshakes that wait for a Final. Anyone who heard a certificate can begin one with it, again
-and again, and each keeps what the Request carried."""
-
-Clock: TypeAlias = Callable[[], datetime]
 
 
 class Result(IntEnum):
@@ -61,24 +56,24 @@ class Result(IntEnum):
 class Authentication:
     """The plugin of one DDS process and domain."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, note: Callable[[str], None]) -> None:
         self._now = clock
         self._handles = Handles()
-        self._remotes: dict[bytes, int] = {}
-        """The handle of the latest peer with that GUID."""
-        self._answered: dict[int, None] = {}
-        """The handles of handshakes that were answered, the oldest first."""
+        self._meetings = Meetings(self._handles, note)
+        self._recalls = Recalls(self._handles, self._meetings)
 
     def __len__(self) -> int:
         return len(self._handles)
 
     def validate_local_identity(
         self, domain: int, folder: str, properties: Pairs, candidate: bytes
-    ) -> tuple[Result, int, bytes, int]:
-        """The handle, the adjusted GUID, and the second when the identity ends."""
+    ) -> tuple[Result, int, bytes, int, bool]:
+        """The handle, the adjusted GUID, the second when the identity ends, and whether
+        find_revoked is to be called."""
         del domain
         local = Local.load(Properties(properties, folder), candidate, self._now())
-        return Result.OK, self._handles.add(local), local.guid, end_of(local.certificate)
+        end = end_of(local.certificate, local.authorities[0])
+        return Result.OK, self._handles.add(local), local.guid, end, local.revoked is not None
 
     def get_identity_token(self, identity: int) -> tuple[Result, DataHolder]:
         """What discovery will say of the participant."""
@@ -107,7 +102,7 @@ class Authentication:
         local = self._handles.get(identity, Local)
         IdentityToken.from_holder(token)
         heard = AuthRequest.from_holder(auth_request) if auth_request.class_id else None
-        handle, relation = self._relation(identity, guid)
+        handle, relation = self._meetings.relation(identity, guid)
         answer = NO_TOKEN
         if heard:
             relation.heard = heard.future_challenge
@@ -122,26 +117,24 @@ class Authentication:
         self, identity: int, peer: int, data: bytes
     ) -> tuple[Result, int, DataHolder]:
         """The handshake's handle, and the Request."""
-        local, remote, relation = self._met(identity, peer)
+        local, remote, relation = self._meetings.met(identity, peer)
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         request, state = begin(local.terms(discovered, relation.announced, data), local.agreement)
-        handle = self._begun(relation, Handshake(local, peer, state))
-        self._answered.pop(handle, None)
+        handle = self._meetings.asked(relation, Handshake(local, identity, peer, state))
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
 
     def begin_handshake_reply(
         self, token: DataHolder, peer: int, identity: int, data: bytes
     ) -> tuple[Result, int, DataHolder]:
         """The handshake's handle, and the Reply."""
-        local, remote, relation = self._met(identity, peer)
+        local, remote, relation = self._meetings.met(identity, peer)
         request = Request.from_holder(token)
         certificate = Peer.read(request.introduction).certificate
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         terms = local.terms(discovered, relation.announced, data)
         terms = replace(terms, own=replace(terms.own, ca=local.issuer_of(certificate)))
         reply, state = reply_to(terms, request, now=self._now())
-        handle = self._begun(relation, Handshake(local, peer, state))
-        self._await_final(handle)
+        handle = self._meetings.answered(relation, Handshake(local, identity, peer, state))
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
 
     def process_handshake(self, token: DataHolder, handle: int) -> tuple[Result, DataHolder]:
@@ -151,17 +144,26 @@ class Authentication:
         if isinstance(state, RequestSent):
             final, done = self._finish(handshake.local, state, Reply.from_holder(token))
             handshake.state = done
+            self._meetings.finished(handle, handshake)
             return Result.OK_FINAL_MESSAGE, final.to_holder()
         if isinstance(state, ReplySent):
             handshake.state = state.receive(Final.from_holder(token))
-            self._answered.pop(handle, None)
+            self._meetings.finished(handle, handshake)
             return Result.OK, NO_TOKEN
         raise VerificationError("the handshake is over")
 
     def get_shared_secret(self, handle: int) -> tuple[Result, int, int, bytes, bytes, bytes]:
-        """The peer's handle, when its identity ends, both challenges, and the secret."""
+        """The peer's handle, when its identity ends, both challenges, and the secret.
+
+        VerificationError if the peer was taken back since its certificate was looked at.
+        """
         handshake, done = self._done(handle)
-        end = end_of(done.peer.certificate)
+        certificate = done.peer.certificate
+        if self._handles.get(handshake.identity, Local).takes_back(certificate):
+            raise VerificationError(
+                f"the certificate of {certificate.subject_name} was revoked meanwhile"
+            )
+        end = end_of(certificate, handshake.local.issuer_of(certificate))
         return (
             Result.OK,
             handshake.remote,
@@ -180,64 +182,23 @@ class Authentication:
         )
         return Result.OK, DataHolder(PEER_CREDENTIAL, items)
 
+    def find_revoked(self) -> tuple[Result, int]:
+        """A participant or a peer that is taken back since; 0 if there is no other.
+
+        Where a revocation list cannot be taken, the one before it still counts, and the
+        refusal comes when all others are told.
+        """
+        return Result.OK, self._recalls.next()
+
     def return_handshake_handle(self, handle: int) -> tuple[Result]:
         """Cyclone DDS never calls it: a handshake goes with its identities."""
-        self._drop_handshake(handle)
+        self._meetings.drop_handshake(handle)
         return (Result.OK,)
 
     def return_identity_handle(self, handle: int) -> tuple[Result]:
         """The participant is gone, or the peer."""
-        gone = self._handles.drop(handle)
-        if isinstance(gone, Local):
-            relations = [each.relations.pop(handle, None) for _, each in self._handles.all(Remote)]
-        elif isinstance(gone, Remote):
-            relations = list(gone.relations.values())
-            if self._remotes.get(gone.guid) == handle:
-                del self._remotes[gone.guid]
-        else:
-            relations = []
-        for relation in relations:
-            if relation and relation.handshake:
-                self._drop_handshake(relation.handshake)
+        self._meetings.drop(handle)
         return (Result.OK,)
-
-    def _relation(self, identity: int, guid: bytes) -> tuple[int, Relation]:
-        """A fresh one. A peer that one of ours has met already was lost and found again:
-        it gets another handle, because the former is still to be returned."""
-        handle = self._remotes.get(guid)
-        known = self._handles.get(handle, Remote) if handle else None
-        if handle is None or known is None or identity in known.relations:
-            known = Remote(guid)
-            handle = self._remotes[guid] = self._handles.add(known)
-        relation = known.relations[identity] = Relation()
-        return handle, relation
-
-    def _met(self, identity: int, peer: int) -> tuple[Local, Remote, Relation]:
-        local, remote = self._handles.get(identity, Local), self._handles.get(peer, Remote)
-        if identity not in remote.relations:
-            raise VerificationError("a handshake with a peer that was not validated")
-        return local, remote, remote.relations[identity]
-
-    def _begun(self, relation: Relation, handshake: Handshake) -> int:
-        """The handle of a handshake that takes the place of an earlier one."""
-        if relation.handshake is None:
-            relation.handshake = self._handles.add(handshake)
-        else:
-            self._handles.replace(relation.handshake, handshake)
-        return relation.handshake
-
-    def _await_final(self, handle: int) -> None:
-        """It may wait; the oldest that wait make room."""
-        self._answered.pop(handle, None)
-        self._answered[handle] = None
-        while len(self._answered) > MAX_ANSWERED:
-            oldest = next(iter(self._answered))
-            del self._answered[oldest]
-            self._handles.drop(oldest)
-
-    def _drop_handshake(self, handle: int) -> None:
-        self._answered.pop(handle, None)
-        self._handles.drop(handle)
 
     def _finish(self, local: Local, state: RequestSent, reply: Reply) -> tuple[Final, Done]:
         certificate = Peer.read(reply.introduction).certificate
@@ -252,6 +213,7 @@ class Authentication:
         return handshake, handshake.state
 
 
-def end_of(certificate: Certificate) -> int:
-    """The first second since 1970 when the certificate is no longer good."""
-    return int((certificate.not_after + timedelta(seconds=1)).timestamp())
+def end_of(*certificates: Certificate) -> int:
+    """The first second since 1970 when one of them is no longer good."""
+    end = min(each.not_after for each in certificates)
+    return int((end + timedelta(seconds=1)).timestamp())

@@ -1,13 +1,13 @@
 """Compiling the shim, and trying it."""
 
 import os
-import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki import _files
 from pqsec_pki.errors import PqsecError
+from pqsec_pki.plugin.units import planned_units, write_units
 
 LIBRARY = "libpqsec_dds.so"
 NAMES = ("libdds_security_auth.so", "libdds_security_ac.so")
@@ -37,10 +37,14 @@ class Built:
 
     library: Path
     links: tuple[Path, ...]
+    units: tuple[Path, ...] = ()
+    """Of systemd, if they were wanted."""
 
 
-def build(folder: Path, *, force: bool = False) -> Built:
+def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Built:
     """Compile the shim into `folder`, with the links that ROS 2 needs.
+
+    With `units`, systemd's go into that folder.
 
     CompileError, with the compiler's words, if that fails; ExistsError for files that are
     there already, unless `force`.
@@ -49,6 +53,7 @@ def build(folder: Path, *, force: bool = False) -> Built:
     if not force:
         for path in (library, *links):
             _files.refuse_existing(path)
+    planned = planned_units(units, force=force) if units else {}
     compiled = _compiled()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,11 +63,14 @@ def build(folder: Path, *, force: bool = False) -> Built:
             link.symlink_to(LIBRARY)
     except OSError as error:
         raise CompileError(f"{folder}: {(error.strerror or '').lower()}") from error
-    return Built(library, links)
+    write_units(planned)
+    return Built(library, links, tuple(planned))
 
 
 def compiler() -> str:
     """The command of the C compiler; CompileError if there is none."""
+    import shutil  # noqa: PLC0415 -- not for the agent, which starts with this room
+
     found = shutil.which(os.environ.get("CC") or "cc")
     if found is None:
         raise CompileError("there is no C compiler", hint="install one: apt-get install gcc")
@@ -77,8 +85,8 @@ def command(cc: str, output: Path, *more: str) -> list[str]:
 
 
 def _compiled() -> bytes:
-    import subprocess  # noqa: PLC0415 -- not for the agent, which starts with this room
-    import tempfile  # noqa: PLC0415 -- likewise
+    import subprocess  # noqa: PLC0415 -- as above
+    import tempfile  # noqa: PLC0415 -- as above
 
     with tempfile.TemporaryDirectory(prefix="pqsec-") as folder:
         output = Path(folder, LIBRARY)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from pqsec_pki.plugin.octets import Reader, Writer
 
-VERSION = 1
+VERSION = 2
 """Of all that goes over the socket. Shim and agent must have the same."""
 MAGIC = "pqsec"
 CONTROL = "control"
@@ -48,7 +48,7 @@ CALLS: Mapping[str, Mapping[str, Call]] = MappingProxyType(
     {
         "authentication": _calls(
             {
-                "validate_local_identity": "nsqg>hgx",
+                "validate_local_identity": "nsqg>hgxb",
                 "get_identity_token": "h>t",
                 "set_permissions_credential_and_token": "htt>",
                 "validate_remote_identity": "thtg>ht",
@@ -57,6 +57,7 @@ CALLS: Mapping[str, Mapping[str, Call]] = MappingProxyType(
                 "process_handshake": "th>t",
                 "get_shared_secret": "h>hxcco",
                 "get_authenticated_peer_credential_token": "h>t",
+                "find_revoked": ">h",
                 "return_handshake_handle": "h>",
                 "return_identity_handle": "h>",
             }

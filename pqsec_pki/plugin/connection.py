@@ -1,23 +1,20 @@
 """One connection of the agent: frames in, calls, frames out. No socket is touched here."""
 
-import json
-import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 from pqsec_pki import __version__
 from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.plugin.access_control import AccessControl
-from pqsec_pki.plugin.authentication import Authentication, Clock
+from pqsec_pki.plugin.authentication import Authentication
 from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
+from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
 
 _HEAD = 4
 _DONE, _REFUSED = 0, 1
 _MOST_SHOWN = 600
-
-Log: TypeAlias = Callable[[str], None]
 
 
 class ProtocolError(PqsecError):
@@ -45,6 +42,8 @@ class Control:
 
     def status(self) -> tuple[int, str]:
         """What the agent does, as JSON."""
+        import json  # noqa: PLC0415 -- not for a host that waits for the agent to start
+
         return 0, json.dumps(self._house.status() | {"version": __version__})
 
     def stop(self) -> tuple[int]:
@@ -58,6 +57,7 @@ class Connection:
 
     def __init__(self, house: House, who: str) -> None:
         self._house, self._who = house, who
+        self._notes = Notes(who, house.log, house.clock)
         self._inbox = bytearray()
         self._name = ""
         self._plugin: Authentication | AccessControl | Control | None = None
@@ -66,6 +66,10 @@ class Connection:
     def what(self) -> tuple[str, str, int]:
         """Who it is, the plugin, and how many objects that has."""
         return self._who, self._name, len(self._plugin) if self._plugin is not None else 0
+
+    def finish(self) -> None:
+        """The other end has gone."""
+        self._notes.finish()
 
     def receive(self, octets: bytes) -> Iterator[bytes]:
         """The answers to what has come. ProtocolError if it cannot be understood."""
@@ -101,7 +105,7 @@ class Connection:
 
     def _new(self, name: str) -> Authentication | AccessControl | Control:
         if name == "authentication":
-            return Authentication(self._house.clock)
+            return Authentication(self._house.clock, self._notes.add)
         if name == "access_control":
             return AccessControl(self._house.clock)
         return Control(self._house)
@@ -116,9 +120,11 @@ class Connection:
         except PqsecError as error:
             words = str(error) + (f" ({error.hint})" if error.hint else "")
         except Exception:  # noqa: BLE001 -- see above
-            self._house.log(traceback.format_exc())
+            import traceback  # noqa: PLC0415 -- likewise
+
+            self._notes.add(traceback.format_exc())
             words = "an error of the agent: see its log"
-        self._house.log(f"{self._who}: {shown(name)} refused: {shown(words, _MOST_SHOWN)}")
+        self._notes.add(f"{shown(name)} refused: {shown(words, _MOST_SHOWN)}")
         return _refusal(words)
 
     def _result(self, name: str, reader: Reader) -> bytes:

@@ -1,6 +1,5 @@
 """Asking the agent how it is, and telling it to end."""
 
-import json
 import socket
 from dataclasses import dataclass
 from typing import Any, cast
@@ -106,6 +105,8 @@ def agent_status(place: Place) -> Status | None:
         _, (text,) = client.call("status")
     finally:
         client.close()
+    import json  # noqa: PLC0415 -- not for the agent, which starts with this room
+
     found = cast("dict[str, Any]", json.loads(text))
     return Status(found["process"], found["version"], found["socket"], tuple(found["connections"]))
 

@@ -12,8 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeAlias
 
-from pqsec_pki._files import MAX_FILE, read
+from pqsec_pki._files import MAX_FILE, disk_errors, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.errors import FileError, MalformedError, UsageError, located
@@ -21,6 +22,8 @@ from pqsec_pki.errors import FileError, MalformedError, UsageError, located
 MAX_TRUSTED = 64
 """Certificates in a folder of trusted CAs."""
 _CONTROL = set(map(chr, range(32)))
+
+FileState: TypeAlias = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +99,12 @@ def certificate_at(source: Source) -> Certificate:
         return _certificate(source.read())
 
 
+def certificates_at(source: Source) -> tuple[Certificate, ...]:
+    """All that stand in it, the first of which `certificate_at` gives; the same errors."""
+    with located(source.where):
+        return Certificate.all_from_pem(source.read())
+
+
 @lru_cache(maxsize=64)
 def _certificate(data: bytes) -> Certificate:
     """Read once, though all participants of a domain name the same CAs."""
@@ -112,7 +121,23 @@ def key_at(source: Source, password: str) -> PrivateKey:
 def revocation_list_at(source: Source) -> RevocationList:
     """MalformedError or FileError, which name the file."""
     with located(source.where):
-        return RevocationList.from_pem(source.read())
+        return _revocation_list(source.read())
+
+
+@lru_cache(maxsize=8)
+def _revocation_list(data: bytes) -> RevocationList:
+    return RevocationList.from_pem(data)
+
+
+def state_of(source: Source | None) -> FileState:
+    """Which file it is, and when it was written last; empty for what is none, or gone."""
+    if source is None or source.path is None:
+        return ()
+    try:
+        found = source.path.stat()
+    except (OSError, ValueError):
+        return ()
+    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def certificates_in(folder: Path) -> tuple[Certificate, ...]:
@@ -121,9 +146,8 @@ def certificates_in(folder: Path) -> tuple[Certificate, ...]:
     FileError if the folder cannot be read or has too many files.
     """
     try:
-        paths = sorted(path for path in folder.iterdir() if path.is_file())
-    except OSError as error:
-        raise FileError(f"{folder}: {(error.strerror or '').lower()}") from error
+        with disk_errors(folder):
+            paths = sorted(path for path in folder.iterdir() if path.is_file())
     except ValueError as error:  # a path with a NUL
         raise FileError(f"{folder}: {error}") from error
     if len(paths) > MAX_TRUSTED:

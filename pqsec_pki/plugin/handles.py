@@ -6,7 +6,9 @@ from typing import Any, TypeVar
 from pqsec_pki.errors import VerificationError
 
 MAX_OBJECTS = 16384
-"""Of one connection. A peer costs two: an identity and a handshake."""
+"""Of one connection. A peer costs an identity, and a handshake with each local participant."""
+SPARE = 256
+"""Of these, those that peers leave to local participants."""
 
 Kind = TypeVar("Kind")
 
@@ -16,6 +18,11 @@ class Handles:
 
     def __init__(self) -> None:
         self._objects: dict[int, Any] = {}
+
+    @property
+    def are_many(self) -> bool:
+        """Whether there is no room for another peer."""
+        return len(self._objects) >= MAX_OBJECTS - SPARE
 
     def add(self, thing: Any) -> int:
         """Its new handle; VerificationError if there are too many objects already."""

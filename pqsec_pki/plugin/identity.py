@@ -11,10 +11,10 @@ from pqsec_pki.certificates import (
     verify_chain,
     verify_not_revoked,
 )
-from pqsec_pki.errors import PqsecError, UsageError, VerificationError
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located
 from pqsec_pki.handshake import Discovered, Identity, Introduction, Policy, Terms, adjusted_guid
 from pqsec_pki.plugin import credentials
-from pqsec_pki.plugin.credentials import Properties
+from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
 from pqsec_pki.plugin.settings import Settings
 
 CERTIFICATE = "dds.sec.auth.identity_certificate"
@@ -45,7 +45,10 @@ class Local:
     key: PrivateKey = field(repr=False)
     authorities: tuple[Certificate, ...]
     """Its identity CA, and others whose participants it trusts as much."""
+    list_at: Source | None
     revoked: RevocationList | None
+    """What its revocation list said when it last was read, and how its file was then."""
+    list_state: FileState
     guid: bytes
     """16 bytes."""
     agreement: KeyAgreement
@@ -66,7 +69,9 @@ class Local:
         settings = Settings.of(certificate, properties.source(CERTIFICATE))
         policy = settings.policy(certificate)
         verify_chain(certificate, ca, now=now, require_alternative=policy.require_alternative)
-        revoked = _revoked(properties)
+        source = _list_source(properties)
+        state = state_of(source)
+        revoked = credentials.revocation_list_at(source) if source else None
         if revoked:
             verify_not_revoked(
                 certificate, revoked, ca, now=now, require_alternative=policy.require_alternative
@@ -75,7 +80,9 @@ class Local:
             certificate=certificate,
             key=_key(properties, certificate, pair=policy.require_alternative),
             authorities=(ca, *_trusted(properties, ca)),
+            list_at=source,
             revoked=revoked,
+            list_state=state,
             guid=adjusted_guid(certificate.subject_der, candidate),
             agreement=settings.agreements[0],
             policy=policy,
@@ -93,6 +100,23 @@ class Local:
             participant_data=data,
         )
         return Terms(own=own, policy=self.policy, discovered=discovered, announced=announced)
+
+    def with_newer_list(self) -> Self:
+        """The same, with the revocation list that its file has now.
+
+        PqsecError, and nothing is changed, if that is gone or not the CA's.
+        """
+        state = state_of(self.list_at)
+        if self.list_at is None or state == self.list_state:
+            return self
+        fresh = credentials.revocation_list_at(self.list_at)
+        with located(self.list_at.where):
+            fresh.verify(self.authorities[0], require_alternative=self.policy.require_alternative)
+        return replace(self, revoked=fresh, list_state=state)
+
+    def takes_back(self, certificate: Certificate) -> bool:
+        """Whether its revocation list, as it was read last, names the certificate."""
+        return self.revoked is not None and self.revoked.revocation_of(certificate) is not None
 
     def issuer_of(self, certificate: Certificate) -> Certificate:
         """The authority that issued a peer's certificate; ours if none of them did."""
@@ -134,12 +158,18 @@ def _key(properties: Properties, certificate: Certificate, *, pair: bool) -> Pri
 
 
 def _trusted(properties: Properties, ca: Certificate) -> tuple[Certificate, ...]:
+    """Other identity CAs: those behind its own in the file, as in an overlap, and in a folder.
+
+    A revocation list is its own CA's: beside one, those in the file are not trusted.
+    """
     folder = properties.folder(_TRUSTED)
     found = credentials.certificates_in(folder) if folder else ()
+    if not properties.optional(_REVOKED):
+        found += credentials.certificates_at(properties.source(_CA))[1:]
     return tuple(each for each in found if each.der != ca.der)
 
 
-def _revoked(properties: Properties) -> RevocationList | None:
+def _list_source(properties: Properties) -> Source | None:
     if not properties.optional(_REVOKED):
         return None
     if properties.optional(_TRUSTED):
@@ -147,4 +177,4 @@ def _revoked(properties: Properties) -> RevocationList | None:
             "a revocation list and a folder of trusted CAs exclude each other, as in Cyclone DDS",
             hint="the list is the identity CA's; for the others there would be none",
         )
-    return credentials.revocation_list_at(properties.source(_REVOKED))
+    return properties.source(_REVOKED)

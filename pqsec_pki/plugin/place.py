@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError
 
 _OTHERS = 0o077
@@ -41,10 +42,8 @@ class Place:
 
     def prepare(self) -> None:
         """Make the folder; FileError if it is not this user's alone."""
-        try:
+        with disk_errors(self.folder):
             self.folder.mkdir(mode=0o700, exist_ok=True)
-        except OSError as error:
-            raise FileError(f"{self.folder}: {(error.strerror or '').lower()}") from error
         self.is_there()
 
     def is_there(self) -> bool:

@@ -42,6 +42,11 @@ class Signers:
         second = credentials.certificate_at(replace(source, path=beside)) if beside else None
         return cls(credentials.certificate_at(source), second)
 
+    @property
+    def end(self) -> datetime:
+        """When the first of them is no longer good."""
+        return min(each.not_after for each in (self.ca, self.alternative) if each)
+
     def document(self, message: bytes, now: datetime) -> bytes:
         """What they signed; VerificationError if they did not."""
         verify_authority(self.ca, now=now)
@@ -88,8 +93,9 @@ class Rights:
         """May the subject do that? UsageError for a name that cannot be one."""
         return Question(subject=self.subject, domain=domain, action=action, now=now, topic=topic)
 
-    def end(self, now: datetime) -> int:
-        """The first second since 1970 when the subject's grant is no longer in force."""
+    def end(self, now: datetime, signers: Signers) -> int:
+        """The first second since 1970 when the subject's grant is no longer in force, or
+        one of those who signed it is no longer good."""
         grant = SPEC.grant_for(self.permissions, self.question(self.domain, Action.JOIN, now))
         if grant is None:
             raise VerificationError(f"no grant is for {self.subject}")
@@ -97,7 +103,8 @@ class Rights:
             raise VerificationError(
                 f"grant '{grant.name}' is good from {grant.not_before} to {grant.not_after} only"
             )
-        return int((grant.not_after + timedelta(seconds=1)).timestamp())
+        end = min(grant.not_after, signers.end)
+        return int((end + timedelta(seconds=1)).timestamp())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

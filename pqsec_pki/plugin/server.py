@@ -3,33 +3,35 @@
 Calls take milliseconds, so nobody waits long, and what connections share needs no lock.
 """
 
-import fcntl
+import errno
 import os
 import resource
 import selectors
 import socket
-import struct
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-from pqsec_pki.errors import FileError, PqsecError, shown
-from pqsec_pki.plugin.authentication import Clock
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.plugin import listening
 from pqsec_pki.plugin.calls import CONTROL
-from pqsec_pki.plugin.connection import Connection, House, Log
+from pqsec_pki.plugin.connection import Connection, House
+from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.place import Place
 
 MAX_CONNECTIONS = 512
 """Two for each domain of a DDS process."""
-_BACKLOG = 128
 _AT_ONCE = 1 << 18
 """Octets that are read of one connection before it is another's turn."""
-_LOCK_SECONDS = 2.0
 _GRACE_SECONDS = 20.0
 """How long who started the agent may take to connect."""
 _LONGEST_WAIT = 3600.0
+_RESERVE = 32
+"""Files that are kept for other things than connections."""
+_EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+_PAUSE = 0.5
+"""Seconds until the next connection is tried, when the system had no file left for one."""
 
 
 class _Guest:
@@ -45,42 +47,57 @@ class Agent:
 
     def __init__(self, place: Place, idle: float, clock: Clock, log: Log) -> None:
         self._place, self._idle, self._log = place, idle, log
+        self._notes = Notes("agent", log, clock)
         self._house = House(clock, log, self._status, self._stop)
         self._guests: set[_Guest] = set()
+        self._most = MAX_CONNECTIONS
+        self._deaf_until = 0.0
         self._stopping = False
 
-    def run(self, ready: Callable[[], None] = lambda: None) -> bool:
+    def run(
+        self, ready: Callable[[], None] = lambda: None, given: socket.socket | None = None
+    ) -> bool:
         """False if another agent listens there. FileError if there is no place to listen.
 
-        `ready` is called when it listens.
+        `ready` is called when it listens. A socket that was `given` is another's to remove.
         """
         self._place.prepare()
-        with _lock(self._place.lock):
-            if _answers(self._place.socket):
+        if given:
+            self._listen_at(given, ready)
+            self._end()
+            return True
+        with listening.lock(self._place.lock):
+            if listening.answers(self._place.socket):
                 return False
-            listener = _listening(self._place.socket)
-            own = _made(self._place.socket)
-        _limit()
+            listener = listening.bound(self._place.socket)
+            own = listening.made(self._place.socket)
+        self._listen_at(listener, ready)
+        with listening.lock(self._place.lock), suppress(FileNotFoundError):
+            if listening.made(self._place.socket) == own:  # and not a later agent's
+                self._place.socket.unlink()
+        self._end()
+        return True
+
+    def _listen_at(self, listener: socket.socket, ready: Callable[[], None]) -> None:
+        self._most = min(MAX_CONNECTIONS, max(1, _limited() - _RESERVE))
         ready()
         self._selector = selectors.DefaultSelector()  # which would not outlive a fork
         self._selector.register(listener, selectors.EVENT_READ)
         self._log(f"listening at {self._place.socket}")
         with listener:
             self._serve(listener)
-        with _lock(self._place.lock), suppress(FileNotFoundError):
-            if _made(self._place.socket) == own:  # and not a later agent's
-                self._place.socket.unlink()
+
+    def _end(self) -> None:
         for guest in list(self._guests):
             self._part(guest)
         self._log("ended")
-        return True
 
     def _serve(self, listener: socket.socket) -> None:
         end = time.monotonic() + max(self._idle, _GRACE_SECONDS)
         while not self._stopping and (self._guests or time.monotonic() < end):
             busy = bool(self._guests)
-            wait = None if busy else min(end - time.monotonic(), _LONGEST_WAIT)
-            for key, events in self._selector.select(wait):
+            wait = _LONGEST_WAIT if busy else min(end - time.monotonic(), _LONGEST_WAIT)
+            for key, events in self._selector.select(self._listen(listener, wait)):
                 if key.fileobj is listener:
                     self._welcome(listener)
                 else:
@@ -88,18 +105,35 @@ class Agent:
             if busy:
                 end = time.monotonic() + self._idle
 
+    def _listen(self, listener: socket.socket, wait: float) -> float:
+        """`wait`, or less where the pause ends before; then whoever waits is heard again."""
+        pause = self._deaf_until - time.monotonic()
+        if pause > 0:
+            return min(pause, wait)
+        if self._deaf_until:
+            self._deaf_until = 0.0
+            self._selector.register(listener, selectors.EVENT_READ)
+        return wait
+
     def _welcome(self, listener: socket.socket) -> None:
-        with suppress(OSError):  # it may have gone already
+        try:
             link, _ = listener.accept()
-            process, user = _peer(link)
-            if user != os.geteuid() or len(self._guests) >= MAX_CONNECTIONS:
-                self._log(f"process {process} of user {user} is not served")
-                link.close()
-                return
-            link.settimeout(0)
-            guest = _Guest(link, Connection(self._house, _name_of(process)))
-            self._guests.add(guest)
-            self._selector.register(link, selectors.EVENT_READ, guest)
+        except OSError as error:  # it may have gone already
+            if error.errno in _EXHAUSTED:
+                self._notes.add(f"nobody new can be served: {error.strerror}")
+                self._selector.unregister(listener)
+                self._deaf_until = time.monotonic() + _PAUSE
+            return
+        process, user = listening.peer(link)
+        if user != os.geteuid() or len(self._guests) >= self._most:
+            why = "" if user != os.geteuid() else f": {self._most} connections are the most"
+            self._notes.add(f"process {process} of user {user} is not served{why}")
+            link.close()
+            return
+        link.settimeout(0)
+        guest = _Guest(link, Connection(self._house, listening.name_of(process)))
+        self._guests.add(guest)
+        self._selector.register(link, selectors.EVENT_READ, guest)
 
     def _attend(self, guest: _Guest, events: int) -> None:
         try:
@@ -111,7 +145,7 @@ class Agent:
             pass
         except (OSError, PqsecError) as error:
             if not isinstance(error, ConnectionError):  # who hangs up has done nothing wrong
-                self._log(f"{guest.connection.what[0]}: {error}")
+                self._notes.add(f"{guest.connection.what[0]}: {error}")
             self._part(guest)
             return
         # Who does not read answers is not heard either, so what it is owed stays small.
@@ -127,6 +161,7 @@ class Agent:
 
     def _part(self, guest: _Guest) -> None:
         self._guests.discard(guest)
+        guest.connection.finish()
         self._selector.unregister(guest.link)
         guest.link.close()
 
@@ -146,89 +181,17 @@ class Agent:
         self._stopping = True
 
 
-def _limit() -> None:
-    """No core file, which would hold keys; and files enough for all connections."""
+def _limited() -> int:
+    """No core file, which would hold keys; and files enough for all connections: how many.
+
+    A host may have a priority of real time, which is not for who serves all of them.
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     enough = 2 * MAX_CONNECTIONS
     if 0 <= soft < enough:
-        resource.setrlimit(
-            resource.RLIMIT_NOFILE, (min(enough, hard) if hard >= 0 else enough, hard)
-        )
-
-
-@contextmanager
-def _lock(path: Path) -> Iterator[None]:
-    """Only one agent at a time comes or goes. FileError if another takes too long."""
-    until = time.monotonic() + _LOCK_SECONDS
-    try:
-        file = path.open("w")
-    except OSError as error:
-        raise FileError(f"{path}: {(error.strerror or '').lower()}") from error
-    with file:
-        while not _is_locked(file.fileno()):
-            if time.monotonic() > until:
-                raise FileError(f"{path}: another agent has it")
-            time.sleep(0.01)
-        yield
-
-
-def _is_locked(handle: int) -> bool:
-    """Whether it is now, and by us."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
-def _answers(path: Path) -> bool:
-    """Whether somebody listens there."""
-    with socket.socket(socket.AF_UNIX) as link:
-        link.settimeout(0)
-        try:
-            link.connect(str(path))
-        except BlockingIOError:  # so many that it does not come to it
-            return True
-        except OSError:
-            return False
-        return True
-
-
-def _made(path: Path) -> tuple[int, int]:
-    """Which file it is; the number of one that is gone may be given to the next."""
-    found = path.stat()
-    return found.st_ino, found.st_ctime_ns
-
-
-def _listening(path: Path) -> socket.socket:
-    """A socket at `path`, 0600, in place of one that nobody listens at."""
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    before = os.umask(0o177)
-    try:
-        path.unlink(missing_ok=True)
-        listener.bind(str(path))
-        listener.listen(_BACKLOG)
-    except OSError as error:
-        listener.close()
-        raise FileError(f"{path}: {error.strerror or error}") from error
-    finally:
-        os.umask(before)
-    listener.settimeout(0)
-    return listener
-
-
-def _peer(link: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end."""
-    form = struct.Struct("iII")
-    process, user, _ = form.unpack(
-        link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, form.size)
-    )
-    return process, user
-
-
-def _name_of(process: int) -> str:
-    with suppress(OSError):
-        name = Path(f"/proc/{process}/comm").read_text(errors="replace").strip()
-        return f"{shown(name)}[{process}]"  # a process may call itself anything
-    return f"[{process}]"
+        soft = min(enough, hard) if hard >= 0 else enough
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    return soft if soft >= 0 else enough

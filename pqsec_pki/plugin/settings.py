@@ -1,6 +1,5 @@
 """What a participant insists on in handshakes: by its keys, or as `pqsec.toml` says."""
 
-import tomllib
 from dataclasses import dataclass
 from typing import Self
 
@@ -70,6 +69,8 @@ def _refuse_without_plain_key(certificate: Certificate) -> None:
 
 
 def _parsed(text: bytes) -> tuple[str, tuple[KeyAgreement, ...] | None]:
+    import tomllib  # noqa: PLC0415 -- few have such a file, and hosts wait for the agent's start
+
     try:
         found = tomllib.loads(text.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

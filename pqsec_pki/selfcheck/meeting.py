@@ -9,9 +9,10 @@ from typing import NamedTuple
 from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
-from pqsec_pki.keystore import Keystore, Participant
+from pqsec_pki.keystore import Keystore, Participant, regular_name
+from pqsec_pki.selfcheck.course import Course
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity
-from pqsec_pki.selfcheck.encounter import Course, Encounter, Side
+from pqsec_pki.selfcheck.encounter import Encounter, Side
 from pqsec_pki.selfcheck.report import Report, Steps, StoppedError
 from pqsec_pki.selfcheck.stacks import PQSEC, Stack, asked, policy
 
@@ -67,7 +68,7 @@ class Seated(NamedTuple):
 
 def fetched(keystore: Keystore, name: str, steps: Steps) -> Participant:
     """The participant of that name, as it lies in the keystore. StoppedError if unreadable."""
-    name = "/" + "/".join(part for part in name.split("/") if part)
+    name = regular_name(name)
     with steps.step(f"files of {name}") as detail:
         try:
             participant = keystore.participant(name)

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError, shown
-from pqsec_pki.trial.installation import MACHINE, Installation, disk_errors
+from pqsec_pki.trial.installation import MACHINE, Installation
 
 PATIENCE = 300
 """Seconds for one command of a compiler."""

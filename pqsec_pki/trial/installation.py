@@ -4,11 +4,11 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from pqsec_pki.errors import FileError, PqsecError, UsageError
+from pqsec_pki._files import disk_errors
+from pqsec_pki.errors import PqsecError, UsageError
 from pqsec_pki.trial.kits import KITS, STACKS, Kit
 
 MACHINE = Path("/")
@@ -71,16 +71,6 @@ def find(stack: str, root: Path = MACHINE) -> Installation:
         )
     _refuse_missing_tools(found[0])
     return found[0]
-
-
-@contextmanager
-def disk_errors(place: Path) -> Iterator[None]:
-    """Say what the system refuses as a FileError."""
-    try:
-        yield
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(f"{error.filename or place}: {reason}") from error
 
 
 def _installed(kit: Kit, root: Path) -> Iterator[Installation]:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki.keystore import Keystore
+from pqsec_pki._files import disk_errors
+from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.trial.building import built, source
 from pqsec_pki.trial.findings import Finding, findings
-from pqsec_pki.trial.installation import Installation, disk_errors
+from pqsec_pki.trial.installation import Installation
 from pqsec_pki.trial.peer import Account, Act, Role
 from pqsec_pki.trial.plugin import Plugin
 from pqsec_pki.trial.scene import Performance, Scene, mark, perform
@@ -40,7 +41,7 @@ class Trial:
 
     def plugin_of(self, name: str) -> Plugin | None:
         """What this participant runs in place of the stack's own."""
-        return None if any(_alike(name, each) for each in self.stock) else self.plugin
+        return None if regular_name(name) in map(regular_name, self.stock) else self.plugin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,11 +169,6 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
         environment={**made.variables(place), **(plugin.environment if plugin else {})},
         warnings=made.warnings,
     )
-
-
-def _alike(name: str, other: str) -> bool:
-    """Whether both are the same participant's; a name may begin with / or not."""
-    return list(filter(None, name.split("/"))) == list(filter(None, other.split("/")))
 
 
 def stranger(installation: Installation, act: Act, folder: Path, text: str = "") -> Role:

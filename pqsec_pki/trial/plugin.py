@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import LIBRARY, Place, agent_status, build
 from pqsec_pki.plugin.build import SOURCES, command
 from pqsec_pki.trial.building import cache, is_own
-from pqsec_pki.trial.installation import disk_errors
 
 _RUNTIME = Path("/tmp")  # noqa: S108 -- a socket's path must be short; the folder in it is 0700
 _IDLE = "20"

@@ -21,11 +21,12 @@ from pqsec_pki.keystore import load_certificate
 from pqsec_pki.smime import document_in
 from pqsec_pki.vendors.enclave import CERTIFICATE, GOVERNANCE, PERMISSIONS, Enclave
 
+_PART = "[A-Za-z_][A-Za-z0-9_]*"
 _REPLIES = [t.rpartition("/")[2] for t in ros.node_minimum("/n").publish if t.startswith("rr/")]
-_OF_A_NODE = re.compile(
-    rf"rr(?P<node>(?:/[A-Za-z_][A-Za-z0-9_]*)+)/(?:\*(?:Reply)?|{'|'.join(_REPLIES)})"
-)
+_OF_A_NODE = re.compile(rf"rr(?P<node>(?:/{_PART})+)/(?:\*(?:Reply)?|{'|'.join(_REPLIES)})")
 """Replies of the services that every node has; the node can be told from them."""
+_OF_NODES = re.compile(rf"rr(?P<nodes>(?:/{_PART})*/(?:{_PART})?\*)(?:Reply)?")
+"""Replies of nodes whose names begin so, such as those of ROS 2's own command line."""
 
 
 @dataclass(frozen=True)
@@ -83,19 +84,23 @@ class Needs:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """The nodes that the permissions are for; the enclave's own name if none can be told."""
-        topics = (
+        """The nodes that the permissions are for; the enclave's own name if none can be told.
+
+        A name may end in `*`, where any nodes are meant whose names begin so.
+        """
+        topics = [
             topic
             for rule in (self._grant.rules if self._grant else ())
             for criteria in rule.publish
             for topic in criteria.topics
-        )
+        ]
         found = dict.fromkeys(told["node"] for t in topics if (told := _OF_A_NODE.fullmatch(t)))
-        return tuple(found) or (self.enclave,)
+        any_of = dict.fromkeys(told["nodes"] for t in topics if (told := _OF_NODES.fullmatch(t)))
+        return tuple(found) or tuple(any_of) or (self.enclave,)
 
     def lack(self, node: str, domain: int) -> str:
         """What the node misses to live on that domain; empty if it has all."""
-        needed = ros.node_minimum(node)
+        needed = ros.node_minimum(node.replace("*", "x"))
         missing = {
             "publish": [t for t in needed.publish if self.may(Action.PUBLISH, domain, t)],
             "subscribe to": [t for t in needed.subscribe if self.may(Action.SUBSCRIBE, domain, t)],

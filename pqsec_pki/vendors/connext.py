@@ -24,11 +24,6 @@ _NO_CRL = (
 
 def export(enclave: Enclave, options: Options) -> Export:
     """The file of profiles, and the variable that names it to the process."""
-    if options.loopback:
-        raise UsageError(
-            "how Connext is kept to one machine is not known here",
-            hint="--loopback is for cyclonedds and fastdds",
-        )
     properties = LOADING | standard_properties(enclave)
     if _VARIABLE in "".join([*properties.values(), options.password or ""]):
         raise UsageError(

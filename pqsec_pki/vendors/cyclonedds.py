@@ -10,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from pqsec_pki.errors import UsageError, shown
-from pqsec_pki.lint import Finding, Severity
 from pqsec_pki.plugin import LIBRARY
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors._render import render
@@ -70,11 +69,6 @@ def export(enclave: Enclave, options: Options) -> Export:
         is_private=options.password is not None,
         unfit_folder=",",  # CYCLONEDDS_URI is a list
     )
-
-
-def severity(finding: Finding, options: Options) -> Severity | None:
-    """What its own plugins make of it does not matter where ours runs."""
-    return own_plugin.severity(finding) if options.plugin else finding.rule.severity
 
 
 def installed_plugins(root: Path) -> Path | None:

@@ -1,13 +1,14 @@
 """The folder of one participant, as a stack's configuration names it."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Self
 
-from pqsec_pki._files import read
+from pqsec_pki._files import disk_errors, read
 from pqsec_pki.algorithms import Profile, is_encrypted
-from pqsec_pki.errors import FileError, KeystoreError, UsageError, located, shown
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.errors import KeystoreError, UsageError, located, shown
+from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.vendors.export import PASSWORD_VARIABLE, Options
 
 IDENTITY_CA, CERTIFICATE, KEY = "identity_ca.cert.pem", "cert.pem", "key.pem"
@@ -49,39 +50,23 @@ class Enclave:
         name that none can have or a relative `at`.
         """
         keystore.refuse_unknown(name)
-        name = "/" + "/".join(part for part in name.split("/") if part)
-        root = keystore.root.absolute()
+        name, profile, root = regular_name(name), keystore.profile, keystore.root.absolute()
         folder = root / f"enclaves{name}"
-        where = at or PurePosixPath(folder)
-        if not where.is_absolute():
-            raise UsageError(
-                f"{shown(str(where))}: not an absolute path", hint="stacks want absolute paths"
-            )
-        try:
+        where = _absolute(at or PurePosixPath(folder))
+        with disk_errors(folder):
             elsewhere = at is not None and (folder / REQUEST).is_file()
-            needed = [file for file in SIX if not (elsewhere and file == KEY)]
-            missing = [file for file in needed if not (folder / file).is_file()]
+            _refuse_incomplete(folder, name, without={KEY} if elsewhere else set())
             has_crl = (folder / CRL).is_file()
-        except OSError as error:
-            raise FileError(f"{folder}: {(error.strerror or '').lower()}") from error
-        if missing:
-            raise KeystoreError(
-                f"{folder} lacks {', '.join(missing)}",
-                hint=f"its keys are on its robot: say where, as in --at {_INSTALLED}{name}"
-                if missing == [KEY] and (folder / REQUEST).is_file()
-                else "issue the participant again, or restore what links lead to",
-            )
         with located(folder / KEY):
             encrypted = not elsewhere and is_encrypted(read(folder / KEY))
         return cls(
             name=name,
             folder=folder,
             keystore=root,
-            profile=keystore.profile,
+            profile=profile,
             key_is_encrypted=encrypted,
             has_crl=has_crl,
-            has_large_handshake=keystore.profile.alternative_key is not None
-            or not keystore.profile.runs_in_stock,
+            has_large_handshake=profile.alternative_key is not None or not profile.runs_in_stock,
             at=where,
         )
 
@@ -91,6 +76,25 @@ class Enclave:
         Nothing is escaped: the stacks use what follows file:// as the path, byte for byte.
         """
         return f"file://{self.at / file}"
+
+
+def _absolute(where: PurePosixPath) -> PurePosixPath:
+    if not where.is_absolute():
+        raise UsageError(
+            f"{shown(str(where))}: not an absolute path", hint="stacks want absolute paths"
+        )
+    return where
+
+
+def _refuse_incomplete(folder: Path, name: str, *, without: Collection[str]) -> None:
+    missing = [file for file in SIX if file not in without and not (folder / file).is_file()]
+    if missing:
+        raise KeystoreError(
+            f"{folder} lacks {', '.join(missing)}",
+            hint=f"its keys are on its robot: say where, as in --at {_INSTALLED}{name}"
+            if missing == [KEY] and (folder / REQUEST).is_file()
+            else "issue the participant again, or restore what links lead to",
+        )
 
 
 def password_note(enclave: Enclave, options: Options) -> tuple[str, ...]:

@@ -5,13 +5,19 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create, read, refuse_existing
-from pqsec_pki.errors import ExistsError, FileError, UsageError, shown
+from pqsec_pki._files import (
+    PRIVATE_MODE,
+    PUBLIC_MODE,
+    create,
+    disk_errors,
+    read,
+    refuse_existing,
+)
+from pqsec_pki.errors import FileError, UsageError, shown
 
 FOLDER = "\0"
 """In steps and variables: the absolute path of the folder that the export is written to.
@@ -109,7 +115,7 @@ def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:
             f"{shown(path)}: the stack cannot be told of a folder with {unfit!r} in its name",
             hint="choose another folder",
         )
-    with _disk_errors(folder):
+    with disk_errors(folder):
         there = os.path.lexists(folder)
         if not there:
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -161,12 +167,3 @@ def _is_secret(export: Export, source: str | Path) -> bool:
 def _folder_mode(export: Export) -> int:
     private = any(_is_secret(export, source) for source in export.files.values())
     return 0o700 if private else 0o755
-
-
-@contextmanager
-def _disk_errors(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        kind = ExistsError if isinstance(error, FileExistsError) else FileError
-        raise kind(f"{error.filename or folder}: {(error.strerror or '').lower()}") from error

@@ -14,11 +14,6 @@ INI, HEADER = "opendds.ini", "pqsec_participant.h"
 
 def export(enclave: Enclave, options: Options) -> Export:
     """The ini file and the header."""
-    if options.loopback:
-        raise UsageError(
-            "how OpenDDS is kept to one machine is not known here",
-            hint="--loopback is for cyclonedds and fastdds",
-        )
     if options.password is not None:
         raise UsageError(
             "a header is no place for a passphrase",

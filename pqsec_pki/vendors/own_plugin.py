@@ -42,10 +42,15 @@ def folder_in(variables: Mapping[str, str]) -> Path | None:
     return None
 
 
-def severity(finding: Finding) -> Severity | None:
-    """How bad it is with our plugin: what other plugins make of it does not matter."""
+def severity(finding: Finding, options: Options) -> Severity | None:
+    """How bad it is. What the stacks' own plugins make of it does not matter where ours runs."""
+    return None if options.plugin and is_of_others(finding) else finding.rule.severity
+
+
+def is_of_others(finding: Finding) -> bool:
+    """Whether it matters to the stacks' own plugins alone."""
     stacks = finding.rule.stacks
-    return None if stacks and stacks != {Target.ROS2} else finding.rule.severity
+    return bool(stacks) and stacks != {Target.ROS2}
 
 
 def refusal(enclave: Enclave, options: Options, now: datetime) -> VerificationError | None:

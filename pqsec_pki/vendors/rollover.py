@@ -1,11 +1,12 @@
 """Which stacks can trust two identity CAs at once, and how they are told to.
 
-Measured with the stacks' own plugins, participants of each generation, in every round of a
-rollover (tests/interop/test_rotate.py); what is said of other versions was measured as
-docs/stacks.md has it, or read in the source.
+Measured with real processes of the stacks, in every round of an overlap
+(tests/interop/test_rollover.py), and with their plugins, as an application that sets its
+own properties would call them (tests/interop/test_rotate.py).
 
-Of two permissions CAs, no stack trusts both all the way: Fast DDS 2.9.1 takes documents of
-either from one file, but meets only peers whose file has the same CA first.
+Of two permissions CAs, hardly a stack trusts both all the way: Fast DDS takes documents of
+either from one file, but meets only peers whose first CA has the same name. If both have one
+name, 3.1.2 goes over without a gap, and 2.9.1 does not start.
 """
 
 from dataclasses import dataclass
@@ -21,26 +22,17 @@ class Trust:
     evidence: str
 
 
+_FILE = "both certificates in the file identity_ca, as an overlap writes it"
+
 TRUST = (
+    Trust(stack="Fast DDS 2.9.1, 3.1.2", how=_FILE, evidence="measured, in any order"),
+    Trust(stack="Cyclone DDS with pqsec's plugin", how=_FILE, evidence="measured"),
     Trust(
-        stack="Fast DDS 2.9.1",
-        how="both certificates in the file identity_ca, and both revocation lists if there are",
-        evidence="measured",
-    ),
-    Trust(
-        stack="Fast DDS 3.1.2, 3.6.2",
+        stack="Cyclone DDS 0.10.2, 0.10.5",
         how=None,
-        evidence="measured: not the second in the file",
-    ),
-    Trust(
-        stack="Cyclone DDS 0.10.2",
-        how="both in a folder, TrustedCADirectory; no revocation list then; not in ROS 2",
-        evidence="measured; in one file only the first counts",
-    ),
-    Trust(
-        stack="Cyclone DDS 0.10.5, 11.0.1",
-        how="perhaps so too: not tried",
-        evidence="measured: in one file only the first counts",
+        evidence="measured: the first in the file counts, and no configuration file can name a"
+        " folder of CAs (TrustedCADirectory), because it names a revocation list too, if an"
+        " empty one; an application that sets the properties itself can",
     ),
     Trust(
         stack="OpenDDS",

@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath
 from pqsec_pki.access import Action
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError, UsageError, shown
-from pqsec_pki.keystore import Keystore
-from pqsec_pki.lint import Finding, Severity, Target, check
+from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.lint import Severity, Target, check
 from pqsec_pki.vendors import _ros2_plugin, own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors._ros2_environment import (
@@ -26,11 +26,17 @@ from pqsec_pki.vendors._ros2_environment import (
     near_misses,
 )
 from pqsec_pki.vendors._ros2_needs import Needs
+from pqsec_pki.vendors._ros2_plugin import CYCLONE, RMW
 from pqsec_pki.vendors.enclave import CRL, SIX, Enclave
 from pqsec_pki.vendors.export import Export, Options
 from pqsec_pki.vendors.ros2_check import Check
 
 SCRIPT = "ros2.sh"
+FAST_DDS_NOTE = (
+    "under rmw_fastrtps, ROS 2's default, nodes of this profile meet with Fast DDS 2.14.5 or 3.2.3,"
+    " and not with 2.14.4 or 3.2.0 to 3.2.2; under rmw_cyclonedds, with any"
+)
+"""Of the 8192 bytes that these cannot send more than (PQS501); 2.14 is Jazzy's, 3.2 Kilted's."""
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 
 
@@ -71,14 +77,9 @@ def export(enclave: Enclave, options: Options) -> Export:
             f"unset {OVERRIDE}",
             f"ros2 run PACKAGE NODE --ros-args --enclave {enclave.name}",
         ),
-        notes=tuple(_notes(keystore, options)),
+        notes=tuple(_notes(enclave, keystore, options)),
         warnings=(*near_misses(variables), *_warnings(needs, domain, variables)),
     )
-
-
-def severity(finding: Finding, options: Options) -> Severity | None:
-    """What the plugins of stacks make of it does not matter where ours runs."""
-    return own_plugin.severity(finding) if options.plugin else finding.rule.severity
 
 
 def preflight(
@@ -90,7 +91,7 @@ def preflight(
     KeystoreError if there is no such participant.
     """
     keystore.refuse_unknown(name)
-    name = "/" + "/".join(filter(None, name.split("/")))
+    name = regular_name(name)
     yield from environment(keystore.root.absolute(), name, variables)
     yield from _ros2_plugin.loaded(variables, name)
     try:
@@ -136,12 +137,14 @@ def _copies(enclave: Enclave, options: Options) -> dict[str, Path]:
     return {f"enclaves{enclave.name}/{file.name}": file for file in files}
 
 
-def _notes(keystore: str, options: Options) -> Iterator[str]:
+def _notes(enclave: Enclave, keystore: str, options: Options) -> Iterator[str]:
     if options.at:
         yield f"with -o DIR, copy what is in DIR to {keystore} there"
     if options.plugin:
         yield _ros2_plugin.NOTE
         yield own_plugin.NOTE
+    elif enclave.has_large_handshake and options.environment.get(RMW) != CYCLONE:
+        yield FAST_DDS_NOTE
 
 
 def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
@@ -155,7 +158,9 @@ def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
 def _credentials(enclave: Enclave, options: Options, now: datetime) -> Iterator[Check]:
     """What `pqsec check` finds that ROS 2 or a stack below it refuses, or our plugin."""
     report = check([enclave.folder], now=now, targets=[Target.ROS2])
-    errors = [each for each in report.findings if severity(each, options) is Severity.ERROR]
+    errors = [
+        each for each in report.findings if own_plugin.severity(each, options) is Severity.ERROR
+    ]
     for each in errors:
         what = f"{each.path.name} ({each.rule.id})"
         yield Check(what=what, problem=each.message, mend=each.rule.mend)
@@ -182,5 +187,6 @@ def _life(needs: Needs, domain: int | None) -> Iterator[Check]:
     yield Check(what=f"{DOMAIN} {domain}", problem=refusal, mend=mend)
     if not refusal:
         for node in needs.nodes:
-            mend = f"pqsec issue {needs.enclave} --force --ros-node {node}, with its own topics"
+            how = "--policy FILE" if "*" in node else f"--ros-node {node}, with its own topics"
+            mend = f"pqsec issue {needs.enclave} --force {how}"
             yield Check(what=f"node {node}", problem=needs.lack(node, domain), mend=mend)

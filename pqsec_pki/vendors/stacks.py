@@ -19,7 +19,8 @@ class Stack:
 
     The module has `export(enclave, options) -> Export`, and may have
     `severity(finding, options) -> Severity | None`: how bad a finding of the check is for
-    the version that is meant, None if not at all. Without, it is as bad as its rule says.
+    the version that is meant, None if not at all. Without, it is as bad as its rule says,
+    but for what does not matter where our own plugin runs.
     """
 
     name: str
@@ -31,6 +32,10 @@ class Stack:
     first: Version = ()
     end: Version | None = None
     """The first version after them, if there is a limit."""
+    has_numbers: bool = True
+    """Whether its versions have them; those of ROS 2 have names."""
+    knows_loopback: bool = False
+    """Whether it is known here how it is kept to one machine."""
     loads_plugins: bool = False
     """Whether its configuration names the security plugins."""
     loads_ours: tuple[str, ...] = ()
@@ -39,24 +44,33 @@ class Stack:
     """How it is known that the stack takes it."""
 
     def make(self, enclave: Enclave, options: Options) -> Export:
-        """The export, unchecked."""
+        """The export, unchecked; UsageError for what the stack cannot be told."""
+        if options.loopback and not self.knows_loopback:
+            able = ", ".join(each.name for each in STACKS if each.knows_loopback)
+            raise UsageError(
+                f"how {self.title} is kept to one machine is not known here",
+                hint=f"--loopback is for {able}",
+            )
         made: Export = import_module(f"pqsec_pki.vendors.{self.name}").export(enclave, options)
         return made
 
     def refuse_unknown(self, options: Options) -> None:
         """UsageError for a version whose configuration is not known."""
+        hint = f"exports are for {self.versions}"
+        if options.version is not None and not self.has_numbers:
+            raise UsageError(f"versions of {self.title} have no numbers", hint=hint)
         meant = options.release
         if meant and (meant < self.first or (self.end and meant >= self.end)):
             raise UsageError(
                 f"how {self.title} {options.version} is configured is not known here",
-                hint=f"exports are for {self.versions}",
+                hint=hint,
             )
 
     def severity(self, finding: Finding, options: Options) -> Severity | None:
         """How bad that is for this stack; None if not at all."""
         module = import_module(f"pqsec_pki.vendors.{self.name}")
-        own = getattr(module, "severity", None)
-        judged: Severity | None = own(finding, options) if own else finding.rule.severity
+        judge = getattr(module, "severity", own_plugin.severity)
+        judged: Severity | None = judge(finding, options)
         return judged
 
 
@@ -67,6 +81,7 @@ STACKS = (
         target=Target.CYCLONEDDS,
         versions="0.10 and later",
         first=(0, 10),
+        knows_loopback=True,
         loads_plugins=True,
         loads_ours=(LIBRARY,),
         evidence="run",
@@ -78,6 +93,7 @@ STACKS = (
         versions="2.x and 3.x",
         first=(2,),
         end=(4,),
+        knows_loopback=True,
         evidence="run",
     ),
     Stack(
@@ -85,6 +101,8 @@ STACKS = (
         title="OpenDDS",
         target=Target.OPENDDS,
         versions="3.x",
+        first=(3,),
+        end=(4,),
         evidence="its source; not run",
     ),
     Stack(
@@ -92,6 +110,8 @@ STACKS = (
         title="RTI Connext",
         target=Target.CONNEXT,
         versions="7.x",
+        first=(7,),
+        end=(8,),
         evidence="its documents; not run",
     ),
     Stack(
@@ -99,6 +119,8 @@ STACKS = (
         title="ROS 2",
         target=Target.ROS2,
         versions="Jazzy",
+        has_numbers=False,
+        knows_loopback=True,
         loads_ours=NAMES,
         evidence="run",
     ),
@@ -145,7 +167,7 @@ def export(
 
 def _refusal(stack: Stack, errors: list[Finding]) -> VerificationError:
     hint = errors[0].rule.mend
-    if stack.loads_ours and own_plugin.severity(errors[0]) is None:
+    if stack.loads_ours and own_plugin.is_of_others(errors[0]):
         hint += " Or run pqsec's plugin in it: --plugin."
     return VerificationError(*map(_told, errors), hint=hint)
 

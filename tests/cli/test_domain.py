@@ -130,7 +130,7 @@ def test_who_has_its_key_elsewhere_is_given_no_other(pqsec, applied, tmp_path):
     shutil.rmtree(tmp_path / "k/enclaves/r4")
     told = pqsec("-k k plan")
     assert told.code == 1
-    assert "blocked: /r4 lacks its certificate here, and has its key elsewhere; " in told.out
+    assert "blocked: /r4 has its key elsewhere, and its certificate is gone; " in told.out
 
 
 def test_many_names_are_counted_and_json_has_them_all(pqsec, domain, change):
@@ -211,3 +211,104 @@ def on_a_terminal(folder, *words, answer):
     process.wait(timeout=60)
     os.close(ours)
     return said.decode().replace("\r\n", "\n")
+
+
+# Keys on robots
+
+
+@pytest.fixture
+def robots(pqsec, domain, change, tmp_path):
+    """/r3 makes its own key; its request is where the file says."""
+    change('name: "/r{1..3}", role: robot}', 'name: "/r{1..2}", role: robot}')
+    domain.write_text(domain.read_text() + "  - {name: /r3, role: robot, request: inbox/}\n")
+    (tmp_path / "inbox").mkdir()
+
+    def ask():
+        pqsec("request /r3 --profile classical --dir robot --force").done()
+        shutil.copyfile(tmp_path / "robot/requests/r3/request.csr", tmp_path / "inbox/r3.csr")
+
+    return ask
+
+
+def test_a_robot_that_asks_is_answered_with_a_bundle_that_it_installs(pqsec, robots, tmp_path):
+    told = pqsec("-k k apply --yes --no-passphrase --bundles out")
+    assert told.code == 1
+    assert "note: /r3 has sent no request (new): that stays so" in told.err
+    assert not (tmp_path / "out").exists()
+    robots()
+    told = pqsec("-k k apply --yes --bundles out").done()
+    assert told.out.splitlines() == ["issue: 1", "bundles: 1"]
+    assert pqsec("-k k apply --bundles out").done().out.startswith("no changes; 3 participants")
+    pqsec("install out/r3.bundle --dir robot --trust-first").done()
+    assert (tmp_path / "robot/current/enclaves/r3/key.pem").exists()
+    (tmp_path / "out/r3.bundle").unlink()  # as if it was killed before
+    told = pqsec("-k k apply --bundles out --json").done()
+    assert (told.json["steps"], told.json["bundles"]) == ([], ["out/r3.bundle"])
+
+
+def test_a_bundle_that_cannot_be_written_is_the_next_applys(pqsec, robots, tmp_path):
+    robots()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/r3.bundle").write_text("a note of mine")
+    told = pqsec("-k k apply --yes --no-passphrase --bundles out")
+    assert told.code == 3
+    assert "note: all 5 changes are done; apply again writes the bundles" in told.err
+    assert "error: out/r3.bundle exists, and is no bundle of /r3" in told.err
+    (tmp_path / "out/r3.bundle").unlink()
+    assert pqsec("-k k apply --bundles out").done().out == "bundles: 1\n"
+
+
+def test_without_a_folder_for_bundles_it_is_told_who_waits_for_one(pqsec, robots):
+    robots()
+    told = pqsec("-k k apply --yes --no-passphrase").done()
+    assert "note: their keys are on their robots: /r3; --bundles DIR, or `pqsec bundle`" in told.err
+
+
+def test_another_key_is_certified_only_if_that_is_said(pqsec, robots):
+    robots()
+    pqsec("-k k apply --yes --no-passphrase").done()
+    robots()
+    for line in ("plan", "apply --yes"):
+        told = pqsec(f"-k k {line}")
+        assert told.code == 1
+        assert "/r3 stays as it is: its request is for another key" in told.out
+    assert "if it is really the robot that asks: --new-keys" in told.out
+    assert pqsec("-k k plan --new-keys --json").json["steps"] == [
+        {"action": "replace", "name": "/r3", "why": "its request is for another key"}
+    ]
+    assert pqsec("-k k apply --yes --new-keys").done().out == "issue anew: 1\n"
+    pqsec("-k k plan").done()
+
+
+def test_a_check_writes_no_bundles(pqsec, applied):
+    pqsec("-k k apply --check --bundles out").refused(2, "--check changes nothing")
+
+
+def test_bundles_are_written_although_somebody_could_not_be_done(pqsec, robots, change, tmp_path):
+    robots()
+    change("publish: [rt$name/pose]", "publish: [rt$name/pose], nodes: $zone")
+    change("inbox/}", "inbox/, values: {zone: /ok}}")
+    change("role: robot}", "role: robot, values: {zone: '/no good'}}")
+    told = pqsec("-k k apply --yes --no-passphrase --bundles out")
+    assert told.code in {1, 3}
+    assert (tmp_path / "out/r3.bundle").exists()
+
+
+# Slips
+
+
+def test_a_list_that_was_cut_short_does_not_take_back_a_fleet(pqsec, applied, change):
+    change("1..3", "3..3")
+    pqsec("-k k apply --prune --yes").refused(
+        2, "2 participants would be revoked, and domain.yaml names 1", hint="--revoke-most"
+    )
+    assert pqsec("-k k plan --prune --json").json["unchanged"] == 1
+    told = pqsec("-k k apply --prune --yes --revoke-most --json").done()
+    assert [each["name"] for each in told.json["steps"]] == ["/r1", "/r2"]
+    reasons = {each["details"].get("reason") for each in pqsec("-k k log --json").json["lines"]}
+    assert reasons == {None, "cessationOfOperation"}
+
+
+def test_json_asks_nobody(pqsec, domain, tmp_path):
+    pqsec("-k k apply --json").refused(2, "--json asks nobody", hint="--yes")
+    assert not (tmp_path / "k").exists()

@@ -236,7 +236,7 @@ def test_an_offline_ca_answers_and_may_be_asked_again(pqsec, asked, tmp_path):
             "subscribe": [],
             "policy": False,
             "permissions": None,
-            "days": 30,
+            "hours": 720,
         }
     ]
     assert pqsec("-k k sign-request sign asked -o answer").done().out.startswith(ROBOT)
@@ -285,3 +285,64 @@ def test_what_cannot_be_signed_or_imported_is_refused(pqsec, asked, line, code, 
     pqsec(line).refused(code, words)
     assert snapshot(here / "k") == before
     assert not (here / "x").exists()
+
+
+def test_a_stolen_key_is_not_certified_again_unless_that_risk_is_taken(pqsec, asked, tmp_path):
+    robot = asked()
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    pqsec(f"-k k revoke {ROBOT} --reason keyCompromise").done()
+    line = f"-k k issue --csr k/enclaves{ROBOT}/request.pem {ROBOT} {TOPIC} --force"
+    again = f"{line} --after-revocation"
+    pqsec(again).refused(1, f"{ROBOT}: its key was revoked as compromised", hint="`pqsec request`")
+    (robot.parent / "fleet+robot1.bundle").unlink()
+    pqsec(f"{again} --reuse-compromised-key").done()
+    pqsec(f"-k k renew {ROBOT}").refused(1, "compromised", hint="`pqsec request`")
+    pqsec(f"-k k renew {ROBOT} --reuse-compromised-key").done()
+
+
+def test_the_air_gap_lets_no_stolen_key_through(pqsec, asked):
+    asked()
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    pqsec(f"-k k revoke {ROBOT} --reason keyCompromise").done()
+    pqsec(f"sign-request export r/{CSR} {TOPIC} -o asked").done()
+    line = "-k k sign-request sign asked -o answer --force --after-revocation"
+    pqsec(line).refused(1, "its key was revoked as compromised")
+    pqsec(f"{line} --reuse-compromised-key").done()
+
+
+def test_a_robot_of_two_participants_keeps_both(pqsec, asked, tmp_path):
+    asked()
+    pqsec("request /fleet/arm --profile classical --dir r").done()
+    folder = "r/requests/fleet+"
+    pqsec(f"-k k issue --csr {folder}arm/request.csr /fleet/arm {TOPIC}").done()
+    pqsec(f"-k k issue --csr {folder}robot1/request.csr {ROBOT} {TOPIC}").done()
+    pqsec(f"install fleet+arm.bundle --dir r {fingerprints(pqsec)}").done()
+    pqsec("install fleet+robot1.bundle --dir r").done()
+    enclaves = tmp_path / "r/current/enclaves/fleet"
+    assert sorted(each.name for each in enclaves.iterdir()) == ["arm", "robot1"]
+    pqsec("install fleet+robot1.bundle --dir r --only").done()
+    assert [each.name for each in enclaves.iterdir()] == ["robot1"]
+
+
+@pytest.mark.parametrize(("validity", "told"), [("12h", "12h"), ("36h", "36h"), ("90d", "90d")])
+def test_who_signs_is_told_for_how_long_to_the_hour(pqsec, asked, validity, told):
+    asked()
+    pqsec(f"sign-request export r/{CSR} {TOPIC} --validity {validity} -o asked").done()
+    [row] = [
+        line
+        for line in pqsec("-k k sign-request sign asked --show").done().out.splitlines()
+        if line.startswith(ROBOT)
+    ]
+    assert row.split()[-1] == told
+
+
+def test_an_import_takes_fingerprints_as_people_write_them(pqsec, asked):
+    asked()
+    pqsec(f"sign-request export r/{CSR} {TOPIC} -o asked").done()
+    pqsec("-k k sign-request sign asked -o answer").done()
+    line = "sign-request import answer --request asked"
+    pins = fingerprints(pqsec)
+    pqsec(f"{line} {pins[:-1]}").refused(2, "is not a SHA-256 fingerprint")
+    plain = [each for each in pins.split() if not each.startswith("-")]
+    written = [":".join(each[at : at + 2] for at in range(0, 64, 2)).upper() for each in plain]
+    pqsec(line, *(f"--ca-fingerprint={each}" for each in written)).done()

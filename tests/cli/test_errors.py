@@ -255,7 +255,82 @@ def test_a_full_disk_below_the_result_is_an_error(tmp_path, option):
     ):
         err = process.stderr.read().decode()
     assert process.returncode == 3
-    assert err == "pqsec: error: the result cannot be printed: no space left on device\n"
+    assert err == (
+        "pqsec: error: the result cannot be printed: no space left on device\n"
+        "pqsec: hint: what was asked for is done all the same\n"
+    )
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("-k k verify-handshake --all --json", 0),
+        ("-k new ca init", 2),
+        ("-k k issue /new --publish x --json", 0),
+        ("-k k verify no", 3),
+    ],
+)
+def test_a_stream_that_is_closed_changes_nothing_else(tmp_path, keystore, line, code, closed):
+    """Whatever is opened next must not get the number of that stream, and be written to."""
+    keystore()
+    done = subprocess.run(
+        ["sh", "-c", f"exec {sys.executable} -m pqsec_pki {line} {closed}"],
+        cwd=tmp_path,
+        env=clean_environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == code
+    assert b"Traceback" not in done.stderr
+    assert bool(done.stdout) == (code == 0 and ">&-" not in closed.split())
+    assert bool(done.stderr) == (code != 0 and "2>&-" not in closed)
+
+
+def test_a_folder_that_is_gone_is_told(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    line = f"rmdir {gone}; exec {sys.executable} -m pqsec_pki profiles"
+    done = subprocess.run(
+        ["sh", "-c", line],
+        cwd=gone,
+        env=clean_environment(PYTHONPATH=os.pathsep.join(filter(None, sys.path))),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 3
+    assert done.stdout == ""
+    assert done.stderr.startswith("pqsec: error: the folder in which this shell is")
+
+
+def test_what_is_made_can_be_read_whatever_the_umask(pqsec, tmp_path):
+    """Of the umask only the others' part counts; 0o777 would let nobody finish."""
+    before = os.umask(0o777)
+    try:
+        pqsec("demo made").done()
+        assert os.umask(0o777) == 0o077
+    finally:
+        os.umask(before)
+    modes = {path.stat().st_mode & 0o700 for path in (tmp_path / "made").rglob("*")}
+    assert modes == {0o600, 0o700}
+
+
+def test_what_a_terminal_would_obey_is_not_printed(pqsec, tmp_path):
+    name = "k\x1b[2J\u202e\n/talker  until 2099-01-01"
+    said = pqsec("ca init --no-passphrase --profile classical -k", name).done()
+    assert said.out.startswith("keystore       k\\u001b[2J\\u202e\\u000a/talker  until")
+    assert pqsec("ca show --json -k", name).done().json["keystore"] == name
+
+
+def test_a_copy_that_cannot_be_written_hides_no_work(pqsec, keystore, tmp_path):
+    keystore()
+    pqsec("-k k ca crl -o no/copy").refused(3, "no/copy", hint="`pqsec ca crl --show -o FILE`")
+    pqsec("-k k ca crl --show -o copy").done()
+    assert (tmp_path / "copy").read_bytes() == (
+        tmp_path / "k/public/identity_ca.crl.pem"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize(("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -287,3 +362,25 @@ def test_a_path_that_is_no_text_is_shown_all_the_same(process, tmp_path):
     assert said.code == 0
     assert said.out.startswith("keystore       k\\udcff (profile transition")
     assert (tmp_path / name / "pqsec.json").is_file()
+
+
+def test_a_full_disk_keeps_no_half_made_keys(tmp_path):
+    """Files of more than 2 KB fail: the key fits, the request does not."""
+    line = f"ulimit -f 4; exec {sys.executable} -m pqsec_pki request /new --dir r"
+    done = subprocess.run(
+        ["sh", "-c", line],
+        cwd=tmp_path,
+        env=clean_environment(PYTHONDONTWRITEBYTECODE="1"),
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 3
+    assert done.stderr == b"pqsec: error: r: file too large\n"
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_name_in_a_file_is_told_with_the_file_and_in_short(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "robot").write_text("/talker\n" + "?" * 100_000)
+    said = pqsec("-k k bundle --robot robot --plain-key -o out").refused(2, "robot: '???")
+    assert len(said.err) < 500

@@ -158,6 +158,10 @@ def test_a_participant_that_is_not_there_is_named(pqsec, keystore):
         ("cyclonedds", "NAME"),
         ("cyclonedds /talker --stack-version new", "not a version"),
         ("cyclonedds /talker --stack-version 0.9", "not known here"),
+        ("opendds /talker --stack-version 4", "how OpenDDS 4 is configured is not known here"),
+        ("connext /talker --stack-version 6.1", "exports are for 7.x"),
+        ("ros2 /talker --stack-version jazzy", "versions of ROS 2 have no numbers"),
+        ("ros2 /talker --stack-version 2", "exports are for Jazzy"),
         ("cyclonedds /talker -o ''", "empty"),
     ],
 )

@@ -51,6 +51,34 @@ def test_without_a_compiler_that_works_nothing_is_left(
     assert not (tmp_path / "lib").exists()
 
 
+def test_units_for_systemd_are_written_beside_all_or_nothing(
+    pqsec, requires, monkeypatch, tmp_path
+):
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    folder, service = tmp_path / "lib", tmp_path / "config/systemd/user/pqsec-agent.service"
+    service.parent.mkdir(parents=True)
+    service.write_text("mine")
+    line = f"plugin install --systemd --dir {folder}"
+    pqsec(line).refused(3, "pqsec-agent.service exists", hint="--force")
+    assert (service.read_text(), folder.exists()) == ("mine", False)
+    monkeypatch.setenv("CC", "nowhere-cc")
+    pqsec(f"{line} --force").refused(3, "no C compiler")
+    assert service.read_text() == "mine"
+    monkeypatch.delenv("CC")
+    done = pqsec(f"{line} --force").done()
+    assert sys.executable in service.read_text()
+    assert "systemctl --user enable --now pqsec-agent.service" in done.out
+
+
+@pytest.mark.parametrize("line", ["plugin install", "plugin install --systemd --dir lib"])
+def test_who_has_no_home_is_told_what_to_do(pqsec, monkeypatch, line):
+    for name in ("HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # whom the system does not know
+    pqsec(line).refused(3, "no home folder", hint="HOME")
+
+
 def test_no_agent_is_no_error_but_no_yes_either(pqsec, runtime):
     assert pqsec("agent status").code == 1
     assert json.loads(pqsec("agent status --json").out) == {"running": False}

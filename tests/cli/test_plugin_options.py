@@ -1,6 +1,7 @@
 """--plugin of `pqsec export` and `pqsec try`: what they say, and what makes no sense."""
 
 import json
+import os
 
 import pytest
 
@@ -35,6 +36,15 @@ def test_the_plugin_is_looked_for_where_it_is_installed(pqsec, keystore, tmp_pat
     (tmp_path / ".local/lib").mkdir(parents=True)
     plugin.rename(tmp_path / ".local/lib/pqsec")
     assert str(tmp_path / ".local/lib/pqsec") in pqsec(line, HOME=str(tmp_path)).done().out
+
+
+def test_without_a_home_the_plugin_must_be_named_and_nothing_else(pqsec, keystore, monkeypatch):
+    keystore("transition")
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # whom the system does not know
+    line = "-k k export cyclonedds /talker"
+    pqsec(f"{line} --plugin").refused(3, "no home folder", hint="HOME")
+    pqsec(line).done()
 
 
 def test_on_another_machine_its_folder_must_be_said(pqsec, keystore):

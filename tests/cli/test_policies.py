@@ -264,6 +264,41 @@ def test_participants_are_issued_from_a_policy_of_sros2(pqsec, keystore, tmp_pat
     assert grant.rules[-1].publish[0].topics == (ros.DISCOVERY,)
 
 
+def test_without_names_all_of_a_policy_are_issued(pqsec, keystore, tmp_path):
+    k = keystore()
+    (tmp_path / "p.yaml").write_text(POLICY)
+    named = [each["name"] for each in pqsec("-k k issue --policy p.yaml --json").json["issued"]]
+    assert named == ["/a", "/b"]
+    pqsec("-k k issue --policy p.yaml").refused(3, "already issued: /a, /b")
+    pqsec("-k k issue --policy", SAMPLE).done()
+    assert sorted(path.name for path in (k / "enclaves/talker_listener").iterdir()) == [
+        "listener",
+        "talker",
+    ]
+
+
+ROOT = """<policy version="0.2.0"><enclaves>
+<enclave path="/"><profiles>
+<profile ns="/" node="talker"><topics publish="ALLOW"><topic>chatter</topic></topics></profile>
+</profiles></enclave>{more}
+</enclaves></policy>"""
+MORE = """
+<enclave path="/rover"><profiles>
+<profile ns="/" node="rover"><topics publish="ALLOW"><topic>odom</topic></topics></profile>
+</profiles></enclave>"""
+
+
+@pytest.mark.parametrize("name", ["", "/talker"])
+def test_nodes_that_ran_without_enclave_are_nobodys(pqsec, keystore, tmp_path, name):
+    k = keystore()
+    (tmp_path / "p.xml").write_text(ROOT.format(more=""))
+    pqsec(f"-k k issue {name} --policy p.xml").refused(2, "p.xml has", hint="--enclave /NAME")
+    (tmp_path / "p.xml").write_text(ROOT.format(more=MORE))
+    assert "--enclave /NAME" in pqsec("-k k issue --policy p.xml").done().err
+    found = {path.name for path in (k / "enclaves").iterdir() if path.is_dir()}
+    assert found == {"listener", "rover", "talker"}
+
+
 @pytest.mark.parametrize(
     ("more", "code", "words"),
     [

@@ -39,7 +39,7 @@ def test_a_plan_changes_nothing_and_tells_all(pqsec, k, option):
         "keep the old CAs in k/private/generations/1",
         "runs in no stock stack today",
         "Go by way of `--profile transition`",
-        "Fast DDS 2.9.1: both certificates in the file identity_ca,",
+        "Fast DDS 2.9.1, 3.1.2: both certificates in the file identity_ca,",
     ):
         assert words in told
 
@@ -88,7 +88,7 @@ def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
     assert "1 stranded, 1 valid" in pqsec("-k k status").done().out
     renewed = pqsec("-k k renew --all --json").done().json["issued"]
     assert [each["name"] for each in renewed] == ["/listener"]
-    assert pqsec("-k k renew /talker").code == 1
+    pqsec("-k k renew /talker").refused(3, "stayed behind with an earlier CA", hint="--csr")
 
 
 def test_new_cas_have_the_passphrase_that_is_given(pqsec, k, secret):
@@ -122,6 +122,106 @@ def test_what_makes_no_sense_is_refused(pqsec, k, options, code, words):
     else:
         pqsec(f"-k k ca rotate {options}").refused(code, words)
     assert snapshot(k) == before
+
+
+# ca rotate --overlap
+
+
+def test_an_overlap_goes_on_step_by_step_as_its_plans_say(pqsec, k):
+    for step, plan, done, left in (
+        ("begin", "which issues nothing yet", "CN=G2 Identity CA is trusted too", "switch`"),
+        ("switch", "certify 2 participants again", "generation 2: identity CA, 2 part", "finish`"),
+        ("finish", "cut off whoever", "CN=Identity CA is trusted no more", "`pqsec ca show`"),
+    ):
+        before = snapshot(k)
+        told = pqsec(f"-k k ca rotate --overlap {step}").done().out
+        assert plan in told
+        assert "Cyclone DDS 0.10.2, 0.10.5: no (measured" in told
+        assert snapshot(k) == before
+        found = pqsec(f"-k k ca rotate --overlap {step} --apply").done().out
+        assert done in found
+        assert found.splitlines()[-1].endswith(left)
+        pqsec("-k k verify-handshake /talker /listener").done()
+        pqsec("-k k log --verify").done()
+        assert ("trusted too" in pqsec("-k k ca show").done().out) == (step != "finish")
+        assert ("trusted too" in pqsec("-k k status").done().out) == (step != "finish")
+        assert ("PQS131" in pqsec("-k k check").done().out) == (step != "finish")
+    assert len(pqsec("-k k ca show --json").done().json["cas"]) == 2
+
+
+def test_an_overlap_is_taken_back(pqsec, k):
+    before = snapshot(k)
+    pqsec("-k k ca rotate --overlap begin --apply").done()
+    told = pqsec("-k k ca rotate --overlap cancel").done().out
+    assert "destroy the key of CN=G2 Identity CA" in told
+    done = pqsec("-k k ca rotate --overlap cancel --apply --json").done().json
+    assert done["overlap"] == "cancel"
+    assert done["done"] == ["CN=G2 Identity CA is trusted no more, and its key destroyed"]
+    after = snapshot(k)
+    assert {name for name in before | after if before.get(name) != after.get(name)} <= {
+        name for name in before | after if "ledger" in str(name)
+    }
+
+
+def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
+    pqsec("-k k ca passphrase --new-passphrase-file", secret("one")).done()
+    pqsec("-k k ca rotate --overlap begin --apply").refused(2, "the CA keys are encrypted")
+    line = "-k k ca rotate --apply --passphrase-file one.txt --overlap"
+    pqsec(line, "begin").done()
+    pqsec("-k k ca rotate --apply --overlap switch --passphrase-file", secret("two")).refused(
+        3, hint="give the CA passphrase"
+    )
+    pqsec(line, "switch").done()
+    pqsec("-k k ca rotate --apply --overlap finish").done()  # which needs no key
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        ("--overlap soon", 2, "'soon' is not one of"),
+        ("--overlap begin --only permissions", 2, "no stack trusts two permissions CAs"),
+        ("--overlap begin --profile pq", 2, "another profile is for both CAs"),
+        ("--overlap begin --rekey", 2, "--rekey says nothing about --overlap begin"),
+        ("--overlap switch --name x", 2, "--name says nothing about --overlap switch"),
+        ("--overlap finish --validity 1y", 2, "--validity says nothing about --overlap finish"),
+        ("--overlap begin --no-passphrase", 2, "--no-passphrase says nothing about"),
+        ("--overlap switch", 3, "no overlap has begun"),
+        ("--overlap finish", 3, "no overlap has begun"),
+        ("--overlap cancel", 3, "no overlap has begun"),
+    ],
+)
+def test_a_step_that_makes_no_sense_is_refused(pqsec, k, options, code, words):
+    before = snapshot(k)
+    for do in ("", "--apply"):
+        pqsec(f"-k k ca rotate {options} {do}").refused(code, words)
+    assert snapshot(k) == before
+
+
+def test_a_robot_with_bundles_is_told_whom_to_trust_at_the_begin_and_the_end(pqsec, k):
+    def install(*named):
+        pqsec("-k k bundle /talker --plain-key --force -o one.bundle").done()
+        return pqsec("install one.bundle --dir robot", *named)
+
+    def named():
+        cas = pqsec("-k k ca show --json").done().json["cas"]
+        return [text for ca in cas for text in ("--ca-fingerprint", ca["sha256"])]
+
+    install(*named()).done()
+    pqsec("-k k ca rotate --overlap begin --apply").done()
+    install().refused(1, "a CA in the bundle is not one that is trusted")
+    install(*named()).done()
+    pqsec("-k k ca rotate --overlap switch --apply").done()
+    install().done()
+    pqsec("-k k ca rotate --overlap finish --apply").done()
+    install().refused(1, "the bundle lacks a CA that is trusted")
+    install(*named()).done()
+
+
+def test_what_waits_for_the_end_of_an_overlap_says_so(pqsec, k):
+    pqsec("-k k ca rotate --overlap begin --apply").done()
+    for line in ("revoke /talker", "ca crl", "ca rotate", "ca rotate --overlap begin"):
+        pqsec(f"-k k {line}").refused(3, "two identity CAs are trusted", hint="--overlap cancel")
+    pqsec("-k k renew /talker").done()
 
 
 # ca passphrase

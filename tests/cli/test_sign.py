@@ -291,14 +291,16 @@ def test_the_ledger_tells_of_a_file_only_once_it_is_there(pqsec, keystore, tmp_p
     pqsec(line, "no/such/folder").refused(3)
     assert ledger(k) == before
     for file in (k / "private").glob("ledger.sqlite3*"):
-        file.unlink()
-    (k / "private/ledger.sqlite3").write_bytes(b"not a database" * 100)
-    pqsec(line, "out").refused(3, "private/ledger.sqlite3")
-    assert not (tmp_path / "out").exists()
-    (k / "private/ledger.sqlite3").unlink()
+        file.rename(tmp_path / file.name)
+    for lost in (b"", b"not a database" * 100):
+        (k / "private/ledger.sqlite3").write_bytes(lost)
+        pqsec(line, "out").refused(3, "private/ledger.sqlite3")
+        assert not (tmp_path / "out").exists()
+    for file in tmp_path.glob("ledger.sqlite3*"):
+        file.rename(k / "private" / file.name)
     pqsec(line, "out").done()
     signed = sha256((tmp_path / "out").read_bytes()).hexdigest()
-    assert ledger(k) == [("permissions", "out", signed)]
+    assert ledger(k) == [*before, ("permissions", "out", signed)]
 
 
 def test_a_device_is_not_replaced_even_when_forced(pqsec, keystore, tmp_path):

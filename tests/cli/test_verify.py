@@ -92,7 +92,7 @@ def test_json_tells_the_signatures_that_hold(pqsec, keystore, profile, file):
     assert {each["family"] for each in said["signatures"]} == FAMILIES[profile]
     for each in said["signatures"]:
         age = datetime.now(UTC) - datetime.fromisoformat(each["signed_at"])
-        assert timedelta() <= age < timedelta(minutes=5)
+        assert timedelta() <= age < timedelta(hours=1)  # it was made once for all tests
 
 
 def test_a_person_is_told_the_countersignature(pqsec, keystore):

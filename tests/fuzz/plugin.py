@@ -3,7 +3,7 @@
 import os
 from functools import cache, partial
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import DataHolder
@@ -41,9 +41,15 @@ def take(plugin: str, octets: bytes) -> None:
 
 
 @cache
+def place() -> "TemporaryDirectory[str]":
+    """Goes with the process."""
+    return TemporaryDirectory(prefix="pqsec-fuzz-")
+
+
+@cache
 def folder() -> Path:
     """That of a participant, so that calls get somewhere."""
-    return made(Path(mkdtemp()) / "k", "pq").root / "enclaves/talker"
+    return made(Path(place().name) / "k", "pq").root / "enclaves/talker"
 
 
 def calls(plugin: str) -> list[bytes]:

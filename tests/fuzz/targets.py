@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from pqsec_pki.errors import PqsecError
-from tests.fuzz import files, messages, mutation, plugin
+from tests.fuzz import bundles, files, messages, mutation, plugin
 
 
 class Target(NamedTuple):
@@ -26,5 +26,6 @@ class Target(NamedTuple):
 
 TARGETS = {
     name: Target(*each)
-    for name, each in (messages.TARGETS | files.TARGETS | plugin.TARGETS).items()
+    for room in (messages, files, plugin, bundles)
+    for name, each in room.TARGETS.items()
 }

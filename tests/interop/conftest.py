@@ -24,6 +24,8 @@ from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
 from tests.interop.cyclone import find_plugins
 from tests.interop.fastdds import build, find_compiler
 from tests.interop.fastdds_meeting import Both, meeting
+from tests.interop.nodes import Nodes, compiled
+from tests.interop.ros2 import Ros2
 
 YEAR = timedelta(days=365)
 DOMAINS = DomainSet.of(DomainRange(first=0, last=10))
@@ -187,6 +189,20 @@ def meet_fastdds(fastdds, labs, enclave) -> Callable[..., Both]:
             return stack.enter_context(both)
 
         yield meet
+
+
+@pytest.fixture(scope="session")
+def ros2(requires) -> Ros2:
+    """ROS 2's client library for Python."""
+    return requires(Ros2.find(), "ROS 2's wheels", "run .ci/ros2, or set PQSEC_ROS2")
+
+
+@pytest.fixture(scope="session")
+def nodes(requires, ros2, plugins, tmp_path_factory) -> Nodes:
+    """Real nodes on Cyclone DDS."""
+    remedy = "apt-get install --no-install-recommends g++ cyclonedds-dev cyclonedds-tools"
+    folder = tmp_path_factory.mktemp("nodes")
+    return Nodes(ros2, requires(compiled(ros2, folder), "g++ and idlc", remedy), folder)
 
 
 @pytest.fixture(scope="session")

@@ -49,7 +49,7 @@ class Ros2:
         done = subprocess.run(
             ["sh", "-euc", f"{script}\nexec {command}"],
             cwd=work,
-            env=self._environment(work),
+            env={"PATH": "/usr/bin:/bin"} | self.variables(work),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -59,13 +59,17 @@ class Ros2:
         )
         return Run(done.returncode, done.stdout)
 
-    def _environment(self, work: Path) -> dict[str, str]:
-        libraries = [self.folder / "lib", *self.folder.glob("lib/python*/site-packages/*.libs")]
+    @property
+    def libraries(self) -> list[Path]:
+        """The folders with the wheels' libraries."""
+        return [self.folder / "lib", *self.folder.glob("lib/python*/site-packages/*.libs")]
+
+    def variables(self, work: Path) -> dict[str, str]:
+        """What the wheels need, for a process that works in `work`."""
         return {
-            "PATH": "/usr/bin:/bin",
             "HOME": str(work),
             "LANG": "C.UTF-8",
-            "LD_LIBRARY_PATH": ":".join(map(str, libraries)),
+            "LD_LIBRARY_PATH": ":".join(map(str, self.libraries)),
             "AMENT_PREFIX_PATH": str(self.folder),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
             "ROS_LOG_DIR": str(work / "log"),

@@ -103,15 +103,20 @@ ALTERED = {
 }
 
 
+def altered(folder, file):
+    """The signed document, changed after that."""
+    signed = (folder / file).read_bytes()
+    changed = signed.replace(*ALTERED[file])
+    assert changed != signed
+    return {file: changed}
+
+
 @pytest.mark.parametrize("file", ALTERED)
 @pytest.mark.parametrize("profile", STOCK)
 def test_an_altered_document_is_refused(labs, joins, profile, file):
     folder = labs(profile).alice
-    signed = (folder / file).read_bytes()
-    altered = signed.replace(*ALTERED[file])
-    assert altered != signed
     with refused(DOCUMENT, "digest failure"):
-        joins(folder, {file: altered})
+        joins(folder, altered(folder, file))
 
 
 @pytest.mark.parametrize("file", ALTERED)

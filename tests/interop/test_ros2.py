@@ -10,7 +10,6 @@ from pqsec_pki.keystore import Keystore, Wish, issue
 from pqsec_pki.vendors import Options, export, stack_named, write
 from pqsec_pki.vendors.messages import recognise
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR, Lab
-from tests.interop.ros2 import Ros2
 
 pytestmark = pytest.mark.interop
 
@@ -18,11 +17,6 @@ TALKER = ("--ros-args", "--enclave", "/lab/talker")
 NOBODY = ("--ros-args", "--enclave", "/lab/nobody")
 FOUND = "Found security directory: {folder}"
 STOP = "This Fast DDS version doesn't have the security libraries"
-
-
-@pytest.fixture(scope="session")
-def ros2(requires) -> Ros2:
-    return requires(Ros2.find(), "ROS 2's wheels", "run .ci/ros2, or set PQSEC_ROS2")
 
 
 @pytest.fixture(scope="session")

@@ -142,8 +142,11 @@ def test_a_change_is_told_where_any_set_of_partitions_and_tags_finds_one(
     subject = {"subject": SUBJECT, "domain": 0}
     asked = [
         {"action": action, "topic": topic, "partitions": partitions, "data_tags": tags}
-        for action, topic in product(ACTIONS[:2], ("a", "b"))
-        for partitions, tags in product(subsets(WORDS), subsets(TAGS))
+        for (action, topic), (partitions, tags) in [
+            *product([(Action.PUBLISH, "a")], product(subsets(WORDS), subsets(TAGS))),
+            # no rule is about these
+            *product([(Action.SUBSCRIBE, "a"), (Action.PUBLISH, "b")], [((), ()), (WORDS, TAGS)]),
+        ]
     ]
     differs = any(
         ask(before, now, **subject, **each) is not ask(after, now, **subject, **each)

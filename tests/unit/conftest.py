@@ -1,4 +1,4 @@
-"""Places for keystores that are made and killed by the hundred."""
+"""Places for keystores that are made and killed by the hundred; umasks."""
 
 import os
 import tempfile
@@ -7,7 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit.domains import Scene
 from tests.unit.killing import create, issue_to
+
+
+@pytest.fixture(params=[0o000, 0o022, 0o077], ids=lambda mask: f"umask {mask:03o}")
+def umask(request) -> Iterator[int]:
+    """Each umask that is usual somewhere."""
+    before = os.umask(request.param)
+    yield request.param
+    os.umask(before)
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +52,17 @@ def prepared(memory) -> Callable[[tuple[str, ...]], Path]:
         return made[names]
 
     return make
+
+
+@pytest.fixture(scope="session")
+def applied_domain(tmp_path_factory) -> Scene:
+    """The domain file of tests/unit/domains.py, applied."""
+    made = Scene(tmp_path_factory.mktemp("applied"))
+    made.apply()
+    return made
+
+
+@pytest.fixture
+def scene(applied_domain, tmp_path) -> Scene:
+    """The same, for this test alone."""
+    return Scene.copy(applied_domain, tmp_path)

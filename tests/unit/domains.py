@@ -70,12 +70,15 @@ class Scene:
 
     def apply(self, now=NOW, **options):
         found = self.plan(now, **options)
-        desired = read_domain(self.file)
         if not self.root.exists():
-            make(desired, self.root, passphrase=None, now=now)
-        keystore = self.keystore
+            make(read_domain(self.file), self.root, passphrase=None, now=now)
+        assert self.take(found, now) == [(step.action, step.name) for step in found.steps]
+
+    def take(self, found, now=NOW):
+        """The steps of a plan that are taken; fewer, if another command was at work since."""
+        desired, keystore = read_domain(self.file), self.keystore
         batches = perform(desired, keystore, keystore.unlock(None), found, now=now)
-        assert [step for batch in batches for step in batch] == list(found.steps)
+        return [(step.action, step.name) for batch in batches for step in batch]
 
     def file_of(self, name, file):
         return self.root / f"enclaves{name}" / file
@@ -87,3 +90,10 @@ class Scene:
         [rule] = grant.rules
         sides = (rule.publish, rule.subscribe)
         return [[topic for each in side for topic in each.topics] for side in sides]
+
+
+def damage(path):
+    """One bit in its middle is another."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)

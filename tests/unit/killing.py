@@ -4,10 +4,14 @@ A child process does the work and is killed at its Nth call, for every N until t
 done; writes are cut in half. Then the parent looks.
 """
 
+import errno
 import hashlib
 import os
+import random
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -23,6 +27,8 @@ from pqsec_pki.smime import Require, verify
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 YEAR = timedelta(days=365)
 KILLED = 9
+REASONS = (errno.ENOSPC, errno.EROFS, errno.EIO)
+"""Why a disk refuses."""
 CALLS = (*("open", "write", "mkdir", "chmod", "rename", "replace", "symlink", "unlink", "rmdir"),)
 
 
@@ -227,6 +233,11 @@ def fails_with(code: int, calls: int, work: Callable[[], object]) -> bool:
     return status == 0
 
 
+def fails(calls: int, work: Callable[[], object]) -> bool:
+    """As fails_with, for one reason after the other."""
+    return fails_with(REASONS[calls % len(REASONS)], calls, work)
+
+
 def _refusing(name: str, code: int, left: list[int]) -> None:
     real = getattr(os, name)
 
@@ -237,6 +248,25 @@ def _refusing(name: str, code: int, left: list[int]) -> None:
         return real(*arguments, **options)
 
     setattr(os, name, refusing)
+
+
+def killed_processes(place: Path, original: Path, line: str, *, within: float) -> Iterator[Path]:
+    """Copies of `original` whose process of the command `line` was killed as it worked.
+
+    Once it has begun to draft, at a moment of the seconds `within`.
+    """
+    chance = random.Random(line)  # noqa: S311 -- the same each time
+    for number in range(5):
+        root = place / str(number)
+        shutil.copytree(original, root, symlinks=True)
+        command = [sys.executable, "-m", "pqsec_pki", "-k", str(root), *line.split()]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        while process.poll() is None and not drafts(root):
+            time.sleep(0.002)
+        time.sleep(chance.uniform(0, within))
+        process.send_signal(signal.SIGKILL)
+        assert b"Traceback" not in process.communicate(timeout=60)[1]
+        yield root
 
 
 # Several at once

@@ -2,10 +2,14 @@
 
 import os
 
+from pqsec_pki.handshake import DataHolder, participant_data
+from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
 from pqsec_pki.plugin.connection import Connection, House
 from pqsec_pki.plugin.octets import Reader, Writer
+from tests.unit.keystores import NOW
 
+IDENTITY = DataHolder("DDS:Auth:PKI-DH:1.0")
 AUTHENTICATION = {
     "identity_ca": "identity_ca.cert.pem",
     "identity_certificate": "cert.pem",
@@ -49,9 +53,10 @@ def properties(folder, **more):
 class Shim:
     """A greeted connection, without a socket."""
 
-    def __init__(self, plugin, now):
+    def __init__(self, plugin, now=NOW):
         self.plugin, self.log = plugin, []
-        house = House(lambda: now, self.log.append, dict, lambda: None)
+        self.now = now
+        house = House(lambda: self.now, self.log.append, dict, lambda: None)
         self.connection = Connection(house, "test[1]")
         (answer,) = self.connection.receive(greeting(plugin))
         assert answer == framed(b"\0")
@@ -70,9 +75,45 @@ class Shim:
         """A local participant: its handle and GUID."""
         pairs, where = properties(folder, **more)
         candidate = os.urandom(12) + b"\0\0\1\xc1"
-        _, handle, guid, _ = self.call("validate_local_identity", 0, where, pairs, candidate)
+        _, handle, guid, *_ = self.call("validate_local_identity", 0, where, pairs, candidate)
         return handle, guid
 
 
 class RefusedError(Exception):
     """The agent said no."""
+
+
+def new_guid():
+    """As Cyclone DDS makes them."""
+    return b"\xff" * 6 + os.urandom(6) + b"\0\0\1\xc1"
+
+
+def side(folder, **more):
+    """A shim with one participant: it, its handle and GUID."""
+    shim = Shim("authentication")
+    return shim, *shim.identity(folder, **more)
+
+
+def shaken(*sides):
+    """Both ends of a handshake of two (Shim, identity, GUID), the smaller GUID's first."""
+    (one, own, guid), (other, theirs, peers) = sorted(sides, key=lambda side: side[2])
+    _, seen, request = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
+    _, known, _ = one.call("validate_remote_identity", request, own, IDENTITY, peers)
+    pdata = [participant_data(each) for each in (guid, peers)]
+    _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
+    _, answered, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
+    result, token = one.call("process_handshake", token, begun)
+    assert result == Result.OK_FINAL_MESSAGE
+    assert other.call("process_handshake", token, answered) == [Result.OK, NO_TOKEN]
+    return (one, begun, known), (other, answered, seen)
+
+
+def half_shaken(asks, answers):
+    """A handshake up to its Final: that, and the handle of who waits for it."""
+    (one, own, guid), (other, theirs, peers) = asks, answers
+    _, seen, _ = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
+    _, known, _ = one.call("validate_remote_identity", NO_TOKEN, own, IDENTITY, peers)
+    pdata = [participant_data(each) for each in (guid, peers)]
+    _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
+    _, handle, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
+    return one.call("process_handshake", token, begun)[1], handle

@@ -1,21 +1,31 @@
 """What others made becomes a keystore of pqsec's, and no file in it changes."""
 
+import shutil
+
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from pqsec_pki.algorithms import profile_named
+from pqsec_pki.algorithms import load_private_key, private_key_pem, profile_named
 from pqsec_pki.certificates import Certificate, verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
-from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
+from pqsec_pki.errors import (
+    ExistsError,
+    KeystoreError,
+    MalformedError,
+    PqsecError,
+    UnknownAlgorithmError,
+    VerificationError,
+)
 from pqsec_pki.keystore import (
     Keystore,
     Rollover,
     Wish,
     adopt,
     audit,
+    foresee,
     issue,
     renew,
     revoke,
@@ -233,6 +243,119 @@ def test_what_is_not_the_cas_is_told_and_stays_out_of_the_ledger(sros2, tmp_path
         rotate(done.keystore, Rollover(profile=done.keystore.profile), passphrase=None, now=NOW)
 
 
+def test_a_first_participant_that_cannot_be_read_is_told_like_any_other(sros2):
+    (sros2.root / "enclaves/fleet/robot1/cert.pem").write_bytes(b"garbage")
+    done = adopt(sros2.root, now=NOW)
+    assert done.participants == ["/talker"]
+    assert done.fitting
+    assert done.refused == {"enclaves/fleet/robot1/cert.pem": "no certificate in PEM"}
+    with pytest.raises(VerificationError) as caught:
+        audit(done.keystore)
+    assert len(caught.value.problems) == 2  # its certificate and its permissions
+
+
+def strange(sros2, name, place, *, ca=False):
+    """A certificate of a kind that no stack has, signed as it should be."""
+    key = ec.generate_private_key(ec.SECP256K1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    constraints = x509.BasicConstraints(ca=True, path_length=None) if ca else NO_CA
+    certificate = sros2.certificate(subject, key, constraints)
+    (sros2.root / place).write_bytes(certificate.public_bytes(Encoding.PEM))
+
+
+def test_a_participant_whose_key_is_of_no_known_kind_gets_one_that_is(sros2):
+    strange(sros2, "/talker", "enclaves/talker/cert.pem")
+    done = adopt(sros2.root, now=NOW)
+    assert (done.refused, done.participants) == ({}, ["/fleet/robot1", "/talker"])
+    told = foresee(done.keystore, Rollover(profile=done.keystore.profile), now=NOW)
+    assert told.rekeyed == ("/talker",)
+    rotate(done.keystore, Rollover(profile=done.keystore.profile), passphrase=None, now=NOW)
+    done.keystore.participant("/talker")
+
+
+def test_a_ca_whose_key_is_of_no_known_kind_is_refused_by_name(sros2):
+    strange(sros2, "sros2CA", "public/ca.cert.pem", ca=True)
+    with pytest.raises(UnknownAlgorithmError, match=r"identity_ca\.cert\.pem: .*secp256k1"):
+        adopt(sros2.root, now=NOW)
+
+
+def a_link_to_nowhere(path):
+    path.unlink(missing_ok=True)
+    path.symlink_to("nowhere")
+
+
+def a_link_to_itself(path):
+    path.unlink(missing_ok=True)
+    path.symlink_to(path.name)
+
+
+def a_link_to_zeros_without_end(path):
+    path.unlink(missing_ok=True)
+    path.symlink_to("/dev/zero")
+
+
+def a_folder(path):
+    path.unlink(missing_ok=True)
+    path.mkdir()
+
+
+@pytest.mark.parametrize("name", ["cert.pem", "permissions.p7s", "crl.pem"])
+@pytest.mark.parametrize(
+    "put", [a_link_to_nowhere, a_link_to_itself, a_link_to_zeros_without_end, a_folder]
+)
+def test_what_is_no_file_is_told_and_adopted_is_the_rest(sros2, put, name):
+    put(sros2.root / "enclaves/talker" / name)
+    done = adopt(sros2.root, now=NOW)
+    [(place, reason)] = done.refused.items()
+    assert place == f"enclaves/talker/{name}"
+    assert str(sros2.root) not in reason
+    assert "/fleet/robot1" in done.participants
+    assert ("/talker" in done.participants) == (name != "cert.pem")
+
+
+def test_several_certificates_in_a_cas_file_are_told(sros2, tmp_path):
+    path = sros2.root / "public/ca.cert.pem"
+    other = SROS2(tmp_path / "other").root / "public/ca.cert.pem"
+    path.write_bytes(path.read_bytes() + other.read_bytes())
+    done = adopt(sros2.root, now=NOW)
+    assert done.refused == dict.fromkeys(
+        ["public/identity_ca.cert.pem", "public/permissions_ca.cert.pem"],
+        "2 certificates: the first one is the CA",
+    )
+    with pytest.raises(VerificationError, match=r"identity_ca\.cert\.pem is in no line"):
+        audit(done.keystore)
+
+
+def test_a_key_that_is_not_the_cas_is_told(sros2, tmp_path):
+    key = SROS2(tmp_path / "other").root / "private/ca.key.pem"
+    (sros2.root / "private/ca.key.pem").write_bytes(key.read_bytes())
+    refused = adopt(sros2.root, now=NOW).refused
+    assert refused["private/identity_ca.key.pem"].startswith("the key is not that of the CA")
+    assert list(refused) == ["private/identity_ca.key.pem", "private/permissions_ca.key.pem"]
+
+
+def test_cas_whose_keys_are_elsewhere_are_adopted_and_that_is_told(sros2):
+    shutil.rmtree(sros2.root / "private")
+    done = adopt(sros2.root, now=NOW)
+    assert done.refused["private/identity_ca.key.pem"] == "no such file or directory"
+    assert done.participants == ["/fleet/robot1", "/talker"]
+    audit(done.keystore)
+
+
+def test_an_encrypted_key_is_no_matter_and_either_asks_for_the_passphrase(tmp_path):
+    for which in ("identity_ca", "permissions_ca"):
+        keystore = made(tmp_path / which, "classical")
+        path = keystore.root / f"private/{which}.key.pem"
+        key = load_private_key(path.read_bytes())
+        path.write_bytes(private_key_pem(key, b"secret"))
+        (keystore.root / "pqsec.json").unlink()
+        (keystore.root / "private/ledger.sqlite3").unlink()
+        done = adopt(keystore.root, now=NOW)
+        assert done.refused == {}
+        assert done.keystore.is_locked
+        issue(done.keystore, done.keystore.unlock(b"secret"), [wish("/new")], now=NOW)
+
+
 def test_two_participants_with_one_serial_number_are_told(sros2):
     sros2.enclave("/a", serial=1)
     sros2.enclave("/b", serial=1)
@@ -261,6 +384,31 @@ def test_a_keystore_of_ours_is_not_adopted(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     with pytest.raises(ExistsError, match="is a keystore of pqsec's already"):
         adopt(keystore.root, now=NOW)
+
+
+@pytest.mark.parametrize("name", ["public", "private", "enclaves"])
+def test_a_folder_that_is_a_link_is_refused_as_it_would_be_later(sros2, tmp_path, name):
+    (sros2.root / name).rename(tmp_path / name)
+    (sros2.root / name).symlink_to(tmp_path / name)
+    with pytest.raises(KeystoreError, match=f"{name} should be a folder, and is a link"):
+        adopt(sros2.root, now=NOW)
+    assert not (sros2.root / "pqsec.json").exists()
+
+
+def test_settings_that_are_a_link_to_nowhere_are_not_replaced(sros2):
+    (sros2.root / "pqsec.json").symlink_to("nowhere")
+    with pytest.raises(ExistsError):
+        adopt(sros2.root, now=NOW)
+    assert (sros2.root / "pqsec.json").is_symlink()
+
+
+def test_a_ca_in_der_is_refused_with_the_way_out(sros2):
+    path = sros2.root / "public/ca.cert.pem"
+    path.write_bytes(Certificate.from_pem(path.read_bytes()).der)
+    with pytest.raises(MalformedError, match="no certificate in PEM") as caught:
+        adopt(sros2.root, now=NOW)
+    assert "openssl x509 -inform DER" in caught.value.hint
+    assert not (sros2.root / "pqsec.json").exists()
 
 
 @pytest.mark.parametrize(

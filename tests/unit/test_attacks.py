@@ -13,8 +13,9 @@ import pytest
 from pqsec_pki.access import Decision
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, PublicKey, profile_named
 from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.attacks.siege import attempted, withstand
-from pqsec_pki.attacks.table import ATTACKS, Attack, Attacker, attack_named
+from pqsec_pki.attacks.table import ATTACKS, attack_named
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.handshake import messages, participants
@@ -43,7 +44,6 @@ FOR_TWO_KEYS = {
 }
 each_profile = pytest.mark.parametrize("profile", NAMES)
 
-NOT_WHAT_IT_WAS = "is not what it was"
 BAD_SIGNATURE = "^bad .* signature$"
 OTHER_KEYS = "different keys"
 INTRODUCED = "introduction: |was issued by|not signed by this CA"
@@ -203,6 +203,10 @@ EXPECTED = {
     "not-yet-valid": [
         ("/talker's$", "reply", "CN=/talker is not valid before 2026-11-20 12:00:00"),
         ("/listener's$", "final", "^the .* of CN=/listener is not valid before 2026-11-20 13:00"),
+    ],
+    "revoked": [
+        ("as initiator$", "reply", "^the certificate of .* was revoked on 2026-11-21 .keyComp"),
+        ("as replier$", "final", "^the certificate of .* was revoked on 2026-11-21 .keyComp"),
     ],
     "plain-signature": [
         ("as initiator$", "reply", "^c.dsign_algo 'ECDSA-SHA256' is not how"),
@@ -396,6 +400,7 @@ BLIND = {
     "own-ca": (participants, "verify_chain", blind, 4),
     "self-signed": (participants, "verify_chain", blind, 2),
     "claimed-guid": (participants, "belongs_to", blind, 2),
+    "revoked": (participants, "verify_not_revoked", blind, 2),
     "smuggle-field": (messages, "_OWN_PREFIX", "none", 3),
     "borrowed-permissions": (credentials, "may_join", lambda *_: ALLOWED, 2),
     "stripped-permissions": (credentials, "required_signatures", lambda _: Require.ANY, 2),

@@ -14,25 +14,22 @@ from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
 from pqsec_pki.domain import Action, Plan, make, perform, plan, read_domain
 from pqsec_pki.domain.apply import BATCH
 from pqsec_pki.errors import InvalidDocumentError, KeystoreError
-from pqsec_pki.keystore import Keystore, Wish, audit, issue, renew, revoke
+from pqsec_pki.keystore import (
+    Keystore,
+    Rollover,
+    Scope,
+    Wish,
+    audit,
+    begin_overlap,
+    cancel_overlap,
+    issue,
+    renew,
+    revoke,
+)
 from pqsec_pki.smime import document_in
-from tests.unit.domains import DAY, NAMES, NOW, Scene
+from tests.unit.domains import DAY, NAMES, NOW, Scene, damage
 from tests.unit.killing import check_whole
 from tests.unit.killing import create as create_transition
-
-
-@pytest.fixture(scope="module")
-def applied_once(tmp_path_factory):
-    made = Scene(tmp_path_factory.mktemp("applied"))
-    made.apply()
-    return made
-
-
-@pytest.fixture
-def scene(applied_once, tmp_path):
-    """The file, applied."""
-    return Scene.copy(applied_once, tmp_path)
-
 
 # All at once
 
@@ -144,6 +141,19 @@ def test_who_is_left_out_stays_unless_it_is_pruned(scene):
     assert len(scene.keystore.revocation_list.revoked) == 1
 
 
+def test_nobody_is_pruned_while_two_identity_cas_are_trusted(scene):
+    scene.change("1..3", "1..2")
+    keystore = scene.keystore
+    terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
+    begin_overlap(keystore, terms, kept=keystore.unlock(None), passphrase=None, now=NOW)
+    found = scene.plan(prune=True)
+    assert ([each.name for each in found.blocked], found.steps) == (["/r3"], ())
+    assert "--overlap cancel" in found.blocked[0].way_out
+    assert scene.plan().in_order
+    cancel_overlap(keystore, now=NOW)
+    assert scene.steps(prune=True) == [(Action.REVOKE, "/r3")]
+
+
 def test_who_was_pruned_and_is_wanted_again_is_told_and_not_issued(scene):
     scene.change("1..3", "1..2")
     scene.apply(prune=True)
@@ -221,12 +231,6 @@ def test_a_list_that_is_due_is_made_anew(scene):
 
 def drop(path):
     shutil.rmtree(path.parent)
-
-
-def damage(path):
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
 
 
 def swap(path):

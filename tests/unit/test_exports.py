@@ -1,6 +1,5 @@
 """Exports: what stacks are configured with, read back; what is refused, and why."""
 
-import os
 import shutil
 import stat
 from importlib import import_module
@@ -455,13 +454,6 @@ def test_a_stack_is_found_by_name():
 
 
 # Writing
-
-
-@pytest.fixture(params=[0o000, 0o022, 0o077], ids=lambda mask: f"umask {mask:03o}")
-def umask(request):
-    before = os.umask(request.param)
-    yield
-    os.umask(before)
 
 
 def sample(**more):

@@ -3,19 +3,12 @@
 import os
 import resource
 import stat
+import subprocess
 
 import pytest
 
-from pqsec_pki._files import MAX_FILE, create, read, write
+from pqsec_pki._files import MAX_FILE, create, disk_errors, read, write
 from pqsec_pki.errors import ExistsError, FileError, PqsecError, VerificationError, located
-
-
-@pytest.fixture(params=[0o000, 0o022, 0o077], ids=lambda mask: f"umask {mask:03o}")
-def umask(request):
-    """Each umask that is usual somewhere."""
-    before = os.umask(request.param)
-    yield request.param
-    os.umask(before)
 
 
 def names(folder):
@@ -155,3 +148,47 @@ def test_only_our_errors_are_given_a_place():
         raise RuntimeError("bug")
     assert not isinstance(caught.value, PqsecError)
     assert str(caught.value) == "bug"
+
+
+@pytest.mark.parametrize(
+    ("refused", "where"),
+    [
+        (lambda at: (at / "gone").iterdir().__next__(), "/gone: no such file or directory"),
+        (lambda _: os.close(1 << 20), "/place: bad file descriptor"),
+        (lambda at: at.mkdir(), ": file exists"),
+    ],
+    ids=["a file", "no name", "something there"],
+)
+def test_what_the_system_refuses_is_told_of_its_file_or_of_the_place(tmp_path, refused, where):
+    with pytest.raises(FileError) as caught, located("elsewhere"), disk_errors(tmp_path / "place"):
+        refused(tmp_path)
+    assert str(caught.value).endswith(where)
+    assert str(caught.value).startswith(str(tmp_path))
+    assert isinstance(caught.value, ExistsError) is isinstance(
+        caught.value.__cause__, FileExistsError
+    )
+
+
+# Pipes
+
+
+def test_a_pipe_that_nobody_writes_into_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("pqsec_pki._files.PIPE_PATIENCE", 0.01)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="pipe: a pipe that nobody writes into"):
+        read(tmp_path / "pipe")
+
+
+@pytest.mark.parametrize("data", [b"", b"a", b"a longer text" * 100_000])
+@pytest.mark.parametrize("patience", [0.05, 5.0], ids=["slow writer", "patient reader"])
+def test_a_pipe_is_read_to_its_end(tmp_path, monkeypatch, data, patience):
+    """A writer that is there may take longer than one that does not come."""
+    monkeypatch.setattr("pqsec_pki._files.PIPE_PATIENCE", patience)
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "data").write_bytes(data)
+    line = f"exec > {tmp_path}/pipe; sleep 0.1; cat {tmp_path}/data"
+    with subprocess.Popen(["sh", "-c", line]):
+        keeper = os.open(tmp_path / "pipe", os.O_RDONLY)  # returns when the shell has opened it
+        found = read(tmp_path / "pipe")
+        os.close(keeper)
+    assert found == data

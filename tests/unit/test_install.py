@@ -25,7 +25,18 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import Keystore, Renewal, Rollover, audit, renew, revoke, rotate
+from pqsec_pki.keystore import (
+    Keystore,
+    Renewal,
+    Rollover,
+    Scope,
+    audit,
+    begin_overlap,
+    renew,
+    renew_list,
+    revoke,
+    rotate,
+)
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, fails_with, survives
@@ -208,6 +219,27 @@ def test_an_older_revocation_list_does_not_come_with_another_participant(place):
         put(place / "robot", "1")
 
 
+def test_the_list_goes_with_the_first_bundle_of_an_overlap_and_with_no_other(place):
+    keystore = made(place / "k", "classical", names=("/arm",))
+    answered(keystore, asked_of(keystore, place / "robot"))
+    listless = Bundle.of(keystore, [ROBOT], now=NOW)
+    kept, terms = keystore.unlock(None), Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
+    renew_list(keystore, kept, now=NOW)
+    listed = Bundle.of(keystore, [ROBOT], now=NOW)
+    begin_overlap(keystore, terms, kept=kept, passphrase=None, now=NOW)
+    begun = Bundle.of(keystore, [ROBOT], now=NOW)
+    for number, bundle in enumerate((listed, begun, listless), start=1):
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    robot = place / "robot"
+    put(robot, "1")
+    with pytest.raises(VerificationError, match="not one that is trusted"):
+        put(robot, "2")
+    with pytest.raises(VerificationError, match="revocation list is older"):
+        put(robot, "3", *listless.fingerprints)
+    put(robot, "2", *begun.fingerprints)
+    assert not list((robot / "current").rglob("crl.pem"))
+
+
 def test_new_cas_count_their_revocation_lists_from_one(place):
     keystore = made(place / "k", "classical", names=("/arm", "/leg"))
     answered(keystore, asked_of(keystore, place / "robot"))
@@ -266,6 +298,75 @@ def test_a_bundle_that_is_refused_changes_nothing(robot, bundles, kind):
     assert "3.bundle" in str(caught.value)
     assert kind != "expired" or "`pqsec renew` comes first" in caught.value.hint
     assert snapshot(robot) == before
+
+
+@pytest.fixture
+def pair(keystore, place):
+    """A robot that asked for /head and then for /hand; and the bundles, one for each."""
+    for number, name in enumerate(("/head", "/hand"), start=1):
+        request = asked_of(keystore, place / "pair", name)
+        bundle = answered(keystore, request, now=NOW + number * DAY)
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    return place / "pair"
+
+
+def enclaves(robot):
+    return {name: set(files) for name, files in Place(robot).current.enclaves.items()}
+
+
+def test_another_bundle_for_the_same_robot_lets_what_is_installed_be(pair):
+    put(pair, "1")
+    [head] = enclaves(pair).items()
+    assert put(pair, "2").names == ("/hand",)
+    assert enclaves(pair) == {"/hand": head[1], head[0]: head[1]}
+    assert put(pair, "2").already
+    assert put(pair, "1").already
+    for name, files in Place(pair).current.enclaves.items():
+        [found] = verify_bundle(Bundle(LATER, {name: files}), pins_of(files), now=LATER)
+        keys_of(found, [files])
+
+
+def pins_of(files):
+    return Bundle(LATER, {"/x": files}).fingerprints
+
+
+def test_what_else_is_installed_goes_if_that_is_said(pair):
+    put(pair, "1")
+    put(pair, "2", alone=True)
+    assert list(enclaves(pair)) == ["/hand"]
+
+
+def test_a_newer_revocation_list_is_for_all_that_is_installed(keystore, pair, place):
+    put(pair, "1")
+    before = enclaves(pair)["/head"]
+    shutil.copytree(keystore.root, place / "copy", symlinks=True)
+    keystore = Keystore.open(place / "copy")
+    revoke(keystore, keystore.unlock(None), ["/leg"], now=NOW + DAY)
+    path = pair.parent / "2.bundle"
+    path.write_bytes(Bundle.of(keystore, ["/hand"], now=LATER).to_bytes())
+    put(pair, "2")
+    assert enclaves(pair)["/head"] == before | {"crl.pem"}
+    lists = {files["crl.pem"] for files in Place(pair).current.enclaves.values()}
+    assert lists == {keystore.revocation_list_path.read_bytes()}
+
+
+@pytest.mark.parametrize("flaw", ["other CAs", "damaged"])
+def test_what_is_installed_of_other_cas_neither_goes_nor_stays_unasked(pair, place, flaw):
+    put(pair, "1")
+    if flaw == "damaged":
+        (pair / "current/enclaves/head/identity_ca.cert.pem").write_text("x")
+        path, pins = place / "2.bundle", Bundle.from_bytes((place / "2.bundle").read_bytes())
+    else:
+        other = made(place / "other", "transition", names=())
+        pins, path = answered(other, asked_of(other, pair, "/hand")), place / "3.bundle"
+        path.write_bytes(pins.to_bytes())
+    before = snapshot(pair)
+    taking = {"now": LATER, "older": True}
+    with pytest.raises(VerificationError, match="also installed: /head, which are not") as caught:
+        install(path, pair, pins.fingerprints, **taking)
+    assert "--only" in caught.value.hint
+    assert snapshot(pair) == before
+    assert install(path, pair, pins.fingerprints, alone=True, **taking).names == ("/hand",)
 
 
 def test_several_enclaves_with_their_keys_are_one_set(keystore, place):

@@ -7,7 +7,6 @@ import os
 import resource
 import sqlite3
 import stat
-import time
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -26,8 +25,18 @@ from pqsec_pki.errors import (
     PqsecError,
     UsageError,
 )
-from pqsec_pki.keystore import Keystore, Wish, _journal, issue, load_certificate
+from pqsec_pki.keystore import (
+    Keystore,
+    Wish,
+    _lock,
+    adopt,
+    audit,
+    issue,
+    load_certificate,
+    revoke,
+)
 from pqsec_pki.smime import Require, verify
+from tests.unit.killing import fork
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -68,14 +77,6 @@ def root(tmp_path):
 @pytest.fixture
 def keystore(root):
     return create(root)
-
-
-def fork():
-    """os.fork, once no thread is left that could hold one of OpenSSL's locks."""
-    patience = time.monotonic() + 2
-    while len(list(Path("/proc/self/task").glob("*"))) > 1 and time.monotonic() < patience:
-        time.sleep(0.001)
-    return os.fork()
 
 
 def mode(path):
@@ -324,14 +325,6 @@ def test_what_the_user_put_beside_a_participant_stays(keystore, root):
 
 
 # Who may read it
-
-
-@pytest.fixture(params=[0o000, 0o022, 0o077], ids=lambda mask: f"umask {mask:03o}")
-def umask(request):
-    """Each umask that is usual somewhere."""
-    before = os.umask(request.param)
-    yield request.param
-    os.umask(before)
 
 
 @pytest.mark.usefixtures("umask")
@@ -671,6 +664,53 @@ def test_a_ledger_that_is_none_is_refused(keystore, root):
         keystore.ledger()
 
 
+@pytest.mark.parametrize("how", ["gone", "empty", "without a table"])
+@pytest.mark.parametrize("command", ["issue", "read"])
+def test_a_lost_ledger_is_not_begun_anew(keystore, root, how, command):
+    """One that is would not know who was revoked."""
+    issue_to(keystore, "/talker")
+    revoke(keystore, keystore.unlock(None), ["/talker"], now=NOW)
+    ledger = root / "private/ledger.sqlite3"
+    ledger.unlink()
+    if how == "empty":
+        ledger.touch()
+    elif how == "without a table":
+        with closing(sqlite3.connect(ledger)) as database:
+            database.execute("PRAGMA journal_mode = WAL")
+    work = {"issue": lambda: issue_to(keystore, "/talker", force=True), "read": keystore.ledger}
+    with pytest.raises(KeystoreError, match="is missing or empty") as refused:
+        work[command]()
+    assert "backup" in refused.value.hint
+    assert ledger.exists() == (how != "gone")
+
+
+def test_a_keystore_whose_ledger_is_lost_for_good_can_be_adopted(keystore, root):
+    """As docs/keystore.md says; who was revoked is then known from the list."""
+    issue_to(keystore, "/talker", "/listener")
+    revoke(keystore, keystore.unlock(None), ["/talker"], now=NOW)
+    (root / "private/ledger.sqlite3").unlink()
+    (root / "pqsec.json").unlink()
+    adopt(root, now=NOW)
+    again = Keystore.open(root)
+    audit(again)
+    with pytest.raises(KeystoreError, match="revoked: /talker"):
+        issue_to(again, "/talker", force=True)
+    issue_to(again, "/listener", force=True)
+
+
+def test_a_folder_in_place_of_a_file_is_refused_before_anything_is_done(keystore, root):
+    """Else the change would be committed, and never be finished."""
+    issue_to(keystore, "/talker")
+    place = root / "enclaves/talker/permissions.p7s"
+    place.unlink()
+    place.mkdir()
+    with pytest.raises(KeystoreError, match=r"permissions\.p7s should be a file, and is a folder"):
+        issue_to(keystore, "/talker", force=True)
+    assert list(root.glob(".*")) == []
+    place.rmdir()
+    issue_to(keystore, "/talker", force=True)
+
+
 def test_a_ledger_of_other_columns_is_refused(keystore, root):
     (root / "private/ledger.sqlite3").unlink()
     database = sqlite3.connect(root / "private/ledger.sqlite3")
@@ -684,7 +724,7 @@ def test_a_ledger_of_other_columns_is_refused(keystore, root):
 def test_a_keystore_that_another_command_holds_is_waited_for_and_given_up(
     keystore, root, monkeypatch
 ):
-    monkeypatch.setattr(_journal, "PATIENCE", 0.2)
+    monkeypatch.setattr(_lock, "PATIENCE", 0.2)
     handle = os.open(root, os.O_RDONLY)
     fcntl.flock(handle, fcntl.LOCK_EX)
     try:

@@ -1,5 +1,6 @@
 """The ledger: what it keeps, what shows when it is altered, and what an older one becomes."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -11,7 +12,7 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki.errors import FileError, KeystoreError, VerificationError
-from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, renew, revoke, status
+from pqsec_pki.keystore import Entry, Keystore, _draft, _ledger, audit, renew, revoke, status
 from pqsec_pki.keystore._chain import START
 from tests.unit.keystores import DAY, NOW, add, made
 from tests.unit.killing import at_once
@@ -77,7 +78,8 @@ def test_a_participants_line_tells_who_what_when_where_and_by_whom(keystore):
     assert line.kind == "participant"
     assert line.serial == f"{certificate.serial_number:x}"
     assert line.issuer == keystore.identity_ca.fingerprint
-    assert line.details == {"profile": "classical", "domains": "0"}
+    keys = hashlib.sha256(certificate.public_key.raw).hexdigest()
+    assert line.details == {"profile": "classical", "domains": "0", "keys": keys}
     assert line.made_at == NOW
     assert line.ends == certificate.not_after
     assert line.operator
@@ -87,10 +89,10 @@ def test_a_user_whom_the_system_does_not_name_is_a_number(keystore, monkeypatch)
     def unknown(uid):
         raise KeyError(uid)
 
-    _journal._operator.cache_clear()
-    monkeypatch.setattr(_journal.pwd, "getpwuid", unknown)
+    _draft._operator.cache_clear()
+    monkeypatch.setattr(_draft.pwd, "getpwuid", unknown)
     add(keystore, later="0")
-    _journal._operator.cache_clear()
+    _draft._operator.cache_clear()
     assert keystore.ledger()[-1].operator == f"uid {os.getuid()}"
 
 
@@ -216,7 +218,9 @@ def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
     entries = keystore.ledger()
     for file in (keystore.root / "private").glob("ledger*"):
         file.unlink()
-    with keystore.open_ledger() as ledger:  # by who can write it: the same, but for one line
+    path = keystore.root / "private/ledger.sqlite3"
+    with _ledger.Ledger(path, begin=True) as ledger:
+        # By who can write it: the same, but for one thing in each line.
         ledger.add([replace(each, operator="nobody") for each in entries])
     audit(keystore)
     with pytest.raises(VerificationError, match="the head is not in the ledger"):

@@ -12,8 +12,8 @@ from pqsec_pki.lint import (
     RULES,
     Severity,
     Target,
+    _search,
     check,
-    collect,
     from_option,
     rule_named,
     to_sarif,
@@ -72,6 +72,16 @@ def test_a_change_of_a_keystore_that_was_cut_off_is_told_and_not_finished(tmp_pa
     assert (tmp_path / ".journal/0/governance.xml").exists()
 
 
+def test_what_a_killed_command_drafted_is_no_complaint(tmp_path):
+    """The next command that writes there sweeps it away; what others call a draft is theirs."""
+    files = {
+        ".draft-0123456789abcdef/0/governance.xml": BROKEN,
+        ".draft-mine/governance.xml": BROKEN,
+    }
+    found = checked(tmp_path, files).findings
+    assert {each.path.parent.name for each in found} == {".draft-mine"}
+
+
 def test_a_file_that_is_too_large_is_told_and_not_checked(tmp_path):
     with (tmp_path / "governance.xml").open("wb") as file:
         file.truncate(100 << 20)
@@ -84,7 +94,7 @@ def test_a_file_that_is_too_large_is_told_and_not_checked(tmp_path):
 def test_a_folder_with_too_much_in_it_is_refused(tmp_path, monkeypatch, limit, value, words):
     files = {f"{name}.xml": "<dds>" + " " * 44 for name in "ab"}
     checked(tmp_path, files)
-    monkeypatch.setattr(collect, limit, value)
+    monkeypatch.setattr(_search, limit, value)
     checked(tmp_path)
     with pytest.raises(FileError, match=f"more than {words} to check"):
         checked(tmp_path, {"c.xml": "<dds/>"})
@@ -178,21 +188,23 @@ BOMB = "[&a [x, x], " + ", ".join(
         (ENTRY.replace("229", "204"), ["PQS004"], "not needed"),
         (ENTRY.replace("PQS229", "PQS9"), ["PQS005"], "no rule PQS9"),
         (ENTRY + "    until: soon\n", ["PQS005"], "'soon' is no day"),
-        (ENTRY + "    who: me\n", ["PQS005"], "knows no 'who'"),
-        ("ignore:\n  - reason: x\n", ["PQS005"], "says no rule"),
-        ("ignore: x\n", ["PQS005"], "wants a list"),
-        ("ignore: [x]\n", ["PQS005"], "says rule and reason"),
-        ("ignored: []\n", ["PQS005"], "knows no 'ignored'"),
+        (ENTRY + "    who: me\n", ["PQS005"], "who: no such key here"),
+        ("ignore:\n  - reason: x\n", ["PQS005"], "'rule' is missing"),
+        ("ignore: x\n", ["PQS005"], "a list is wanted"),
+        ("ignore: [x]\n", ["PQS005"], "`key: value` is wanted"),
+        ("ignored: []\n", ["PQS005"], "did you mean ignore"),
         (ENTRY + ENTRY, ["PQS005"], "comes twice"),
-        (ENTRY + "    reason: z\n", ["PQS005"], "something twice"),
-        ("- x\n", ["PQS005"], "not a mapping"),
-        ("a: [\n", ["PQS005"], "cannot be read"),
-        ("\x00", ["PQS005"], "cannot be read"),
-        ("[" * 5000, ["PQS005"], "cannot be read"),
-        (ENTRY.replace("a test bench", BOMB), ["PQS005"], "plain text"),
-        (f"{BOMB}: x\n", ["PQS005"], "plain text"),
+        (ENTRY + "    reason: z\n", ["PQS005"], "'reason' comes twice"),
+        (ENTRY + "    path: [x]\n", ["PQS005"], "path: plain text is wanted"),
+        ("- x\n", ["PQS005"], "`key: value` is wanted"),
+        ("a: [\n", ["PQS005"], "not well-formed YAML"),
+        ("\x00", ["PQS005"], "not well-formed YAML"),
+        ("[" * 5000, ["PQS005"], "lists and mappings in one another"),
+        (ENTRY.replace("a test bench", BOMB), ["PQS005"], "the anchor &a is not taken"),
+        (f"{BOMB}: x\n", ["PQS005"], "a key must be a word"),
         ("x: " + "y" * (300 << 10), ["PQS005"], "larger than"),
         ("", [], ""),
+        ("# nothing\n\n  # is ignored\n", [], ""),
     ],
 )
 def test_a_suppression_that_cannot_hold_is_itself_a_finding(tmp_path, text, more, message):
@@ -201,6 +213,16 @@ def test_a_suppression_that_cannot_hold_is_itself_a_finding(tmp_path, text, more
     assert set(found) == {"PQS229", *more}
     assert all(message in found[id_].message for id_ in more)
     assert all(found[id_].path.name == ".pqsec-check.yaml" for id_ in more)
+
+
+def test_an_entry_holds_beside_those_that_cannot_be_read(tmp_path):
+    report = with_suppressions(tmp_path, f"other: x\n{ENTRY}  - reason: x\n  - y\n")
+    assert [(each.rule.id, each.line) for each in report.findings] == [
+        ("PQS005", 1),
+        ("PQS005", 5),
+        ("PQS005", 6),
+    ]
+    assert [reason for _, reason in report.ignored] == ["a test bench"]
 
 
 def test_a_suppression_for_other_stacks_is_not_called_superfluous(tmp_path):

@@ -2,6 +2,7 @@
 
 import os
 import re
+import resource
 import shutil
 import socket
 import stat
@@ -9,15 +10,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from pqsec_pki.errors import FileError, MalformedError
 from pqsec_pki.plugin import Place, agent_status, stop_agent
+from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.control import Client
-from pqsec_pki.plugin.server import MAX_CONNECTIONS, _peer
+from pqsec_pki.plugin.listening import peer
+from pqsec_pki.plugin.server import MAX_CONNECTIONS
 from tests.unit.plugin_wire import framed, greeting
 
 PATIENCE = 20
@@ -31,9 +34,9 @@ def place():
     shutil.rmtree(folder)
 
 
-def start(place, *idle):
+def start(place, *idle, runner=()):
     return subprocess.Popen(
-        [sys.executable, "-I", "-m", "pqsec_pki.plugin", place.socket, *idle],
+        [*runner, sys.executable, "-I", "-m", "pqsec_pki.plugin", place.socket, *idle],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -47,8 +50,8 @@ def until(condition):
 
 
 @contextmanager
-def running(place, *idle):
-    process = start(place, *idle)
+def running(place, *idle, runner=()):
+    process = start(place, *idle, runner=runner)
     try:
         until(lambda: agent_status(place))
         yield process
@@ -211,7 +214,7 @@ def test_a_user_with_a_large_number_is_known():
     if child == 0:
         os.setuid(3_000_000_000)
         one, _other = socket.socketpair()
-        os._exit(_peer(one) != (os.getpid(), os.geteuid()))
+        os._exit(peer(one) != (os.getpid(), os.geteuid()))
     assert os.waitpid(child, 0)[1] == 0
 
 
@@ -240,3 +243,87 @@ def test_the_place_is_in_the_users_runtime_folder_if_that_is_the_users(tmp_path)
     assert own.socket == tmp_path / "pqsec" / "agent.sock"
     for environment in ({}, {"XDG_RUNTIME_DIR": "here"}, {"XDG_RUNTIME_DIR": "/nowhere"}):
         assert Place.of(environment).folder == Path(f"/tmp/pqsec-{os.geteuid()}")
+
+
+def _is_refused(link):
+    with suppress(ConnectionResetError):
+        return not link.recv(1)
+    return True
+
+
+def test_more_connections_than_there_are_files_are_refused_and_those_that_are_stay(place):
+    """Each needs files of its own too: keys are read when they are asked for."""
+    with running(place, runner=("sh", "-c", 'ulimit -n 48; exec "$@"', "sh")) as process:
+        first = Client(place, "authentication")
+        crowd = [connected(place, greeting("authentication")) for _ in range(60)]
+        refused = [link for link in crowd if _is_refused(link)]
+        assert 40 < len(refused) < 60
+        properties = (("dds.sec.auth.identity_certificate", "file:nowhere.pem"),)
+        with pytest.raises(MalformedError, match="no such file"):
+            first.call("validate_local_identity", 0, "/", properties, bytes(16))
+        for link in crowd:
+            link.close()
+        until(lambda: len(agent_status(place).connections) == 1)
+        first.close()
+        process.terminate()
+        said = process.stderr.read()
+    assert "is not served: 16 connections are the most" in said
+    assert said.count("is not served") == 1  # and the rest is counted
+
+
+def _seconds_used(process):
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def test_an_agent_with_no_file_left_waits_and_then_serves_who_waits(place):
+    """As where the whole system has none left."""
+    with running(place) as process:
+        files = Path(f"/proc/{process.pid}/fd")
+        handles = 5  # three, the listener and the selector
+        until(lambda: len(list(files.iterdir())) == handles)
+        limits = resource.prlimit(process.pid, resource.RLIMIT_NOFILE)
+        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (handles, limits[1]))
+        with connected(place, greeting("control")) as waiting:
+            before = _seconds_used(process.pid)
+            waiting.settimeout(1.2)
+            with pytest.raises(TimeoutError):
+                waiting.recv(1)
+            assert _seconds_used(process.pid) - before < 0.2
+            resource.prlimit(process.pid, resource.RLIMIT_NOFILE, limits)
+            waiting.settimeout(PATIENCE)
+            assert waiting.recv(5) == framed(b"\0")
+        process.terminate()
+        assert "nobody new can be served" in process.stderr.read()
+
+
+_URGENT = (
+    "import os, sys; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1));"
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+def test_an_agent_does_not_keep_a_hosts_priority(place):
+    runner = (sys.executable, "-c", _URGENT)
+    if subprocess.run([*runner, "/bin/true"], stderr=subprocess.DEVNULL, check=False).returncode:
+        pytest.skip("nobody may have a priority of real time here")
+    with running(place, runner=runner) as process:
+        assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
+
+
+def test_a_log_that_has_grown_loses_its_older_half(place):
+    old = b"".join(b"%07d\n" % number for number in range(1 << 18))  # two megabytes
+    place.log.write_bytes(old)
+    with place.log.open("ab") as log:
+        line = [sys.executable, "-I", "-m", "pqsec_pki.plugin", place.socket]
+        process = subprocess.Popen(line, stderr=log)
+    try:
+        until(lambda: agent_status(place))
+    finally:
+        process.terminate()
+        process.wait()
+    kept = place.log.read_bytes()
+    lines = kept.splitlines(keepends=True)
+    assert len(kept) < MAX_LOG < len(old)
+    assert b"".join(lines[:-1]) == old[-len(kept) + len(lines[-1]) :]
+    assert b"listening at" in lines[-1]

@@ -3,6 +3,7 @@
 import pytest
 
 from pqsec_pki.plugin.authentication import Authentication
+from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.plugin.connection import Connection, House, ProtocolError
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader
 from tests.unit.keystores import NOW
@@ -32,14 +33,14 @@ def test_what_is_no_greeting_ends_the_connection(fresh, octets):
 
 
 def test_another_version_is_told_what_to_do(fresh):
-    (answer,) = fresh.receive(greeting("authentication", version=2))
+    (answer,) = fresh.receive(greeting("authentication", version=VERSION + 1))
     reader = Reader(answer[4:])
     assert reader.number("B") == 1
-    assert "the agent speaks version 1, the library 2" in reader.text()
+    assert f"the agent speaks version {VERSION}, the library {VERSION + 1}" in reader.text()
 
 
 def test_the_command_line_of_another_version_can_still_stop_it(fresh):
-    assert list(fresh.receive(greeting("control", version=2))) == [framed(b"\0")]
+    assert list(fresh.receive(greeting("control", version=VERSION + 1))) == [framed(b"\0")]
     assert list(fresh.receive(asked("control", "stop"))) == [framed(bytes(5))]
 
 

@@ -5,14 +5,22 @@ import os
 import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
-from pqsec_pki.handshake import DataHolder, participant_data
-from pqsec_pki.plugin import authentication, handles
+from pqsec_pki.handshake import DataHolder
+from pqsec_pki.plugin import handles, meetings
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.handles import Handles
 from tests.unit.keystores import DAY, NOW, TWO, made
-from tests.unit.plugin_wire import RefusedError, Shim, properties
+from tests.unit.plugin_wire import (
+    IDENTITY,
+    RefusedError,
+    Shim,
+    half_shaken,
+    new_guid,
+    properties,
+    shaken,
+    side,
+)
 
-IDENTITY = DataHolder("DDS:Auth:PKI-DH:1.0")
 TOKEN = DataHolder("DDS:Access:Permissions:1.0")
 
 
@@ -24,15 +32,11 @@ def folders(tmp_path_factory):
     return {name: [one.root / f"enclaves{each}" for each in TWO] for name, one in stores.items()}
 
 
-def _guid():
-    return b"\xff" * 6 + os.urandom(6) + b"\0\0\1\xc1"
-
-
 @pytest.mark.parametrize("profile", [each.name for each in PROFILES])
 def test_an_identity_asks_for_the_key_agreement_of_its_profile(folders, profile):
     shim = Shim("authentication", NOW)
     identity, _ = shim.identity(folders[profile][0])
-    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, _guid())
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())
     _, _, request = shim.call("begin_handshake_request", identity, peer, b"data")
     found = dict(request.binary_properties)
     wanted = profile_named(profile).key_agreement.wire_name
@@ -112,7 +116,7 @@ def test_credentials_may_stand_in_the_configuration_itself(folders):
 def test_an_identity_tells_the_second_when_it_ends(folders):
     pairs, where = properties(folders["pq"][0])
     shim = Shim("authentication", NOW)
-    *_, end = shim.call("validate_local_identity", 0, where, pairs, _guid())
+    *_, end, _ = shim.call("validate_local_identity", 0, where, pairs, new_guid())
     late = (NOW + 90 * DAY).timestamp()
     assert end - 1 == late
     for when, good in ((end - 1, True), (end, False)):
@@ -127,7 +131,7 @@ def test_an_identity_tells_the_second_when_it_ends(folders):
 def test_a_peer_is_one_for_all_our_participants_and_another_when_it_comes_back(folders):
     shim = Shim("authentication", NOW)
     one, other = (shim.identity(each)[0] for each in folders["pq"])
-    guid = _guid()
+    guid = new_guid()
 
     def met(identity):
         return shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, guid)[1]
@@ -142,35 +146,16 @@ def test_a_peer_is_one_for_all_our_participants_and_another_when_it_comes_back(f
     )
 
 
-def _shaken(*sides):
-    """Both ends of a handshake of two (Shim, identity, GUID), the smaller GUID's first."""
-    (one, own, guid), (other, theirs, peers) = sorted(sides, key=lambda side: side[2])
-    _, seen, request = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
-    _, known, _ = one.call("validate_remote_identity", request, own, IDENTITY, peers)
-    pdata = [participant_data(each) for each in (guid, peers)]
-    _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
-    _, answered, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
-    result, token = one.call("process_handshake", token, begun)
-    assert result == Result.OK_FINAL_MESSAGE
-    assert other.call("process_handshake", token, answered) == [Result.OK, NO_TOKEN]
-    return (one, begun, known), (other, answered, seen)
-
-
-def _side(folder, **more):
-    shim = Shim("authentication", NOW)
-    return shim, *shim.identity(folder, **more)
-
-
 def test_a_peer_that_another_participant_met_is_no_peer_of_this_one(folders):
     shim = Shim("authentication", NOW)
     one, other = (shim.identity(each)[0] for each in folders["pq"])
-    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, one, IDENTITY, _guid())
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, one, IDENTITY, new_guid())
     with pytest.raises(RefusedError, match="a peer that was not validated"):
         shim.call("begin_handshake_request", other, peer, b"")
 
 
 def test_a_secret_comes_with_its_peer_and_when_that_ends(folders):
-    ends = _shaken(*map(_side, folders["pq"]))
+    ends = shaken(*map(side, folders["pq"]))
     told = [shim.call("get_shared_secret", handshake) for shim, handshake, _ in ends]
     assert told[0][3:] == told[1][3:]
     assert [each[1] for each in told] == [peer for *_, peer in ends]
@@ -186,10 +171,10 @@ def test_a_peer_of_another_ca_is_taken_if_that_is_trusted(folders, tmp_path):
         ca = (source / "identity_ca.cert.pem").read_bytes()
         (tmp_path / name / "ca.pem").write_bytes(ca)
         trusted[name] = {"dds.sec.auth.trusted_ca_dir": str(tmp_path / name)}
-    assert _shaken(_side(ours, **trusted["here"]), _side(stranger, **trusted["there"]))
+    assert shaken(side(ours, **trusted["here"]), side(stranger, **trusted["there"]))
     for here, there in ((trusted["here"], {}), ({}, trusted["there"])):
         with pytest.raises(RefusedError, match="not signed by this CA"):
-            _shaken(_side(ours, **here), _side(stranger, **there))
+            shaken(side(ours, **here), side(stranger, **there))
 
 
 def test_a_revocation_list_and_trusted_cas_exclude_each_other(folders, tmp_path):
@@ -198,13 +183,13 @@ def test_a_revocation_list_and_trusted_cas_exclude_each_other(folders, tmp_path)
         "org.eclipse.cyclonedds.sec.auth.crl": "file:crl.pem",
     }
     with pytest.raises(RefusedError, match="exclude each other"):
-        _side(folders["pq"][0], **more)
+        side(folders["pq"][0], **more)
 
 
 def test_what_belongs_to_a_participant_goes_with_it(folders):
     shim = Shim("authentication", NOW)
     identity, _ = shim.identity(folders["pq"][0])
-    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, _guid())
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())
     _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
     shim.call("return_identity_handle", identity)
     for call in ("get_shared_secret", "get_authenticated_peer_credential_token"):
@@ -214,25 +199,14 @@ def test_what_belongs_to_a_participant_goes_with_it(folders):
     assert shim.connection.what == ("test[1]", "authentication", 0)
 
 
-def _answered(asks, answers):
-    """A handshake up to its Final: that, and the handle of who waits for it."""
-    (one, own, guid), (other, theirs, peers) = asks, answers
-    _, seen, _ = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
-    _, known, _ = one.call("validate_remote_identity", NO_TOKEN, own, IDENTITY, peers)
-    pdata = [participant_data(each) for each in (guid, peers)]
-    _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
-    _, handle, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
-    return one.call("process_handshake", token, begun)[1], handle
-
-
 def test_requests_of_many_guids_leave_room_and_those_who_finished_alone(folders, monkeypatch):
     """A certificate that was heard is enough to send as many Requests as one likes."""
-    monkeypatch.setattr(authentication, "MAX_ANSWERED", 2)
-    ours = _side(folders["pq"][1])
+    monkeypatch.setattr(meetings, "MAX_ANSWERED", 2)
+    ours = side(folders["pq"][1])
     shim = ours[0]
 
     def answered():
-        return _answered(_side(folders["pq"][0]), ours)
+        return half_shaken(side(folders["pq"][0]), ours)
 
     final, finished = answered()
     shim.call("process_handshake", final, finished)
@@ -247,7 +221,7 @@ def test_requests_of_many_guids_leave_room_and_those_who_finished_alone(folders,
 def test_a_secret_is_told_only_when_the_handshake_is_over(folders):
     shim = Shim("authentication", NOW)
     identity, _ = shim.identity(folders["pq"][0])
-    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, _guid())
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())
     _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
     with pytest.raises(RefusedError, match="the handshake is not over"):
         shim.call("get_shared_secret", handshake)

@@ -3,6 +3,8 @@
 import pytest
 
 from pqsec_pki.access import Action, Question, decide
+from pqsec_pki.algorithms import SIGNATURES
+from pqsec_pki.certificates import Authority
 from pqsec_pki.documents import (
     Criteria,
     DomainSet,
@@ -11,7 +13,7 @@ from pqsec_pki.documents import (
     Permissions,
     Rule,
 )
-from pqsec_pki.plugin.rights import anywhere
+from pqsec_pki.plugin.rights import Signers, Theirs, anywhere
 from tests.unit.keystores import DAY, NOW
 
 DOMAINS = DomainSet.parse("0")
@@ -50,3 +52,26 @@ def test_a_topic_is_denied_if_it_is_denied_everywhere(rules, may):
     )
     decision = decide(GOVERNANCE, anywhere(Permissions(grants=(grant,))), question)
     assert decision.allowed is may
+
+
+@pytest.mark.parametrize(("days", "end"), [(9, 9), (11, 10)])
+def test_permissions_end_with_who_signed_them(days, end):
+    authorities = [
+        Authority.create(name, SIGNATURES.named("ml-dsa-44"), now=NOW, validity=each * DAY)
+        for name, each in (("CA", 20), ("Second", days))
+    ]
+    signers = Signers(*(each.certificate for each in authorities))
+    grant = Grant(
+        name="g",
+        subject_name="CN=robot",
+        not_before=NOW - DAY,
+        not_after=NOW + 10 * DAY,
+        rules=(rule(ALL, allow=True),),
+    )
+    rights = Theirs(
+        subject="CN=robot",
+        domain=0,
+        governance=GOVERNANCE,
+        permissions=Permissions(grants=(grant,)),
+    )
+    assert rights.end(NOW, signers) == (NOW + end * DAY).timestamp() + 1

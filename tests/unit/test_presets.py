@@ -42,17 +42,20 @@ def test_a_preset_covers_all_topics_of_its_domains_and_is_valid(preset):
     assert Governance.from_xml(value.to_xml()) == value
 
 
-@every
-def test_no_preset_asks_for_what_some_stack_refuses(preset):
-    rule, topic = rules_of(preset.name)
-    kinds = {
+def kinds_of(rule, topic):
+    return {
         rule.discovery_protection_kind,
         rule.liveliness_protection_kind,
         rule.rtps_protection_kind,
         topic.metadata_protection_kind,
         topic.data_protection_kind,
     }
-    assert kinds <= {NONE, SIGN, ENCRYPT}
+
+
+@every
+def test_no_preset_asks_for_what_some_stack_refuses(preset):
+    rule, topic = rules_of(preset.name)
+    assert kinds_of(rule, topic) <= {NONE, SIGN, ENCRYPT}
     if rule.allow_unauthenticated_participants:  # Fast DDS 3
         assert rule.rtps_protection_kind is NONE
 
@@ -73,13 +76,7 @@ def test_strict_is_what_ca_init_writes():
 
 def test_authenticated_signs_and_encrypts_nothing():
     rule, topic = rules_of("authenticated")
-    assert ENCRYPT not in {
-        rule.discovery_protection_kind,
-        rule.liveliness_protection_kind,
-        rule.rtps_protection_kind,
-        topic.metadata_protection_kind,
-        topic.data_protection_kind,
-    }
+    assert ENCRYPT not in kinds_of(rule, topic)
     assert topic.metadata_protection_kind is SIGN
 
 

@@ -103,13 +103,29 @@ def test_who_has_expired_is_refused(keystore):
 def test_to_revoke_twice_is_done_once(keystore):
     take_back(keystore, "/talker", reason=Reason.SUPERSEDED)
     (kept, new), crl = take_back(
-        keystore, "/talker", "/listener", reason=Reason.KEY_COMPROMISE, now=NOW + DAY
+        keystore, "/talker", "/listener", reason=Reason.PRIVILEGE_WITHDRAWN, now=NOW + DAY
     )
     assert (kept.before, kept.reason, kept.since) == (True, "superseded", NOW)
-    assert (new.before, new.reason) == (False, "keyCompromise")
+    assert (new.before, new.reason) == (False, "privilegeWithdrawn")
     assert (crl.number, len(crl.revoked)) == (2, 2)
     lines = [each for each in keystore.ledger() if each.kind == "revocation"]
     assert [each.name for each in lines] == ["/talker", "/listener"]
+    audit(keystore)
+
+
+def test_that_a_key_is_compromised_may_become_known_later(keystore):
+    take_back(keystore, "/talker", reason=Reason.SUPERSEDED)
+    for reason in (Reason.KEY_COMPROMISE, Reason.KEY_COMPROMISE, Reason.SUPERSEDED):
+        [told], crl = take_back(keystore, "/talker", reason=reason, now=NOW + DAY)
+        assert (told.before, told.reason, told.since) == (True, "keyCompromise", NOW)
+        [entry] = crl.revoked
+        assert (entry.reason, entry.revoked_at) == ("keyCompromise", NOW)
+    for _ in range(2):
+        take_back(keystore, "/listener", reason=Reason.KEY_COMPROMISE)
+    kinds = [each.kind for each in keystore.ledger()]
+    assert (kinds.count("revocation"), kinds.count("compromise")) == (2, 1)
+    found = renew_list(keystore, keystore.unlock(None), now=NOW + 2 * DAY).revoked
+    assert [entry.reason for entry in found] == ["keyCompromise"] * 2
     audit(keystore)
 
 
@@ -170,11 +186,13 @@ def test_a_clock_that_was_wrong_once_lets_nobody_back_in(keystore):
     assert len(renew_list(keystore, authorities, now=NOW).revoked) == 1
 
 
-def test_a_list_remembers_what_the_ledger_lost(keystore):
+def test_a_list_remembers_what_the_ledger_lost(keystore, tmp_path):
+    """As an old copy of it does, that was put back."""
+    shutil.copytree(keystore.root / "private", tmp_path / "before")
     take_back(keystore, "/talker")
     lost = listed(keystore)
-    for file in (keystore.root / "private").glob("ledger*"):
-        file.unlink()
+    shutil.rmtree(keystore.root / "private")
+    shutil.copytree(tmp_path / "before", keystore.root / "private")
     crl = renew_list(keystore, keystore.unlock(None), now=NOW)
     assert crl.number == 2
     assert listed(keystore) == lost

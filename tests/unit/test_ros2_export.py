@@ -142,6 +142,25 @@ def test_the_script_names_a_domain_where_0_will_not_do(domain, tmp_path, wanted,
     assert made.warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("profile", "shell", "noted"),
+    [
+        ("classical", {}, False),
+        ("transition", {}, True),
+        ("transition", {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, True),
+        ("transition", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, False),
+    ],
+)
+def test_what_some_versions_of_fast_dds_cannot_send_is_noted(tmp_path, now, profile, shell, noted):
+    options = {"domains": DomainSet.parse("0"), "validity": 100 * DAY, "now": now}
+    root = tmp_path / "k"
+    keystore = Keystore.create(root, profile_named(profile), name="L", passphrase=None, **options)
+    domain = Domain(keystore, now)
+    domain.issue()
+    notes = domain.export(environment=shell).notes
+    assert any("Fast DDS 2.14.5" in note for note in notes) is noted
+
+
 def test_a_folder_for_a_robot_has_all_that_ros_reads_and_no_more(domain, tmp_path):
     enclave = domain.issue()
     (enclave / "crl.pem").write_bytes(b"a list")
@@ -218,13 +237,30 @@ def test_a_topic_without_which_a_node_ends_is_named(domain, topic):
             publish=(ros.DISCOVERY, "rt/*", "rr/other/node/*Reply"),
             subscribe=(ros.DISCOVERY, "rq/other/node/*Request"),
         ),
+        ros.Endpoints(
+            publish=(ros.DISCOVERY, "rt/*", "rr/_ros2cli_*"),
+            subscribe=(ros.DISCOVERY, "rq/_ros2cli_*"),
+        ),
         ros.Endpoints(publish=("*",), subscribe=("*",)),
     ],
-    ids=["its topics", "patterns", "all"],
+    ids=["its topics", "patterns", "any that begins so", "all"],
 )
 def test_a_node_that_is_called_otherwise_than_its_enclave_can_live(domain, needs):
     domain.issue(needs=needs)
     assert not [text for text in domain.export().warnings if text.startswith("node ")]
+
+
+def test_nodes_that_begin_so_are_told_what_they_lack(domain):
+    publish = (ros.DISCOVERY, "rt/rosout", "rt/parameter_events", "rr/lab/cli_*")
+    domain.issue(needs=ros.Endpoints(publish=publish, subscribe=(ros.DISCOVERY,)))
+    problem = domain.preflight()["node /lab/cli_*"]
+    assert problem.startswith("it would end as it starts: it may not subscribe to rq/lab/cli_x/")
+
+
+@pytest.mark.parametrize("pattern", ["rr/9*", "rr//*", "rr/lab/9*", "rr/lab//cli_*"])
+def test_a_pattern_by_which_no_node_can_be_called_tells_of_no_node(domain, pattern):
+    domain.issue(needs=ros.Endpoints(publish=(ros.DISCOVERY, pattern), subscribe=(ros.DISCOVERY,)))
+    assert domain.preflight()["node /talker"].startswith("it would end as it starts")
 
 
 NEAR = {

@@ -3,26 +3,30 @@
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from datetime import timedelta
 
 import pytest
 
 from pqsec_pki.algorithms import PROFILES, load_private_key, profile_named
-from pqsec_pki.certificates import verify_chain
-from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
+from pqsec_pki.certificates import Reason, verify_chain
+from pqsec_pki.documents import DomainSet, Governance, Grant, Kind, Permissions
 from pqsec_pki.errors import (
     KeystoreError,
     MalformedError,
     PassphraseError,
+    PqsecError,
     UsageError,
     VerificationError,
 )
 from pqsec_pki.keystore import (
     Keystore,
+    Renewal,
     Rollover,
     Scope,
     Wish,
     audit,
+    foresee,
     govern,
     holdings,
     issue,
@@ -300,6 +304,59 @@ def test_a_key_that_is_elsewhere_and_of_another_kind_stays_behind(keystore):
     assert states == {"/talker": "stranded", "/listener": "valid"}
 
 
+def test_whose_policy_has_ended_stays_behind_and_is_in_nobodys_way(keystore):
+    end = NOW + 10 * DAY
+    grant = Grant.least(
+        subject_name="CN=/x",
+        not_before=NOW,
+        not_after=end,
+        domains=DomainSet.of(0),
+        publish=("x",),
+    )
+    for name, late in (("/ended", timedelta()), ("/goes/on", 40 * DAY)):
+        allowed_until = replace(grant, not_after=end + late)
+        wish = Wish(name=name, domains=DomainSet.of(0), validity=90 * DAY, grants=(allowed_until,))
+        issue(keystore, keystore.unlock(None), [wish], now=NOW)
+    told = foresee(keystore, Rollover(profile=keystore.profile), now=LATER).left_out
+    done = rotated(keystore)
+    assert done.left_out == told == {"/ended": f"what it was allowed ended on {end:%Y-%m-%d}"}
+    assert sorted(each.name for each in done.issued) == sorted([*TWO, "/goes/on"])
+    occasion = Occasion(keystore=done.keystore, domain=0, now=LATER)
+    assert meet(occasion, Guest(name="/talker"), Guest(name="/goes/on")).ok
+    audit(done.keystore)
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_key_that_was_revoked_as_compromised_is_not_certified_again(keystore, elsewhere):
+    old = keystore.participant("/talker").certificate
+    authorities = keystore.unlock(None)
+    renew(keystore, authorities, ["/talker"], Renewal(rekey=False), now=NOW)
+    serial = f"{old.serial_number:x}"  # of the same key, and the certificate before
+    revoke(keystore, authorities, [serial], reason=Reason.KEY_COMPROMISE, now=NOW)
+    if elsewhere:
+        (keystore.root / "enclaves/talker/key.pem").unlink()
+    told = foresee(keystore, Rollover(profile=keystore.profile), now=LATER)
+    done = rotated(keystore)
+    assert done.left_out == told.left_out
+    if elsewhere:
+        assert "compromised: it needs a new request" in done.left_out["/talker"]
+    else:
+        assert told.rekeyed == ("/talker",)
+        assert done.keystore.participant("/talker").certificate.spki != old.spki
+        assert_whole(done.keystore)
+
+
+def test_who_stayed_behind_once_is_in_nobodys_way_later(keystore):
+    (keystore.root / "enclaves/talker/key.pem").unlink()
+    pq = rotated(keystore, "pq").keystore
+    told = foresee(pq, Rollover(profile=profile_named("classical")), now=LATER).left_out
+    done = rotated(pq, "classical")  # the profile that its key is of
+    assert done.left_out == told
+    assert done.left_out == {"/talker": "it stayed behind before: an earlier CA issued it"}
+    assert [each.name for each in done.issued] == ["/listener"]
+    audit(done.keystore)
+
+
 # What is refused
 
 
@@ -343,6 +400,95 @@ def test_nothing_is_done_with_files_that_are_not_the_cas(keystore, file, data, e
 def digest(root):
     files = [path for path in root.rglob("*") if path.is_file() and "sqlite" not in path.name]
     return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def unsigned(keystore):
+    (keystore.root / "enclaves/governance.p7s").write_bytes(b"")
+
+
+def of_before(keystore):
+    path = keystore.root / "enclaves/talker/permissions.p7s"
+    before = path.read_bytes()
+    renew(keystore, keystore.unlock(None), ["/talker"], now=NOW)
+    path.write_bytes(before)
+
+
+def copied(keystore):
+    shutil.copytree(keystore.root / "enclaves/talker", keystore.root / "enclaves/copied")
+
+
+@pytest.mark.parametrize(
+    ("flaw", "words", "hint"),
+    [
+        (unsigned, "governance.p7s: not an S/MIME", "sign-governance"),
+        (of_before, "is not the newest permissions", "put that back"),
+        (copied, "the ledger has no certificate for /copied", "move its folder out"),
+    ],
+)
+def test_the_plan_tells_what_would_stop_it(keystore, flaw, words, hint):
+    flaw(keystore)
+    for work in (rotated, lambda k: foresee(k, Rollover(profile=k.profile), now=LATER)):
+        with pytest.raises(PqsecError, match=words) as caught:
+            work(keystore)
+        assert hint in caught.value.hint
+
+
+def lost(keystore):
+    (keystore.root / "private/ledger.sqlite3").unlink()
+
+
+def from_a_backup(keystore):
+    path = keystore.root / "private/ledger.sqlite3"
+    before = path.read_bytes()
+    add(keystore, **{"/new": "0"})
+    path.write_bytes(before)
+
+
+@pytest.mark.parametrize(
+    ("ledger", "words"),
+    [(lost, "ledger"), (from_a_backup, "the ledger has no certificate for /new")],
+)
+def test_a_ledger_that_is_not_whole_is_no_reason_to_leave_robots_behind(keystore, ledger, words):
+    ledger(keystore)
+    before = digest(keystore.root)
+    with pytest.raises(KeystoreError, match=words):
+        rotated(keystore)
+    assert digest(keystore.root) == before
+
+
+@pytest.mark.parametrize(("folder", "number"), [("7", 9), ("1²", 2), ("old", 2), ("0", 2)])
+def test_generations_are_counted_by_folders_that_are_numbers(keystore, folder, number):
+    (keystore.root / "private/generations" / folder).mkdir(parents=True)
+    assert rotated(keystore).generation == number
+
+
+def test_a_name_that_grows_too_long_is_refused_with_the_way_out(tmp_path):
+    keystore = Keystore.create(
+        tmp_path / "k",
+        profile_named("classical"),
+        name="N" * 49,
+        domains=DomainSet.of(0),
+        validity=900 * DAY,
+        passphrase=None,
+        now=NOW,
+    )
+    with pytest.raises(UsageError, match="has 67") as caught:
+        rotated(keystore)
+    assert "--name" in caught.value.hint
+    assert rotated(keystore, name="Short").keystore.identity_ca.subject_name.startswith("CN=Short")
+
+
+def test_a_ca_that_expired_cannot_stay(keystore):
+    late = NOW + 1000 * DAY
+    terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
+    kept = keystore.unlock(None)
+    with pytest.raises(KeystoreError, match="Permissions CA expired on") as caught:
+        rotate(keystore, terms, kept=kept, passphrase=None, now=late)
+    assert "pqsec ca rotate" in caught.value.hint
+    both = replace(terms, scope=Scope.BOTH)
+    new = rotate(keystore, both, passphrase=None, now=late).keystore
+    audit(new)
+    assert {each.state for each in status(new, now=late).participants} == {"valid"}
 
 
 def test_who_unlocked_the_cas_before_cannot_issue_after(keystore):

@@ -59,16 +59,6 @@ def test_the_newest_certificate_counts(keystore):
     assert (found.profile, found.domains) == ("classical", "0-3")
 
 
-def test_a_mark_is_found_again_renewed_or_not(keystore):
-    marked = Wish(name="/m", domains=keystore.domains, validity=9 * DAY, mark="of mine")
-    authorities = keystore.unlock(None)
-    issue(keystore, authorities, [marked], now=NOW)
-    assert status(keystore, ["/m"], now=NOW).participants[0].mark == "of mine"
-    renew(keystore, authorities, ["/m", "/p9"], now=NOW)
-    found = {each.name: each.mark for each in status(keystore, now=NOW).participants}
-    assert found == {"/m": "of mine", "/p9": None, "/p90": None, "/p300": None}
-
-
 def test_who_is_revoked_or_gone_comes_last_and_is_not_due(keystore):
     revoke(keystore, keystore.unlock(None), ["/p9"], now=NOW)
     shutil.rmtree(keystore.root / "enclaves/p90")

@@ -19,18 +19,33 @@ struct plugin {
 /* A refusal is a failed validation. */
 static int validation(int result) { return result < 0 ? VALIDATION_FAILED : result; }
 
+/* The watch calls it: who is taken back by a revocation list that the agent has read anew. */
+static void find_revoked(const void *plugin)
+{
+  struct plugin *self = (struct plugin *)(uintptr_t)plugin;
+  handle_t found = 0;
+  for (int i = 0; i < MAX_ITEMS; i++) {
+    if (ask(&self->link, NULL, "find_revoked", ">h", &found) < 0 || found == 0)
+      return;
+    watch_add(&self->watch, found, LONG_AGO);
+  }
+}
+
 static int validate_local_identity(struct plugin *self, handle_t *identity, struct guid *adjusted,
                                    int32_t domain, const struct qos *qos,
                                    const struct guid *candidate, struct exception *ex)
 {
   char folder[MAX_PATH];
   int64_t end;
+  uint8_t has_list;
   if (!working_folder(folder, sizeof folder, ex) || !link_open(&self->link, ex))
     return VALIDATION_FAILED;
-  int result = ask(&self->link, ex, "validate_local_identity", "nsqg>hgx", domain, folder, qos,
-                   candidate, identity, adjusted, &end);
+  int result = ask(&self->link, ex, "validate_local_identity", "nsqg>hgxb", domain, folder, qos,
+                   candidate, identity, adjusted, &end, &has_list);
   if (result == VALIDATION_OK)
     watch_add(&self->watch, *identity, end);
+  if (result == VALIDATION_OK && has_list)
+    watch_look(&self->watch, find_revoked);
   return validation(result);
 }
 
@@ -113,8 +128,10 @@ static handle_t get_shared_secret(struct plugin *self, handle_t handshake, struc
   int64_t end;
   struct octets found = {0};
   struct secret *secret = calloc(1, sizeof *secret);
-  if (secret == NULL)
+  if (secret == NULL) {
+    refuse(ex, "pqsec: no memory for a shared secret");
     return 0;
+  }
   int result = ask(&self->link, ex, "get_shared_secret", "h>hxcco", handshake, &peer, &end,
                    secret->value.challenge1, secret->value.challenge2, &found);
   secret->peer = peer;

@@ -17,7 +17,7 @@
 #include "agent.h"
 #include "frames.h"
 
-enum { VERSION = 1, RETRY_MS = 1, CHALLENGE = 32 };
+enum { VERSION = 2, RETRY_MS = 1, CHALLENGE = 32 };
 enum { DONE = 0 };
 
 void refuse(struct exception *ex, const char *format, ...)
@@ -42,7 +42,7 @@ static void forgive(struct exception *ex)
 
 void link_init(struct link *link, const char *plugin)
 {
-  *link = (struct link){.plugin = plugin, .socket = -1};
+  *link = (struct link){.plugin = plugin, .socket = -1, .process = getpid()};
   pthread_mutex_init(&link->mutex, NULL);
 }
 
@@ -53,9 +53,20 @@ static void drop(struct link *link)
   link->socket = -1;
 }
 
+/* What is connected is its parent's in a fork, and so is who held the mutex. */
+static void hold(struct link *link)
+{
+  if (link->process != getpid()) {
+    link->process = getpid();
+    pthread_mutex_init(&link->mutex, NULL);
+    drop(link);
+  }
+  pthread_mutex_lock(&link->mutex);
+}
+
 void link_close(struct link *link)
 {
-  pthread_mutex_lock(&link->mutex);
+  hold(link);
   drop(link);
   pthread_mutex_unlock(&link->mutex);
 }
@@ -99,9 +110,9 @@ static bool greet(struct link *link, struct exception *ex)
   if (good) {
     struct reader reader = {.data = answer.data, .left = answer.size};
     good = accepted(&reader, ex);
-    if (!good)
-      drop(link);
   }
+  if (!good)
+    drop(link);
   forget(&hello);
   forget(&answer);
   return good;
@@ -190,7 +201,6 @@ static bool connect_or_start(struct link *link, struct exception *ex)
 static bool open_once(struct link *link, struct exception *ex)
 {
   link->lost = false;
-  link->process = getpid();
   return connect_or_start(link, ex) && greet(link, ex);
 }
 
@@ -204,8 +214,8 @@ static bool has_hung_up(const struct link *link)
 
 bool link_open(struct link *link, struct exception *ex)
 {
-  pthread_mutex_lock(&link->mutex);
-  if (link->process != getpid() || has_hung_up(link))
+  hold(link);
+  if (has_hung_up(link))
     drop(link);
   bool open = link->socket >= 0 || open_once(link, ex);
   if (!open && link->lost) { /* it was about to end; the next one will be there */
@@ -255,10 +265,28 @@ static void get_results(struct reader *r, const char *kinds, va_list *results)
   r->failed = r->failed || r->left > 0;
 }
 
-/* With the link's mutex: the connection is there, and it is ours. */
+/* What an answer that is refused has left behind. */
+static void drop_results(const char *kinds, va_list *results)
+{
+  for (; *kinds != '\0'; kinds++)
+    switch (*kinds) {
+    case 't': free_token(va_arg(*results, struct token *)); break;
+    case 'o': {
+      struct octets *octets = va_arg(*results, struct octets *);
+      if (octets->buffer != NULL)
+        explicit_bzero(octets->buffer, octets->length);
+      free(octets->buffer);
+      *octets = (struct octets){0};
+      break;
+    }
+    default: (void)va_arg(*results, void *);
+    }
+}
+
+/* With the link's mutex: the connection is there. */
 static bool usable(const struct link *link, struct exception *ex)
 {
-  if (link->socket >= 0 && link->process == getpid())
+  if (link->socket >= 0)
     return true;
   refuse(ex, "pqsec: the agent was lost; make the participant again");
   return false;
@@ -274,17 +302,21 @@ int ask(struct link *link, struct exception *ex, const char *function, const cha
   kinds = put_arguments(&request, kinds, &arguments);
   if (request.failed)
     refuse(ex, "pqsec: more than %d octets for %s", MAX_FRAME, function);
-  pthread_mutex_lock(&link->mutex);
+  hold(link);
   bool answered = !request.failed && usable(link, ex) && exchange(link, &request, &answer, ex);
   pthread_mutex_unlock(&link->mutex);
   struct reader reader = {.data = answer.data, .left = answer.size};
   if (answered && accepted(&reader, ex)) {
+    va_list again;
+    va_copy(again, arguments);
     result = (int)get_u32(&reader);
     get_results(&reader, kinds, &arguments);
-    if (reader.failed || result < 0 || result > VALIDATION_LAST) {
+    if (reader.failed || result < 0 || result == VALIDATION_FAILED || result > VALIDATION_LAST) {
       refuse(ex, "pqsec: the agent's answer to %s is malformed", function);
+      drop_results(kinds, &again);
       result = -1;
     }
+    va_end(again);
   }
   va_end(arguments);
   forget(&request);

@@ -12,7 +12,7 @@ struct link {
   const char *plugin; /* "authentication" or "access_control" */
   pthread_mutex_t mutex;
   int socket; /* -1: not connected */
-  pid_t process; /* who connected: a fork must not talk on its parent's behalf */
+  pid_t process; /* whose it is: a fork must not talk on its parent's behalf */
   bool lost;     /* whether the agent hung up last time */
 };
 

@@ -1,11 +1,14 @@
-/* When identities and permissions end: Cyclone wants to be told. */
+/* When identities and permissions end, or are taken back: Cyclone wants to be told. */
 
 #ifndef PQSEC_WATCH_H
 #define PQSEC_WATCH_H
 
 #include <pthread.h>
+#include <sys/types.h>
 
 #include "wire.h"
+
+enum { LOOK_SECONDS = 5, LONG_AGO = 1 };
 
 struct deadline;
 
@@ -14,15 +17,21 @@ struct watch {
   pthread_mutex_t mutex;
   pthread_cond_t changed;
   pthread_t thread;
+  pid_t process; /* whose thread it is: a fork has none */
   bool running, ending, calling;
   revoked listener;
   struct deadline *first;
+  void (*look)(const void *plugin);
+  int64_t next; /* the second when to look */
 };
 
 void watch_init(struct watch *, const void *plugin);
 
 /* `handle` ends at that second since 1970; 0 is never. */
 void watch_add(struct watch *, handle_t handle, int64_t when);
+
+/* From now on `look` is called every LOOK_SECONDS, to add what was taken back. */
+void watch_look(struct watch *, void (*look)(const void *plugin));
 void watch_remove(struct watch *, handle_t handle);
 
 /* Whom to tell; NULL for nobody. Returns when no call to the former one is under way. */

@@ -22,7 +22,7 @@ static uint32_t chance(uint32_t below)
   return (uint32_t)(state >> 11) % below;
 }
 
-static const char *const KINDS[] = {">hgx", ">t", ">", ">ht", ">hxcco", ">b", ">bbbbbbbm"};
+static const char *const KINDS[] = {">hgxb", ">t", ">", ">ht", ">hxcco", ">b", ">bbbbbbbm"};
 enum { LONGEST = 300 };
 
 static void put_noise(struct writer *w, uint32_t most)
@@ -98,8 +98,8 @@ static int call(struct link *link, struct exception *ex, const char *kinds)
   struct token token = {0};
   struct octets octets = {0};
   int result = -1;
-  if (strcmp(kinds, ">hgx") == 0)
-    result = ask(link, ex, "f", kinds, &handle, &guid, &end);
+  if (strcmp(kinds, ">hgxb") == 0)
+    result = ask(link, ex, "f", kinds, &handle, &guid, &end, bytes);
   else if (strcmp(kinds, ">t") == 0)
     result = ask(link, ex, "f", kinds, &token);
   else if (strcmp(kinds, ">") == 0)
@@ -113,6 +113,8 @@ static int call(struct link *link, struct exception *ex, const char *kinds)
   else
     result = ask(link, ex, "f", kinds, bytes, bytes + 1, bytes + 2, bytes + 3, bytes + 4,
                  bytes + 5, bytes + 6, &mask);
+  if (result < 0 && (token.class_id != NULL || octets.buffer != NULL))
+    abort(); /* who is refused frees nothing */
   free_token(&token);
   free(octets.buffer);
   return result;

@@ -29,7 +29,7 @@ _FILE = """<CycloneDDS><Domain id="any">
            finalizeFunction="finalize_authentication"/>
   <IdentityCA>file:{folder}/identity_ca.cert.pem</IdentityCA>
   <IdentityCertificate>file:{folder}/cert.pem</IdentityCertificate>
-  <PrivateKey>file:{folder}/key.pem</PrivateKey>
+  <PrivateKey>file:{folder}/key.pem</PrivateKey>{crl}
  </Authentication>
  <AccessControl>
   <Library path="{access_control}" initFunction="init_access_control"
@@ -80,7 +80,9 @@ class Stage:
         lossy = (
             f"<Internal><Test><XmitLossiness>{int(loss * 1000)}</XmitLossiness></Test></Internal>"
         )
-        text = _FILE.format(folder=enclave, own=self.own, internal=lossy if loss else "", **paths)
+        crl = f"<CRL>file:{enclave}/crl.pem</CRL>" if (enclave / "crl.pem").exists() else ""
+        internal = lossy if loss else ""
+        text = _FILE.format(folder=enclave, own=self.own, internal=internal, crl=crl, **paths)
         path = self.folder / f"{len(list(self.folder.iterdir()))}.xml"
         path.write_text(text)
         return {"CYCLONEDDS_URI": path.as_uri(), "LD_LIBRARY_PATH": str(self.shim.folder)}

@@ -156,9 +156,16 @@ def test_two_meet_though_packets_are_lost(stage, labs):
 def running(stage: Stage, role: Role, seconds: float = 3):
     """A peer as a process, which ends by itself after so many seconds at most."""
     words = [role.act.value, str(DOMAIN), TOPIC, role.text, str(seconds)]
+    with hosted([*stage.program, *words], role.environment) as process:
+        yield process
+
+
+@contextmanager
+def hosted(command, environment):
+    """A process that lets the agent take a second for a call; what it says is in stdout."""
     process = subprocess.Popen(
-        [*stage.program, *words],
-        env=os.environ | role.environment | {"PQSEC_AGENT_TIMEOUT": "1000"},
+        command,
+        env=os.environ | environment | {"PQSEC_AGENT_TIMEOUT": "1000"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -2,8 +2,10 @@
 
 import ctypes
 import os
+import re
 import shutil
 import subprocess
+import sys
 import time
 from contextlib import ExitStack
 from ctypes import CFUNCTYPE, POINTER, Structure
@@ -66,12 +68,68 @@ def test_a_mad_agents_answers_are_refused_and_do_no_harm(shim, tmp_path):
     assert min(taken, refused) > ANSWERS / 10
 
 
-def test_a_listener_may_take_itself_away(requires, tmp_path):
+@pytest.mark.parametrize(
+    ("program", "said"), [("own_listener", "1\n"), ("set_clock", "both\n")], ids=str
+)
+def test_the_thread_goes_on_whatever_its_host_does(requires, tmp_path, program, said):
+    """A listener takes itself away; the clock is set back by a day, and forward by one."""
     requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
-    sources = "-I", SOURCES, HERE / "own_listener.c", SOURCES / "watch.c"
-    program = compiled(tmp_path / "own_listener", *SANITIZERS, *sources)
-    done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=20)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "1\n", "")
+    sources = ["-I", SOURCES, HERE / f"{program}.c"]
+    if program == "own_listener":  # the other has it inside, with a clock of its own
+        sources.append(SOURCES / "watch.c")
+    done = subprocess.run(
+        [compiled(tmp_path / program, *SANITIZERS, *sources)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=20,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, said, "")
+
+
+@pytest.fixture
+def everything(shim, labs, tmp_path):
+    """everything(flag...) compiles a program that calls each function, and says how to run it."""
+    lab = labs("pq")
+
+    def program(*flags):
+        python = f'-DPQSEC_PYTHON="{sys.executable}"'
+        sources = sorted(SOURCES.glob("*.c"))
+        words = "-I", SOURCES, python, HERE / "every_function.c", *sources
+        return [compiled(tmp_path / "every_function", *flags, *words), lab.alice, lab.bob, TOPIC]
+
+    return program
+
+
+def _functions():
+    """All that the library has for Cyclone DDS."""
+    text = (SOURCES / "abi.h").read_text()
+    tables = re.findall(r"struct (?:authentication|access_control) \{\n(.*?)\n\};", text, re.DOTALL)
+    return {name for table in tables for name in re.findall(r"\b[a-z]+_[a-z_]+\b", table)}
+
+
+def test_each_function_does_no_harm_with_and_without_an_agent(everything):
+    program = (HERE / "every_function.c").read_text()
+    assert len(_functions()) == 17 + 30 - 1  # both have set_listener
+    assert [name for name in _functions() if not re.search(rf"\b{name}\b", program)] == []
+    done = subprocess.run(
+        everything(*SANITIZERS), capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert int(done.stdout) > 2 * len(_functions())
+
+
+def test_valgrind_finds_nothing_in_any_function(requires, everything):
+    valgrind = requires(shutil.which("valgrind"), "valgrind", "apt-get install valgrind")
+    options = "--error-exitcode=99", "--leak-check=full", "--errors-for-leak-kinds=all"
+    done = subprocess.run(
+        [valgrind, "-q", *options, *everything()],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.fixture

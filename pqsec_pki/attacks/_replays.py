@@ -1,0 +1,85 @@
+"""The attacker on the way repeats what it heard, to the one who said it or to the other."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from pqsec_pki.attacks._relays import instead, on, putting
+from pqsec_pki.attacks._scene import Attempt, Scene, token_in, value_in
+from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.handshake import DataHolder, Introduction, Request, reply_to
+from pqsec_pki.selfcheck.encounter import Relay
+from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
+
+
+def reflect(scene: Scene) -> Iterator[Attempt]:
+    """A side meets itself."""
+    for message, other, hashed in (
+        ("request", "reply", "hash_c1"),
+        ("reply", "request", "hash_c2"),
+    ):
+        values = {name: scene.value(other, name) for name in Introduction.NAMES}
+        relay = putting(message, {**values, hashed: None})
+        yield scene.between(f"its own credentials, in the {message}", relay)
+
+
+def replay(scene: Scene) -> Iterator[Attempt]:
+    """One message of an earlier handshake, or all that one side said in it."""
+    for name in HANDSHAKE:
+        yield scene.between(f"the {name}", _again(scene, name))
+    of_initiator = [_again(scene, name) for name in (AUTH_REQUEST, "request", "final")]
+    yield scene.between("all that the initiator said", _Beside(scene), *of_initiator)
+    of_replier = _again(scene, AUTH_REQUEST, 2), _again(scene, "reply")
+    yield scene.between("all that the replier said", *of_replier)
+    for turn, side in enumerate(scene.encounter.sides, start=1):
+        message = on(MESSAGE, partial(_heard, scene, turn), turn)
+        yield scene.between(f"what {side.name} sent under the keys of then", message)
+
+
+def _again(scene: Scene, name: str, turn: int = 1) -> Relay:
+    return instead(name, scene.token(name, turn), turn)
+
+
+def _heard(scene: Scene, turn: int, data: bytes) -> bytes:
+    del data
+    return scene.heard(MESSAGE, turn)
+
+
+@dataclass(slots=True)
+class _Beside:
+    """Keeps the initiator busy with a handshake of its own, beside the replayed one."""
+
+    scene: Scene
+    request: bytes = b""
+
+    def __call__(self, name: str, data: bytes) -> bytes:
+        if name == "request":
+            self.request = data
+        if name == "reply":
+            return instead(name, self._answer(value_in(data, "challenge2")))(name, data)
+        return data
+
+    def _answer(self, challenge2: bytes) -> DataHolder:
+        """The replier's, to what the initiator really asked."""
+        encounter = self.scene.encounter
+        terms = replace(encounter.replier.terms, announced=challenge2)
+        request = Request.from_holder(token_in(self.request))
+        return reply_to(terms, request, now=encounter.now)[0].to_holder()
+
+
+ATTACKS = (
+    Attack(
+        name="reflect",
+        attacker=Attacker.ON_THE_WAY,
+        title="sends a participant its own certificate back, so that it meets itself",
+        refused_at=("reply", "final"),
+        act=reflect,
+    ),
+    Attack(
+        name="replay",
+        attacker=Attacker.ON_THE_WAY,
+        title="repeats what it recorded of an earlier handshake, piece by piece or all of it",
+        refused_at=("reply", "final", "authenticated", "message"),
+        act=replay,
+    ),
+)

@@ -1,0 +1,97 @@
+"""Passphrases: from files, or asked for at a terminal; and the CAs that they unlock."""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.errors import PassphraseError, UsageError
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore import Authorities, Keystore
+
+VARIABLE = "PQSEC_PASSPHRASE_FILE"
+LONGEST = 4096
+"""Bytes."""
+
+
+def option(command: _settings.Command) -> _settings.Command:
+    """Add --passphrase-file to a command that uses CA keys."""
+    add = click.option(
+        "--passphrase-file",
+        type=_settings.FILE,
+        envvar=VARIABLE,
+        help="A file whose first line is the CA passphrase.",
+    )
+    return add(command)
+
+
+def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
+    """The keystore's CAs; the passphrase from the file, or asked for at a terminal."""
+    return keystore.unlock(of_cas(keystore, passphrase_file))
+
+
+def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
+    """What the CA keys are encrypted under; None if they are not."""
+    if not keystore.is_locked:
+        return None
+    if passphrase_file:
+        return _read(passphrase_file)
+    if not sys.stdin.isatty():
+        raise UsageError(
+            "the CA keys are encrypted, and there is no terminal to ask for the passphrase",
+            hint=f"use --passphrase-file FILE, or set {VARIABLE}",
+        )
+    return _asked("CA passphrase")
+
+
+def new(
+    passphrase_file: Path | None, *, none: bool, option: str = "--passphrase-file"
+) -> bytes | None:
+    """The passphrase for new CA keys; None only if the user says so."""
+    if none and passphrase_file:
+        raise UsageError(f"{option} and --no-passphrase exclude each other")
+    if none:
+        return None
+    if passphrase_file:
+        return _read(passphrase_file)
+    if not sys.stdin.isatty():
+        raise UsageError(
+            "the CA keys need a passphrase, and there is no terminal to ask for one",
+            hint=f"use {option} FILE, or --no-passphrase to leave them unencrypted",
+        )
+    return _asked("New CA passphrase", twice=True)
+
+
+def of_key(path: Path | None) -> str | None:
+    """The passphrase of a participant's key, as stacks take it; None without a file."""
+    if path is None:
+        return None
+    try:
+        return _read(path).decode()
+    except UnicodeDecodeError:
+        raise PassphraseError(f"{path}: the passphrase is not UTF-8") from None
+
+
+def _asked(what: str, *, twice: bool = False) -> bytes:
+    try:
+        answer: str = click.prompt(what, hide_input=True, confirmation_prompt=twice, err=True)
+        return answer.encode()
+    except UnicodeError:
+        raise PassphraseError("the passphrase is not in the terminal's encoding") from None
+
+
+def _read(path: Path) -> bytes:
+    """The first line of the file, without its line end; PassphraseError if it is empty."""
+    from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
+
+    with suppress(OSError):  # what is wrong with the path, reading it tells
+        if path.stat().st_mode & 0o077:
+            _printing.note(f"{path} can be read by others: chmod 600 it")
+    passphrase = read(path, limit=LONGEST).split(b"\n", 1)[0].rstrip(b"\r")
+    if not passphrase:
+        raise PassphraseError(f"{path}: no passphrase in its first line")
+    return passphrase

@@ -1,0 +1,116 @@
+"""What commands are told: -k and --json, paths, durations, and the time."""
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from pqsec_pki.errors import UsageError
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore import Keystore
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+KEYSTORE_VARIABLES = ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE")
+
+
+class _Path(click.Path):
+    """A path; click takes the empty one, as of a variable that is not set, for `.`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; click's own error for an empty one."""
+        if value == "":
+            self.fail("it is empty", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = _Path(path_type=Path, dir_okay=False, readable=False)
+FOLDER = _Path(path_type=Path, file_okay=False, readable=False)
+
+
+@dataclass(slots=True)
+class Settings:
+    """The options that are taken before or after the command."""
+
+    keystore: Path | None = None
+    json: bool = False
+
+
+def settings() -> Settings:
+    """The settings of the command that runs."""
+    return click.get_current_context().find_root().ensure_object(Settings)
+
+
+def command_options(command: Command) -> Command:
+    """Add -k and --json to a command or group."""
+
+    def remember(context: click.Context, parameter: click.Parameter, value: object) -> None:
+        if value:
+            setattr(context.find_root().ensure_object(Settings), str(parameter.name), value)
+
+    keystore = click.option(
+        "-k",
+        "--keystore",
+        metavar="DIR",
+        type=FOLDER,
+        expose_value=False,
+        callback=remember,
+        help=f"The keystore; else ${' or $'.join(KEYSTORE_VARIABLES)}.",
+    )
+    as_json = click.option(
+        "--json",
+        is_flag=True,
+        expose_value=False,
+        callback=remember,
+        help="Print the result as JSON.",
+    )
+    return keystore(as_json(command))
+
+
+def keystore_path() -> Path:
+    """The keystore the user means; UsageError if none is named."""
+    named = settings().keystore
+    if named:
+        return named
+    for variable in KEYSTORE_VARIABLES:
+        if found := os.environ.get(variable):
+            return Path(found)
+    raise UsageError("no keystore is named", hint="say which: -k DIR, or set PQSEC_KEYSTORE")
+
+
+def open_keystore() -> "Keystore":
+    """The keystore the user means, open."""
+    from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- lxml and more hang on it
+
+    return Keystore.open(keystore_path())
+
+
+def now() -> datetime:
+    """The time, in UTC. Rooms have no clock of their own."""
+    return datetime.now(UTC)
+
+
+_UNITS = {"y": timedelta(365), "w": timedelta(7), "d": timedelta(1), "h": timedelta(hours=1)}
+
+
+class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
+    """A validity such as 10y, 90d or 12h. A year has 365 days."""
+
+    name = "duration"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> timedelta:
+        """The duration; click's own error for anything else."""
+        if isinstance(value, timedelta):
+            return value
+        found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", str(value))
+        if not found:
+            self.fail(f"{value!r} is not a duration; write 10y, 26w, 90d or 12h", param, ctx)
+        return int(found[1]) * _UNITS[found[2]]

@@ -1,0 +1,77 @@
+"""Participants whose keys are on their robots: the requests that the domain file names."""
+
+import os
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.domain.desired import Member
+from pqsec_pki.enrolment import admit
+from pqsec_pki.errors import FileError, KeystoreError, PqsecError, VerificationError, located
+from pqsec_pki.keystore import PublicKeys, Wish, key_hashes
+
+MAX_FILE = 1 << 20
+"""Bytes. A request with the largest keys has 20 kB."""
+
+
+def is_there(member: Member) -> bool:
+    """Whether the member's request has arrived."""
+    return member.request is not None and os.path.lexists(member.request)
+
+
+def admitted(member: Member, profile: Profile) -> PublicKeys | None:
+    """The keys that the member's request asks for; None if the file names no request.
+
+    FileError or MalformedError if it cannot be read, VerificationError if it may not be
+    answered: not for this name, of other kinds of keys, or without proof of possession.
+    """
+    if member.request is None:
+        return None
+    with located(member.request):
+        return admit([_read(member.request)], profile, names=[member.name])[member.name]
+
+
+def asks_for_other_keys(member: Member, certified: str) -> bool:
+    """Whether its request has arrived, and is not for the keys that are certified already.
+
+    For thousands: whether it may be answered is not asked.
+    """
+    if member.request is None or not is_there(member):
+        return False
+    with suppress(PqsecError):
+        request = _read(member.request)
+        return key_hashes(request.public_key, request.alternative_key) != certified
+    return True
+
+
+def wish_of(member: Member, profile: Profile, planned: str) -> Wish:
+    """What `issue` takes, for the keys of its request if it has one; errors as with both.
+
+    VerificationError also if they are not those `planned`, by their hashes; KeystoreError if
+    the request has gone.
+    """
+    try:
+        keys = admitted(member, profile)
+    except FileError as error:
+        raise KeystoreError(str(error), hint="it was there when the plan was made") from error
+    if hashes_in(keys) != planned:
+        raise VerificationError(
+            f"{member.request}: it is for another key than when the plan was made",
+            hint="apply again; who else can write there?",
+        )
+    return replace(member.wish(), keys=keys)
+
+
+def hashes_in(keys: PublicKeys | None) -> str:
+    """As the ledger has them; empty for none."""
+    return key_hashes(keys.key, keys.alternative) if keys else ""
+
+
+def _read(path: Path) -> CertificateRequest:
+    """Others may write where requests arrive: no pipe is waited for."""
+    if not os.path.isfile(path):  # noqa: PTH113 -- never raises
+        raise FileError("there is no file")
+    return CertificateRequest.from_pem(read(path, limit=MAX_FILE))

@@ -1,0 +1,41 @@
+"""A folder of bundles that follows the keystore: for each robot the one it should have."""
+
+import os
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki.enrolment.archive import MAX_ARCHIVE
+from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.errors import ExistsError, PqsecError
+from pqsec_pki.keystore import Keystore
+
+
+def refresh(
+    keystore: Keystore, names: Iterable[str], folder: Path, *, now: datetime
+) -> Iterator[Path]:
+    """Let `folder` have each one's bundle as the keystore has it; gives those it writes.
+
+    Without private keys. A bundle of the same participant's is replaced; ExistsError for
+    anything else in its place. Errors as with `Bundle.of` and `save`.
+    """
+    for name in names:
+        goal = folder / f"{flat_name(name)}.bundle"
+        bundle = Bundle.of(keystore, [name], now=now, keys=False)
+        there = _bundle_at(goal, name)
+        if there is None or there.sha256 != bundle.sha256:
+            save(goal, bundle.to_bytes(), force=there is not None)
+            yield goal
+
+
+def _bundle_at(goal: Path, name: str) -> Bundle | None:
+    if not os.path.lexists(goal):
+        return None
+    try:
+        found = Bundle.from_bytes(read(goal, limit=MAX_ARCHIVE))
+    except PqsecError:
+        found = None
+    if found is None or found.names != (name,):
+        raise ExistsError(f"{goal} exists, and is no bundle of {name}", hint="move it away")
+    return found

@@ -1,0 +1,57 @@
+"""The ledger's lines on what is made: certificates, signed documents and revocation lists."""
+
+import hashlib
+import os
+from datetime import datetime
+
+from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore.compromised import keys_detail
+
+
+def certificate_entry(  # noqa: PLR0913 -- what the line says, the rarer things by name
+    kind: str,
+    name: str,
+    certificate: Certificate,
+    now: datetime,
+    *,
+    issuer: Certificate | None = None,
+    details: dict[str, str] | None = None,
+) -> Entry:
+    """The ledger's line on a certificate."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind=kind,
+        name=name,
+        serial=f"{certificate.serial_number:x}",
+        sha256=certificate.fingerprint,
+        not_after=certificate.not_after.isoformat(),
+        issuer=issuer.fingerprint if issuer else None,
+        details={**(details or {}), **keys_detail(certificate)},
+    )
+
+
+def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
+    """The ledger's line on a signed document; `name` may be a path of any bytes."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind=kind,
+        name=os.fsencode(name).decode(errors="backslashreplace"),
+        serial=None,
+        sha256=hashlib.sha256(signed).hexdigest(),
+        not_after=None,
+    )
+
+
+def list_entry(made: RevocationList, pem: bytes, issuer: Certificate, now: datetime) -> Entry:
+    """The ledger's line on a list; `pem` is its file."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind="crl",
+        name="",
+        serial=None,
+        sha256=hashlib.sha256(pem).hexdigest(),
+        not_after=made.next_update.isoformat() if made.next_update else None,
+        issuer=issuer.fingerprint,
+        details={"number": str(made.number or 0), "revoked": str(len(made.revoked))},
+    )

@@ -1,0 +1,153 @@
+"""What participants were given last: by the ledger, and by what lies in their folders.
+
+Nothing else is taken for a participant's own, and what it may do is read from its signed
+permissions once the permissions CA's signature holds.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import read
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import Permissions
+from pqsec_pki.errors import KeystoreError, located, shown
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.authorities import required_signatures
+from pqsec_pki.keystore.compromised import compromised_keys_in
+from pqsec_pki.keystore.holdings import marks_in
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant import load_certificate, refuse_unknown
+from pqsec_pki.smime import verify
+
+
+@dataclass(frozen=True, slots=True)
+class Inspector:
+    """Knows what was issued last, and takes nothing else for a participant's own."""
+
+    keystore: Keystore
+    permissions_ca: Certificate
+    permissions_alt_ca: Certificate | None
+    certificates: dict[str, Entry]
+    """Name -> the newest line."""
+    revoked: frozenset[str]
+    """SHA-256 of certificates."""
+    newest: dict[str, int]
+    """Name -> number of the newest line on its permissions."""
+    known: dict[str, int]
+    """SHA-256 of signed permissions -> number of their line."""
+    marks: dict[str, str]
+    """Name -> what the newest lines were marked with."""
+    compromised: dict[str, Entry]
+    """Hash of a key -> the line of the certificate that was revoked for it."""
+
+    @classmethod
+    def of(cls, keystore: Keystore, ledger: Ledger) -> Self:
+        """What the ledger says now, while the keystore is locked."""
+        return cls(
+            keystore,
+            keystore.permissions_ca,
+            keystore.permissions_alt_ca,
+            {each.name: each for each in ledger.newest("participant")},
+            frozenset(each.sha256 for each in ledger.of_kind("revocation")),
+            ledger.newest_numbers("permissions"),
+            ledger.numbers("permissions"),
+            marks_in(ledger),
+            compromised_keys_in(keystore.root, ledger),
+        )
+
+    def revoked_of(self, names: Sequence[str]) -> list[str]:
+        """Those whose newest certificate was taken back."""
+        known = filter(None, map(self.certificates.get, names))
+        return [each.name for each in known if each.sha256 in self.revoked]
+
+    def refuse_revoked(self, names: Sequence[str]) -> None:
+        """KeystoreError if any of them was revoked."""
+        revoked = self.revoked_of(names)
+        if revoked:
+            raise KeystoreError(
+                f"revoked: {', '.join(revoked)}",
+                hint="if it may come back, `pqsec issue` it with --force --after-revocation",
+            )
+
+    def stranded_of(self, names: Sequence[str]) -> list[str]:
+        """Those whose newest certificate is an earlier identity CA's."""
+        authority = self.keystore.identity_ca.fingerprint
+        known = filter(None, map(self.certificates.get, names))
+        return [each.name for each in known if each.issuer not in {None, authority}]
+
+    def refuse_stranded(self, names: Sequence[str]) -> None:
+        """KeystoreError if any of them stayed behind when the CAs made way for others."""
+        stranded = self.stranded_of(names)
+        if stranded:
+            raise KeystoreError(
+                f"stayed behind with an earlier CA: {', '.join(stranded)}",
+                hint="`pqsec issue` it with --force; with --csr, if its key is on the robot",
+            )
+
+    def certificate(self, name: str, folder: Path) -> Certificate:
+        """The newest that was issued to `name`; KeystoreError if another lies there."""
+        refuse_unknown(self.keystore.root, name)
+        path = folder / _layout.CERTIFICATE
+        found = load_certificate(path)
+        known = self.certificates.get(name)
+        if known is None:
+            raise KeystoreError(
+                f"{path}: the ledger has no certificate for {shown(name)}",
+                hint="move its folder out of enclaves/; or restore the ledger from a backup, if"
+                " it was issued here",
+            )
+        if found.fingerprint != known.sha256:
+            raise _stale(path, name, "certificate")
+        return found
+
+    def signed_permissions(self, name: str, folder: Path) -> bytes:
+        """The newest that were signed for `name`; KeystoreError if others lie there."""
+        path = folder / _layout.PERMISSIONS
+        signed = read(path)
+        number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)
+        if number < self.newest.get(name, 1):
+            raise _stale(path, name, "permissions")
+        return signed
+
+    def permissions(self, name: str, folder: Path) -> Permissions:
+        """What `name` was allowed last; its signatures hold."""
+        signed = self.signed_permissions(name, folder)
+        with located(folder / _layout.PERMISSIONS):
+            document = self.verified(signed)
+            _refuse_edited(folder / _layout.PERMISSIONS_XML, document)
+            return Permissions.from_xml(document)
+
+    def mark(self, name: str, folder: Path) -> str:
+        """What `name` was marked with; nothing if its permissions were signed by hand since."""
+        number = self.known.get(hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest())
+        return self.marks.get(name, "") if number == self.newest.get(name) else ""
+
+    def verified(self, signed: bytes) -> bytes:
+        """The document in a signed file; VerificationError if the CA did not sign it."""
+        return verify(
+            signed,
+            self.permissions_ca,
+            alternative_ca=self.permissions_alt_ca,
+            require=required_signatures(self.keystore.profile),
+        ).document
+
+
+def _refuse_edited(path: Path, signed: bytes) -> None:
+    """What somebody wrote into permissions.xml and did not sign yet is not overwritten."""
+    if path.exists() and read(path) not in (signed, signed.replace(b"\r\n", b"\n")):
+        raise KeystoreError(
+            f"{path} is not what permissions.p7s says",
+            hint="`pqsec sign-permissions` signs it; or remove it, and it is made anew",
+        )
+
+
+def _stale(path: Path, name: str, what: str) -> KeystoreError:
+    return KeystoreError(
+        f"{path} is not the newest {what} that the ledger has for {name}",
+        hint=f"put that back, or say what it may do: pqsec issue {name} --force ...",
+    )

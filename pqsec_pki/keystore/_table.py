@@ -1,0 +1,131 @@
+"""The ledger's table in SQLite: what lines become in it, and how an older one is taken over."""
+
+import json
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+from pqsec_pki.keystore._chain import START, Entry, Line, details_text, link
+
+FORMAT = 2
+"""SQLite's user_version. Format 1 was a table `issued` without chain, operator and details."""
+
+_SCHEMA = (
+    """CREATE TABLE ledger (
+        number INTEGER PRIMARY KEY,
+        at TEXT NOT NULL,
+        operator TEXT,
+        kind TEXT NOT NULL,
+        name TEXT NOT NULL,
+        serial TEXT,
+        issuer TEXT,
+        sha256 TEXT NOT NULL,
+        not_after TEXT,
+        details TEXT NOT NULL,
+        chain TEXT NOT NULL UNIQUE,
+        UNIQUE (kind, sha256)
+    ) STRICT""",
+    "CREATE INDEX ledger_name ON ledger (kind, name)",
+    # RFC 5280 4.1.2.2: unique for each CA
+    "CREATE UNIQUE INDEX ledger_serial ON ledger (issuer, serial) WHERE kind = 'participant'",
+    """CREATE TRIGGER ledger_stays BEFORE UPDATE ON ledger
+        BEGIN SELECT RAISE (ABORT, 'lines are only added'); END""",
+    """CREATE TRIGGER ledger_remains BEFORE DELETE ON ledger
+        BEGIN SELECT RAISE (ABORT, 'lines are only added'); END""",
+)
+COLUMNS = "at, kind, name, serial, sha256, not_after, issuer, details, operator"
+_DETAILS = COLUMNS.split(", ").index("details")
+_INSERT = (
+    f"INSERT INTO ledger (number, {COLUMNS}, chain)"  # noqa: S608 -- no outside text
+    " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (kind, sha256) DO NOTHING"
+)
+
+
+def format_of(database: sqlite3.Connection) -> int:
+    """What the database says of itself; 0 if it was just begun."""
+    version: int = database.execute("PRAGMA user_version").fetchone()[0]
+    return version
+
+
+def has_format_1(database: sqlite3.Connection) -> bool:
+    """Whether lines of format 1 are still to be taken over."""
+    there = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'issued'"
+    return database.execute(there).fetchone() is not None
+
+
+def make(database: sqlite3.Connection) -> None:
+    """Make the table, with the lines of format 1 if there are any; within a transaction."""
+    for statement in _SCHEMA:
+        database.execute(statement)
+    append(database, _format_1(database))
+    database.execute("DROP TABLE IF EXISTS issued")
+    database.execute(f"PRAGMA user_version = {FORMAT}")
+
+
+def _format_1(database: sqlite3.Connection) -> list[Entry]:
+    """The lines of format 1; there was one identity CA, and it issued all participants."""
+    if not has_format_1(database):
+        return []
+    rows = database.execute(
+        "SELECT at, kind, name, serial, sha256, not_after FROM issued ORDER BY id"
+    ).fetchall()
+    issuer = next((row[4] for row in rows if row[1] == "identity-ca"), None)
+    return [
+        replace(Entry(*row), issuer=issuer if row[1] == "participant" else None) for row in rows
+    ]
+
+
+def last(database: sqlite3.Connection) -> tuple[int, str]:
+    """The number and the chain value of the newest line; 0 and START before there is one."""
+    newest = "SELECT number, chain FROM ledger ORDER BY number DESC LIMIT 1"
+    return database.execute(newest).fetchone() or (0, START)
+
+
+def append(database: sqlite3.Connection, entries: Iterable[Entry]) -> None:
+    """Add lines behind the newest, but none that is there already."""
+    number, before = last(database)
+    for entry in entries:
+        chain = link(before, number + 1, entry)
+        row = (number + 1, *_row(entry), chain)
+        if database.execute(_INSERT, row).rowcount:
+            number, before = number + 1, chain
+
+
+def line(row: Sequence[Any]) -> Line:
+    """The line of a row of number, chain and COLUMNS."""
+    number, chain, *columns = row
+    found = entry(columns)
+    # Another spelling could tell SQLite something else than us.
+    if details_text(found) != columns[_DETAILS]:
+        found = replace(found, details={"unreadable": columns[_DETAILS]})
+    return Line(number, found, chain)
+
+
+def entry(row: Iterable[Any]) -> Entry:
+    """The entry of a row of COLUMNS; its details may say that they cannot be read."""
+    at, kind, name, serial, sha256, not_after, issuer, details, operator = row
+    return Entry(
+        *(at, kind, name, serial, sha256, not_after),
+        issuer=issuer,
+        details=_details(details),
+        operator=operator,
+    )
+
+
+def _details(text: str) -> dict[str, str]:
+    """The details of a line; of one that somebody damaged, what no line was written with."""
+    with suppress(ValueError, RecursionError):
+        read = json.loads(text)
+        if isinstance(read, dict):
+            return read
+    return {"unreadable": text}
+
+
+def _row(entry: Entry) -> tuple[Any, ...]:
+    """In the order of COLUMNS."""
+    return (
+        *(entry.at, entry.kind, entry.name, entry.serial, entry.sha256, entry.not_after),
+        *(entry.issuer, details_text(entry), entry.operator),
+    )

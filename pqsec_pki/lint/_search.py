@@ -1,0 +1,172 @@
+"""Every file below some paths is found and read once, whatever links lead to it."""
+
+import os
+import re
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint.file import File
+from pqsec_pki.lint.subjects import CERTIFICATE, KEY, PERMISSIONS, SIX
+
+MAX_FILES = 100_000
+"""A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""
+MAX_BYTES = 1 << 30
+"""In all files together, which are kept: that keystore has 0.2 GB."""
+SETTINGS, JOURNAL = "pqsec.json", ".journal"
+ENCLAVES = "enclaves"
+
+# In a folder only files with such a name are read, backup copies (key.pem~) with them.
+_OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
+_DRAFT = re.compile(r"\.draft-[0-9a-f]{16}")
+_TWO_OF_SIX = 2
+
+
+@dataclass(slots=True)
+class Search:
+    """What has been found so far, by device and inode: a link is not a second file."""
+
+    now: datetime
+    files: dict[tuple[int, int], File] = field(default_factory=dict)
+    folders: dict[Path, int] = field(default_factory=dict)
+    enclaves: dict[Path, dict[str, tuple[int, int] | None]] = field(default_factory=dict)
+    """Folder -> its files by name; None for a link that leads nowhere."""
+    named: set[Path] = field(default_factory=set)
+    size: int = 0
+    """Bytes read."""
+    keystore: Keystore | None = None
+    cut_off: Path | None = None
+
+    def add(self, path: Path) -> None:
+        """A file, or a folder with all in it."""
+        try:
+            found = path.stat()
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else None
+            raise FileError(f"{path}: {(reason or str(error)).lower()}") from error
+        self.named.add(path)
+        if not stat.S_ISDIR(found.st_mode):
+            if not stat.S_ISREG(found.st_mode):
+                raise FileError(f"{path}: not a file")
+            self._file(path, found)
+            return
+        if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
+            self._settings(path)
+        links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
+        for link in links:  # after all files, which so have their own paths
+            self._link(link)
+
+    def _settings(self, root: Path) -> None:
+        """What is chosen for a keystore. To open one finishes a change that was cut off, and
+        that is not for a check to do."""
+        path = root / SETTINGS
+        if (root / JOURNAL).exists():
+            self.cut_off = root / JOURNAL
+            return
+        try:
+            self.keystore = Keystore.open(root)
+        except PqsecError as error:
+            self._unread(path, str(error).removeprefix(f"{path}: "))
+
+    def _unread(self, path: Path, reason: str) -> None:
+        """It is there, and could not be looked into; its rule tells.
+
+        In a folder that is closed nothing can be asked about, so the folder is told. What
+        the user named was to be checked: FileError.
+        """
+        if path in self.named:
+            raise FileError(f"{path}: {reason}")
+        try:
+            found = path.stat()
+        except PermissionError:
+            self._unread(path.parent, reason)
+        except OSError:
+            pass  # gone meanwhile
+        else:
+            key = (found.st_dev, found.st_ino)
+            self.files[key] = File(path, b"", found.st_mode, self.now, reason)
+
+    def _unlisted(self, error: OSError) -> None:
+        self._unread(Path(error.filename), (error.strerror or str(error)).lower())
+
+    def _walk(self, root: Path) -> Iterator[tuple[Path, list[str]]]:
+        for folder, folders, names in os.walk(root, onerror=self._unlisted):
+            path = Path(folder)
+            folders[:] = sorted(name for name in folders if not _is_past(path / name))
+            with suppress(OSError):  # gone meanwhile
+                self.folders[path] = path.stat().st_mode
+            yield path, sorted(names)
+
+    def _here(self, folder: Path, names: list[str]) -> Iterator[Path]:
+        """Take the files of a folder; the links are given back."""
+        ours = dict(self._looked_at(folder, names))
+        links = {name for name, found in ours.items() if stat.S_ISLNK(found.st_mode)}
+        if _is_enclave(folder, ours):
+            self.enclaves[folder] = {
+                name: (found.st_dev, found.st_ino)
+                for name, found in ours.items()
+                if name not in links
+            }
+        for name, found in ours.items():
+            if name not in links and stat.S_ISREG(found.st_mode):
+                self._file(folder / name, found)
+        return (folder / name for name in sorted(links))
+
+    def _looked_at(self, folder: Path, names: list[str]) -> Iterator[tuple[str, os.stat_result]]:
+        for name in filter(_OURS.search, names):
+            try:
+                yield name, (folder / name).lstat()
+            except OSError as error:
+                self._unlisted(error)
+
+    def _link(self, link: Path) -> None:
+        try:
+            found = link.stat()
+        except OSError:
+            found = None
+        is_file = found is not None and stat.S_ISREG(found.st_mode)
+        if found and is_file:
+            self._file(link, found)
+        if link.parent in self.enclaves:
+            key = (found.st_dev, found.st_ino) if found and is_file else None
+            self.enclaves[link.parent][link.name] = key
+
+    def _file(self, path: Path, found: os.stat_result) -> None:
+        key = (found.st_dev, found.st_ino)
+        if key in self.files:
+            return
+        if len(self.files) >= MAX_FILES:
+            raise FileError(f"more than {MAX_FILES} files to check", hint="name a smaller folder")
+        data, reason = b"", None
+        try:
+            data = read(path)
+        except PqsecError as error:
+            reason = str(error).removeprefix(f"{path}: ")
+            if path in self.named:
+                raise
+        self.size += len(data)
+        if self.size > MAX_BYTES:
+            raise FileError(f"more than {MAX_BYTES} bytes to check", hint="name a smaller folder")
+        self.files[key] = File(path, data, found.st_mode, self.now, reason)
+
+
+def _is_past(folder: Path) -> bool:
+    """Whether CAs lie there that made way for others, or what a killed command drafted.
+
+    Nobody trusts the former any more; the next command that writes sweeps the latter.
+    """
+    return folder.parts[-2:] == ("private", "generations") or bool(_DRAFT.fullmatch(folder.name))
+
+
+def _is_enclave(folder: Path, names: Iterable[str]) -> bool:
+    """A folder with files of a participant: one of its own below enclaves/, else two of six."""
+    here = set(names)
+    if ENCLAVES in folder.parts:
+        return bool(here & {CERTIFICATE, KEY, PERMISSIONS})
+    return len(here & set(SIX)) >= _TWO_OF_SIX and bool(here & {CERTIFICATE, PERMISSIONS})

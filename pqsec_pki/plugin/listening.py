@@ -1,0 +1,126 @@
+"""The agent's place on the machine: a socket of which there is one, and who is at its other end."""
+
+import fcntl
+import os
+import socket
+import stat
+import struct
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.errors import FileError, shown
+from pqsec_pki.plugin.place import Place
+
+BACKLOG = 128
+LOCK_SECONDS = 2.0
+_FIRST_GIVEN = 3
+"""The handle of the first socket that systemd hands over (sd_listen_fds(3))."""
+
+
+def given(environment: Mapping[str, str], place: Place) -> socket.socket | None:
+    """The socket that systemd listens at for this process; None if it does not.
+
+    FileError if it is not one where the library looks for the agent.
+    """
+    if environment.get("LISTEN_PID") != str(os.getpid()):
+        return None
+    try:
+        mode = os.fstat(_FIRST_GIVEN).st_mode
+        if environment.get("LISTEN_FDS") != "1" or not stat.S_ISSOCK(mode):
+            raise FileError("systemd has to hand over one socket")
+        listener = socket.socket(fileno=_FIRST_GIVEN)
+        at, listens = listener.getsockname(), _option(listener, socket.SO_ACCEPTCONN)
+        is_stream = (listener.family, listener.type) == (socket.AF_UNIX, socket.SOCK_STREAM)
+    except OSError as error:
+        raise FileError(f"what systemd handed over is no socket: {error.strerror}") from error
+    if not is_stream or not listens or at != str(place.socket):
+        listener.detach()
+        raise FileError(
+            f"systemd listens at {at!r}, and the library asks at {place.socket}",
+            hint="ListenStream=%t/pqsec/agent.sock",
+        )
+    listener.set_inheritable(False)
+    listener.settimeout(0)
+    return listener
+
+
+def _option(link: socket.socket, name: int) -> int:
+    return link.getsockopt(socket.SOL_SOCKET, name)
+
+
+@contextmanager
+def lock(path: Path) -> Iterator[None]:
+    """Only one agent at a time comes or goes. FileError if another takes too long."""
+    until = time.monotonic() + LOCK_SECONDS
+    with disk_errors(path):
+        file = path.open("w")
+    with file:
+        while not _is_locked(file.fileno()):
+            if time.monotonic() > until:
+                raise FileError(f"{path}: another agent has it")
+            time.sleep(0.01)
+        yield
+
+
+def _is_locked(handle: int) -> bool:
+    """Whether it is now, and by us."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def answers(path: Path) -> bool:
+    """Whether somebody listens there."""
+    with socket.socket(socket.AF_UNIX) as link:
+        link.settimeout(0)
+        try:
+            link.connect(str(path))
+        except BlockingIOError:  # so many that it does not come to it
+            return True
+        except OSError:
+            return False
+        return True
+
+
+def made(path: Path) -> tuple[int, int]:
+    """Which file it is; the number of one that is gone may be given to the next."""
+    found = path.stat()
+    return found.st_ino, found.st_ctime_ns
+
+
+def bound(path: Path) -> socket.socket:
+    """A socket at `path`, 0600, in place of one that nobody listens at."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    before = os.umask(0o177)
+    try:
+        path.unlink(missing_ok=True)
+        listener.bind(str(path))
+        listener.listen(BACKLOG)
+    except OSError as error:
+        listener.close()
+        raise FileError(f"{path}: {error.strerror or error}") from error
+    finally:
+        os.umask(before)
+    listener.settimeout(0)
+    return listener
+
+
+def peer(link: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end."""
+    form = struct.Struct("iII")
+    process, user, _ = form.unpack(
+        link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, form.size)
+    )
+    return process, user
+
+
+def name_of(process: int) -> str:
+    with suppress(OSError):
+        name = Path(f"/proc/{process}/comm").read_text(errors="replace").strip()
+        return f"{shown(name)}[{process}]"  # a process may call itself anything
+    return f"[{process}]"

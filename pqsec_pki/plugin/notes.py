@@ -1,0 +1,46 @@
+"""What a connection has to say in the agent's log: not the same again and again, nor without end.
+
+A peer on the network can be refused as often as it likes, in words that it may vary. What
+others wrote is to be found in the log all the same.
+"""
+
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from typing import TypeAlias
+
+Clock: TypeAlias = Callable[[], datetime]
+Log: TypeAlias = Callable[[str], None]
+
+WINDOW = timedelta(minutes=1)
+MOST = 30
+"""Lines of one connection in that time."""
+
+
+class Notes:
+    """Writes each line once in a while, and tells how many it left out."""
+
+    def __init__(self, who: str, log: Log, clock: Clock) -> None:
+        self._who, self._log, self._now = who, log, clock
+        self._since = clock()
+        self._said: set[str] = set()
+        self._left_out = 0
+
+    def add(self, line: str) -> None:
+        """Write it, unless that was done, or much else was, within WINDOW."""
+        if abs(self._now() - self._since) > WINDOW:
+            self.finish()
+        if line in self._said or len(self._said) >= MOST:
+            self._left_out += 1
+            return
+        self._said.add(line)
+        self._log(f"{self._who}: {line}")
+        if len(self._said) == MOST:
+            self._log(f"{self._who}: what it has to say more this minute is only counted")
+
+    def finish(self) -> None:
+        """Tell what was left out, and begin anew."""
+        if self._left_out:
+            since = f"{self._since:%H:%M:%S}"
+            self._log(f"{self._who}: {self._left_out} lines like these were left out since {since}")
+        self._since, self._left_out = self._now(), 0
+        self._said.clear()

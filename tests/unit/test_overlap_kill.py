@@ -1,0 +1,103 @@
+"""Every step of an overlap is done or not, whenever the kill comes; and a rerun completes it."""
+
+import shutil
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.algorithms import load_private_key
+from pqsec_pki.keystore import (
+    Keystore,
+    Overlap,
+    Rollover,
+    Scope,
+    audit,
+    begin_overlap,
+    cancel_overlap,
+    finish_overlap,
+    renew_list,
+    switch_overlap,
+)
+from pqsec_pki.lint import Severity, check
+from tests.unit import killing
+from tests.unit.killing import NOW, check_commitment, copies, drafts, issue_to
+
+pytestmark = pytest.mark.slow
+
+ROBOT = "/fleet/robot1"
+RARELY = 5
+"""What takes long is looked at after each so many calls."""
+
+
+@pytest.fixture(autouse=True)
+def links_count_too(monkeypatch):
+    """The key that a cancelled overlap leaves is held by a link until it is overwritten."""
+    monkeypatch.setattr(killing, "CALLS", (*killing.CALLS, "link"))
+
+
+def step(name: str, root: Path) -> None:
+    keystore = Keystore.open(root)
+    if name in {"begin", "switch"}:
+        take = {"begin": begin_overlap, "switch": switch_overlap}[name]
+        terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
+        take(keystore, terms, kept=keystore.unlock(None), passphrase=None, now=NOW)
+    else:
+        {"finish": finish_overlap, "cancel": cancel_overlap}[name](keystore, now=NOW)
+
+
+def phase_of(root: Path) -> str:
+    """How far it is, after everything was found to fit together."""
+    keystore = Keystore.open(root)
+    audit(keystore)
+    authorities, overlap = keystore.unlock(None), Overlap.of(keystore)
+    begun = overlap is not None and overlap.phase == "begun"
+    keys = sorted(root.glob("private/next*"))
+    assert bool(keys) == begun
+    if begun:
+        found = {load_private_key(path.read_bytes()).public_key.spki for path in keys}
+        assert found == {overlap.other.spki, overlap.other.alternative_key.spki}
+    issuing = authorities.identity.certificate
+    assert keystore.participant(ROBOT).certificate.issuer_der == issuing.subject_der
+    return overlap.phase if overlap else issuing.subject_name
+
+
+def _is_error(finding) -> bool:
+    return finding.rule.severity is Severity.ERROR and "/.draft-" not in str(finding.path)
+
+
+def empty_list(root: Path) -> None:
+    keystore = Keystore.open(root)
+    renew_list(keystore, keystore.unlock(None), now=NOW)
+
+
+@pytest.mark.parametrize(
+    ("before", "name"),
+    [
+        ((), "begin"),
+        (("begin",), "cancel"),
+        (("begin",), "switch"),
+        (("begin", "switch"), "finish"),
+    ],
+)
+def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, name):
+    original = place / "original"
+    shutil.copytree(prepared((ROBOT,)), original, symlinks=True)
+    if name == "begin":
+        empty_list(original)  # which goes
+    for each in before:
+        step(each, original)
+    start, outcomes = phase_of(original), []
+    for root, _ in copies(place, original, partial(step, name)):
+        found = phase_of(root)
+        outcomes.append(found != start)
+        if len(outcomes) % RARELY:
+            continue
+        assert not list(filter(_is_error, check([root], now=NOW).findings))
+        if not outcomes[-1]:
+            step(name, root)
+            assert phase_of(root) != start
+        issue_to(root, "/next")
+        assert drafts(root) == []
+        assert (root / "public/identity_ca.crl.pem").exists() is False
+    check_commitment(outcomes)
