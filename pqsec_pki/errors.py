@@ -8,8 +8,9 @@ the work could not be done.
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Self
+
+from pqsec_pki.problems import Code, Problem
 
 
 def shown(text: str, limit: int = 80) -> str:
@@ -74,20 +75,6 @@ class PassphraseError(PqsecError):
     """A private key is encrypted and the passphrase is missing or wrong."""
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing that is wrong with a document, and where."""
-
-    line: int | None
-    element: str | None
-    message: str
-
-    def __str__(self) -> str:
-        place = f"line {self.line}: " if self.line is not None else ""
-        element = f"<{self.element}>: " if self.element else ""
-        return f"{place}{element}{self.message}"
-
-
 class InvalidDocumentError(PqsecError):
     """A governance or permissions document breaks its schema; `problems` has it all."""
 
@@ -110,19 +97,40 @@ class InvalidDocumentError(PqsecError):
 class VerificationError(PqsecError):
     """A signature, chain, document or handshake message was checked and refused.
 
-    `problems` lists everything that is wrong, not only the first thing.
+    `problems` lists everything that is wrong, not only the first thing; words alone become
+    a Problem of that `code`.
     """
 
     exit_code = 1
 
-    def __init__(self, *problems: str, hint: str | None = None) -> None:
-        self.problems = problems
-        super().__init__("; ".join(problems), hint=hint)
+    def __init__(
+        self, *problems: Problem | str, code: Code = Code.OTHER, hint: str | None = None
+    ) -> None:
+        self.problems = tuple(
+            each if isinstance(each, Problem) else Problem(each, code) for each in problems
+        )
+        super().__init__("; ".join(map(str, self.problems)), hint=hint)
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Problem, ...], dict[str, object]]:
+        """To travel between processes whole."""
+        return type(self), self.problems, self.__dict__
 
     @property
     def lines(self) -> tuple[str, ...]:
         """One for each problem."""
-        return tuple(self._placed(problem) for problem in self.problems)
+        return tuple(self._placed(str(problem)) for problem in self.problems)
+
+    @property
+    def codes(self) -> frozenset[Code]:
+        """Of the problems."""
+        return frozenset(each.code for each in self.problems)
+
+
+def problems_of(error: PqsecError, code: Code = Code.OTHER) -> tuple[Problem, ...]:
+    """What `error` says is wrong; `code` is for an error that has no codes of its own."""
+    if isinstance(error, VerificationError):
+        return error.problems
+    return (Problem(str(error), code),)
 
 
 @contextmanager

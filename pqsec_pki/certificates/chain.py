@@ -16,6 +16,7 @@ from cryptography import x509
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.problems import Code, Problem
 
 Value = TypeVar("Value", bound=x509.ExtensionType)
 
@@ -67,44 +68,49 @@ class _Holder:
         return f"the certificate of {self.certificate.subject_name}"
 
 
-def _authority_problems(authority: Certificate, now: datetime) -> Iterator[str]:
+def _authority_problems(authority: Certificate, now: datetime) -> Iterator[Problem]:
     yield from _lasting_problems(authority)
     yield from _validity_problems(authority, _CA, now)
 
 
 @lru_cache(maxsize=16)
-def _lasting_problems(authority: Certificate) -> tuple[str, ...]:
+def _lasting_problems(authority: Certificate) -> tuple[Problem, ...]:
     """Once for each authority that is loaded: a handshake asks it for every peer."""
     return tuple(_find_lasting_problems(authority, _CA))
 
 
-def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[str]:
+def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem]:
     # 6.1.4 (k): basicConstraints present, cA true
     constraints = _value(authority, x509.BasicConstraints)
     if constraints is None or not constraints.ca:
-        yield f"{who} is not marked as a CA (basicConstraints)"
+        yield Problem(f"{who} is not marked as a CA (basicConstraints)", Code.NOT_CA)
     # 6.1.4 (n): keyCertSign, if keyUsage is there
     usage = _value(authority, x509.KeyUsage)
     if usage is not None and not usage.key_cert_sign:
-        yield f"{who} may not sign certificates (keyUsage lacks keyCertSign)"
+        yield Problem(
+            f"{who} may not sign certificates (keyUsage lacks keyCertSign)", Code.KEY_USAGE
+        )
     # 6.1.4 (o): critical extensions that are not understood
     yield from _critical_problems(authority, who)
     # DDS stacks take self-signed authorities only; the signature must be its own
     if not authority.is_self_issued:
-        yield f"{who} is not self-signed"
+        yield Problem(f"{who} is not self-signed", Code.NOT_SELF_SIGNED)
     elif not _signed_by(authority, authority):
-        yield f"the signature of {who} is not its own"
+        yield Problem(f"the signature of {who} is not its own", Code.BAD_SIGNATURE)
 
 
-def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> Iterator[str]:
+def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> Iterator[Problem]:
     who = _Holder(leaf)
     # 6.1.3 (a)(4): the issuer's name, byte for byte
     if leaf.issuer_der != authority.subject_der:
         issuer, expected = name_text(leaf.issuer), authority.subject_name
-        yield f"{who} was issued by {issuer}, not by {expected}"
+        yield Problem(f"{who} was issued by {issuer}, not by {expected}", Code.WRONG_ISSUER)
     # 6.1.3 (a)(1): the signature
     elif not _signed_by(leaf, authority):
-        yield f"{who} is not signed by this CA (same name, another key, or altered)"
+        yield Problem(
+            f"{who} is not signed by this CA (same name, another key, or altered)",
+            Code.BAD_SIGNATURE,
+        )
     # 6.1.3 (a)(2): validity
     yield from _validity_problems(leaf, who, now)
     # 6.1.5 (f): critical extensions that are not understood
@@ -112,48 +118,56 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
     # 4.2.1.9: a participant is no CA
     constraints = _value(leaf, x509.BasicConstraints)
     if constraints is not None and constraints.ca:
-        yield f"{who} is a CA's, not a participant's"
+        yield Problem(f"{who} is a CA's, not a participant's", Code.NOT_PARTICIPANT)
     # 4.2.1.3: it signs handshakes
     usage = _value(leaf, x509.KeyUsage)
     if usage is not None and not usage.digital_signature:
-        yield f"{who} may not sign (keyUsage lacks digitalSignature)"
+        yield Problem(f"{who} may not sign (keyUsage lacks digitalSignature)", Code.KEY_USAGE)
 
 
 def _alternative_problems(
     leaf: Certificate, authority: Certificate, *, required: bool
-) -> Iterator[str]:
+) -> Iterator[Problem]:
     who = _Holder(leaf)
     try:
         key, own = authority.alternative_key, leaf.alternative_key
     except PqsecError as error:
-        yield f"an alternative key cannot be read: {error}"
+        yield Problem(f"an alternative key cannot be read: {error}", Code.ALTERNATIVE_BAD)
         return
     signed = leaf.alternative is not None and leaf.alternative.signature is not None
     if required and key is None:
-        yield "the CA certificate has no alternative key"
+        yield Problem("the CA certificate has no alternative key", Code.ALTERNATIVE_MISSING)
     if required and not signed:
-        yield f"{who} has no alternative signature"
+        yield Problem(f"{who} has no alternative signature", Code.ALTERNATIVE_MISSING)
     if required and own is None:
-        yield f"{who} has no alternative key"
+        yield Problem(f"{who} has no alternative key", Code.ALTERNATIVE_MISSING)
     if key is None or not signed or leaf.alternative is None:
         return
     try:
         leaf.alternative.verify(key)
     except PqsecError as error:
-        yield f"the alternative signature of {who}: {error}"
+        yield Problem(f"the alternative signature of {who}: {error}", Code.ALTERNATIVE_BAD)
 
 
-def _critical_problems(certificate: Certificate, who: object) -> Iterator[str]:
+def _critical_problems(certificate: Certificate, who: object) -> Iterator[Problem]:
     for extension in certificate.extensions:
         if extension.critical and extension.oid.dotted_string not in _UNDERSTOOD:
-            yield f"{who} has an unknown critical extension {extension.oid.dotted_string}"
+            yield Problem(
+                f"{who} has an unknown critical extension {extension.oid.dotted_string}",
+                Code.CRITICAL_EXTENSION,
+            )
 
 
-def _validity_problems(certificate: Certificate, who: object, now: datetime) -> Iterator[str]:
+def _validity_problems(certificate: Certificate, who: object, now: datetime) -> Iterator[Problem]:
     if now < certificate.not_before:
-        yield f"{who} is not valid before {certificate.not_before:%Y-%m-%d %H:%M:%S} UTC"
+        yield Problem(
+            f"{who} is not valid before {certificate.not_before:%Y-%m-%d %H:%M:%S} UTC",
+            Code.NOT_YET_VALID,
+        )
     if now > certificate.not_after:
-        yield f"{who} expired on {certificate.not_after:%Y-%m-%d %H:%M:%S} UTC"
+        yield Problem(
+            f"{who} expired on {certificate.not_after:%Y-%m-%d %H:%M:%S} UTC", Code.EXPIRED
+        )
 
 
 def _signed_by(certificate: Certificate, issuer: Certificate) -> bool:

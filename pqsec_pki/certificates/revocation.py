@@ -18,6 +18,7 @@ from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.problems import Code, Problem
 
 MAX_LIST = 8 << 20
 """Bytes of PEM or DER: some 200,000 certificates."""
@@ -135,13 +136,17 @@ def verify_not_revoked(
         reason = f" ({entry.reason})" if entry.reason else ""
         when = f"{entry.revoked_at:%Y-%m-%d}"
         who = certificate.subject_name
-        problems.append(f"the certificate of {who} was revoked on {when}{reason}")
+        problems.append(
+            Problem(f"the certificate of {who} was revoked on {when}{reason}", Code.REVOKED)
+        )
     if problems:
         raise VerificationError(*problems)
 
 
 @lru_cache(maxsize=16)
-def _lasting_problems(crl: RevocationList, ca: Certificate, *, required: bool) -> tuple[str, ...]:
+def _lasting_problems(
+    crl: RevocationList, ca: Certificate, *, required: bool
+) -> tuple[Problem, ...]:
     """Once for each list that is loaded: a handshake asks it for every peer."""
     return (
         *_issuer_problems(crl, ca),
@@ -150,19 +155,27 @@ def _lasting_problems(crl: RevocationList, ca: Certificate, *, required: bool) -
     )
 
 
-def _currency_problems(crl: RevocationList, now: datetime) -> Iterator[str]:
+def _currency_problems(crl: RevocationList, now: datetime) -> Iterator[Problem]:
     # RFC 5280 6.3.3 (a): a list that is in force
     if now < crl.this_update:
-        yield f"the revocation list is not in force before {crl.this_update:%Y-%m-%d %H:%M} UTC"
+        yield Problem(
+            f"the revocation list is not in force before {crl.this_update:%Y-%m-%d %H:%M} UTC",
+            Code.LIST_NOT_YET_VALID,
+        )
     if crl.next_update and now > crl.next_update:
-        yield f"the revocation list ended on {crl.next_update:%Y-%m-%d %H:%M} UTC"
+        yield Problem(
+            f"the revocation list ended on {crl.next_update:%Y-%m-%d %H:%M} UTC", Code.LIST_EXPIRED
+        )
 
 
-def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[str]:
+def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:
     # RFC 5280 6.3.3 (b): the issuer's name, byte for byte
     if crl.issuer_der != ca.subject_der:
         issuer = name_text(crl.issuer)
-        yield f"the revocation list was issued by {issuer}, not by {ca.subject_name}"
+        yield Problem(
+            f"the revocation list was issued by {issuer}, not by {ca.subject_name}",
+            Code.WRONG_ISSUER,
+        )
         return
     # (f): cRLSign, if keyUsage is there
     try:
@@ -170,36 +183,54 @@ def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[str]:
     except x509.ExtensionNotFound:
         usage = None
     if usage is not None and not usage.crl_sign:
-        yield "the CA certificate may not sign revocation lists (keyUsage lacks cRLSign)"
+        yield Problem(
+            "the CA certificate may not sign revocation lists (keyUsage lacks cRLSign)",
+            Code.KEY_USAGE,
+        )
     # (g): the signature
     try:
         ca.public_key.verify(crl.signature, crl.tbs, crl.identifier)
     except PqsecError:
-        yield "the revocation list is not signed by this CA (same name, another key, or altered)"
+        yield Problem(
+            "the revocation list is not signed by this CA (same name, another key, or altered)",
+            Code.LIST_BAD_SIGNATURE,
+        )
 
 
-def _alternative_problems(crl: RevocationList, ca: Certificate, *, required: bool) -> Iterator[str]:
+def _alternative_problems(
+    crl: RevocationList, ca: Certificate, *, required: bool
+) -> Iterator[Problem]:
     try:
         key = ca.alternative_key
         signed = crl.alternative is not None and crl.alternative.signature is not None
         if required and key is None:
-            yield "the CA certificate has no alternative key"
+            yield Problem("the CA certificate has no alternative key", Code.ALTERNATIVE_MISSING)
         if required and not signed:
-            yield "the revocation list has no alternative signature"
+            yield Problem(
+                "the revocation list has no alternative signature", Code.ALTERNATIVE_MISSING
+            )
         if key is not None and signed and crl.alternative is not None:
             crl.alternative.verify(key)
     except PqsecError as error:
-        yield f"the alternative signature of the revocation list: {error}"
+        yield Problem(
+            f"the alternative signature of the revocation list: {error}", Code.ALTERNATIVE_BAD
+        )
 
 
-def _critical_problems(crl: RevocationList) -> Iterator[str]:
+def _critical_problems(crl: RevocationList) -> Iterator[Problem]:
     # RFC 5280 5.2, 5.3: a list with critical extensions that are not understood says nothing
     for extension in crl.extensions:
         if extension.critical:
             oid = extension.oid.dotted_string
-            yield f"the revocation list has an unknown critical extension {oid}"
+            yield Problem(
+                f"the revocation list has an unknown critical extension {oid}",
+                Code.CRITICAL_EXTENSION,
+            )
     for oid in sorted({oid for each in crl.revoked for oid in each.critical}):
-        yield f"the revocation list has entries with an unknown critical extension {oid}"
+        yield Problem(
+            f"the revocation list has entries with an unknown critical extension {oid}",
+            Code.CRITICAL_EXTENSION,
+        )
 
 
 _View = tuple[x509.Name, x509.Extensions, tuple[RevokedCertificate, ...]]

@@ -37,7 +37,7 @@ def _verify(keystore: Keystore, head: str | None) -> None:
         count, newest = audit(keystore, head)
     except VerificationError as error:
         if _settings.settings().json:
-            _printing.emit({"ok": False, "problems": error.problems}, [])
+            _printing.emit({"ok": False, "problems": error.lines}, [])
         raise
     _printing.emit({"ok": True, "lines": count, "head": newest}, [f"{count} lines, head {newest}"])
 

@@ -15,7 +15,8 @@ from pqsec_pki.documents import (
     governance_from_yaml,
     permissions_from_yaml,
 )
-from pqsec_pki.errors import InvalidDocumentError, MalformedError, Problem, located
+from pqsec_pki.errors import InvalidDocumentError, MalformedError, located
+from pqsec_pki.problems import Problem
 
 
 def _options(command: _settings.Command) -> _settings.Command:
@@ -81,9 +82,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
                 document = _rendered(kind, document)
             check(document)
         except MalformedError as error:  # no XML at all: that is a no, as in `validate`
-            raise InvalidDocumentError(
-                [Problem(None, None, str(error))], hint=error.hint
-            ) from error
+            raise InvalidDocumentError([Problem(str(error))], hint=error.hint) from error
     goal = output or file.with_suffix(".p7s")
     if not force:  # told before anyone types a passphrase
         refuse_existing(goal)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
 from pqsec_pki.documents._xml import parse, problem
-from pqsec_pki.errors import InvalidDocumentError, Problem, shown
+from pqsec_pki.errors import InvalidDocumentError, shown
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element, _LogEntry
@@ -115,9 +116,11 @@ def _problems(log: "Iterable[_LogEntry]") -> Iterator[Problem]:
     for entry in islice(entries, MAX_PROBLEMS):
         found = _PLACE.match(entry.message)
         message = entry.message[found.end() :] if found else entry.message
-        yield Problem(entry.line, shown(found["name"]) if found else None, _plain(message))
+        yield Problem(
+            _plain(message), line=entry.line, element=shown(found["name"]) if found else None
+        )
     if rest := sum(1 for _ in entries):
-        yield Problem(None, None, f"and {rest} more")
+        yield Problem(f"and {rest} more")
 
 
 def _plain(message: str) -> str:

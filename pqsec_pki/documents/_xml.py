@@ -8,7 +8,8 @@ is a limit on size here, and one on depth in libxml2.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pqsec_pki.errors import MalformedError, Problem, shown
+from pqsec_pki.errors import MalformedError, shown
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLParser, _Element
@@ -60,4 +61,4 @@ def _not_well_formed(error: SyntaxError) -> str:
 def problem(element: "_Element", message: str) -> Problem:
     """What is wrong with an element, and where that is."""
     line: int = element.sourceline  # type: ignore[assignment] # lxml-stubs leave its type open
-    return Problem(line, shown(element.tag), message)
+    return Problem(message, line=line, element=shown(element.tag))

@@ -16,7 +16,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pqsec_pki.documents._yaml_guesses import TAG, add_guesses
-from pqsec_pki.errors import InvalidDocumentError, Problem, UsageError, shown
+from pqsec_pki.errors import InvalidDocumentError, UsageError, shown
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     import yaml
@@ -65,7 +66,7 @@ Item: TypeAlias = Text | Items | Table
 def refused(place: Item | int | None, message: str) -> InvalidDocumentError:
     """The error that says what is wrong with the item, or in that line."""
     line = place if isinstance(place, int) or place is None else place.line
-    return InvalidDocumentError([Problem(line, None, message)])
+    return InvalidDocumentError([Problem(message, line=line)])
 
 
 # Parsing

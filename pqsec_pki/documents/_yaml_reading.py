@@ -16,7 +16,8 @@ from typing import Any, TypeVar
 from pqsec_pki.documents._schema import MAX_PROBLEMS
 from pqsec_pki.documents._yaml import Item, Items, Table, Text, parse, refused
 from pqsec_pki.documents._yaml_guesses import guess
-from pqsec_pki.errors import InvalidDocumentError, Problem, UsageError, shown
+from pqsec_pki.errors import InvalidDocumentError, UsageError, shown
+from pqsec_pki.problems import Problem
 
 Value = TypeVar("Value")
 Chosen = TypeVar("Chosen", bound=StrEnum)
@@ -38,13 +39,13 @@ def told(reading: Callable[[], Value]) -> Value:
     except InvalidDocumentError as error:
         problems = [_worded(problem) for problem in error.problems]
     if (rest := len(problems) - MAX_PROBLEMS) > 0:
-        problems[MAX_PROBLEMS:] = [Problem(None, None, f"and {rest} more")]
+        problems[MAX_PROBLEMS:] = [Problem(f"and {rest} more")]
     raise InvalidDocumentError(problems)
 
 
 def _worded(problem: Problem) -> Problem:
     key = f"{problem.element}: " if problem.element else ""
-    return Problem(problem.line, None, f"{key}{problem.message}")
+    return Problem(f"{key}{problem.message}", line=problem.line)
 
 
 def all_of(readings: Iterable[Callable[[], Value]]) -> tuple[Value, ...]:
@@ -117,7 +118,7 @@ def _missing(item: Table, key: str) -> tuple[str, Any]:
 def _field(key: Text, value: Item, readers: Mapping[str, Callable[[Item], Any]]) -> tuple[str, Any]:
     if key.text not in readers:
         unknown = f"no such key here{_meant(key.text, readers)}"
-        raise InvalidDocumentError([Problem(key.line, shown(key.text), unknown)])
+        raise InvalidDocumentError([Problem(unknown, line=key.line, element=shown(key.text))])
     try:
         return key.text, readers[key.text](value)
     except InvalidDocumentError as error:

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from pqsec_pki._files import read
 from pqsec_pki.documents.parts_yaml import all_of, refused
-from pqsec_pki.errors import InvalidDocumentError, Problem, UsageError, located, shown
+from pqsec_pki.errors import InvalidDocumentError, UsageError, located, shown
 from pqsec_pki.keystore import regular_name
+from pqsec_pki.problems import Problem
 
 MAX_PARTICIPANTS = 100_000
 """Of one domain; a slip in a pattern asks for more than that soon."""

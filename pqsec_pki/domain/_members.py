@@ -22,7 +22,8 @@ from pqsec_pki.domain._listing import (
 )
 from pqsec_pki.domain.desired import Member, Role, validity_in
 from pqsec_pki.enrolment import flat_name
-from pqsec_pki.errors import InvalidDocumentError, Problem, located, shown
+from pqsec_pki.errors import InvalidDocumentError, located, shown
+from pqsec_pki.problems import Problem
 
 _NOTHING: Mapping[str, str] = {}
 _COLUMNS: Readers = {"domains": domains, "validity": validity_in, "request": text}

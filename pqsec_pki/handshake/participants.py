@@ -17,6 +17,7 @@ from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
+from pqsec_pki.problems import Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +128,7 @@ class Terms:
         return self.announced or os.urandom(CHALLENGE_SIZE)
 
     def admit(
-        self, introduction: Introduction, now: datetime, *, others: Iterable[str]
+        self, introduction: Introduction, now: datetime, *, others: Iterable[Problem | str]
     ) -> tuple[Peer, PublicKey]:
         """The peer and the key it must sign with.
 
@@ -144,7 +145,7 @@ class Terms:
             raise VerificationError(*problems)
         return peer, key
 
-    def _problems(self, peer: Peer, now: datetime) -> Iterator[str]:
+    def _problems(self, peer: Peer, now: datetime) -> Iterator[Problem | str]:
         """In the order of DDS-Security 1.1, 9.3.3, table 52."""
         # c.id: issued by our identity CA, and in force
         required = self.policy.require_alternative
@@ -162,7 +163,7 @@ class Terms:
         if peer.guid == self.own.guid:
             yield "the GUID in c.pdata is our own: the message was reflected"
 
-    def _revocation_problems(self, peer: Peer, now: datetime) -> Iterator[str]:
+    def _revocation_problems(self, peer: Peer, now: datetime) -> Iterator[Problem]:
         if self.own.revocation_list is None:
             return
         required = self.policy.require_alternative

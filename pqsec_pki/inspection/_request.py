@@ -32,7 +32,7 @@ def _proof(request: CertificateRequest) -> Fact:
     try:
         request.verify()
     except VerificationError as error:
-        return Fact.of("proof", {"holds": False, "problems": error.problems}, *error.problems)
+        return Fact.of("proof", {"holds": False, "problems": error.lines}, *error.lines)
     both = " and the alternative key" if request.alternative else ""
     words = f"checked: whoever asks has the key{both}"
     return Fact.of("proof", {"holds": True, "problems": ()}, words)

@@ -18,11 +18,10 @@ from pqsec_pki.lint.subjects import (
     Enclave,
     Inventory,
 )
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import Listed, ListedSigner, signers_in, verify
 
 PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
-_COUNTER = "the countersignature"
-"""How problems of a countersignature begin, in what verify() says."""
 _PSS = bytes.fromhex("06092a864886f70d01010a")
 """DER of its object identifier."""
 _BROKEN = {"1.3.14.3.2.26": "SHA-1", "1.2.840.113549.2.5": "MD5", "1.2.840.113549.2.2": "MD2"}
@@ -101,12 +100,12 @@ def uncheckable(pair: Pair) -> str | None:
 
 def plain_problems(pair: Pair) -> Iterator[str]:
     """What is wrong with the signature that names the CA."""
-    return (each for each in _problems(pair) if not each.startswith(_COUNTER))
+    return (str(each) for each in _problems(pair) if each.code is not Code.COUNTERSIGNATURE_BAD)
 
 
 def counter_problems(pair: Pair) -> Iterator[str]:
     """What is wrong with countersignatures."""
-    return (each for each in _problems(pair) if each.startswith(_COUNTER))
+    return (str(each) for each in _problems(pair) if each.code is Code.COUNTERSIGNATURE_BAD)
 
 
 def countersigners(file: File) -> tuple[ListedSigner, ...]:
@@ -149,7 +148,7 @@ def _is_ours(pair: Pair) -> bool:
     return len(named) == 1 and is_by(named[0], pair.ca) and text(pair.file) is not None
 
 
-def _problems(pair: Pair) -> tuple[str, ...]:
+def _problems(pair: Pair) -> tuple[Problem, ...]:
     if not _is_ours(pair) or uncheckable(pair):
         return ()
     known = _REFUSALS.setdefault(pair.file, {})
@@ -160,7 +159,7 @@ def _problems(pair: Pair) -> tuple[str, ...]:
     return known[key]
 
 
-def _refusal(pair: Pair) -> tuple[str, ...]:
+def _refusal(pair: Pair) -> tuple[Problem, ...]:
     try:
         verify(pair.file.data, pair.ca, alternative_ca=pair.alternative_ca)
     except VerificationError as error:
@@ -171,7 +170,7 @@ def _refusal(pair: Pair) -> tuple[str, ...]:
 # Several rules ask, and all enclaves share one governance. Forgotten with the subject.
 _PAIRS: WeakKeyDictionary[Inventory, tuple[Pair, ...]] = WeakKeyDictionary()
 _LISTED: WeakKeyDictionary[File, tuple[Listed | None, str | None]] = WeakKeyDictionary()
-_REFUSALS: WeakKeyDictionary[File, dict[tuple[str, str | None], tuple[str, ...]]] = (
+_REFUSALS: WeakKeyDictionary[File, dict[tuple[str, str | None], tuple[Problem, ...]]] = (
     WeakKeyDictionary()
 )
 

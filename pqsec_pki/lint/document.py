@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from pqsec_pki.documents import Governance, Grant, Node, Permissions, Tree, read_tree, validate
-from pqsec_pki.errors import InvalidDocumentError, PqsecError, Problem
+from pqsec_pki.errors import InvalidDocumentError, PqsecError
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Found
+from pqsec_pki.problems import Problem
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Document(Content):
         except InvalidDocumentError as error:
             return error.problems
         except PqsecError as error:
-            return (Problem(None, None, str(error)),)
+            return (Problem(str(error)),)
         return ()
 
 

@@ -25,7 +25,8 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki.algorithms import Digest, PrivateKey, PublicKey, digest_of
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, problems_of
+from pqsec_pki.problems import Code, Problem
 
 DATA = "1.2.840.113549.1.7.1"
 _CONTENT_TYPE = "1.2.840.113549.1.9.3"
@@ -82,7 +83,7 @@ def names(info: SignerInfo, certificate: Certificate) -> bool:
 
 def problems(
     info: SignerInfo, content: bytes, signer: Certificate, *, counter: bool = False
-) -> Iterator[str]:
+) -> Iterator[Problem]:
     """Everything that is wrong with `info` as `signer`'s signature over `content`."""
     try:
         attributes = _attributes(info)
@@ -91,15 +92,14 @@ def problems(
         yield from _attribute_problems(attributes, info, counter=counter)
         # RFC 5652 5.4, 5.6: the digest of the content is a signed attribute
         if decode(bytes, attributes[_MESSAGE_DIGEST], "message-digest") != digest.of(content):
-            yield "the content was changed after it was signed"
+            yield Problem("the content was changed after it was signed", Code.CONTENT_CHANGED)
         # and the signature covers the attributes, re-encoded as an explicit SET OF
         identifier = key.algorithm.cms_identifier(encode(info.signature_algorithm), digest)
         covered = encode(SetOf(list(info.signed_attributes or [])))
         key.verify(info.signature, covered, identifier)
-    except VerificationError as error:
-        yield from error.problems
     except PqsecError as error:
-        yield str(error)
+        for each in problems_of(error):
+            yield each if each.code is not Code.OTHER else each.as_code(Code.SIGNATURE_BAD)
 
 
 def signing_time(info: SignerInfo) -> datetime | None:
@@ -144,20 +144,23 @@ def _digest(info: SignerInfo, key: PublicKey) -> Digest:
 
 def _attribute_problems(
     attributes: dict[str, bytes], info: SignerInfo, *, counter: bool
-) -> Iterator[str]:
+) -> Iterator[Problem]:
     content_type = attributes.get(_CONTENT_TYPE)
     # 11.1: content-type must be there, and be the content's; 11.4: never in a countersignature
     if counter and content_type is not None:
-        yield "the countersignature has a content-type, so it is a signature taken from elsewhere"
+        yield Problem(
+            "the countersignature has a content-type, so it is a signature taken from elsewhere",
+            Code.COUNTERSIGNATURE_BAD,
+        )
     if not counter and content_type != encode(Oid(DATA)):
-        yield "the signature does not say that it covers plain data"
+        yield Problem("the signature does not say that it covers plain data", Code.SIGNATURE_BAD)
     # RFC 6211 3: what protects against swapped algorithms must repeat them
     protection = attributes.get(_ALGORITHM_PROTECTION)
     repeated = CMSAlgorithmProtection(
         digest_algorithm=info.digest_algorithm, signature_algorithm=info.signature_algorithm
     )
     if protection is not None and protection != encode(repeated):
-        yield "the signature's algorithms were exchanged"
+        yield Problem("the signature's algorithms were exchanged", Code.SIGNATURE_BAD)
 
 
 def with_unsigned(info: SignerInfo, attributes: list[Attribute]) -> SignerInfo:

@@ -24,6 +24,7 @@ from pqsec_pki._asn1 import (
 from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import _cms, _mime, _signer_info
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, DATA, Signer
 
@@ -118,7 +119,7 @@ def verify(
     except VerificationError:
         raise
     except PqsecError as error:
-        raise VerificationError(str(error), hint=error.hint) from error
+        raise VerificationError(str(error), code=Code.NOT_SIGNED, hint=error.hint) from error
     problems += refused
     found = (main, *signatures)
     problems += _missing(found, require)
@@ -151,33 +152,43 @@ def _counters(info: SignerInfo) -> list[SignerInfo]:
     return counters
 
 
-def _problems(info: SignerInfo, content: bytes, ca: Certificate) -> Iterator[str]:
+def _problems(info: SignerInfo, content: bytes, ca: Certificate) -> Iterator[Problem]:
     if not _signer_info.names(info, ca):
-        yield f"not signed by {ca.subject_name} but by another certificate"
+        yield Problem(
+            f"not signed by {ca.subject_name} but by another certificate", Code.WRONG_SIGNER
+        )
         return
     yield from _signer_info.problems(info, content, ca)
 
 
 def _check_counters(
     counters: list[SignerInfo], info: SignerInfo, ca: Certificate | None
-) -> tuple[list[FoundSignature], list[str]]:
+) -> tuple[list[FoundSignature], list[Problem]]:
     """The countersignatures by `ca` that hold, and what is wrong with those that do not."""
     good: list[FoundSignature] = []
-    bad: list[str] = []
+    bad: list[Problem] = []
     for counter in counters:
         if ca is None or not _signer_info.names(counter, ca):
             continue
         problems = list(_signer_info.problems(counter, info.signature, ca, counter=True))
-        bad += [f"the countersignature: {problem}" for problem in problems]
+        bad += [
+            Problem(f"the countersignature: {problem}", Code.COUNTERSIGNATURE_BAD)
+            for problem in problems
+        ]
         if not problems:
             when = _signer_info.signing_time(counter)
             good.append(FoundSignature(ca.public_key.algorithm, True, when))  # noqa: FBT003 -- field
     return good, bad
 
 
-def _missing(found: tuple[FoundSignature, ...], require: Require) -> Iterator[str]:
+def _missing(found: tuple[FoundSignature, ...], require: Require) -> Iterator[Problem]:
     families = {each.algorithm.family for each in found}
     if require in {Require.CLASSICAL, Require.BOTH} and not families & _CLASSICAL:
-        yield "there is no classical signature, and one is required"
+        yield Problem(
+            "there is no classical signature, and one is required", Code.SIGNATURE_MISSING
+        )
     if require in {Require.PQ, Require.BOTH} and not families & _PQ:
-        yield "there is no post-quantum signature that could be checked, and one is required"
+        yield Problem(
+            "there is no post-quantum signature that could be checked, and one is required",
+            Code.SIGNATURE_MISSING,
+        )

@@ -161,7 +161,7 @@ def export(
     refusal = _refusal(stack, errors) if errors else own_plugin.refusal(enclave, options, now)
     if refusal and not options.anyway:
         raise refusal
-    told = refusal.problems if refusal else ()
+    told = map(str, refusal.problems) if refusal else ()
     return replace(made, warnings=(*made.warnings, *told, *map(_told, warnings)))
 
 

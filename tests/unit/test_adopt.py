@@ -251,7 +251,7 @@ def test_a_first_participant_that_cannot_be_read_is_told_like_any_other(sros2):
     assert done.refused == {"enclaves/fleet/robot1/cert.pem": "no certificate in PEM"}
     with pytest.raises(VerificationError) as caught:
         audit(done.keystore)
-    assert len(caught.value.problems) == 2  # its certificate and its permissions
+    assert len(caught.value.lines) == 2  # its certificate and its permissions
 
 
 def strange(sros2, name, place, *, ca=False):

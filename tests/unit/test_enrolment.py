@@ -212,7 +212,7 @@ def test_every_flaw_of_every_request_is_told_at_once():
     bad = replace(first, signature=b"x")
     with pytest.raises(VerificationError) as caught:
         admit([bad, second], PROFILES[0], names=["/a", "/c"])
-    assert len(caught.value.problems) == 4
+    assert len(caught.value.lines) == 4
 
 
 # Issuing for keys that are elsewhere
@@ -396,7 +396,7 @@ def test_a_key_to_seal_for_that_is_none_is_refused():
 def problems(bundle, pins, now=NOW):
     with pytest.raises(VerificationError) as caught:
         verify_bundle(bundle, pins, now=now)
-    return caught.value.problems
+    return caught.value.lines
 
 
 @pytest.mark.parametrize("profile", PROFILES, ids=lambda each: each.name)

@@ -330,7 +330,7 @@ def test_properties_are_found_by_name_in_any_order(meeting):
 def test_everything_that_is_missing_is_listed(meeting):
     with pytest.raises(VerificationError) as caught:
         Reply.from_holder(DataHolder("DDS:Auth:PKI-DH:1.0+Reply"))
-    missing = {problem.removesuffix(" is missing") for problem in caught.value.problems}
+    missing = {problem.removesuffix(" is missing") for problem in caught.value.lines}
     reply, _ = meeting.reply(meeting.request()[0])
     names = {name for name, _ in reply.to_holder().binary_properties}
     assert missing == names - (OPTIONAL - {"dh2"})
@@ -434,7 +434,7 @@ def test_all_that_is_wrong_with_a_reply_is_listed(meeting):
         reply = changed(reply, name, flipped)
     with pytest.raises(VerificationError) as caught:
         waiting.receive(reply, now=meeting.now + 90 * DAY)
-    text = "; ".join(caught.value.problems)
+    text = "; ".join(caught.value.lines)
     for word in ("expired", "kagree", "dsign", "hash_c1", "hash_c2", "dh1"):
         assert word in text
 

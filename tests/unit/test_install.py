@@ -267,7 +267,7 @@ def test_a_countersigner_does_not_become_the_identity_ca(robot, bundles):
     assert set(swapped.fingerprints) == set(bundles[2].fingerprints)
     with pytest.raises(VerificationError, match="stands as identity_ca") as caught:
         put(robot, "3")
-    assert len(caught.value.problems) == 2
+    assert len(caught.value.lines) == 2
 
 
 @pytest.mark.parametrize("file", ["governance", "permissions"])

@@ -174,7 +174,7 @@ def test_an_alteration_shows(keystore, statement, words):
     alter(keystore, statement)
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    assert any(problem.startswith(words) for problem in refusal.value.problems)
+    assert any(problem.startswith(words) for problem in refusal.value.lines)
 
 
 def test_lines_that_changed_places_show(keystore):
@@ -186,7 +186,7 @@ def test_lines_that_changed_places_show(keystore):
     )
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    places = [problem.split(" was")[0] for problem in refusal.value.problems]
+    places = [problem.split(" was")[0] for problem in refusal.value.lines]
     assert places == ["line 4", "line 5", "line 6", "line 7"]
 
 
@@ -204,7 +204,7 @@ def test_the_newest_lines_missing_show_by_what_lies_in_the_keystore(keystore):
     alter(keystore, "DELETE FROM ledger WHERE number > 5")
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    files = [problem.split(" is in no line")[0] for problem in refusal.value.problems]
+    files = [problem.split(" is in no line")[0] for problem in refusal.value.lines]
     found = {file.rpartition("/")[2] for file in files}
     assert found == {"cert.pem", "permissions.p7s"}
 
@@ -235,7 +235,7 @@ def test_what_was_never_issued_here_shows(keystore, tmp_path, file):
     path.write_bytes(data)
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    assert refusal.value.problems == (f"{path} is in no line of the ledger",)
+    assert refusal.value.lines == (f"{path} is in no line of the ledger",)
 
 
 def test_a_certificate_in_the_folder_of_another_shows(keystore):

@@ -68,7 +68,7 @@ def test_a_list_of_any_profile_takes_back_what_it_names_and_nothing_else(profile
     with pytest.raises(VerificationError) as refusal:
         verify_not_revoked(victim, named, ca, **options)
     words = "the certificate of CN=/talker was revoked on 2026-06-01 (keyCompromise)"
-    assert refusal.value.problems == (words,)
+    assert refusal.value.lines == (words,)
 
 
 @pytest.mark.parametrize("reason", REASONS)
@@ -148,7 +148,7 @@ def test_a_ca_that_may_not_sign_lists_makes_none():
 def test_with_a_list_that_is_not_in_force_nobody_is_good(when, words):
     with pytest.raises(VerificationError) as refusal:
         verify_not_revoked(participant(), made(), authority().certificate, now=when)
-    assert refusal.value.problems == (words,)
+    assert refusal.value.lines == (words,)
 
 
 def test_the_list_of_another_ca_of_the_same_name_makes_nobody_good():
@@ -175,7 +175,7 @@ def test_everything_that_is_wrong_is_said():
     foreign = authority("classical", "Other").certificate
     with pytest.raises(VerificationError) as refusal:
         verify_not_revoked(participant(), crl, foreign, now=NOW + 99 * DAY)
-    assert len(refusal.value.problems) == 3
+    assert len(refusal.value.lines) == 3
 
 
 def test_a_long_list_is_made_and_asked_in_a_moment():

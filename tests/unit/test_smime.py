@@ -82,7 +82,7 @@ class Lab:
     def problems(self, message, require=Require.ANY, *, pinned=True):
         with pytest.raises(VerificationError) as caught:
             self.verify(message, require, pinned=pinned)
-        return caught.value.problems
+        return caught.value.lines
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,114 @@
+"""What can be wrong, as values: a code for programs, a subject, and words for people.
+
+Codes are stable and documented; messages may be reworded at any time, so nobody reads a
+message to learn what happened.
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Self
+
+
+class Code(StrEnum):
+    """What is wrong, for programs."""
+
+    OTHER = "other"
+    """The message alone says what."""
+
+    # A file of an enclave, or a set of them
+    FILE_MISSING = "file-missing"
+    FILE_MALFORMED = "file-malformed"
+    """Not what its name says, or there are several in it where one is due."""
+    DOCUMENT_INVALID = "document-invalid"
+    """Signed, but its XML breaks the schema."""
+    READERS_DISAGREE = "readers-disagree"
+    """Stacks could read another document in this file than the one that was verified."""
+
+    # A certificate, a key, an authority (RFC 5280 6.1)
+    NOT_CA = "not-ca"
+    NOT_SELF_SIGNED = "not-self-signed"
+    NOT_PARTICIPANT = "not-participant"
+    """A CA's certificate where a participant's is due."""
+    KEY_USAGE = "key-usage"
+    CRITICAL_EXTENSION = "critical-extension"
+    EXPIRED = "expired"
+    NOT_YET_VALID = "not-yet-valid"
+    WRONG_ISSUER = "wrong-issuer"
+    """Issued by a CA of another name than the one that is trusted."""
+    BAD_SIGNATURE = "bad-signature"
+    """Of a CA of that name, and yet not signed by its key, or altered since."""
+    ALTERNATIVE_MISSING = "alternative-missing"
+    """An alternative key or signature (X.509 9.8) is required and is not there."""
+    ALTERNATIVE_BAD = "alternative-bad"
+    KEY_MISMATCH = "key-mismatch"
+    """A private key that is not the certificate's."""
+    WRONG_SUBJECT = "wrong-subject"
+    """A certificate or document of another participant."""
+    PROFILE_MISMATCH = "profile-mismatch"
+    """A key of another kind than the keystore's profile promises."""
+
+    # Revocation (RFC 5280 6.3)
+    REVOKED = "revoked"
+    LIST_MISSING = "list-missing"
+    LIST_EXPIRED = "list-expired"
+    LIST_NOT_YET_VALID = "list-not-yet-valid"
+    LIST_WRONG_ISSUER = "list-wrong-issuer"
+    LIST_BAD_SIGNATURE = "list-bad-signature"
+
+    # Who is trusted with what
+    ONE_KEY_TWO_ROLES = "one-key-two-roles"
+    """The identity CA's key is the permissions CA's too (CVE-2023-24010)."""
+    CA_DOUBLED = "ca-doubled"
+    """The same CA stands twice where two are due."""
+    CA_UNKNOWN = "ca-unknown"
+    """A CA that is not trusted, or not with that role."""
+    CA_MISSING = "ca-missing"
+    """A CA that is trusted is not there."""
+    COUNTERSIGNER_MISSING = "countersigner-missing"
+
+    # A signed document (RFC 5652)
+    NOT_SIGNED = "not-signed"
+    WRONG_SIGNER = "wrong-signer"
+    CONTENT_CHANGED = "content-changed"
+    SIGNATURE_BAD = "signature-bad"
+    SIGNATURE_MISSING = "signature-missing"
+    """It holds, but lacks a classical or post-quantum signature that is required."""
+    COUNTERSIGNATURE_BAD = "countersignature-bad"
+
+    # What a document grants (DDS-Security 1.1, 9.4.3)
+    NO_GRANT = "no-grant"
+    GRANT_EXPIRED = "grant-expired"
+    GRANT_NOT_YET_VALID = "grant-not-yet-valid"
+    NO_DOMAIN_RULE = "no-domain-rule"
+    DOMAIN_DENIED = "domain-denied"
+
+    # Against what was seen before
+    OLDER = "older"
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong."""
+
+    message: str
+    code: Code = Code.OTHER
+    subject: str = ""
+    """The file or participant at fault, where it is known."""
+    line: int | None = None
+    """Of the document, from 1."""
+    element: str | None = None
+    """Of the document: an XML element or a YAML key."""
+
+    def __str__(self) -> str:
+        subject = f"{self.subject}: " if self.subject else ""
+        place = f"line {self.line}: " if self.line is not None else ""
+        element = f"<{self.element}>: " if self.element else ""
+        return f"{subject}{place}{element}{self.message}"
+
+    def of(self, subject: str) -> Self:
+        """The same, with `subject` before the subject that it has."""
+        return replace(self, subject=": ".join(filter(None, (subject, self.subject))))
+
+    def as_code(self, code: Code) -> Self:
+        """The same, under another code."""
+        return replace(self, code=code)
