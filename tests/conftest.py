@@ -13,6 +13,8 @@ from typing import TypeVar
 
 import pytest
 
+from tests.libraries import Libraries, libraries
+
 Found = TypeVar("Found")
 
 # A shell has what it starts in the background ignore it, and programs under test inherit that.
@@ -42,6 +44,12 @@ def requires() -> Callable[[Found | None, str, str], Found]:
         return found
 
     return check
+
+
+@pytest.fixture(scope="session")
+def library(requires) -> Libraries:
+    """library(soname, *needed) is the bytes of a library; `.program(*needed)` of a program."""
+    return libraries(requires)
 
 
 @pytest.fixture(scope="session")

@@ -39,6 +39,13 @@ from pqsec_pki.vendors import export as make_export
     f" ~/{DEFAULT_FOLDER}]",
 )
 @click.option(
+    "--crypto",
+    type=_settings.FILE,
+    metavar="FILE",
+    help="Cyclone DDS's own plugin for encryption, which runs with --plugin too. [default: beside"
+    " the others, which are looked for]",
+)
+@click.option(
     "--plugin", is_flag=True, help="Run pqsec's plugin in Cyclone DDS, for post-quantum keys."
 )
 @click.option(
@@ -57,6 +64,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     version: str | None,
     at: str | None,
     plugins: Path | None,
+    crypto: Path | None,
     password_file: Path | None,
     *,
     plugin: bool,
@@ -82,6 +90,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         at=PurePosixPath(at) if at is not None else None,
         plugins=None if plugin else plugins,
         plugin=(plugins or default_folder()) if plugin else None,
+        crypto=crypto,
         anyway=anyway,
         environment=dict(os.environ),
     )

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pqsec_pki.vendors.cyclonedds import installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 
 Command = tuple[str, ...]
 

@@ -6,32 +6,34 @@ default it goes out in datagrams of 14 KB, which IP fragments, and one that is l
 whole message and a second. So there the datagrams are made to fit a frame of Ethernet.
 """
 
-from contextlib import suppress
+from collections.abc import Mapping
 from pathlib import Path
 
-from pqsec_pki.errors import UsageError, shown
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError, shown
 from pqsec_pki.plugin import LIBRARY
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors.cyclone_plugins import (
+    NAMES,
+    agree,
+    in_words,
+    installed,
+    installed_plugins,
+    mixed,
+    plugins_in,
+    read_plugin,
+)
 from pqsec_pki.vendors.enclave import Enclave, password_note
 from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 FILE = "cyclonedds.xml"
-PLUGINS = {"auth": "dds_security_auth", "crypto": "dds_security_crypto", "ac": "dds_security_ac"}
 CHANGED = frozenset('"\\')
 """In paths of signed documents it drops the one and takes the other for /: by its source, in
 DDS_Security_normalize_file, and as 0.10.2 was run."""
-PLACES = (
-    "usr/lib/*/libddsc0debian",
-    "usr/lib/*/libddsc*",
-    "usr/lib/*",
-    "usr/lib",
-    "usr/local/lib",
-    "usr/local/lib/*",
-    "opt/ros/*/lib/*",
-    "opt/ros/*/lib",
+_MIXED = (
+    "name the plugins of the version that runs, with --plugins DIR, or --crypto FILE beside"
+    " --plugin; or say which version runs, with --stack-version"
 )
-"""Below /: where distributions, `make install` and ROS 2 put the plugins."""
 
 
 def export(enclave: Enclave, options: Options) -> Export:
@@ -43,46 +45,41 @@ def export(enclave: Enclave, options: Options) -> Export:
             hint="put the keystore elsewhere",
         )
     notes = password_note(enclave, options)
-    folder = options.plugins or (None if options.at else installed_plugins(Path("/")))
-    plugins = {kind: _plugin(folder, name) for kind, name in PLUGINS.items()}
+    located = _located(options)
+    release, problem = _looked_at(located, options)
+    if problem and not options.anyway:
+        raise VerificationError(problem, hint=_MIXED)
+    plugins = {kind: _path(located.get(kind), name) for kind, name in NAMES.items()}
     if options.plugin:
         ours = protected(str(options.plugin.absolute() / LIBRARY))
         plugins |= {"auth": ours, "ac": ours}
         notes += (own_plugin.NOTE,)
+    if None in located.values():
+        notes += (_unlocated(options),)
     text = render(
         "cyclonedds.xml",
         enclave=enclave,
         uri=lambda file: protected(enclave.uri(file)),
         plugins=plugins,
+        release=release,
         password=_password(enclave, options),
         loopback=options.loopback,
         fragments=enclave.has_large_handshake,
     )
-    if folder is None:
-        notes += ("the plugins are named, not located: the loader must find libdds_security_*.so",)
     return Export(
         stack="cyclonedds",
         participant=enclave.name,
         files={FILE: text},
         environment={"CYCLONEDDS_URI": f"file://{FOLDER}/{FILE}"},
         notes=notes,
+        warnings=(problem,) if problem else (),
         is_private=options.password is not None,
         unfit_folder=",",  # CYCLONEDDS_URI is a list
     )
 
 
-def installed_plugins(root: Path) -> Path | None:
-    """The one folder below `root` that has all plugins; None where there is none, or several."""
-    found = {
-        folder.resolve() for place in PLACES for folder in root.glob(place) if _has_plugins(folder)
-    }
-    return found.pop() if len(found) == 1 else None
-
-
-def _has_plugins(folder: Path) -> bool:
-    with suppress(OSError):  # who may not look into a folder does not load from it
-        return all((folder / f"lib{name}.so").exists() for name in PLUGINS.values())
-    return False
+def _path(path: Path | None, name: str) -> str:
+    return protected(str(path)) if path else name
 
 
 def protected(text: str) -> str:
@@ -90,8 +87,39 @@ def protected(text: str) -> str:
     return text.replace("${", "$${:-}{")
 
 
-def _plugin(folder: Path | None, name: str) -> str:
-    return protected(str(folder.absolute() / f"lib{name}.so")) if folder else name
+def _located(options: Options) -> dict[str, Path | None]:
+    """Where Cyclone DDS's own plugins are, as far as that is said or to be seen."""
+    folder = options.plugins
+    if folder is None and not options.at:
+        folder = installed_plugins(Path("/"), lambda each: agree(each.release, options.release))
+    found = dict.fromkeys(NAMES) | (plugins_in(folder.absolute()) if folder else {})
+    if options.crypto:
+        found["crypto"] = options.crypto.absolute()
+    return {kind: found[kind] for kind in (["crypto"] if options.plugin else NAMES)}
+
+
+def _looked_at(located: Mapping[str, Path | None], options: Options) -> tuple[str, str]:
+    """The version that the located plugins belong to, and what is wrong with loading them.
+
+    Both may be empty: what another machine has is not to be seen here.
+    """
+    paths = [] if options.at else [path for path in located.values() if path]
+    try:
+        plugins = [read_plugin(path) for path in paths]
+    except PqsecError as error:
+        return "", str(error)
+    return in_words(plugins[0].release) if plugins else "", mixed(plugins, options.release)
+
+
+def _unlocated(options: Options) -> str:
+    """A note about plugins that are named only, with those that were seen and are not meant."""
+    note = "the plugins are named, not located: the loader must find libdds_security_*.so"
+    others = (
+        []
+        if options.at
+        else [f"{folder} of {in_words(plugin.release)}" for folder, plugin in installed(Path("/"))]
+    )
+    return f"{note}; not taken: {', '.join(others)}" if others else note
 
 
 def _password(enclave: Enclave, options: Options) -> str | None:

@@ -146,8 +146,7 @@ def export(
     stack; KeystoreError if there is no such participant, FileError if our plugin is not there.
     """
     stack.refuse_unknown(options)
-    if options.plugins and not stack.loads_plugins:
-        raise UsageError(f"{stack.title} is not told where its security plugins are")
+    _refuse_place(stack, options)
     _refuse_plugin(stack, options)
     enclave = Enclave.find(keystore, name, options.at)
     if options.password is not None and not enclave.key_is_encrypted:
@@ -170,6 +169,16 @@ def _refusal(stack: Stack, errors: list[Finding]) -> VerificationError:
     if stack.loads_ours and own_plugin.is_of_others(errors[0]):
         hint += " Or run pqsec's plugin in it: --plugin."
     return VerificationError(*map(_told, errors), hint=hint)
+
+
+def _refuse_place(stack: Stack, options: Options) -> None:
+    """UsageError for places of the stack's own plugins that it cannot be told of."""
+    places = [each for each in (options.plugins, options.crypto) if each]
+    if places and not stack.loads_plugins:
+        raise UsageError(f"{stack.title} is not told where its security plugins are")
+    for each in places:
+        if options.at and not each.is_absolute():
+            raise UsageError(f"{each}: not an absolute path", hint="as it is there")
 
 
 def _refuse_plugin(stack: Stack, options: Options) -> None:

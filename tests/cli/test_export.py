@@ -7,6 +7,7 @@ import pytest
 
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.cli import export as command
+from pqsec_pki.plugin import LIBRARY
 from pqsec_pki.vendors import STACKS
 from tests.cli.conftest import secret, snapshot
 
@@ -176,3 +177,30 @@ def test_the_help_names_all_stacks(pqsec):
     text = " ".join(pqsec("export --help").done().out.split())
     assert all(stack.name in text for stack in STACKS)
     assert command.export.help
+
+
+def test_plugins_of_another_cyclone_are_refused_with_the_way_out(
+    pqsec, keystore, library, tmp_path
+):
+    keystore()
+    older = library.cyclone(tmp_path / "older", "0.10.2", "libddsc.so.0debian")
+    newer = library.cyclone(tmp_path / "newer", "11.0.1", "libddsc.so.11")
+    line = "-k k export cyclonedds /talker --stack-version 11.0.1"
+    pqsec(f"{line} --plugins {older}").refused(1, "0.10.2", hint="--plugins DIR")
+    crypto = f"{older}/libdds_security_crypto.so"
+    pqsec(f"{line} --plugins {newer} --crypto {crypto}").refused(1, "0.10.2", hint="--crypto FILE")
+    assert str(newer) in pqsec(f"{line} --plugins {newer}").done().out
+
+
+def test_with_our_plugin_both_its_folder_and_cyclones_encryption_can_be_said(
+    pqsec, keystore, library, tmp_path
+):
+    keystore("pq")
+    newer = library.cyclone(tmp_path / "newer", "11.0.1", "libddsc.so.11")
+    (tmp_path / "ours").mkdir()
+    (tmp_path / "ours" / LIBRARY).touch()
+    crypto = newer / "libdds_security_crypto.so"
+    line = f"-k k export cyclonedds /talker --plugin --plugins ours --crypto {crypto}"
+    printed = pqsec(line).done().out
+    assert f'path="{tmp_path}/ours/{LIBRARY}"' in printed
+    assert f'path="{crypto}"' in printed

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.algorithms import load_private_key, private_key_pem
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.vendors import Enclave, Options, export, stack_named, write
+from pqsec_pki.vendors.cyclone_plugins import installed_plugins, read_plugin
 from tests.interop.conftest import NOT_STOCK, STOCK
 from tests.interop.fastdds import find_compiler
 
@@ -243,3 +244,24 @@ def test_opendds_header_compiles_and_holds_the_values_that_were_meant(own, tmp_p
         f"dds.sec.access.permissions={folder}/permissions.p7s",
         "dds.sec.auth.password=secret",
     ]
+
+
+def test_the_plugins_of_two_real_cyclones_are_told_apart(requires, plugins, labs, now):
+    """Debian 12 and 13 give libddsc one soname, 0debian: the file beside the plugins differs."""
+    trixie = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
+    newer = requires(installed_plugins(trixie), "Cyclone DDS of Debian trixie", "run .ci/trixie")
+    folders = {
+        ".".join(map(str, read_plugin(folder / "libdds_security_auth.so").release)): folder
+        for folder in (plugins, newer)
+    }
+    assert len(folders) == 2
+    for mine, folder in folders.items():
+        for version in folders:
+            wanted = Options(version=version, plugins=folder)
+            stack, keystore = stack_named("cyclonedds"), labs("classical").keystore
+            if version == mine:
+                made = export(stack, keystore, "/lab/alice", wanted, now=now)
+                assert f"Cyclone DDS {version}" in made.files[made.main]
+                continue
+            with pytest.raises(VerificationError, match="can crash"):
+                export(stack, keystore, "/lab/alice", wanted, now=now)

@@ -12,7 +12,7 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.errors import ExistsError, FileError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.vendors import STACKS, Enclave, Export, Options, export, stack_named, write
-from pqsec_pki.vendors.cyclonedds import PLUGINS, installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import NAMES, installed_plugins
 from pqsec_pki.vendors.export import FOLDER
 from pqsec_pki.vendors.fastdds import LIMITED
 from tests.unit.keystores import NOW, made
@@ -183,36 +183,116 @@ def test_cyclone_on_loopback_leaves_the_machine_by_no_interface(models):
     assert element(made, "Domain/General/AllowMulticast").text == "false"
 
 
-def test_cyclones_plugins_are_named_by_path_where_there_is_one(models, tmp_path):
-    for plugins in (tmp_path / "a & b", None):
-        made = unchecked("cyclonedds", models("classical"), plugins=plugins)
-        library = element(made, "Domain/Security/Authentication/Library")
-        assert library.get("initFunction") == "init_authentication"
-        if plugins:
-            assert library.get("path") == str(plugins / "libdds_security_auth.so")
+def cyclones_plugins(made):
+    """Kind -> path, as written."""
+    found = [each.get("path") for each in root_of(made).iter(f"{CYCLONE}Library")]
+    return dict(zip(["auth", "crypto", "ac"], found, strict=True))
+
+
+def test_cyclones_plugins_are_named_by_path_where_there_is_one(models, library, tmp_path):
+    folder = library.cyclone(tmp_path / "a & b", "0.10.2", "libddsc.so.0debian")
+    made = unchecked("cyclonedds", models("classical"), plugins=folder)
+    element_of = element(made, "Domain/Security/Authentication/Library")
+    assert element_of.get("initFunction") == "init_authentication"
+    assert element_of.get("path") == str(folder / "libdds_security_auth.so")
     elsewhere = unchecked("cyclonedds", models("classical"), at=PurePosixPath("/robot"))
-    library = element(elsewhere, "Domain/Security/Cryptographic/Library")
-    assert library.get("path") == "dds_security_crypto"
+    assert cyclones_plugins(elsewhere)["crypto"] == "dds_security_crypto"
     assert "not located" in str(elsewhere.notes)
+
+
+OF = {"0.10.2": "libddsc.so.0debian", "11.0.1": "libddsc.so.11"}
+"""Versions of Cyclone DDS, and what their plugins load."""
+
+
+@pytest.fixture
+def cyclones(library, tmp_path):
+    """Version -> the folder with that Cyclone DDS and its plugins."""
+    return {
+        version: library.cyclone(tmp_path / version, version, soname)
+        for version, soname in OF.items()
+    }
+
+
+@pytest.mark.parametrize("version", ["11.0.1", "11", "0.10.5", "0.11"])
+def test_plugins_of_another_cyclone_are_refused(models, cyclones, version):
+    """A process of 11.0.1 that loaded those of 0.10.2 died by SIGSEGV."""
+    keystore, folder = models("classical"), cyclones["0.10.2"]
+    with pytest.raises(VerificationError, match=r"libddsc\.so\.0\.10\.2.* can crash") as refusal:
+        checked("cyclonedds", keystore, plugins=folder, version=version)
+    assert "--plugins" in refusal.value.hint
+    assert "--stack-version" in refusal.value.hint
+    anyway = checked("cyclonedds", keystore, plugins=folder, version=version, anyway=True)
+    assert "can crash" in str(anyway.warnings)
+
+
+@pytest.mark.parametrize("version", [None, "0.10.2", "0.10"])
+def test_plugins_of_the_same_cyclone_are_named_and_labelled(models, cyclones, version):
+    folder = cyclones["0.10.2"]
+    made = checked("cyclonedds", models("classical"), plugins=folder, version=version)
+    assert set(map(Path.parent.fget, map(Path, cyclones_plugins(made).values()))) == {folder}
+    assert "Cyclone DDS 0.10.2" in made.files[made.main]
+
+
+@pytest.mark.parametrize("kind", ["auth", "crypto", "ac"])
+def test_plugins_of_two_cyclones_in_one_folder_are_refused(models, cyclones, kind):
+    name = f"lib{NAMES[kind]}.so"
+    shutil.copy(cyclones["11.0.1"] / name, cyclones["0.10.2"] / name)
+    with pytest.raises(VerificationError, match="can crash"):
+        checked("cyclonedds", models("classical"), plugins=cyclones["0.10.2"])
+
+
+def test_plugins_that_are_not_there_are_refused(models, cyclones, tmp_path):
+    with pytest.raises(VerificationError, match="no such file"):
+        checked("cyclonedds", models("classical"), plugins=tmp_path)
+    (cyclones["11.0.1"] / "libdds_security_ac.so").write_text("INPUT(-lother)")
+    with pytest.raises(VerificationError, match="not a library"):
+        checked("cyclonedds", models("classical"), plugins=cyclones["11.0.1"])
+
+
+def test_plugins_of_another_machine_are_not_looked_for_on_this_one(models, cyclones):
+    made = checked(
+        "cyclonedds",
+        models("classical"),
+        plugins=cyclones["0.10.2"],
+        version="11.0.1",
+        at=PurePosixPath("/robot"),
+    )
+    assert cyclones_plugins(made)["ac"].startswith(str(cyclones["0.10.2"]))
+
+
+def test_the_plugin_for_encryption_can_be_said_and_must_fit_the_others(models, cyclones):
+    keystore, crypto = models("classical"), cyclones["11.0.1"] / "libdds_security_crypto.so"
+    with pytest.raises(VerificationError, match="can crash"):
+        checked("cyclonedds", keystore, plugins=cyclones["0.10.2"], crypto=crypto)
+    made = checked("cyclonedds", keystore, plugins=cyclones["11.0.1"], crypto=crypto)
+    assert cyclones_plugins(made)["crypto"] == str(crypto)
+    at = PurePosixPath("/robot")
+    with pytest.raises(UsageError, match="not an absolute path"):
+        checked("cyclonedds", keystore, crypto=Path("crypto.so"), at=at)
 
 
 @pytest.mark.parametrize("stack", ["fastdds", "opendds", "connext"])
 def test_plugins_are_for_cyclone_alone(models, stack):
     with pytest.raises(UsageError, match="is not told where"):
         checked(stack, models("classical"), plugins=Path("/usr/lib"))
+    with pytest.raises(UsageError, match="is not told where"):
+        checked(stack, models("classical"), crypto=Path("/usr/lib/libdds_security_crypto.so"))
 
 
-def test_plugins_are_found_where_distributions_put_them(tmp_path):
+def test_plugins_are_found_where_distributions_put_them(library, tmp_path):
     folder = tmp_path / "usr/lib/x86_64-linux-gnu/libddsc0debian"
     folder.mkdir(parents=True)
-    assert installed_plugins(tmp_path) is None
-    for name in PLUGINS.values():
+    for name in NAMES.values():
         (folder / f"lib{name}.so").touch()
+    assert installed_plugins(tmp_path) is None  # nothing loads an empty file
+    library.cyclone(folder, "0.10.2", "libddsc.so.0debian")
     assert installed_plugins(tmp_path) == folder
     (tmp_path / "usr/lib/here").symlink_to(folder)  # the same folder is no second one
     assert installed_plugins(tmp_path) == folder
-    shutil.copytree(folder, tmp_path / "usr/local/lib")
+    library.cyclone(tmp_path / "usr/local/lib", "11.0.1", "libddsc.so.11")
     assert installed_plugins(tmp_path) is None
+    for place, version in ((folder, (0, 10, 2)), (tmp_path / "usr/local/lib", (11, 0, 1))):
+        assert installed_plugins(tmp_path, lambda each, of=version: each.release == of) == place
 
 
 def test_what_cyclone_would_replace_is_protected(own):

@@ -89,6 +89,32 @@ def test_cyclone_loads_ours_for_all_but_encryption(model, folder, profile):
     assert "dds_security_crypto" in found["cryptography"]
 
 
+def test_cyclones_own_encryption_can_be_named_beside_it_and_must_fit(
+    model, folder, library, tmp_path
+):
+    """Or else a process of 11 would load the one of Debian's 0.10.2, and crash."""
+    cyclone = library.cyclone(tmp_path / "11", "11.0.1", "libddsc.so.11")
+    crypto, keystore = cyclone / "libdds_security_crypto.so", model("pq")
+    for version in (None, "11.0.1"):
+        made = exported("cyclonedds", keystore, folder, crypto=crypto, version=version)
+        found = libraries(made)
+        assert found["cryptography"] == str(crypto)
+        assert found["authentication"] == str(folder / LIBRARY)
+        assert "not located" not in str(made.notes)
+    with pytest.raises(VerificationError, match=r"libddsc\.so\.11\.0\.1.* can crash") as refusal:
+        exported("cyclonedds", keystore, folder, crypto=crypto, version="0.10.2")
+    assert "--crypto" in refusal.value.hint
+    with pytest.raises(UsageError, match="is not told where"):
+        exported("ros2", keystore, folder, crypto=crypto)
+
+
+def test_encryption_of_another_cyclone_is_never_found_for_a_version(model, folder):
+    """Whatever this machine has, it is not 9999.0."""
+    made = exported("cyclonedds", model("pq"), folder, version="9999.0")
+    assert libraries(made)["cryptography"] == "dds_security_crypto"
+    assert "not located" in str(made.notes)
+
+
 @pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize("stack", BOTH)
 def test_what_the_plugin_takes_is_written_without_a_warning(model, folder, stack, profile):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.trial import MissingStackError, Role, find, stranger
-from pqsec_pki.vendors.cyclonedds import installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.conftest import LAB_PROFILES, TOPIC
 from tests.interop.plugin.processes import DOMAIN, REFUSAL, Stage, logs, met
 

@@ -1,0 +1,112 @@
+"""Cyclone DDS's own security plugins: where they are, and whose they are.
+
+A plugin is linked to the libddsc that it was built with. A process of another libddsc that loads
+it gets a second one, and dies by SIGSEGV (11.0.1 with the plugins of Debian's 0.10.2, measured).
+So a plugin is looked at before its path is written.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from pqsec_pki.errors import PqsecError, shown
+from pqsec_pki.vendors.elf import read_library, release_in
+from pqsec_pki.vendors.export import Version
+
+NAMES = {"auth": "dds_security_auth", "crypto": "dds_security_crypto", "ac": "dds_security_ac"}
+PLACES = (
+    "usr/lib/*/libddsc0debian",
+    "usr/lib/*/libddsc*",
+    "usr/lib/*",
+    "usr/lib",
+    "usr/local/lib",
+    "usr/local/lib64",
+    "usr/local/lib/*",
+    "opt/ros/*/lib/*",
+    "opt/ros/*/lib",
+)
+"""Below /: where distributions, `make install` and ROS 2 put the plugins."""
+_CYCLONE = "libddsc.so"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plugin:
+    """One of the plugins, and the Cyclone DDS that it belongs to."""
+
+    path: Path
+    soname: str
+    """Of the libddsc that it is linked to, such as libddsc.so.0debian; empty if to none."""
+    library: Path | None
+    """That libddsc, links resolved, where it is beside the plugin or one folder above."""
+
+    @property
+    def release(self) -> Version:
+        """Of that libddsc, as far as names tell it; () if they do not."""
+        return release_in(self.library.name if self.library else self.soname)
+
+    @property
+    def owner(self) -> str:
+        """Whose it is, in words."""
+        of = shown(self.library.name if self.library else self.soname)
+        return f"linked to {of} of Cyclone DDS {in_words(self.release)}"
+
+
+def in_words(release: Version) -> str:
+    """As in 0.10.2; `of unknown version` for ()."""
+    return ".".join(map(str, release)) or "of unknown version"
+
+
+def agree(one: Version, other: Version) -> bool:
+    """Whether both can be the same version, as far as both are known."""
+    return all(a == b for a, b in zip(one, other, strict=False))
+
+
+def read_plugin(path: Path) -> Plugin:
+    """The plugin at `path`. FileError if it cannot be read, MalformedError if it is no library."""
+    found = read_library(path)
+    soname = next((each for each in found.needed if each.startswith(_CYCLONE)), "")
+    places = (found.path.parent / soname, found.path.parent.parent / soname)
+    library = next((each.resolve() for each in places if soname and each.is_file()), None)
+    return Plugin(path=path, soname=soname, library=library)
+
+
+def plugins_in(folder: Path) -> dict[str, Path]:
+    """Kind -> path, of all three."""
+    return {kind: folder / f"lib{name}.so" for kind, name in NAMES.items()}
+
+
+def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
+    """The folders below `root` that have all plugins, each with its first one.
+
+    Who may not look into a folder does not load from it, and what is no library is not loaded.
+    """
+    found = {folder.resolve() for place in PLACES for folder in root.glob(place)}
+    for folder in sorted(found):
+        with suppress(PqsecError, OSError):
+            first, *_ = [read_plugin(path) for path in plugins_in(folder).values()]
+            yield folder, first
+
+
+def installed_plugins(root: Path, fits: Callable[[Plugin], bool] = lambda _: True) -> Path | None:
+    """The one folder below `root` with plugins that fit; None where there is none, or several."""
+    found = [folder for folder, plugin in installed(root) if fits(plugin)]
+    return found[0] if len(found) == 1 else None
+
+
+def mixed(plugins: Collection[Plugin], release: Version) -> str:
+    """What is wrong with loading them into one process of that version; empty if nothing is."""
+    for each in plugins:
+        if not agree(each.release, release):
+            return (
+                f"{each.path} is {each.owner}, and not for a process of Cyclone DDS"
+                f" {in_words(release)}: with parts of both in it, it can crash"
+            )
+    for one, other in pairwise(each for each in plugins if each.soname):
+        if (one.soname, one.library) != (other.soname, other.library):
+            return (
+                f"{one.path} is {one.owner}, and {other.path} is {other.owner}: with parts of"
+                " both in it, a process can crash"
+            )
+    return ""
