@@ -23,6 +23,24 @@ def reflect(scene: Scene) -> Iterator[Attempt]:
         yield scene.between(f"its own credentials, in the {message}", relay)
 
 
+def reflect_message(scene: Scene) -> Iterator[Attempt]:
+    """The key is the same both ways, so what a side sent opens for that side too."""
+    yield scene.between("the initiator's, in the place of the replier's", _Echo())
+
+
+@dataclass(slots=True)
+class _Echo:
+    """Sends what the first of two said under protection to the second, and back to it."""
+
+    first: bytes = b""
+
+    def __call__(self, name: str, data: bytes) -> bytes:
+        if name != MESSAGE:
+            return data
+        self.first = self.first or data
+        return self.first
+
+
 def replay(scene: Scene) -> Iterator[Attempt]:
     """One message of an earlier handshake, or all that one side said in it."""
     for name in HANDSHAKE:
@@ -74,6 +92,13 @@ ATTACKS = (
         title="sends a participant its own certificate back, so that it meets itself",
         refused_at=("reply", "final"),
         act=reflect,
+    ),
+    Attack(
+        name="reflect-message",
+        attacker=Attacker.ON_THE_WAY,
+        title="sends a participant its own first encrypted message back",
+        refused_at=("message",),
+        act=reflect_message,
     ),
     Attack(
         name="replay",

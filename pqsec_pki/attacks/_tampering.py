@@ -15,8 +15,17 @@ from pqsec_pki.attacks._relays import (
 )
 from pqsec_pki.attacks._scene import Attempt, Scene
 from pqsec_pki.attacks.attack import Attack, Attacker
-from pqsec_pki.handshake import DataHolder, Final, GenericMessage, Reply, Request
-from pqsec_pki.selfcheck.course import AROUND_TOKEN, SUBMESSAGE
+from pqsec_pki.handshake import (
+    DataHolder,
+    Final,
+    GenericMessage,
+    KeyMaterial,
+    Reply,
+    Request,
+    TransformationKind,
+    token_message,
+)
+from pqsec_pki.selfcheck.course import AROUND_TOKEN
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
 
 _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
@@ -138,23 +147,36 @@ _PROTECTED = {
     "initialization vector": 23,
     "length": 31,
     "ciphertext": 40,
-    "tag": 60,
-    "number of receivers": 71,
+    "tag": -12,
+    "number of receivers": -1,
 }
-"""Where a byte of each part stands in a protected SUBMESSAGE (DDS-Security 1.1, 9.5.3.3.4)."""
+"""Where a byte of each part stands in a protected submessage (DDS-Security 1.1, 9.5.3.3.4)."""
 
 
 def change_message(scene: Scene) -> Iterator[Attempt]:
     """What is sent under the keys that were agreed."""
-    for turn, side in enumerate(scene.encounter.sides, start=1):
+    one, other = scene.encounter.sides
+    for turn, (side, peer) in enumerate(((one, other), (other, one)), start=1):
         for part, at in _PROTECTED.items():
             yield scene.between(f"{part} in {side.name}'s", on(MESSAGE, _flip_at(at), turn))
-        in_clear = on(MESSAGE, lambda _: SUBMESSAGE, turn)
+        keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+        forged = token_message(side.guid, peer.guid, keys)
+        in_clear = on(MESSAGE, partial(_instead, forged), turn)
         yield scene.between(f"unprotected in {side.name}'s name", in_clear)
 
 
 def _flip_at(at: int) -> Edit:
-    return lambda data: data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+    def edit(data: bytes) -> bytes:
+        changed = bytearray(data)
+        changed[at] ^= 1
+        return bytes(changed)
+
+    return edit
+
+
+def _instead(forged: bytes, data: bytes) -> bytes:
+    del data
+    return forged
 
 
 ATTACKS = (

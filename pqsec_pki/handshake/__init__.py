@@ -5,6 +5,7 @@ clock. It speaks DDS-Security 1.1 with stock stacks, and post-quantum suites wit
 """
 
 from pqsec_pki.handshake._cdr import ByteOrder
+from pqsec_pki.handshake.confirmation import confirmation, confirmed, token_message
 from pqsec_pki.handshake.dialect import Dialect
 from pqsec_pki.handshake.guid import (
     adjusted_guid,
@@ -66,11 +67,14 @@ __all__ = [
     "adjusted_guid",
     "begin",
     "belongs_to",
+    "confirmation",
+    "confirmed",
     "initiates",
     "key_exchange_material",
     "participant_data",
     "participant_guid",
     "reply_to",
+    "token_message",
     "unprotect_payload",
     "unprotect_submessage",
 ]

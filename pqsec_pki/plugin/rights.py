@@ -56,7 +56,10 @@ class Signers:
             require = Require.BOTH
         elif self.ca.public_key.algorithm.family is Family.PQ:
             require = Require.PQ
-        return verify(message, self.ca, alternative_ca=self.alternative, require=require).document
+        found = verify(
+            message, self.ca, alternative_ca=self.alternative, require=require, pinned=True
+        )
+        return found.document
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -19,22 +19,20 @@ from pqsec_pki.handshake import (
     Done,
     Final,
     GenericMessage,
+    KeyMaterial,
     MessageClass,
     Reply,
     Request,
-    Sender,
     Terms,
+    TransformationKind,
     begin,
-    key_exchange_material,
+    confirmation,
+    confirmed,
     reply_to,
-    unprotect_submessage,
 )
 from pqsec_pki.selfcheck.credentials import Applicant, check_permissions
 from pqsec_pki.selfcheck.encounter import Encounter, Side
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE, Sent, Steps
-
-SUBMESSAGE = bytes.fromhex("15010c00") + b"pqsec check."
-"""A DATA submessage of 12 bytes: something to protect."""
 
 _CLASSES = {AUTH_REQUEST: MessageClass.AUTH_REQUEST} | dict.fromkeys(
     HANDSHAKE, MessageClass.HANDSHAKE
@@ -152,13 +150,14 @@ class Course:
         return self.encounter.relay(name, data)
 
     def _exchange(self, done: tuple[Done, Done]) -> None:
-        """One protected submessage each way: only this shows that both have one secret."""
+        """The keys of each, protected: only this shows that both have one secret (C26)."""
         for sender, mine, receiver, theirs in _both_ways(self.encounter.sides, done):
             with self.steps.step(f"message {sender.name} to {receiver.name}") as detail:
-                sealed = Sender(key_exchange_material(mine)).protect_submessage(SUBMESSAGE)
+                keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+                sealed = confirmation(sender.guid, mine, keys)
                 arrived = self._relay(MESSAGE, sealed, sender, receiver)
-                if unprotect_submessage(key_exchange_material(theirs), arrived) != SUBMESSAGE:
-                    raise VerificationError("the message came out changed")
+                if confirmed(receiver.guid, theirs, arrived) != keys:
+                    raise VerificationError("the keys came out changed")
                 detail.append("encrypted, sent, decrypted (AES256-GCM)")
 
     def _admit(self, judge: Side, subject: Side, done: Done) -> None:

@@ -136,11 +136,13 @@ def _verified_governance(judge: Participant, profile: Profile, now: datetime) ->
 
 def _verified(judge: Participant, message: bytes, profile: Profile, now: datetime) -> Verified:
     _check_signers(judge, now)
+    # Who is pinned must have signed, whether the profile asks for two or not (C25).
     return verify(
         message,
         judge.permissions_ca,
         alternative_ca=judge.permissions_alt_ca,
         require=required_signatures(profile),
+        pinned=True,
     )
 
 

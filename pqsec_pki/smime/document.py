@@ -100,12 +100,13 @@ def verify(
     *,
     alternative_ca: Certificate | None = None,
     require: Require = Require.ANY,
+    pinned: bool = False,
 ) -> Verified:
     """The document in `message` if `ca` itself signed it; VerificationError otherwise.
 
-    A countersignature by `alternative_ca` is checked if it is there. `require` refuses
-    a file that lacks a classical or post-quantum signature, so that neither can be
-    stripped. Whether `ca` is a CA, and good now, is for
+    A countersignature by `alternative_ca` is checked if it is there; where it is `pinned`
+    it must be there. `require` refuses a file that lacks a classical or post-quantum
+    signature, so that neither can be stripped. Whether `ca` is a CA, and good now, is for
     certificates.verify_authority to say.
     """
     try:
@@ -123,6 +124,8 @@ def verify(
     problems += refused
     found = (main, *signatures)
     problems += _missing(found, require)
+    if pinned and alternative_ca and not signatures and not refused:
+        problems.append(f"there is no countersignature by {alternative_ca.subject_name}")
     if problems:
         raise VerificationError(*problems)
     return Verified(document, found, unchecked=len(counters) - len(signatures))

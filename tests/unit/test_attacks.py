@@ -174,6 +174,7 @@ EXPECTED = {
         ("request$", "reply", "is our own: the message was reflected$"),
         ("reply$", "final", "is our own: the message was reflected$"),
     ],
+    "reflect-message": [("", "message", "is for another participant$")],
     "replay": [
         ("^the request$", "reply", "^challenge1 is not the one that the peer announced$"),
         ("^the reply$", "final", "^challenge1 is not what it was"),

@@ -10,24 +10,29 @@ import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, Family, pair_private
 from pqsec_pki.certificates import Authority
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.handshake import (
     AuthRequest,
     DataHolder,
     Discovered,
     Final,
     Identity,
+    KeyMaterial,
     Policy,
     Reply,
     Request,
     Sender,
     Terms,
     Transcript,
+    TransformationKind,
     adjusted_guid,
     begin,
+    confirmation,
+    confirmed,
     key_exchange_material,
     participant_data,
     reply_to,
+    token_message,
     unprotect_submessage,
 )
 
@@ -144,6 +149,56 @@ def test_two_participants_agree_and_can_talk(now, kind, agreement):
     assert len(one.shared_secret) == 32
     sealed = Sender(key_exchange_material(one)).protect_submessage(b"to bob..")
     assert unprotect_submessage(key_exchange_material(other), sealed) == b"to bob.."
+
+
+def first_keys(sender, done):
+    """Its first message, and the keys in it."""
+    keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+    return confirmation(sender.guid, done, keys), keys
+
+
+@pytest.mark.parametrize("agreement", list(KEY_AGREEMENTS), ids=lambda row: row.name)
+def test_the_first_protected_message_confirms_each_to_the_other(now, agreement):
+    meeting = Meeting(now, agreement=agreement)
+    one, other = meeting.run()
+    sealed, keys = first_keys(meeting.alice, one)
+    assert confirmed(meeting.bob.guid, other, sealed) == keys
+    sealed, keys = first_keys(meeting.bob, other)
+    assert confirmed(meeting.alice.guid, one, sealed) == keys
+
+
+@pytest.mark.parametrize("agreement", list(KEY_AGREEMENTS), ids=lambda row: row.name)
+def test_ones_own_first_message_sent_back_confirms_nobody(now, agreement):
+    meeting = Meeting(now, agreement=agreement)
+    for side, done in zip((meeting.alice, meeting.bob), meeting.run(), strict=True):
+        sealed, _ = first_keys(side, done)
+        assert unprotect_submessage(key_exchange_material(done), sealed)  # one key both ways
+        with pytest.raises(VerificationError, match="is for another participant"):
+            confirmed(side.guid, done, sealed)
+
+
+def test_a_first_message_from_another_than_the_peer_confirms_nobody(meeting):
+    one, other = meeting.run()
+    mallory = enrolled("ecdsa-p256", "mallory", meeting.now)
+    sealed, _ = first_keys(mallory, one)
+    with pytest.raises(VerificationError, match="not from the peer"):
+        confirmed(meeting.bob.guid, other, sealed)
+
+
+def test_what_is_no_first_message_confirms_nobody(meeting):
+    one, other = meeting.run()
+    keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+    good = token_message(meeting.alice.guid, meeting.bob.guid, keys)
+    sender = Sender(key_exchange_material(one))
+    for at in (0, 1, 2, 6, 8, 12):
+        wrong = bytearray(good)
+        wrong[at] ^= 1
+        with pytest.raises(MalformedError, match="not of the volatile secure topic"):
+            confirmed(meeting.bob.guid, other, sender.protect_submessage(bytes(wrong)))
+    for size in (0, 4, 20):
+        with pytest.raises(MalformedError, match="a first protected message of"):
+            confirmed(meeting.bob.guid, other, sender.protect_submessage(good[:size]))
+    assert confirmed(meeting.bob.guid, other, sender.protect_submessage(good)) == keys
 
 
 def test_each_learns_who_the_other_is_and_what_it_may(meeting):
@@ -465,6 +520,24 @@ def test_a_replayed_request_gets_no_further_than_its_reply(meeting):
     _, awaiting = meeting.reply(request)
     with pytest.raises(VerificationError, match="challenge2 is not what it was"):
         awaiting.receive(final)
+
+
+@pytest.mark.parametrize("agreement", list(KEY_AGREEMENTS), ids=lambda row: row.name)
+def test_a_final_is_good_for_one_reply_though_two_have_one_announced_challenge(now, agreement):
+    """Each Reply has a fresh dh2, and the Final's signature covers it (docs/wire.md, 9)."""
+    meeting = Meeting(now, agreement=agreement)
+    meeting.of_bob = replace(meeting.of_bob, announced=os.urandom(32))
+    request, waiting = meeting.request()
+    first, awaiting_first = meeting.reply(request)
+    second, awaiting_second = meeting.reply(request)
+    assert first.challenge2 == second.challenge2
+    assert first.dh2 != second.dh2
+    final, one = waiting.receive(first, now=now)
+    with pytest.raises(VerificationError, match="dh2 is not what it was"):
+        awaiting_second.receive(final)
+    with pytest.raises(VerificationError, match="signature"):
+        awaiting_second.receive(without(final, *OPTIONAL))
+    assert awaiting_first.receive(without(final, *OPTIONAL)).shared_secret == one.shared_secret
 
 
 def test_a_challenge_other_than_the_announced_one_is_refused(meeting):

@@ -1,11 +1,12 @@
 """What the agent does for identities, peers and permissions, without a socket or a shim."""
 
 import os
+from dataclasses import replace
 
 import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
-from pqsec_pki.handshake import DataHolder
+from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin import handles, meetings
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.handles import Handles
@@ -216,6 +217,48 @@ def test_requests_of_many_guids_leave_room_and_those_who_finished_alone(folders,
         shim.call("process_handshake", *waiting[0])
     for each in waiting[1:]:
         assert shim.call("process_handshake", *each) == [Result.OK, NO_TOKEN]
+
+
+def introduced(folders):
+    """Two that have heard of each other: each as (shim, identity, the peer's handle, GUID)."""
+    sides = (side(folder) for folder in folders)
+    (one, own, guid), (other, theirs, peers) = sorted(sides, key=lambda each: each[2])
+    _, seen, request = other.call("validate_remote_identity", NO_TOKEN, theirs, IDENTITY, guid)
+    _, known, _ = one.call("validate_remote_identity", request, own, IDENTITY, peers)
+    return (one, own, known, participant_data(guid)), (other, theirs, seen, participant_data(peers))
+
+
+def test_a_request_is_answered_by_one_reply_and_a_refused_one_is_none(folders):
+    (one, own, known, data), (other, theirs, seen, more) = introduced(folders["transition"])
+    _, begun, request = one.call("begin_handshake_request", own, known, data)
+    replies = [
+        other.call("begin_handshake_reply", request, seen, theirs, more)[2] for _ in range(2)
+    ]
+    spoilt = dict(replies[0].binary_properties) | {"signature": bytes(32)}
+    wrong = replace(replies[0], binary_properties=tuple(spoilt.items()))
+    with pytest.raises(RefusedError, match="signature"):
+        one.call("process_handshake", wrong, begun)
+    result, _ = one.call("process_handshake", replies[0], begun)
+    assert result == Result.OK_FINAL_MESSAGE
+    secret = one.call("get_shared_secret", begun)
+    for again in replies:
+        with pytest.raises(RefusedError, match="the handshake is over"):
+            one.call("process_handshake", again, begun)
+    assert one.call("get_shared_secret", begun) == secret
+
+
+def test_a_final_is_good_for_the_last_reply_though_all_have_one_announced_challenge(folders):
+    (one, own, known, data), (other, theirs, seen, more) = introduced(folders["transition"])
+    finals, challenges = [], set()
+    for _ in range(2):
+        _, begun, request = one.call("begin_handshake_request", own, known, data)
+        _, answered, reply = other.call("begin_handshake_reply", request, seen, theirs, more)
+        challenges.add(dict(reply.binary_properties)["challenge2"])
+        finals.append(one.call("process_handshake", reply, begun)[1])
+    assert len(challenges) == 1
+    with pytest.raises(RefusedError, match="dh2 is not what it was"):
+        other.call("process_handshake", finals[0], answered)
+    assert other.call("process_handshake", finals[1], answered) == [Result.OK, NO_TOKEN]
 
 
 def test_a_secret_is_told_only_when_the_handshake_is_over(folders):

@@ -13,7 +13,10 @@ from pqsec_pki.documents import (
     Permissions,
     Rule,
 )
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.rights import Signers, Theirs, anywhere
+from pqsec_pki.smime import Signer, sign
 from tests.unit.keystores import DAY, NOW
 
 DOMAINS = DomainSet.parse("0")
@@ -75,3 +78,22 @@ def test_permissions_end_with_who_signed_them(days, end):
         permissions=Permissions(grants=(grant,)),
     )
     assert rights.end(NOW, signers) == (NOW + end * DAY).timestamp() + 1
+
+
+@pytest.mark.parametrize("kind", ["ecdsa-p256", "mldsa65+p256"])
+def test_every_signature_that_is_pinned_must_be_there(tmp_path, kind):
+    """C25: the file beside the CA's pins a countersigner, whatever signs first."""
+    ca = Authority.create("CA", SIGNATURES.named(kind), now=NOW, validity=DAY)
+    second = Authority.create("Second", SIGNATURES.named("ml-dsa-65"), now=NOW, validity=DAY)
+    (tmp_path / "permissions_ca.cert.pem").write_bytes(ca.certificate.pem)
+    where = "file:permissions_ca.cert.pem"
+    properties = Properties([("dds.sec.access.permissions_ca", where)], str(tmp_path))
+    main, counter = (Signer(each.certificate, each.key) for each in (ca, second))
+    document = GOVERNANCE.to_xml()
+    once = sign(document, main, now=NOW)
+    assert Signers.load(properties).document(once, NOW)
+    (tmp_path / "permissions_ca.alt.cert.pem").write_bytes(second.certificate.pem)
+    pinned = Signers.load(properties)
+    assert pinned.document(sign(document, main, countersigner=counter, now=NOW), NOW)
+    with pytest.raises(VerificationError, match="there is no countersignature by CN=Second"):
+        pinned.document(once, NOW)

@@ -74,6 +74,34 @@ def test_an_expired_countersigner_is_refused(made):
     assert "the CA certificate expired on 2022-11-22" in step.detail
 
 
+def pinned_beside(keystore):
+    """A countersigner for a profile that has none, as the owner of a robot may pin one."""
+    row = SIGNATURES.named("ml-dsa-65")
+    second = Authority.create("Lab Permissions CA ml-dsa-65", row, now=NOW, validity=YEAR)
+    place = keystore.root / "public/permissions_ca.alt.cert.pem"
+    place.write_bytes(second.certificate.pem)
+    for name in keystore.names():
+        enclave = keystore.root / f"enclaves{name}/permissions_ca.alt.cert.pem"
+        if not enclave.exists():
+            enclave.write_bytes(second.certificate.pem)
+    return Signer(second.certificate, second.key)
+
+
+@pytest.mark.parametrize("profile", ["classical", "hybrid", "transition"])
+def test_every_signature_that_is_pinned_must_be_there(made, profile):
+    """C25: where a countersigner is pinned, a document without its signature is refused."""
+    keystore = made(profile)
+    permissions = keystore.unlock(None).permissions
+    main, second = Signer(permissions.certificate, permissions.key), pinned_beside(keystore)
+    sign_all_again(keystore, main, second)
+    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
+    assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
+    sign_all_again(keystore, main)
+    step = failing(keystore)
+    assert step.name == "documents of /talker"
+    assert "there is no countersignature by CN=Lab Permissions CA ml-dsa-65" in step.detail
+
+
 def test_a_participant_as_permissions_ca_is_refused(made):
     keystore = made("classical")
     talker = keystore.participant("/talker")

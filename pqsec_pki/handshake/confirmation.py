@@ -1,0 +1,82 @@
+"""The first protected message, and the only one that confirms the key (docs/wire.md, C26).
+
+Crypto tokens are the first that two send each other under the key of their key exchange.
+Both use one key for both directions, so that a message opens proves too little: one's own,
+sent back, opens as well, and so does one to somebody else who was brought to the same key.
+The message must name its reader as the destination and the peer as the source.
+"""
+
+import struct
+
+from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.handshake.key_exchange import KeyMaterial, key_exchange_material
+from pqsec_pki.handshake.protection import Sender, unprotect_submessage
+from pqsec_pki.handshake.states import Done
+from pqsec_pki.handshake.wire import GenericMessage, MessageClass
+
+_PREFIX_SIZE = 12
+"""Bytes of a GUID that are the participant's."""
+_WRITER, _READER = bytes.fromhex("ff0202c3"), bytes.fromhex("ff0202c4")
+"""Of the volatile secure topic (DDS-Security 1.1, 7.4.6.2)."""
+_DATA = struct.Struct("<BBHHH4s4sII")
+"""A DATA submessage up to its payload (RTPS 2.3, 9.4.5.3), little-endian."""
+_DATA_KIND, _LITTLE_ENDIAN_WITH_PAYLOAD = 0x15, 0x05
+_TO_PAYLOAD = 16
+"""Bytes from behind the field that says so to the payload."""
+
+
+def confirmation(own: bytes, done: Done, keys: KeyMaterial) -> bytes:
+    """What the participant of GUID `own` (16 bytes) sends first: `keys`, protected."""
+    message = token_message(own, done.peer.guid, keys)
+    return Sender(key_exchange_material(done)).protect_submessage(message)
+
+
+def confirmed(own: bytes, done: Done, data: bytes) -> KeyMaterial:
+    """The keys in the peer's first message to `own`; from here on the peer is confirmed.
+
+    VerificationError if it does not open, is for another participant or from another than
+    the one that authenticated; MalformedError if it is not such a message.
+    """
+    message = _message_in(unprotect_submessage(key_exchange_material(done), data))
+    if message.destination_participant != own:
+        raise VerificationError("the first protected message is for another participant")
+    if message.source != _writer_of(done.peer.guid):
+        raise VerificationError("the first protected message is not from the peer")
+    wanted = MessageClass.PARTICIPANT_CRYPTO_TOKENS
+    if message.class_id != wanted or len(message.tokens) != 1:
+        raise MalformedError(f"not a message of one token where a '{wanted}' is due")
+    return KeyMaterial.from_holder(message.tokens[0])
+
+
+def token_message(source: bytes, destination: bytes, keys: KeyMaterial) -> bytes:
+    """The submessage, not protected, that takes `keys` from one participant to another.
+
+    Both are GUIDs of 16 bytes (DDS-Security 1.1, 7.4.4.3).
+    """
+    sample = GenericMessage(
+        source=_writer_of(source),
+        sequence=1,
+        destination_participant=destination,
+        class_id=MessageClass.PARTICIPANT_CRYPTO_TOKENS,
+        tokens=(keys.to_holder(),),
+    ).encode()
+    sample += bytes(-len(sample) % 4)
+    size = _DATA.size - 4 + len(sample)
+    head = _DATA_KIND, _LITTLE_ENDIAN_WITH_PAYLOAD, size, 0, _TO_PAYLOAD
+    return _DATA.pack(*head, _READER, _WRITER, 0, 1) + sample
+
+
+def _message_in(submessage: bytes) -> GenericMessage:
+    if len(submessage) < _DATA.size:
+        raise MalformedError(f"a first protected message of {len(submessage)} bytes")
+    kind, flags, size, _, to_payload, reader, writer, *_ = _DATA.unpack_from(submessage)
+    found = kind, flags, size, to_payload, reader, writer
+    size_due = len(submessage) - 4
+    due = _DATA_KIND, _LITTLE_ENDIAN_WITH_PAYLOAD, size_due, _TO_PAYLOAD, _READER, _WRITER
+    if found != due:
+        raise MalformedError("the first protected message is not of the volatile secure topic")
+    return GenericMessage.decode(submessage[_DATA.size :])
+
+
+def _writer_of(guid: bytes) -> bytes:
+    return guid[:_PREFIX_SIZE] + _WRITER
