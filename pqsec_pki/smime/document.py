@@ -125,7 +125,8 @@ def verify(
     found = (main, *signatures)
     problems += _missing(found, require)
     if pinned and alternative_ca and not signatures and not refused:
-        problems.append(f"there is no countersignature by {alternative_ca.subject_name}")
+        words = f"there is no countersignature by {alternative_ca.subject_name}"
+        problems.append(Problem(words, Code.SIGNATURE_MISSING))
     if problems:
         raise VerificationError(*problems)
     return Verified(document, found, unchecked=len(counters) - len(signatures))
