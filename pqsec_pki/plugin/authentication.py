@@ -32,6 +32,7 @@ from pqsec_pki.handshake import (
 from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.meetings import Handshake, Meetings
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
@@ -56,11 +57,11 @@ class Result(IntEnum):
 class Authentication:
     """The plugin of one DDS process and domain."""
 
-    def __init__(self, clock: Clock, note: Callable[[str], None]) -> None:
+    def __init__(self, clock: Clock, note: Callable[[str], None], lists: NewestLists) -> None:
         self._now = clock
         self._handles = Handles()
         self._meetings = Meetings(self._handles, note)
-        self._recalls = Recalls(self._handles, self._meetings)
+        self._recalls = Recalls(self._handles, self._meetings, lists, clock, note)
 
     def __len__(self) -> int:
         return len(self._handles)
@@ -72,6 +73,7 @@ class Authentication:
         find_revoked is to be called."""
         del domain
         local = Local.load(Properties(properties, folder), candidate, self._now())
+        local = self._recalls.admitted(local)
         end = end_of(local.certificate, local.authorities[0])
         return Result.OK, self._handles.add(local), local.guid, end, local.revoked is not None
 

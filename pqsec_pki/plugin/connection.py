@@ -1,7 +1,7 @@
 """One connection of the agent: frames in, calls, frames out. No socket is touched here."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from pqsec_pki import __version__
@@ -9,6 +9,7 @@ from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import Authentication
 from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
+from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
 
@@ -23,12 +24,14 @@ class ProtocolError(PqsecError):
 
 @dataclass(frozen=True, slots=True)
 class House:
-    """What connections share: the clock, the log, and what the command line may ask for."""
+    """What connections share: the clock, the log, what the command line may ask for, and what
+    is known of revocation lists."""
 
     clock: Clock
     log: Log
     status: Callable[[], dict[str, Any]]
     stop: Callable[[], None]
+    lists: NewestLists = field(default_factory=NewestLists)
 
 
 class Control:
@@ -105,7 +108,7 @@ class Connection:
 
     def _new(self, name: str) -> Authentication | AccessControl | Control:
         if name == "authentication":
-            return Authentication(self._house.clock, self._notes.add)
+            return Authentication(self._house.clock, self._notes.add, self._house.lists)
         if name == "access_control":
             return AccessControl(self._house.clock)
         return Control(self._house)

@@ -18,6 +18,7 @@ from pqsec_pki._files import MAX_FILE, disk_errors, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.errors import FileError, MalformedError, UsageError, located
+from pqsec_pki.plugin.property_names import understood
 
 MAX_TRUSTED = 64
 """Certificates in a folder of trusted CAs."""
@@ -53,7 +54,8 @@ class Properties:
     """The properties of a participant, and the folder that its relative paths begin in."""
 
     def __init__(self, pairs: Iterable[tuple[str, str]], folder: str) -> None:
-        self._values = {name: value.strip(" \t") for name, value in pairs}
+        """UsageError for a property of security that is not understood."""
+        self._values = {name: value.strip(" \t") for name, value in understood(pairs).items()}
         self._folder = Path(folder)
 
     def optional(self, name: str) -> str:

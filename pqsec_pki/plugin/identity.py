@@ -15,6 +15,7 @@ from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located
 from pqsec_pki.handshake import Discovered, Identity, Introduction, Policy, Terms, adjusted_guid
 from pqsec_pki.plugin import credentials
 from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
+from pqsec_pki.plugin.property_names import REVOCATION_LIST
 from pqsec_pki.plugin.settings import Settings
 
 CERTIFICATE = "dds.sec.auth.identity_certificate"
@@ -22,7 +23,7 @@ _CA = "dds.sec.auth.identity_ca"
 _KEY = "dds.sec.auth.private_key"
 _PASSWORD = "dds.sec.auth.password"  # noqa: S105 -- a property's name
 _TRUSTED = "dds.sec.auth.trusted_ca_dir"
-_REVOKED = "org.eclipse.cyclonedds.sec.auth.crl"
+_REVOKED = REVOCATION_LIST
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

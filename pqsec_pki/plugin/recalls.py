@@ -1,19 +1,48 @@
 """Revocation lists that change while participants live: who is taken back in mid-session."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
+from pqsec_pki.certificates import verify_not_revoked
 from pqsec_pki.errors import PqsecError
+from pqsec_pki.plugin import lists
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.meetings import Meetings
+from pqsec_pki.plugin.notes import Clock
 
 
 class Recalls:
     """What the lists of a connection's participants say of them and of their peers."""
 
-    def __init__(self, handles: Handles, meetings: Meetings) -> None:
+    def __init__(
+        self,
+        handles: Handles,
+        meetings: Meetings,
+        newest: NewestLists,
+        clock: Clock,
+        note: Callable[[str], None],
+    ) -> None:
         self._handles, self._meetings = handles, meetings
+        self._lists, self._now, self._note = newest, clock, note
         self._told: set[int] = set()
+
+    def admitted(self, local: Local) -> Local:
+        """A participant that begins, with the newest list of its CA that the agent knows.
+
+        VerificationError if that takes it back, or is not good.
+        """
+        newest = self._with_newest(local)
+        if newest.revoked is not None and newest is not local:
+            verify_not_revoked(
+                newest.certificate,
+                newest.revoked,
+                newest.authorities[0],
+                now=self._now(),
+                require_alternative=newest.policy.require_alternative,
+            )
+        return newest
 
     def next(self) -> int:
         """The handle of one that is taken back and was not told; 0 if there is none.
@@ -35,10 +64,32 @@ class Recalls:
         refusal = None
         for handle, local in self._handles.all(Local):
             try:
-                self._handles.replace(handle, local.with_newer_list())
+                fresh = local.with_newer_list()
+                newest = self._with_newest(fresh)
             except PqsecError as error:
                 refusal = error
+                continue
+            if fresh is not local and newest is not fresh and fresh.revoked and newest.revoked:
+                refusal = lists.refusal(fresh.revoked, newest.revoked)
+                newest = replace(newest, list_state=local.list_state)  # to be told again
+            self._handles.replace(handle, newest)
         return refusal
+
+    def _with_newest(self, local: Local) -> Local:
+        """`local`, or the same with a newer list that another participant of its CA has."""
+        if local.revoked is None:
+            return local
+        strict = local.policy.require_alternative
+        newest = self._lists.newest(
+            local.authorities[0], local.revoked, alternative=strict, now=self._now()
+        )
+        if newest is local.revoked:
+            return local
+        self._note(
+            f"list {newest.number} of {local.authorities[0].subject_name}, which another"
+            f" participant has, counts in place of list {local.revoked.number}"
+        )
+        return replace(local, revoked=newest)
 
     def _revoked(self) -> Iterator[int]:
         locals_ = dict(self._handles.all(Local))

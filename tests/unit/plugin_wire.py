@@ -53,10 +53,11 @@ def properties(folder, **more):
 class Shim:
     """A greeted connection, without a socket."""
 
-    def __init__(self, plugin, now=NOW):
+    def __init__(self, plugin, now=NOW, **shared):
+        """`shared` is what it has in common with the agent's other connections."""
         self.plugin, self.log = plugin, []
         self.now = now
-        house = House(lambda: self.now, self.log.append, dict, lambda: None)
+        house = House(lambda: self.now, self.log.append, dict, lambda: None, **shared)
         self.connection = Connection(house, "test[1]")
         (answer,) = self.connection.receive(greeting(plugin))
         assert answer == framed(b"\0")

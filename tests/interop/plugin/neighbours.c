@@ -1,8 +1,8 @@
 /* A participant that says of another one: met, and lost.
  *
- * usage: neighbours DOMAIN SECONDS
+ * usage: neighbours DOMAIN SECONDS [PROPERTY VALUE]...
  *
- * It ends once the other is lost, or after SECONDS. */
+ * It ends once the other is lost, or after SECONDS; with 3 if it cannot be made. */
 
 #include <dds/dds.h>
 #include <stdio.h>
@@ -17,8 +17,12 @@ static int is_own(dds_entity_t participant, const dds_guid_t *key)
 
 int main(int words, char **word)
 {
-  dds_time_t end = dds_time() + DDS_SECS(words == 3 ? atoi(word[2]) : 0);
-  dds_entity_t participant = dds_create_participant((dds_domainid_t)atoi(word[1]), NULL, NULL);
+  dds_time_t end = dds_time() + DDS_SECS(words > 2 ? atoi(word[2]) : 0);
+  dds_qos_t *qos = dds_create_qos();
+  for (int at = 3; at + 1 < words; at += 2)
+    dds_qset_prop(qos, word[at], word[at + 1]);
+  dds_entity_t participant = dds_create_participant((dds_domainid_t)atoi(word[1]), qos, NULL);
+  dds_delete_qos(qos);
   dds_entity_t reader =
       dds_create_reader(participant, DDS_BUILTIN_TOPIC_DCPSPARTICIPANT, NULL, NULL);
   if (participant < 0 || reader < 0)

@@ -28,6 +28,7 @@ from tests.interop.plugin.test_plugin_robust import (
     Listener,
     compiled,
 )
+from tests.unit.plugin_wire import FILES
 
 pytestmark = pytest.mark.interop
 
@@ -92,13 +93,19 @@ def test_the_stack_is_told_of_a_peer_that_is_revoked(shim, lab, careless):
 
 
 @pytest.fixture
-def living(requires, shim, plugins, tmp_path):
-    """living(enclave) is a host that says whom it meets and loses, half a minute long."""
+def neighbours(requires, tmp_path):
+    """A host that says whom it meets and loses."""
     try:
         find("cyclonedds")
     except MissingStackError as error:
         requires(None, "Cyclone DDS to compile against", error.hint or str(error))
-    program = compiled(tmp_path / "neighbours", HERE / "neighbours.c", "-lddsc")
+    return compiled(tmp_path / "neighbours", HERE / "neighbours.c", "-lddsc")
+
+
+@pytest.fixture
+def living(neighbours, shim, plugins, tmp_path):
+    """living(enclave) is such a host, half a minute long."""
+    program = neighbours
     (tmp_path / "xml").mkdir()
     stage = Stage(None, shim, plugins, tmp_path / "xml")
 
@@ -126,6 +133,64 @@ def test_cyclone_parts_from_a_peer_that_is_revoked_in_mid_session(shim, lab, car
         wait_for(alice, "lost")
         assert time.monotonic() - start < SOON
         assert bob.poll() is None
+
+
+NOT_MADE = 3
+PLAIN = "<CycloneDDS><Domain id='any'><General><AllowMulticast>false</AllowMulticast></General>"
+
+
+def _all_properties(shim, own, enclave):
+    """What an application gives Cyclone DDS, which takes all or nothing from its file."""
+    libraries = {
+        "auth": (shim.folder / "libpqsec_dds.so", "authentication"),
+        "access": (shim.folder / "libpqsec_dds.so", "access_control"),
+        "crypto": (own / "libdds_security_crypto.so", "crypto"),
+    }
+    for kind, (path, name) in libraries.items():
+        yield f"dds.sec.{kind}.library.path", str(path)
+        yield f"dds.sec.{kind}.library.init", f"init_{name}"
+        yield f"dds.sec.{kind}.library.finalize", f"finalize_{name}"
+    for name, file in FILES.items():
+        yield name, f"file:{enclave / file}"
+
+
+def test_cyclone_passes_on_the_properties_of_an_application_and_none_is_passed_over(
+    neighbours, shim, lab, plugins
+):
+    """A list by another stack's name counts: bob's takes bob back. A name that nobody knows ends
+    it."""
+    take_back(lab, "/lab/bob")
+    there = f"file:{lab.bob / 'crl.pem'}"
+    found = {}
+    for name, value in {
+        "role": "camera",
+        "org.eclipse.cyclonedds.sec.auth.crl": there,
+        "dds.sec.auth.builtin.PKI-DH.identity_crl": there,
+        "dds.sec.auth.crl": there,
+        "dds.sec.auth.crll": there,
+        "pqsec.typo": "",
+    }.items():
+        pairs = [*_all_properties(shim, plugins, lab.bob), (name, value)]
+        words = [word for pair in pairs for word in pair]
+        done = subprocess.run(
+            [neighbours, str(DOMAIN), "0", *words],
+            env=os.environ | {"CYCLONEDDS_URI": f"{PLAIN}</Domain></CycloneDDS>"},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        words = "revoked", "did you mean", "is unknown"
+        found[name] = done.returncode, *(word for word in words if word in done.stderr)
+    revoked = (NOT_MADE, "revoked")
+    assert found == {
+        "role": (0,),
+        "org.eclipse.cyclonedds.sec.auth.crl": revoked,
+        "dds.sec.auth.builtin.PKI-DH.identity_crl": revoked,
+        "dds.sec.auth.crl": revoked,
+        "dds.sec.auth.crll": (NOT_MADE, "did you mean", "is unknown"),
+        "pqsec.typo": (NOT_MADE, "is unknown"),
+    }
 
 
 def test_a_host_that_forks_keeps_its_thread_and_the_child_needs_none(requires, tmp_path):

@@ -1,0 +1,82 @@
+"""Which properties of security a participant may have, and how other stacks name the same.
+
+A property that is not understood must not be passed over: who names a revocation list in
+another stack's words believes that it counts. So a property in a name space of security is
+known here, or the participant is not made. Other properties are the application's.
+"""
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+
+from pqsec_pki.errors import UsageError, shown
+
+REVOCATION_LIST = "org.eclipse.cyclonedds.sec.auth.crl"
+"""Cyclone DDS's name, by which the rest of this room asks for it."""
+_REVOCATION_LISTS = (
+    REVOCATION_LIST,
+    "dds.sec.auth.builtin.PKI-DH.identity_crl",  # Fast DDS 2.9 to 3.x
+    "dds.sec.auth.identity_crl",  # the same without the plugin's name, as DDS-Security's names are
+    "dds.sec.auth.crl",  # what adapters to OpenDDS, which has no such property, pass on
+)
+_UNDERSTOOD = (
+    "dds.sec.auth.identity_ca",
+    "dds.sec.auth.identity_certificate",
+    "dds.sec.auth.private_key",
+    "dds.sec.auth.password",
+    "dds.sec.auth.trusted_ca_dir",
+    "dds.sec.access.permissions_ca",
+    "dds.sec.access.governance",
+    "dds.sec.access.permissions",
+)
+_OF_THE_STACK = (
+    # Cyclone DDS 0.10 and 11 (dds_security_api_defs.h): its libraries, and its crypto plugin's.
+    *(
+        f"dds.sec.{plugin}.library.{what}"
+        for plugin in ("auth", "access", "crypto")
+        for what in ("path", "init", "finalize")
+    ),
+    "dds.sec.crypto.keysize",
+)
+_KNOWN = frozenset((*_REVOCATION_LISTS, *_UNDERSTOOD, *_OF_THE_STACK))
+_SPACES = (
+    "dds.sec.",
+    "org.eclipse.cyclonedds.sec.",
+    "com.rti.serv.secure",
+    "pqsec.",
+)
+"""Name spaces of security: those of DDS-Security, Cyclone DDS, RTI and this project."""
+
+_CLOSE = 0.85
+"""Of difflib's measure: crl and clr at the end, but not crl and ocsp."""
+
+
+def understood(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
+    """A participant's properties, with a revocation list under REVOCATION_LIST.
+
+    UsageError for one of security that is unknown here, or has two values.
+    """
+    found: dict[str, str] = {}
+    for given, value in pairs:
+        _refuse_unknown(given)
+        name = REVOCATION_LIST if given in _REVOCATION_LISTS else given
+        if name in _KNOWN and found.get(name, value) != value:
+            raise UsageError(f"the property {given} has two values, or one by another name")
+        found[name] = value
+    return found
+
+
+def _refuse_unknown(name: str) -> None:
+    if name in _KNOWN or not name.lower().startswith(_SPACES):
+        return
+    near = _near(name)
+    raise UsageError(
+        f"the property {shown(name)} is unknown to pqsec's plugin, and is not ignored",
+        hint=f"did you mean {near[0]}?" if near else "docs/plugin.md lists those that it knows",
+    )
+
+
+def _near(name: str) -> list[str]:
+    """The name that was meant: it ends alike, as another stack's does, or is spelled alike."""
+    last = name.rpartition(".")[2]
+    alike = [each for each in _UNDERSTOOD if each.endswith(f".{last}")]
+    return alike or get_close_matches(name, sorted(_KNOWN), n=1, cutoff=_CLOSE)
