@@ -14,13 +14,21 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from pqsec_pki.errors import ExistsError, FileError
+from pqsec_pki.errors import ExistsError, FileError, MissingError
 
 MAX_FILE = 8 << 20
 """Bytes. The largest document any stack was measured to take is 0.5 MB."""
 
 PIPE_PATIENCE = 5.0
 """Seconds for which a pipe may have no writer; a writer may take any time."""
+
+_KINDS = {
+    errno.EEXIST: ExistsError,
+    errno.ENOENT: MissingError,
+    errno.ENOTDIR: MissingError,
+}
+_NOWHERE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
+"""The last is of a link that leads to itself."""
 
 PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
@@ -69,6 +77,37 @@ def is_there(path: Path) -> bool:
 def is_folder(path: Path) -> bool:
     """Whether `path` leads to a folder; Path.is_dir raises where Path.exists does."""
     return os.path.isdir(path)  # noqa: PTH112 -- see above
+
+
+def exists(path: Path | str, *, follow: bool = True) -> bool:
+    """Whether something is at `path`, or where it leads; FileError if the system will not say.
+
+    Path.exists says no in newer Pythons, and os.path.exists in all, where a folder is closed.
+    """
+    try:
+        Path(path).stat(follow_symlinks=follow)
+    except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno in _NOWHERE:
+            return False
+        raise _refused(path, error) from error
+    return True
+
+
+def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Each folder below `root`, and `root`, with the names in it; no link is followed.
+
+    FileError for a folder that cannot be looked into, so that it is not taken for empty.
+    Path.rglob and Path.glob pass over it in silence.
+    """
+
+    def refuse(error: OSError) -> None:
+        folder = Path(error.filename)
+        if folder == root or not isinstance(error, FileNotFoundError):  # else gone meanwhile
+            raise _refused(folder, error) from error
+
+    for folder, folders, names in os.walk(root, onerror=refuse):
+        folders.sort()
+        yield Path(folder), [*folders, *names]
 
 
 def refuse_existing(path: Path) -> None:
@@ -162,7 +201,9 @@ def sync_filesystem(folder: Path) -> None:
 
 def _refused(path: Path | str, error: OSError | ValueError) -> FileError:
     reason = error.strerror if isinstance(error, OSError) else None
-    kind = ExistsError if isinstance(error, FileExistsError) else FileError
+    kind = FileError
+    if isinstance(error, OSError):
+        kind = _KINDS.get(error.errno or 0, FileError)
     refusal = kind((reason or str(error)).lower())
     refusal.where = str(path)
     return refusal

@@ -63,6 +63,10 @@ class FileError(PqsecError):
     """A file cannot be read or written."""
 
 
+class MissingError(FileError):
+    """There is nothing at the path: that is known, where others cannot be read."""
+
+
 class ExistsError(FileError):
     """Something is there already, and nothing is overwritten unless told."""
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Generic, TypeAlias, TypeVar
 
-from pqsec_pki._files import read
+from pqsec_pki._files import exists, read
 from pqsec_pki.access import Decision
 from pqsec_pki.certificates import (
     Certificate,
@@ -184,7 +184,7 @@ def shared_governance(keystore: Keystore, judge: Judge | None) -> Loaded[Governa
 def own_governance(keystore: Keystore, name: str, shared: Loaded[Governance]) -> Governance:
     """A participant's, which should be the one that all share."""
     path = enclave_file(keystore, name, _GOVERNANCE)
-    is_shared = not path.exists() or path.samefile(shared.path)
+    is_shared = not exists(path) or path.samefile(shared.path)
     return shared.value if is_shared else governance_in(path).value
 
 

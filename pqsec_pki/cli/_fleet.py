@@ -1,6 +1,5 @@
 """Whom who-may asks about: the participants of a keystore, or of permissions documents."""
 
-import os
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -8,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki._files import is_folder
+from pqsec_pki._files import exists, is_folder, walk
 from pqsec_pki.access.matrix import Member
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import (
@@ -22,7 +21,14 @@ from pqsec_pki.cli._documents import (
     shared_governance,
 )
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
-from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError, VerificationError
+from pqsec_pki.errors import (
+    FileError,
+    MalformedError,
+    MissingError,
+    PqsecError,
+    UsageError,
+    VerificationError,
+)
 from pqsec_pki.keystore import Keystore
 
 _SETTINGS = "pqsec.json"
@@ -46,8 +52,7 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
     """
     if not paths:
         paths = (_settings.keystore_path(),)
-    # Path.is_file raises where the folder is closed.
-    if len(paths) == 1 and os.path.isfile(paths[0] / _SETTINGS):  # noqa: PTH113 -- see above
+    if len(paths) == 1 and exists(paths[0] / _SETTINGS):
         if governance:
             raise UsageError("--governance is for files; a keystore has its own")
         return _in_keystore(Keystore.open(paths[0]), now)
@@ -65,6 +70,7 @@ def _in_keystore(keystore: Keystore, now: datetime) -> Fleet:
             if own_governance(keystore, name, governance) != governance.value:
                 raise VerificationError("it has a governance of its own, unlike the others")
         except PqsecError as error:
+            _refuse_unreadable(error)
             refused[name] = str(error)
         else:
             members.append(Member(name=name, subject=subject, permissions=permissions))
@@ -103,6 +109,7 @@ def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], di
         except PqsecError as error:
             if is_named:
                 raise
+            _refuse_unreadable(error)
             refused[str(path)] = str(error)
     return found, refused
 
@@ -132,15 +139,22 @@ def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
             yield path, True
             continue
         by_name: dict[Path, Path] = {}
-        every = (each for ending in _SIGNED_FIRST for each in sorted(path.rglob(f"*{ending}")))
-        for each in filter(_may_be_read, every):
+        every = sorted(folder / name for folder, names in walk(path) for name in names)
+        ours = (each for ending in _SIGNED_FIRST for each in every if each.suffix == ending)
+        for each in filter(_is_regular, ours):
             by_name.setdefault(each.with_suffix(""), each)
         yield from ((each, False) for each in sorted(by_name.values()))
 
 
-def _may_be_read(path: Path) -> bool:
+def _is_regular(path: Path) -> bool:
     """Whether it is no folder, and no pipe that would never end; reading tells the rest."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError:
         return True
+
+
+def _refuse_unreadable(error: PqsecError) -> None:
+    """Whom a closed file is about may have any right: an answer without them is not one."""
+    if isinstance(error, FileError) and not isinstance(error, MissingError):
+        raise error

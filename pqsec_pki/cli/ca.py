@@ -173,6 +173,8 @@ def _keys(keystore: Keystore) -> str:
     """How the CA keys lie there; who only looks may not be let in to see."""
     try:
         return "encrypted" if keystore.is_locked else "not encrypted"
+    except KeystoreError:
+        return "not here"
     except FileError:
         return "not readable from here"
 

@@ -1,12 +1,13 @@
 """pqsec sign-governance, pqsec sign-permissions: check a document, then sign it."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pqsec_pki._files import read, refuse_existing
+from pqsec_pki._files import exists, read, refuse_existing
 from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.documents import (
     Governance,
@@ -15,7 +16,7 @@ from pqsec_pki.documents import (
     governance_from_yaml,
     permissions_from_yaml,
 )
-from pqsec_pki.errors import InvalidDocumentError, MalformedError, located
+from pqsec_pki.errors import FileError, InvalidDocumentError, MalformedError, located
 from pqsec_pki.problems import Problem
 
 
@@ -96,7 +97,16 @@ def _sign(  # noqa: PLR0913 -- one for each option
         embed_certificate=embed_certificate,
         force=force,
     )
+    _tell_of_another(goal, document)
     _printing.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
+
+
+def _tell_of_another(goal: Path, document: bytes) -> None:
+    """Of the XML beside `goal`, if it is not what was signed: somebody may sign it next."""
+    beside = goal.with_suffix(".xml")
+    with suppress(FileError):  # it is signed all the same
+        if beside != goal and exists(beside) and read(beside) != document:
+            _printing.note(f"{beside} says something else than what was signed into {goal.name}")
 
 
 def _rendered(kind: Kind, document: bytes) -> bytes:

@@ -29,6 +29,7 @@ from pqsec_pki._files import (
     read,
     sync_filesystem,
     sync_folder,
+    walk,
 )
 from pqsec_pki.enrolment.bundle import ENCLAVES, flat_name
 from pqsec_pki.errors import KeystoreError
@@ -61,7 +62,7 @@ class InstalledSet:
     def enclaves(self) -> Enclaves:
         """The files in it; FileError if they cannot be read."""
         root = self.path / ENCLAVES
-        folders = sorted(each.parent for each in root.rglob(CERTIFICATE))
+        folders = sorted(folder for folder, names in walk(root) if CERTIFICATE in names)
         return {f"/{each.relative_to(root).as_posix()}": _files_in(each) for each in folders}
 
 

@@ -10,9 +10,11 @@ enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
                   and links to the governance, the CA certificates, and as crl.pem to the list
 """
 
+import os
 import re
 from pathlib import Path, PurePosixPath
 
+from pqsec_pki._files import exists, walk
 from pqsec_pki.errors import UsageError, shown
 
 SETTINGS = "pqsec.json"
@@ -66,6 +68,23 @@ def enclave_folder(name: str) -> str:
     return f"{ENCLAVES}{name}"
 
 
+def document_folder(root: Path, kind: str, path: Path) -> str | None:
+    """The folder, relative to `root`, whose governance or permissions `path` is.
+
+    None if it is not where the keystore has a signed document of that kind.
+    """
+    enclaves = os.path.realpath(root / ENCLAVES)
+    folder = Path(os.path.realpath(path.parent))
+    if path.name != f"{kind}.p7s" or not folder.is_relative_to(enclaves):
+        return None
+    inside = folder.relative_to(enclaves).as_posix()
+    if (inside == ".") is not (path.name == GOVERNANCE):
+        return None
+    if path.name == PERMISSIONS and not exists(folder / CERTIFICATE):
+        return None
+    return ENCLAVES if inside == "." else f"{ENCLAVES}/{inside}"
+
+
 CA_TARGETS = {name: f"{PUBLIC}/{name}" for name in (IDENTITY_CA, PERMISSIONS_CA)}
 ALT_TARGET = {PERMISSIONS_ALT_CA: f"{PUBLIC}/{PERMISSIONS_ALT_CA}"}
 LIST_TARGET = {LIST: f"{PUBLIC}/{CA_LIST}"}
@@ -78,7 +97,13 @@ def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
 
 
 def names_in(root: Path) -> list[str]:
-    """The enclaves under `root` that hold a certificate, sorted."""
+    """The enclaves under `root` that hold a certificate, sorted.
+
+    FileError if one of the folders cannot be looked into.
+    """
     enclaves = root / ENCLAVES
-    found = enclaves.rglob(CERTIFICATE)
-    return sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in found)
+    return sorted(
+        "/" + folder.relative_to(enclaves).as_posix()
+        for folder, names in walk(enclaves)
+        if CERTIFICATE in names and exists(folder / CERTIFICATE)
+    )

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import read
+from pqsec_pki._files import exists, read, walk
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.certificates import Certificate, Reason, RevocationList, verify_chain
 from pqsec_pki.documents import DomainSet, Governance, Permissions
@@ -68,8 +68,9 @@ class Survey:
         names = self.keystore.names()
         for name in names:
             self._participant(name)
-        for path in (self.keystore.root / _layout.ENCLAVES).rglob("*"):
-            if path.name == _layout.CERTIFICATE and not path.exists():
+        for folder, here in walk(self.keystore.root / _layout.ENCLAVES):
+            path = folder / _layout.CERTIFICATE
+            if path.name in here and not exists(path):
                 place = str(path.relative_to(self.keystore.root))
                 self.refused[place] = f"a link to {path.readlink()}, which is not there"
         self._find_list(names)

@@ -4,9 +4,9 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import PqsecError, VerificationError, located
+from pqsec_pki.errors import FileError, PqsecError, VerificationError, located
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import START, Entry, Line, problems
 from pqsec_pki.keystore.keystore import Keystore
@@ -46,10 +46,12 @@ def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
     trusted = trusted_last(entries)
     with disk_errors(keystore.root):
         for path, kind, name in _issued(keystore):
-            if not path.exists():
+            if not exists(path):
                 continue
             try:
                 hashes = _hashes(path, kind)
+            except FileError:
+                raise  # what cannot be read is not known to be wrong
             except PqsecError as error:
                 yield str(error)
                 continue

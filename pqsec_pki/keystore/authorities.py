@@ -17,13 +17,23 @@ from pqsec_pki.algorithms import (
     private_key_pem,
 )
 from pqsec_pki.certificates import Authority, Certificate
-from pqsec_pki.errors import KeystoreError, PassphraseError, located
+from pqsec_pki.errors import (
+    FileError,
+    KeystoreError,
+    MissingError,
+    PassphraseError,
+    located,
+)
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._draft import DraftedFolder
 from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.smime import Require, Signer, sign
+
+_KEYLESS = (
+    "status, log, check, explain, who-may, diff, verify-handshake, bundle and export need no CA key"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,11 +199,29 @@ def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
         yield _layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
 
 
+def read_ca_key(path: Path) -> bytes:
+    """The file of a CA's private key; KeystoreError if it is not here, or closed to this user."""
+    try:
+        return read(path)
+    except MissingError:
+        raise KeystoreError(
+            f"{path}: the CA's private key is not here",
+            hint="put it back there for as long as this takes; or, if it is kept on a machine"
+            f" without a network, have requests signed there: `pqsec sign-request`. {_KEYLESS}",
+        ) from None
+    except FileError as error:
+        error.hint = error.hint or f"who may not read {path.parent} cannot sign. {_KEYLESS}"
+        raise
+
+
 def load_ca_key(path: Path, passphrase: bytes | None) -> PrivateKey:
-    """The private key in the file `path`; PassphraseError if `passphrase` is not its own."""
+    """The private key in the file `path`; PassphraseError if `passphrase` is not its own.
+
+    Errors as of `read_ca_key`.
+    """
     try:
         with located(path):
-            return load_private_key(read(path), passphrase)
+            return load_private_key(read_ca_key(path), passphrase)
     except PassphraseError as error:
         error.hint = "give the CA passphrase: --passphrase-file, or at the prompt"
         raise

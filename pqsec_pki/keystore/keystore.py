@@ -1,7 +1,6 @@
 """A keystore: made once, opened by every command after."""
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import disk_errors, read, write
+from pqsec_pki._files import disk_errors, exists, read, refuse_existing, write
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.documents import DomainSet, Governance, Kind
@@ -18,7 +17,7 @@ from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import Authorities, unlock
+from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
 from pqsec_pki.keystore.participant import (
     Participant,
     load_certificate,
@@ -125,7 +124,7 @@ class Keystore:
     def permissions_alt_ca(self) -> Certificate | None:
         """The certificate of the permissions CA's countersigner, if the profile has one."""
         path = self.root / _layout.PUBLIC / _layout.PERMISSIONS_ALT_CA
-        return load_certificate(path) if path.exists() else None
+        return load_certificate(path) if exists(path) else None
 
     @property
     def governance(self) -> bytes:
@@ -140,7 +139,7 @@ class Keystore:
     @property
     def has_revocation_list(self) -> bool:
         """Whether there is one; whether it can be read is not looked at."""
-        return self.revocation_list_path.exists()
+        return exists(self.revocation_list_path)
 
     @property
     def revocation_list_path(self) -> Path:
@@ -170,21 +169,21 @@ class Keystore:
     def is_locked(self) -> bool:
         """Whether CA keys need a passphrase; of CAs that others made, it may be one of them."""
         keys = (_layout.IDENTITY_KEY, _layout.PERMISSIONS_KEY)
-        return any(is_encrypted(read(self.root / _layout.PRIVATE / each)) for each in keys)
+        return any(is_encrypted(read_ca_key(self.root / _layout.PRIVATE / each)) for each in keys)
 
     def names(self) -> list[str]:
-        """The participants' names, sorted."""
+        """The participants' names, sorted; FileError if a folder cannot be looked into."""
         return _layout.names_in(self.root)
 
     def has(self, name: str) -> bool:
         """Whether there is a participant called `name`."""
         folder = _layout.enclave_folder(_layout.enclave_name(name))
-        return os.path.lexists(f"{self.root}/{folder}/{_layout.CERTIFICATE}")
+        return exists(f"{self.root}/{folder}/{_layout.CERTIFICATE}", follow=False)
 
     def has_key(self, name: str) -> bool:
         """Whether the private key of the participant called `name` lies here."""
         folder = _layout.enclave_folder(_layout.enclave_name(name))
-        return os.path.lexists(f"{self.root}/{folder}/{_layout.KEY}")
+        return exists(f"{self.root}/{folder}/{_layout.KEY}", follow=False)
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`."""
@@ -207,13 +206,22 @@ class Keystore:
     ) -> bytes:
         """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
 
-        ExistsError if something is at `goal`, unless `force`; then nothing is entered.
+        Over a document of this keystore, its XML changes in the same step. ExistsError if
+        something is at `goal`, unless `force`; then nothing is entered.
         """
         signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
         with _journal.change(self.root) as draft:
             authorities.refuse_outdated(self.root)
             draft.record(document_entry(kind.value, str(goal), signed, now))
-            write(goal, signed, force=force)
+            place = _layout.document_folder(self.root, kind.value, goal)
+            if place is None:
+                write(goal, signed, force=force)
+            else:
+                if not force:
+                    refuse_existing(goal)
+                folder = draft.folder(place, private=False)
+                folder.public(goal.with_suffix(".xml").name, document)
+                folder.public(goal.name, signed)
         return signed
 
     def ledger(self) -> list[Entry]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.errors import KeystoreError, located
@@ -52,13 +52,13 @@ def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Part
         name=name,
         certificate=load_certificate(folder / _layout.CERTIFICATE),
         key=_key(folder / _layout.KEY, passphrase),
-        alternative_key=_key(alternative, passphrase) if alternative.exists() else None,
+        alternative_key=_key(alternative, passphrase) if exists(alternative) else None,
         permissions=read(folder / _layout.PERMISSIONS),
         governance=read(folder / _layout.GOVERNANCE),
         identity_ca=load_certificate(folder / _layout.IDENTITY_CA),
         permissions_ca=load_certificate(folder / _layout.PERMISSIONS_CA),
-        permissions_alt_ca=load_certificate(alt_ca) if alt_ca.exists() else None,
-        revocation_list=load_revocation_list(revoked) if revoked.exists() else None,
+        permissions_alt_ca=load_certificate(alt_ca) if exists(alt_ca) else None,
+        revocation_list=load_revocation_list(revoked) if exists(revoked) else None,
     )
 
 
@@ -105,9 +105,9 @@ def _check_complete(folder: Path) -> None:
         _layout.PERMISSIONS_CA,
         *([_layout.LIST] if (folder / _layout.LIST).is_symlink() else []),
     )
-    missing = [name for name in needed if not (folder / name).is_file()]
+    missing = [name for name in needed if not exists(folder / name)]
     lost = [str((folder / name).readlink()) for name in missing if (folder / name).is_symlink()]
-    if missing == [_layout.KEY] and (folder / _layout.REQUEST).is_file():
+    if missing == [_layout.KEY] and exists(folder / _layout.REQUEST):
         raise KeystoreError(
             f"{folder} lacks {_layout.KEY}: its keys are on its robot",
             hint="what is here can be checked without them: `pqsec check`, `pqsec explain`",

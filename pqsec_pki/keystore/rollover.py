@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
 
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import disk_errors, exists
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import BACKDATE, Certificate
@@ -55,9 +55,10 @@ def check_scope(keystore: Keystore, terms: Rollover) -> None:
 
 def generation(keystore: Keystore) -> int:
     """Which generation of CAs the keystore has now, counted from 1."""
-    with disk_errors(keystore.root):
-        found = (keystore.root / _layout.GENERATIONS).glob("[0-9]*")
-        return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
+    folder = keystore.root / _layout.GENERATIONS
+    with disk_errors(folder):
+        found = list(folder.iterdir()) if exists(folder) else []
+    return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
 
 
 def stay_behind(

@@ -1,12 +1,11 @@
 """What there is and how long it lasts, from the ledger: no participant's files are read."""
 
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
 
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import exists
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
@@ -107,8 +106,7 @@ def status(
         participants = ledger.newest("participant")
     if names is not None:
         participants = _chosen(participants, names)
-    with disk_errors(keystore.root):
-        gone = {each.name for each in participants if _gone(keystore, each.name)}
+    gone = {each.name for each in participants if _gone(keystore, each.name)}
 
     def standing(entry: Entry) -> Standing:
         end = entry.ends
@@ -173,4 +171,4 @@ def _chosen(participants: list[Entry], names: Iterable[str]) -> list[Entry]:
 
 def _gone(keystore: Keystore, name: str) -> bool:
     folder = _layout.enclave_folder(name)
-    return not os.path.lexists(f"{keystore.root}/{folder}/{_layout.CERTIFICATE}")
+    return not exists(f"{keystore.root}/{folder}/{_layout.CERTIFICATE}", follow=False)

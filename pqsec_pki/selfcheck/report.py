@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import FileError, MissingError, PqsecError
 from pqsec_pki.handshake import DataHolder, Done, GenericMessage
 
 
@@ -38,11 +38,17 @@ class Steps:
 
     @contextmanager
     def step(self, name: str) -> Iterator[list[str]]:
-        """Run one step; what is put in the list is its detail. StoppedError if it fails."""
+        """Run one step; what is put in the list is its detail. StoppedError if it fails.
+
+        A file that cannot be read fails no step: whether it would hold is not known, and the
+        FileError passes.
+        """
         detail: list[str] = []
         try:
             yield detail
         except PqsecError as error:
+            if isinstance(error, FileError) and not isinstance(error, MissingError):
+                raise
             self.done.append(Step(name, ok=False, detail=str(error), hint=error.hint))
             raise StoppedError from error
         self.done.append(Step(name, ok=True, detail="; ".join(detail)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Self
 
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import exists, read
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.errors import KeystoreError, UsageError, located, shown
 from pqsec_pki.keystore import Keystore, regular_name
@@ -53,10 +53,9 @@ class Enclave:
         name, profile, root = regular_name(name), keystore.profile, keystore.root.absolute()
         folder = root / f"enclaves{name}"
         where = _absolute(at or PurePosixPath(folder))
-        with disk_errors(folder):
-            elsewhere = at is not None and (folder / REQUEST).is_file()
-            _refuse_incomplete(folder, name, without={KEY} if elsewhere else set())
-            has_crl = (folder / CRL).is_file()
+        elsewhere = at is not None and exists(folder / REQUEST)
+        _refuse_incomplete(folder, name, without={KEY} if elsewhere else set())
+        has_crl = exists(folder / CRL)
         with located(folder / KEY):
             encrypted = not elsewhere and is_encrypted(read(folder / KEY))
         return cls(
@@ -87,12 +86,12 @@ def _absolute(where: PurePosixPath) -> PurePosixPath:
 
 
 def _refuse_incomplete(folder: Path, name: str, *, without: Collection[str]) -> None:
-    missing = [file for file in SIX if file not in without and not (folder / file).is_file()]
+    missing = [file for file in SIX if file not in without and not exists(folder / file)]
     if missing:
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}",
             hint=f"its keys are on its robot: say where, as in --at {_INSTALLED}{name}"
-            if missing == [KEY] and (folder / REQUEST).is_file()
+            if missing == [KEY] and exists(folder / REQUEST)
             else "issue the participant again, or restore what links lead to",
         )
 

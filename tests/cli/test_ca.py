@@ -563,3 +563,52 @@ def test_settings_altered_to_break_the_profiles_promise_are_refused(pqsec, keyst
     (k / "pqsec.json").write_text(json.dumps(settings))
     pqsec("-k k issue /c --publish x").refused(3, "k/pqsec.json", "promises")
     assert not (k / "enclaves/c").exists()
+
+
+# CA keys that are kept elsewhere
+
+WITHOUT_KEYS = {
+    "status": 0,
+    "log --verify": 0,
+    "needs-renewal": 1,
+    "check k": 0,
+    "who-may": 0,
+    "diff k k": 0,
+    "ca show": 0,
+    "explain --participant /talker --publish rt/chatter": 0,
+    "verify-handshake /talker /listener": 0,
+    "verify-handshake --all": 0,
+    "bundle /talker --plain-key -o b": 0,
+    "export cyclonedds /talker": 0,
+}
+WITH_KEYS = (
+    "issue /new",
+    "renew /talker",
+    "revoke /talker",
+    "ca crl",
+    "sign-governance k/enclaves/governance.xml -o g.p7s",
+)
+
+
+@pytest.mark.parametrize("profile", ["classical", "transition"])
+def test_a_ca_key_that_is_not_here_is_told_with_the_way_out(pqsec, keystore, tmp_path, profile):
+    k = keystore(profile)
+    safe = tmp_path / "safe"
+    safe.mkdir()
+    for key in (k / "private").glob("*.key.pem"):
+        key.rename(safe / key.name)
+    found = {}
+    for line, code in WITHOUT_KEYS.items():
+        said = pqsec(f"-k k {line}")
+        if said.code != code:
+            found[line] = said
+    for line in WITH_KEYS:
+        said = pqsec(f"-k k {line}")
+        words = ("is not here", "k/private/identity_ca.key.pem", "sign-request", "need no CA key")
+        if said.code != 3 or not all(word in said.err for word in words):
+            found[line] = said
+    assert not found, found
+    assert "not here" in pqsec("-k k ca show").out
+    for key in safe.iterdir():
+        key.rename(k / "private" / key.name)
+    pqsec("-k k issue /new").done()

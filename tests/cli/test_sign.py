@@ -4,6 +4,7 @@ import os
 import sqlite3
 from contextlib import closing
 from hashlib import sha256
+from pathlib import Path
 
 import pytest
 
@@ -310,3 +311,48 @@ def test_a_device_is_not_replaced_even_when_forced(pqsec, keystore, tmp_path):
         3, "pipe: not a file"
     )
     assert (tmp_path / "pipe").is_fifo()
+
+
+# What lies beside what is signed
+
+
+def edited(keystore_path, name):
+    """That document of the keystore, with another topic; in a file of its own."""
+    text = (keystore_path / WHERE[name]).with_suffix(".xml").read_text()
+    assert "</topic>" in text or name == "governance"
+    path = keystore_path.parent / "edited.xml"
+    path.write_text(text.replace("rt/chatter", "rt/parole").replace("ENCRYPT", "SIGN"))
+    return path
+
+
+@pytest.mark.parametrize("name", ["permissions", "governance"])
+@pytest.mark.parametrize("link", [False, True], ids=["", "by-a-link"])
+def test_what_is_signed_over_a_document_of_the_keystore_changes_its_xml_too(
+    pqsec, keystore, tmp_path, name, link
+):
+    k = keystore()
+    new = edited(k, name).read_bytes()
+    goal = k / Path(WHERE[name]).with_suffix(".p7s")
+    said = goal.relative_to(tmp_path)
+    if link:
+        (tmp_path / "way").symlink_to(goal.parent)
+        said = Path("way") / goal.name
+    pqsec(f"-k k sign-{name} edited.xml -o {said}").refused(3, "exists")
+    assert goal.with_suffix(".xml").read_bytes() != new
+    told = pqsec(f"-k k sign-{name} edited.xml -o {said} --force").done()
+    assert told.err == ""
+    assert goal.with_suffix(".xml").read_bytes() == new
+    assert ledger(k)[-1] == (name, str(said), sha256(goal.read_bytes()).hexdigest())
+    # So signing the XML, as hints say, loses nothing.
+    pqsec(f"-k k sign-{name} {goal.with_suffix('.xml')} --force").done()
+    pqsec("-k k renew /talker").done()
+    signed = pqsec(f"{name} read {goal}").done().out
+    assert ("rt/parole" if name == "permissions" else "SIGN") in signed
+
+
+def test_an_older_xml_beside_a_copy_elsewhere_is_told(pqsec, keystore, tmp_path):
+    k = keystore()
+    new = edited(k, "permissions")
+    (tmp_path / "out.xml").write_bytes((k / WHERE["permissions"]).with_suffix(".xml").read_bytes())
+    said = pqsec(f"-k k sign-permissions {new} -o out.p7s").done()
+    assert "out.xml says something else than what was signed" in said.err

@@ -1,0 +1,166 @@
+"""Who may not read something is told so, with exit 3, and never gets an answer without it."""
+
+import os
+import pickle
+import pkgutil
+import shutil
+import tempfile
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import pqsec_pki.cli
+from tests.cli.conftest import Result
+
+NOBODY = 65534
+ROOT = os.geteuid() == 0
+NOTHING = ("none yet", "0 participants", "no change", "valid", "ok  ", "gone", "stranded")
+"""What an answer without those that cannot be read would say."""
+
+DOMAIN = """\
+validity: 90d
+roles:
+  talker: {publish: [rt/chatter]}
+participants:
+  - {name: /talker, role: talker}
+"""
+
+
+@pytest.fixture
+def shared() -> Iterator[Path]:
+    """A folder that everybody can reach: pytest's own is its user's alone."""
+    with tempfile.TemporaryDirectory(prefix="pqsec-test-") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+@pytest.fixture
+def closed(domains, shared):
+    """closed("enclaves/talker") is the keystore `k`, where that is its owner's alone."""
+
+    def make(*places: str, mode: int = 0o700) -> Path:
+        for name in ("k", "old"):
+            shutil.copytree(domains("classical"), shared / name, symlinks=True)
+        shutil.copy(shared / "k/enclaves/governance.xml", shared / "g.xml")
+        (shared / "domain.yaml").write_text(DOMAIN)
+        _open(shared)
+        for place in places:
+            # Who is not root has nobody else to be, but can close a folder to itself.
+            (shared / "k" / place).chmod(mode if ROOT else 0o000)
+        return shared / "k"
+
+    yield make
+    _open(shared)
+
+
+def _open(root: Path) -> None:
+    """All folders for everybody, from the top."""
+    root.chmod(0o755)
+    for each in root.iterdir():
+        if each.is_dir() and not each.is_symlink():
+            _open(each)
+
+
+@pytest.fixture
+def as_nobody(run_in, shared):
+    """as_nobody("-k k ca show") runs the command as another user."""
+    for module in pkgutil.iter_modules(pqsec_pki.cli.__path__, "pqsec_pki.cli."):
+        import_module(module.name)  # the other user may not be let in to where we lie
+
+    def run(line: str) -> Result:
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            try:
+                if ROOT:
+                    os.setgroups([])
+                    os.setresgid(NOBODY, NOBODY, NOBODY)
+                    os.setresuid(NOBODY, NOBODY, NOBODY)
+                os.write(writing, pickle.dumps(run_in(shared, line)))
+            finally:
+                os._exit(0)
+        os.close(writing)
+        with os.fdopen(reading, "rb") as answer:
+            told = answer.read()
+        os.waitpid(child, 0)
+        assert told, "the child did not answer"
+        return pickle.loads(told)  # noqa: S301 -- our own child's
+
+    return run
+
+
+QUESTIONS = {
+    "-k k ca show": "enclaves/talker",
+    "-k k --json ca show": "enclaves/talker",
+    "-k k who-may": "enclaves/talker",
+    "-k k who-may --format json": "enclaves/talker",
+    "who-may k/enclaves": "enclaves/talker",
+    "who-may k": "enclaves/talker",
+    "diff old k": "enclaves/talker",
+    "diff k old": "enclaves/talker",
+    "-k k explain --participant /talker --publish rt/chatter": "enclaves/talker",
+    "-k k verify-handshake --all": "enclaves",
+    "-k k verify-handshake /talker /listener": "enclaves/talker",
+    "-k k verify-handshake /listener /talker": "enclaves",
+    "-k k bundle /talker --plain-key -o b": "enclaves/talker",
+    "-k k export cyclonedds /talker": "enclaves/talker",
+    "inspect k/enclaves/talker/cert.pem": "enclaves/talker",
+    "-k k verify k/enclaves/talker/permissions.p7s": "enclaves/talker",
+    "validate k/enclaves/talker/permissions.p7s": "enclaves/talker",
+    "-k k try cyclonedds /talker /listener": "enclaves",
+    "-k k status": "private",
+    "-k k log": "private",
+    "-k k log --verify": "private",
+    "-k k needs-renewal": "private",
+    "-k k plan domain.yaml": "private",
+    "-k k sign-governance g.xml": "private",
+}
+
+
+def wrong(said: Result, place: str) -> str:
+    """What is wrong with an answer that should say that it cannot read what is in `place`."""
+    told = [word for word in NOTHING if word in said.out]
+    if said.code != 3 or told or place not in said.err or "--force" in said.err:
+        return f"exit {said.code}, {said.out!r}, {said.err!r}"
+    return ""
+
+
+def test_another_user_is_told_what_cannot_be_read(closed, as_nobody):
+    found = {}
+    closed("enclaves/talker", "private")
+    for line, place in QUESTIONS.items():
+        print(line, as_nobody(line).err)
+        if fault := wrong(as_nobody(line), place):
+            found[line] = fault
+    assert not found, found
+
+
+def test_all_enclaves_that_are_closed_are_no_empty_keystore(closed, as_nobody):
+    closed("enclaves")
+    lines = [line for line, place in QUESTIONS.items() if place.startswith("enclaves")]
+    found = {line: fault for line in lines if (fault := wrong(as_nobody(line), "enclaves"))}
+    assert not found
+
+
+def test_a_keystore_that_is_closed_is_not_taken_for_a_folder_without_documents(closed, as_nobody):
+    closed("")
+    lines = [line for line in QUESTIONS if "k/" not in line]
+    found = {line: fault for line in lines if (fault := wrong(as_nobody(line), "k"))}
+    assert not found, found
+
+
+def test_the_revocation_list_that_cannot_be_read_is_not_told_to_be_missing(closed, as_nobody):
+    closed("public")
+    for line in ("-k k ca crl --show", "-k k ca show", "-k k who-may"):
+        assert not wrong(as_nobody(line), "public"), line
+
+
+@pytest.mark.skipif(not ROOT, reason="only root can give a folder away")
+def test_nobody_is_gone_whose_folder_cannot_be_looked_into(closed, as_nobody):
+    root = closed("enclaves/talker")
+    for each in (root, root / "private", *(root / "private").iterdir()):
+        os.chown(each, NOBODY, NOBODY)
+    for line in ("-k k status", "-k k needs-renewal", "-k k log --verify"):
+        assert not wrong(as_nobody(line), "enclaves/talker"), line
