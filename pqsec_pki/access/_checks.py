@@ -3,6 +3,7 @@
 Each answers for the case of one question; `decide` makes them one after the other.
 """
 
+from pqsec_pki.access import _expressions
 from pqsec_pki.access.decision import Decision, no, yes
 from pqsec_pki.access.question import Action
 from pqsec_pki.access.reading import Case
@@ -138,4 +139,4 @@ def name_of(rule: Rule) -> str:
 
 
 def _partitions(names: tuple[str, ...]) -> str:
-    return f"partition{'s' if len(names) > 1 else ''} {', '.join(repr(name) for name in names)}"
+    return f"partition{'s' if len(names) > 1 else ''} {', '.join(map(_expressions.said, names))}"

@@ -3,41 +3,60 @@
 An endpoint without a partition is in the default one, whose name is empty.
 """
 
+from pqsec_pki.access._expressions import meets, within
+from pqsec_pki.access._witnesses import is_wildcard
 from pqsec_pki.access.reading import Case
 from pqsec_pki.documents import Criteria, Rule
 
+_DEFAULT = ("",)
+
 
 def standard_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
-    """9.4.1.3.2.3.1.4: all of them are among those allowed, by default the default one.
+    """9.4.1.3.2.3.1.4: all of them lie within those allowed, by default the default one.
 
-    9.4.1.3.2.3.2.4: one of them is among those denied, by default all.
+    9.4.1.3.2.3.2.4: one of them meets those denied, by default all. They are expressions
+    as those of the rule are: see `_expressions`.
     """
+    if not rule.allow and not criteria.partitions:
+        return True
+    patterns, compare = criteria.partitions or _DEFAULT, within if rule.allow else meets
+    among = (
+        compare(each, patterns, case.steps) if is_wildcard(each) else _named(case, patterns, each)
+        for each in case.question.partitions or _DEFAULT
+    )
+    return all(among) if rule.allow else any(among)
+
+
+def named_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
+    """The same of names, with wildcards or without: what an expression stands for are names."""
     if not rule.allow and not criteria.partitions:
         return True
     return cyclonedds_partitions(case, criteria, rule)
 
 
 def cyclonedds_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
-    """The same, but a deny_rule that names no partition denies only the default one.
+    """As names, and a deny_rule that names no partition denies only the default one.
 
     Cyclone DDS 0.10.2 (measured): its parser puts the default partition in both.
     """
-    among = (
-        any(case.reading.covers(pattern, name) for pattern in criteria.partitions or ("",))
-        for name in case.question.partitions or ("",)
-    )
+    patterns = criteria.partitions or _DEFAULT
+    among = (_named(case, patterns, each) for each in case.question.partitions or _DEFAULT)
     return all(among) if rule.allow else any(among)
 
 
+def _named(case: Case, patterns: tuple[str, ...], name: str) -> bool:
+    return any(case.reading.covers(pattern, name) for pattern in patterns)
+
+
 def opendds_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
-    """The standard's, but an endpoint without partitions meets all that allow_rules name.
+    """As names, and an endpoint without partitions meets all that allow_rules name.
 
     OpenDDS 3.34 (read): partitions_match counts only partitions that the endpoint has,
     so it finds none that is not allowed, and none that is denied.
     """
     if criteria.partitions and not case.question.partitions:
         return rule.allow
-    return standard_partitions(case, criteria, rule)
+    return named_partitions(case, criteria, rule)
 
 
 def standard_tags(case: Case, criteria: Criteria, rule: Rule) -> bool:

@@ -20,7 +20,7 @@ Covers: TypeAlias = Callable[[str, str], bool]
 
 _CACHED = 1 << 14
 """Patterns kept: as many as the largest policies have."""
-_LONGEST = 4 * MAX_NAME
+LONGEST = 4 * MAX_NAME
 """Octets of a name. A pattern that asks for more covers none."""
 _STAR = -1
 _SPECIAL = re.compile(r"[*?\[\\]")
@@ -28,7 +28,7 @@ _SPECIAL = re.compile(r"[*?\[\\]")
 
 def posix(pattern: str, name: str) -> bool:
     r"""fnmatch of POSIX as glibc has it, with `\` as escape and `[^` as `[!`."""
-    return _covers(_posix, pattern, name)
+    return _covers(compiled, pattern, name)
 
 
 def posix_without_escapes(pattern: str, name: str) -> bool:
@@ -46,7 +46,7 @@ def cyclonedds(pattern: str, name: str) -> bool:
     return _covers(_cyclonedds, pattern, name)
 
 
-class _Compiled(NamedTuple):
+class Compiled(NamedTuple):
     """A pattern as places: the one before the first character, and one after each.
 
     From a place a star leads back to it, and a character to the next, which is a shift
@@ -62,47 +62,70 @@ class _Compiled(NamedTuple):
     def covers(self, name: bytes) -> bool:
         if self.length > len(name):
             return False
-        leads = {octet: self._leading(octet) for octet in set(name)}
+        leads = {octet: self.leading(1 << octet) for octet in set(name)}
         reached = 1
         for octet in name:
             reached = (reached & self.stars) | (reached & leads[octet]) << 1
         return bool(reached >> self.length & 1)
 
-    def _leading(self, octet: int) -> int:
+    def leading(self, octets: int) -> int:
+        """The places from which one of these octets leads on."""
         places = 0
-        for octets, having in self.characters.items():
-            if octets >> octet & 1:
+        for members, having in self.characters.items():
+            if members & octets:
                 places |= having
         return places
 
+    @property
+    def kinds(self) -> list[int]:
+        """For each place but the last, the set of octets that leads on."""
+        found = [0] * self.length
+        for octets, having in self.characters.items():
+            for place in bits(having):
+                found[place] = octets
+        return found
 
-def _covers(compiled: Callable[[str], _Compiled], pattern: str, name: str) -> bool:
+
+def bits(number: int) -> Iterator[int]:
+    """The places of the ones."""
+    while number:
+        yield (number & -number).bit_length() - 1
+        number &= number - 1
+
+
+def _covers(compiling: Callable[[str], Compiled], pattern: str, name: str) -> bool:
     special = _SPECIAL.search(pattern)
     if special is None or not name.startswith(pattern[: special.start()]):
         return pattern == name  # as nearly all patterns of a large policy are
-    return compiled(pattern).covers(_octets(name))
+    return compiling(pattern).covers(_octets(name))
 
 
 def _octets(text: str) -> bytes:
     return text.encode(errors="surrogatepass")
 
 
-@lru_cache(_CACHED)
-def _posix(pattern: str) -> _Compiled:
+def read(pattern: str) -> Compiled:
+    """As `posix` reads it."""
     return _compiled(pattern, posix_bracket, escape="\\")
 
 
 @lru_cache(_CACHED)
-def _posix_without_escapes(pattern: str) -> _Compiled:
+def compiled(pattern: str) -> Compiled:
+    """The same, kept: for patterns of documents."""
+    return read(pattern)
+
+
+@lru_cache(_CACHED)
+def _posix_without_escapes(pattern: str) -> Compiled:
     return _compiled(pattern, posix_bracket, escape="")
 
 
 @lru_cache(_CACHED)
-def _cyclonedds(pattern: str) -> _Compiled:
+def _cyclonedds(pattern: str) -> Compiled:
     return _compiled(pattern, cyclonedds_bracket, escape="")
 
 
-def _compiled(pattern: str, bracket: Bracket, escape: str) -> _Compiled:
+def _compiled(pattern: str, bracket: Bracket, escape: str) -> Compiled:
     place, stars, characters = 1, 0, dict[int, int]()
     for token in _tokens(_octets(pattern).decode("latin-1"), bracket, escape):
         if token == _STAR:
@@ -110,9 +133,9 @@ def _compiled(pattern: str, bracket: Bracket, escape: str) -> _Compiled:
         else:
             characters[token] = characters.get(token, 0) | place
             place <<= 1
-        if place >> (_LONGEST + 1):
+        if place >> (LONGEST + 1):
             break
-    return _Compiled(place.bit_length() - 1, stars, characters)
+    return Compiled(place.bit_length() - 1, stars, characters)
 
 
 def _tokens(pattern: str, bracket: Bracket, escape: str) -> Iterator[int]:

@@ -7,6 +7,7 @@ from itertools import product
 from typing import Any, TypeAlias
 
 from pqsec_pki.access._checks import met
+from pqsec_pki.access._criteria import named_partitions
 from pqsec_pki.access._domains import domains_said, stretches
 from pqsec_pki.access._endpoints import Sets, sets_to_try
 from pqsec_pki.access._topics import Universe
@@ -25,6 +26,9 @@ from pqsec_pki.documents import (
     Rule,
 )
 
+_NAMED = replace(SPEC, partitions_met=named_partitions)
+"""The standard where partitions are names. What an expression stands for is a set of names, so
+grants that agree on all sets of names agree on expressions too."""
 _ALL = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
 _BEGIN, _THEN, _END = (datetime(year, 1, 1, tzinfo=UTC) for year in (2000, 2001, 2002))
 _ACTIONS = (Action.PUBLISH, Action.SUBSCRIBE, Action.RELAY)
@@ -106,7 +110,7 @@ class World:
         ):
             asked = replace(join, action=action, topic=_ANY, partitions=partitions, data_tags=tags)
             case = Case(
-                question=asked, reading=SPEC, domain_rules=(), grant=replace(grant, rules=here)
+                question=asked, reading=_NAMED, domain_rules=(), grant=replace(grant, rules=here)
             )
             found[action, stretch, partitions, tags] = self._allowed(case)
         return found

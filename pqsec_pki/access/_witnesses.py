@@ -5,12 +5,12 @@ on a name for each set of patterns that some name can have, they agree on every 
 sets are found with one automaton for all patterns, whose states are sets of places in them.
 """
 
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from string import ascii_letters, digits
 from typing import TypeAlias
 
-from pqsec_pki.access._patterns import _posix as compiled
+from pqsec_pki.access._patterns import bits, compiled
 
 MAX_WORK = 2_000_000
 """Places in all states: with more the names are some and not all, since patterns can meet in
@@ -111,12 +111,9 @@ class _Automaton:
         start, stars, ends = list[int](), list[int](), list[int]()
         for pattern in patterns:
             places, first = compiled(pattern), len(self._kinds)
-            self._kinds += [0] * (places.length + 1)
-            for octets, having in places.characters.items():
-                for place in _bits(having):
-                    self._kinds[first + place] = octets
+            self._kinds += [*places.kinds, 0]
             start.append(first)
-            stars += (first + place for place in _bits(places.stars))
+            stars += (first + place for place in bits(places.stars))
             ends.append(first + places.length)
         self._start, self._stars, self._ends = map(frozenset, (start, stars, ends))
         self._alike = _alike(set(self._kinds))
@@ -180,10 +177,3 @@ def _alike(kinds: Iterable[int]) -> dict[int, int]:
         octet: first.setdefault(tuple(kind for kind in kinds if kind >> octet & 1), octet)
         for octet in octets
     }
-
-
-def _bits(number: int) -> Iterator[int]:
-    """The places of the ones."""
-    while number:
-        yield (number & -number).bit_length() - 1
-        number &= number - 1

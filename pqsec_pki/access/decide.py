@@ -10,6 +10,10 @@ from pqsec_pki.access.reading import Case, Check, Reading, Side
 from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import DomainRule, Governance, Grant, Permissions, parse_subject
 
+_DOUBT = (
+    "its partitions take too many steps to compare with those of the rules, and in doubt it is no"
+)
+
 
 def decide(
     governance: Governance,
@@ -58,7 +62,10 @@ class Policy:
         if grant is None:
             return no(f"no grant is for {question.subject}")
         case = Case(question=question, reading=self.reading, domain_rules=rules, grant=grant)
-        return replace(_checked(case, by), protection=_protection(case))
+        decision = replace(_checked(case, by), protection=_protection(case))
+        if case.steps.spent and not decision.allowed:
+            return replace(decision, reason=f"{decision.reason}; {_DOUBT}")
+        return decision
 
     def _find(self, question: Question) -> tuple[tuple[DomainRule, ...], Grant | None]:
         includes, domain = self.reading.includes, question.domain

@@ -1,11 +1,12 @@
 """What a reading of the documents is, and a question as it looks to one."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import TypeAlias
 
+from pqsec_pki.access._expressions import Steps
 from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access._subjects import IsFor
 from pqsec_pki.access.decision import Decision
@@ -79,6 +80,8 @@ class Case:
     """Those that name the domain; the first governs."""
     grant: Grant
     """The subject's."""
+    steps: Steps = field(default_factory=Steps)
+    """What is left of them for comparing partitions."""
 
     @property
     def topic_rules(self) -> Iterator[TopicRule]:

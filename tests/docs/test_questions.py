@@ -54,6 +54,10 @@ CASES = {
         document(allow("a", partitions=("Q",)), deny("a"), allow("a", **IN_P)),
         IN_P,
     ),
+    "Partitions of an endpoint": (
+        document(allow("a", partitions=("P?",))),
+        {"partitions": ("P*",)},
+    ),
     "An allow rule with partitions, an endpoint without": (document(allow("a", **IN_P)), {}),
     "Data tags": (document(allow("a")), {"data_tags": (("k", "v"),)}),
     "Relaying": (

@@ -21,6 +21,7 @@ from pqsec_pki.access import (
     reading_named,
 )
 from pqsec_pki.access import _patterns as patterns
+from pqsec_pki.access._expressions import Steps, meets, within
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -161,6 +162,80 @@ def test_partitions_are_all_allowed_or_one_denied(named, used, allowed, denied):
     assert ask(deny(*met), allow(*criteria("*", partitions=("*",))), partitions=used).allowed is (
         not denied
     )
+
+
+EXPRESSIONS = [  # of the rule, of the endpoint, whether the one allows and denies the other
+    (("floor?",), "floor*", False, True),
+    (("floor?",), "floor?", True, True),
+    (("floor*",), "floor?", True, True),
+    (("secret",), "secre?", False, True),
+    (("secret",), "s*", False, True),
+    (("secret",), "*", False, True),
+    (("secret",), "p*", False, False),
+    (("*",), "*", True, True),
+    (("?*",), "*", False, True),  # the default partition
+    (("?*", ""), "*", True, True),
+    (("a*", "[!a]*", ""), "*", True, True),
+    (("[!a]*",), "a*", False, False),
+    (("a*b",), "a*c", False, False),
+    (("a*b", "a*[!b]", "a"), "a*", True, True),
+    ((), "*", False, True),
+    (("[ab]",), "[ab]", False, True),  # a name to Cyclone DDS
+    (("a", "b"), "[ab]", False, True),
+    (("c",), "x[ab]", False, False),
+    (("xc",), "x[ab]", False, True),  # in doubt
+    (("x*",), "x[ab]", True, True),
+    (("x",), "\\x", False, True),
+]
+
+
+def test_partitions_that_are_expressions_are_contained_or_met():
+    wrong = []
+    for named, used, allowed, denied in EXPRESSIONS:
+        met = criteria("a", partitions=named)
+        may = ask(allow(*met), partitions=(used,)).allowed
+        everything = allow(*criteria("*", partitions=("*",)))
+        may_not = not ask(deny(*met), everything, partitions=(used,)).allowed
+        if (may, may_not) != (allowed, denied):
+            wrong.append((named, used, may, may_not))
+    assert not wrong
+
+
+def test_one_expression_of_several_partitions_is_enough_to_deny_and_not_to_allow():
+    everything = allow(*criteria("a", partitions=("*",)))
+    denied = ask(deny(*criteria("a", partitions=("secret",))), everything, partitions=("p", "s*"))
+    assert denied.reason == (
+        "a deny_rule of grant 'g' forbids it to publish 'a' in partitions 'p', 's*' on domain 0"
+    )
+    rule = allow(*criteria("a", partitions=("p*",)))
+    assert ask(rule, partitions=("p?", "pq*")).allowed
+    assert not ask(rule, partitions=("p?", "s*")).allowed
+
+
+def test_what_an_expression_with_a_bracket_is_taken_for_is_said():
+    decision = ask(allow(*criteria("a", partitions=("[ab]",))), partitions=("[ab]",))
+    assert "in partition '[ab]' (taken for '*')" in decision.reason
+
+
+# A pattern with so many places after a star has more sets of them than can be walked through.
+MANY_SETS = "*a" + "?" * 40
+
+
+def test_what_takes_too_many_steps_to_compare_is_denied_in_doubt():
+    rule = allow(*criteria("a", partitions=(MANY_SETS,)))
+    decision = ask(rule, partitions=(f"*{MANY_SETS}",))
+    assert not decision.allowed
+    assert decision.reason.endswith("and in doubt it is no")
+    other = ask(deny(*criteria("a", partitions=("b",))), rule, partitions=(f"*{MANY_SETS}", "b"))
+    assert not other.reason.endswith("and in doubt it is no")
+
+
+@pytest.mark.parametrize("compare", [within, meets])
+def test_hostile_expressions_share_the_steps_of_one_question(compare):
+    steps, rules = Steps(), [f"{each}{'*?[!b]' * 40}" for each in "abcdefgh"]
+    for _ in range(1000):
+        compare("*?" * 128, rules, steps)
+    assert -10 < steps.left < 0
 
 
 @pytest.mark.parametrize(
