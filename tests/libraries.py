@@ -32,15 +32,21 @@ class Libraries:
 
     def cyclone(self, folder: Path, release: str, soname: str) -> Path:
         """A Cyclone DDS in that folder: libddsc.so and, beside it, its plugins."""
-        folder.mkdir(parents=True, exist_ok=True)
-        real = folder / f"libddsc.so.{release}"
-        real.write_bytes(self(soname, build=release.encode().hex()))
-        for name in {"libddsc.so", soname} - {real.name}:
-            (folder / name).symlink_to(real.name)
+        self.installed(folder, "libddsc.so", release, soname)
         for kind in ("auth", "crypto", "ac"):
             name = f"libdds_security_{kind}.so"
             (folder / name).write_bytes(self(name, soname))
         return folder
+
+    def installed(self, folder: Path, name: str, release: str, soname: str) -> Path:
+        """A library in that folder, with the links that a package has; each version is a build."""
+        folder.mkdir(parents=True, exist_ok=True)
+        real = folder / f"{name}.{release}"
+        real.write_bytes(self(soname, build=release.encode().hex()))
+        for link in {name, soname} - {real.name}:
+            (folder / link).unlink(missing_ok=True)
+            (folder / link).symlink_to(real.name)
+        return real
 
     def _make(self, folder: Path, soname: str, needed, build: str, flags) -> bytes:
         (folder / "x.c").write_text("int nothing(void) { return 0; }\n")

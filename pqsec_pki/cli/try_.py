@@ -161,6 +161,7 @@ def _as_json(report: Report) -> dict[str, Any]:
     return {
         "stack": report.installation.kit.stack,
         "version": report.installation.version,
+        "library": str(report.installation.library.path),
         "plugin": list(report.plugged),
         "domain": report.passage.domain,
         "topic": report.passage.topic,

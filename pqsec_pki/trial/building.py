@@ -14,6 +14,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError, shown
 from pqsec_pki.trial.installation import MACHINE, Installation
+from pqsec_pki.vendors.elf import read_library
 
 PATIENCE = 300
 """Seconds for one command of a compiler."""
@@ -28,14 +29,16 @@ class BuildError(PqsecError):
 def built(installation: Installation) -> Path:
     """The program of a peer, compiled now unless it is in the user's cache.
 
-    BuildError with the compiler's words if it does not compile, FileError if the disk refuses,
-    or if others may write to the cache.
+    It is kept for the build of the library that it was linked to, and for no other. BuildError
+    with the compiler's words if it does not compile, FileError if the disk refuses, or if others
+    may write to the cache.
     """
     goal = cache() / f"{installation.kit.stack}-{installation.version}-{_digest(installation)}"
     with disk_errors(goal):
         if not is_own(goal):
             with _workshop(installation) as folder:
                 _compile(installation, folder)
+                _refuse_another(installation, folder / _PEER)
                 _keep(folder / _PEER, goal)
     return goal
 
@@ -86,7 +89,9 @@ def is_own(path: Path) -> bool:
 
 def _digest(installation: Installation) -> str:
     """What else the program depends on."""
-    parts = [str(installation.root).encode(), repr(installation.kit.commands).encode()]
+    places = (installation.root, installation.prefix, installation.folder)
+    said = (*places, installation.library.build, installation.kit.commands)
+    parts = [repr(each).encode() for each in said]
     parts += map(source, installation.kit.sources)
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
@@ -104,15 +109,26 @@ def _workshop(installation: Installation) -> Iterator[Path]:
 def _compile(installation: Installation, folder: Path) -> None:
     place = f"/{folder.relative_to(installation.root)}"
     for command in installation.kit.commands:
-        code, said = _run(command[0], installation.tool(command, place))
+        name = command[0].rpartition("/")[2]
+        code, said = _run(name, installation.tool(command, place))
         if code:
             lines = [line for line in said.splitlines() if "error" in line.lower()]
             words = (lines or said.splitlines() or ["it said nothing"])[0]
             raise BuildError(
-                f"{command[0]} cannot compile the peer for {installation.title}:"
-                f" {shown(words, 300)}",
+                f"{name} cannot compile the peer for {installation.title}: {shown(words, 300)}",
                 hint=f"is all of it installed? apt-get install {installation.kit.packages}",
             )
+
+
+def _refuse_another(installation: Installation, program: Path) -> None:
+    """BuildError if the program was linked to another library than the one that it is for."""
+    linked = read_library(program).needed
+    if installation.soname not in linked:
+        raise BuildError(
+            f"the peer for {installation.title} is linked to {shown(', '.join(linked), 300)}, and"
+            f" not to {shown(installation.soname)}",
+            hint="is another version of it installed beside? take one of them away",
+        )
 
 
 def _run(name: str, command: list[str]) -> tuple[int, str]:

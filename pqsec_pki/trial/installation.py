@@ -1,4 +1,8 @@
-"""A stack as it is installed on this machine, or in a root file system beside it."""
+"""A stack as it is installed on this machine, or in a root file system beside it.
+
+Headers, library, tools and plugins of one prefix belong together. A compiler left to itself takes
+the headers of /usr/local and the library of /usr; what it makes is neither version's.
+"""
 
 import os
 import re
@@ -8,33 +12,55 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
-from pqsec_pki.errors import PqsecError, UsageError
-from pqsec_pki.trial.kits import KITS, STACKS, Kit
+from pqsec_pki.errors import PqsecError, UsageError, shown
+from pqsec_pki.trial.kits import KITS, STACKS, Command, Kit
+from pqsec_pki.vendors.cyclone_plugins import agree, in_words
+from pqsec_pki.vendors.elf import Library, read_library
 
 MACHINE = Path("/")
-_PREFIXES = ("usr/local", "usr")
+PREFIXES = ("usr/local", "usr")
+"""In the order in which a compiler looks for headers."""
+_FOLDERS = ("lib", "lib64", "lib/*-linux-gnu*")
+_UNFIT = ":;$"
+"""What the loader takes for its own in the name of a folder (ld.so(8))."""
 
 
 class MissingStackError(PqsecError):
     """A stack, or what its peers are compiled with, is not installed."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Installation:
     """One version of a stack, with its headers and libraries below `root`."""
 
     kit: Kit
     version: str
+    """That of the library, which peers are linked to and run with."""
     root: Path
+    prefix: str
+    """Below the root, one of PREFIXES."""
+    folder: Path
+    """Where the library is found."""
+    library: Library
 
     @property
     def title(self) -> str:
         """As in `Cyclone DDS 0.10.2`."""
         return f"{self.kit.title} {self.version}"
 
-    def tool(self, command: tuple[str, ...], folder: str) -> list[str]:
+    @property
+    def soname(self) -> str:
+        """The name by which the library is loaded."""
+        return self.library.soname or self.kit.library
+
+    @property
+    def plugins(self) -> Path | None:
+        """The folder of the security plugins that belong to this library, if they are apart."""
+        return self.kit.plugins(self.root, self.library.path) if self.kit.plugins else None
+
+    def tool(self, command: Command, folder: str) -> list[str]:
         """What runs a compiler's `command` in `folder`, a path below the root."""
-        there = ["env", "-C", folder, *command]
+        there = ["env", "-C", folder, *map(self._said, command)]
         if self.root == MACHINE:
             return there
         become_root = [] if os.geteuid() == 0 else ["unshare", "-r"]
@@ -50,45 +76,121 @@ class Installation:
                 f"below {self.root} there is nothing that starts programs: usr/lib/*/ld-linux*",
                 hint="give --root the root file system of a Debian or Ubuntu",
             )
-        return [str(loaders[0]), "--library-path", str(loaders[0].parent), str(program)]
+        places = dict.fromkeys([self.folder, *self._folders(), loaders[0].parent])
+        return [str(loaders[0]), "--library-path", ":".join(map(str, places)), str(program)]
+
+    def _said(self, word: str) -> str:
+        """A word of a command, with the places of this installation in."""
+        places = {
+            "{bin}": f"/{self.prefix}/bin",
+            "{include}": f"/{self.prefix}/include",
+            "{lib}": f"/{self.folder.relative_to(self.root)}",
+            "{run}": str(self.folder),
+        }
+        for name, place in places.items():
+            word = word.replace(name, place)
+        return word
+
+    def _folders(self) -> Iterator[Path]:
+        """Where the loader looks below the root, besides."""
+        for prefix in PREFIXES:
+            yield from folders_of_libraries(self.root / prefix)
+
+
+def folders_of_libraries(prefix: Path) -> Iterator[Path]:
+    """Those that are there below `prefix`."""
+    for pattern in _FOLDERS:
+        yield from (each for each in sorted(prefix.glob(pattern)) if each.is_dir())
 
 
 def find(stack: str, root: Path = MACHINE) -> Installation:
-    """The stack called `stack` below `root`: what a compiler takes, of the newest generation.
+    """The stack called `stack` below `root`: the one whose headers a compiler takes.
 
-    UsageError for a stack that cannot be tried, MissingStackError, naming the packages, if
-    it is not installed or cannot be compiled against.
+    UsageError for a stack that cannot be tried. MissingStackError, naming the packages, if it is
+    not installed, cannot be compiled against, or if its headers, its library and its plugins
+    are not of one version.
     """
     if stack not in STACKS:
         raise UsageError(f"{stack!r} cannot be tried", hint=f"these can: {', '.join(STACKS)}")
+    root = root.absolute()
+    if unfit := sorted(set(_UNFIT) & set(str(root))):
+        raise UsageError(f"{shown(str(root))}: nothing is loaded from a folder with {unfit[0]!r}")
     kits = [kit for kit in KITS if kit.stack == stack]
     with disk_errors(root):
-        found = [each for kit in kits for each in _installed(kit, root.absolute())]
-    if not found:
+        headers = next(_headers(kits, root), None)
+        if headers is None:
+            raise MissingStackError(
+                f"{kits[0].title} is not installed with its headers below {root}",
+                hint=" or: ".join(f"apt-get install {kit.packages}" for kit in reversed(kits)),
+            )
+        found = _whole(*headers, root)
+        _refuse_missing_tools(found)
+    return found
+
+
+def _headers(kits: list[Kit], root: Path) -> Iterator[tuple[Kit, str, str]]:
+    """(kit, version, prefix) of headers, those first that a compiler takes first."""
+    for prefix in PREFIXES:
+        for kit in kits:
+            version = re.compile(rf'#define {kit.macro} "([0-9]{{1,4}}(?:\.[0-9]{{1,4}}){{0,3}})"')
+            folder = root / prefix / "include"
+            for path in [folder / kit.header, *sorted(folder.glob(f"*-linux-gnu*/{kit.header}"))]:
+                text = path.read_text(errors="replace") if path.is_file() else ""
+                if match := version.search(text):
+                    yield kit, match[1], prefix
+
+
+def _whole(kit: Kit, version: str, prefix: str, root: Path) -> Installation:
+    """With the library of the same prefix; MissingStackError if it is of another version."""
+    headers = f"the headers of {kit.title} {version} are in {root / prefix / 'include'}"
+    hint = f"install all of one version there, or take the headers away: {kit.packages}"
+    folder = _folder_of(kit, root / prefix)
+    if folder is None:
         raise MissingStackError(
-            f"{kits[0].title} is not installed with its headers below {root}",
-            hint=" or: ".join(f"apt-get install {kit.packages}" for kit in reversed(kits)),
+            f"{headers}, and {kit.library} is not in {root / prefix / 'lib'}", hint=hint
         )
-    _refuse_missing_tools(found[0])
-    return found[0]
+    library = read_library(folder / kit.library)
+    told = tuple(map(int, version.split(".")))
+    if not agree(told, library.release):
+        raise MissingStackError(
+            f"{headers}, and {library.path} is of {in_words(library.release)}", hint=hint
+        )
+    if library.soname and (folder / library.soname).resolve() != library.path:
+        raise MissingStackError(
+            f"{folder / shown(library.soname)}, which programs load, is not {library.path}",
+            hint=f"`ldconfig -n {folder}` makes the link",
+        )
+    found = Installation(
+        kit=kit,
+        version=in_words(max(library.release, told, key=len)),
+        root=root,
+        prefix=prefix,
+        folder=folder,
+        library=library,
+    )
+    if kit.plugins and found.plugins is None:
+        raise MissingStackError(
+            f"{found.title} in {folder} is here without security plugins of its own",
+            hint="install them beside it: they are built with ENABLE_SECURITY",
+        )
+    return found
 
 
-def _installed(kit: Kit, root: Path) -> Iterator[Installation]:
-    version = re.compile(rf'#define {kit.macro} "([0-9.]+)"')
-    for prefix in _PREFIXES:
-        headers = root / prefix / "include"
-        for path in [headers / kit.header, *sorted(headers.glob(f"*-linux-gnu*/{kit.header}"))]:
-            text = path.read_text(errors="replace") if path.is_file() else ""
-            if match := version.search(text):
-                yield Installation(kit, match[1], root)
+def _folder_of(kit: Kit, prefix: Path) -> Path | None:
+    folders = folders_of_libraries(prefix)
+    return next((each for each in folders if (each / kit.library).is_file()), None)
 
 
 def _refuse_missing_tools(installation: Installation) -> None:
-    places = [os.environ.get("PATH", os.defpath)]
+    path = os.environ.get("PATH", os.defpath)
     if installation.root != MACHINE:
-        places = [str(installation.root / prefix / "bin") for prefix in _PREFIXES]
-    path = os.pathsep.join(places)
-    missing = [tool for tool in installation.kit.tools if not shutil.which(tool, path=path)]
+        path = os.pathsep.join(str(installation.root / prefix / "bin") for prefix in PREFIXES)
+    own = str(installation.root / installation.prefix / "bin")
+    missing = [
+        tool.removeprefix("{bin}/")
+        for tool in installation.kit.tools
+        if not shutil.which(tool.replace("{bin}", own), path=path)
+    ]
     if missing:
         raise MissingStackError(
             f"{installation.title} is here, but not {' and '.join(missing)},"

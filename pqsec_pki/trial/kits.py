@@ -7,6 +7,10 @@ from pathlib import Path
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 
 Command = tuple[str, ...]
+"""Words; {bin}, {include} and {lib} in them are those of the stack's prefix, as the compiler sees
+them, and {run} is the folder of its library, as the peer will see it."""
+_LIBRARY = ("-L{lib}", "-Wl,--disable-new-dtags", "-Xlinker", "-rpath", "-Xlinker", "{run}")
+"""What is linked is what is loaded, whatever LD_LIBRARY_PATH says (ld.so(8), DT_RPATH)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,6 +24,8 @@ class Kit:
     """The file that tells the version: a pattern below a folder of headers."""
     macro: str
     """What is the version in there."""
+    library: str
+    """The file that a peer is linked to, in a folder of libraries."""
     sources: tuple[str, ...]
     """In the folder peers/, all that the peer is made of."""
     commands: tuple[Command, ...]
@@ -30,8 +36,8 @@ class Kit:
     """The configuration, in peers/, of a participant without credentials."""
     variable: str
     """Of the environment: it names the configuration."""
-    plugins: Callable[[Path], Path | None] = lambda _: None
-    """Where its security plugins are below a root, for a stack that must be told."""
+    plugins: Callable[[Path, Path], Path | None] | None = None
+    """Where the security plugins of a library are below a root, for a stack that must be told."""
 
     @property
     def tools(self) -> Iterator[str]:
@@ -46,8 +52,11 @@ def _fastdds(major: int, header: str, macro: str, *libraries: str, package: str)
         title="Fast DDS",
         header=header,
         macro=macro,
+        library=f"{libraries[0].replace('-l', 'lib')}.so",
         sources=("fastdds.cpp",),
-        commands=(("g++", "-O0", "-o", "peer", "fastdds.cpp", *libraries),),
+        commands=(
+            ("g++", "-O0", "-I{include}", *_LIBRARY, "-o", "peer", "fastdds.cpp", *libraries),
+        ),
         packages=f"g++ {package}",
         open="fastdds.open.xml",
         variable=f"{name}_DEFAULT_PROFILES_FILE",
@@ -60,15 +69,19 @@ KITS = (
         title="Cyclone DDS",
         header="dds/version.h",
         macro="DDS_VERSION",
+        library="libddsc.so",
         sources=("Sample.idl", "cyclonedds.c"),
         commands=(
-            ("idlc", "Sample.idl"),
-            ("gcc", "-O0", "-I.", "-o", "peer", "cyclonedds.c", "Sample.c", "-lddsc"),
+            ("{bin}/idlc", "Sample.idl"),
+            (
+                *("gcc", "-O0", "-I.", "-I{include}", *_LIBRARY),
+                *("-o", "peer", "cyclonedds.c", "Sample.c", "-lddsc"),
+            ),
         ),
         packages="gcc libc6-dev cyclonedds-dev cyclonedds-tools",
         open="cyclonedds.open.xml",
         variable="CYCLONEDDS_URI",
-        plugins=installed_plugins,
+        plugins=lambda root, library: installed_plugins(root, lambda it: it.library == library),
     ),
     _fastdds(
         3,

@@ -155,7 +155,7 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
         loopback=True,
         password=trial.password,
         anyway=trial.anyway,
-        plugins=installation.kit.plugins(installation.root),
+        plugins=installation.plugins,
         plugin=plugin.folder if plugin else None,
     )
     stack = stack_named(installation.kit.stack)

@@ -14,7 +14,7 @@ import pytest
 
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.keystore import Keystore, Wish, issue
-from pqsec_pki.trial import STACKS, MissingStackError, find
+from pqsec_pki.trial import MACHINE, STACKS, MissingStackError, built, find
 from tests.docs.tables import Document
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, YEAR
 
@@ -121,6 +121,75 @@ def test_json_says_who_ran_the_plugin(pqsec):
     assert done == 1
     assert told["plugin"] == ["/talker"]
     assert any("pqsec.toml" in (each["remedy"] or "") for each in told["findings"])
+
+
+CYCLONE = ("include/dds", "include/ddsc", "include/idl", "include/idlc", "bin/idlc")
+"""Of a prefix, beside its libraries."""
+TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
+
+
+@pytest.fixture(scope="module")
+def two_cyclones(requires, tmp_path_factory) -> Path:
+    """A root file system with Debian 13's Cyclone DDS in usr/local, and Debian 12's in usr."""
+    here, there = (_installation(requires, root) for root in (MACHINE, TRIXIE))
+    root = tmp_path_factory.mktemp("two-cyclones") / "root"
+    shutil.copytree(TRIXIE, root, symlinks=True, copy_function=_linked)
+    libraries = there.folder.relative_to(TRIXIE)
+    for name in CYCLONE:
+        goal = root / "usr/local" / name
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        shutil.move(root / "usr" / name, goal)
+        _copied(MACHINE / "usr" / name, root / "usr" / name)
+    local = root / "usr/local/lib"
+    local.mkdir()
+    for found in sorted((root / libraries).glob("libddsc*")) + sorted(
+        (root / libraries).glob("libcycloneddsidl*")
+    ):
+        shutil.move(found, local / found.name)
+    for pattern in ("libddsc*", "libcycloneddsidl*"):
+        for found in here.folder.glob(pattern):
+            _copied(found, root / libraries / found.name)
+    return root
+
+
+def _installation(requires, root: Path):
+    try:
+        return find("cyclonedds", root)
+    except MissingStackError as error:
+        return requires(None, f"Cyclone DDS below {root}", f"run .ci/trixie, or {error.hint}")
+
+
+def _linked(source: str, goal: str) -> None:
+    try:
+        os.link(source, goal)
+    except OSError:  # of another file system
+        shutil.copy2(source, goal)
+
+
+def _copied(source: Path, goal: Path) -> None:
+    if source.is_dir():
+        shutil.copytree(source, goal, symlinks=True)
+    else:
+        shutil.copy2(source, goal, follow_symlinks=False)
+
+
+def test_of_two_cyclones_what_is_found_is_linked_run_and_told(
+    pqsec, two_cyclones, tmp_path, monkeypatch
+):
+    """Both have one soname: only the folder of the library tells them apart."""
+    found = find("cyclonedds", two_cyclones)
+    assert find("cyclonedds").version != found.version == find("cyclonedds", TRIXIE).version
+    done, printed = pqsec(f"pqsec try cyclonedds --root {two_cyclones} /talker /listener --json")
+    told = json.loads(printed)
+    assert (done, told["version"]) == (0, found.version), told
+    assert told["library"] == str(found.library.path)
+    assert found.library.path.is_relative_to(two_cyclones / "usr/local")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    loading = os.environ | {"LD_TRACE_LOADED_OBJECTS": "1", "LD_LIBRARY_PATH": "/usr/lib"}
+    command = found.peer(built(found))
+    traced = subprocess.run(command, env=loading, capture_output=True, text=True, check=True)
+    [line] = [line for line in traced.stdout.splitlines() if "libddsc" in line]
+    assert str(found.folder) in line
 
 
 def peers(folder: Path) -> int:

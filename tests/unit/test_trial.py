@@ -1,6 +1,7 @@
 """The trial without a stack: what is found, compiled, played, understood and reported."""
 
 import os
+import shutil
 import sys
 import time
 from dataclasses import replace
@@ -36,42 +37,142 @@ from tests.unit.keystores import NOW, made
 # Finding a stack
 
 
-@pytest.fixture
-def root(tmp_path):
-    """root({path: text}) is a root file system with these files; tools are executable."""
+TOOLS = ("idlc", "gcc", "g++")
+LIBRARIES = "lib/x86_64-linux-gnu"
+HEADERS = {
+    "libddsc.so": ("dds/version.h", "DDS_VERSION"),
+    "libfastrtps.so": ("x86_64-linux-gnu/fastrtps/config.h", "FASTRTPS_VERSION_STR"),
+    "libfastdds.so": ("fastdds/config.hpp", "FASTDDS_VERSION_STR"),
+}
+"""Library -> the header that tells its version, and the macro that is it."""
+CYCLONE = ("usr", "libddsc.so", "0.10.4", "libddsc.so.0debian")
+CYCLONE_11 = ("usr/local", "libddsc.so", "11.0.1", "libddsc.so.11")
+FASTDDS_2 = ("usr", "libfastrtps.so", "2.9.1", "libfastrtps.so.2.9")
+FASTDDS_3 = ("usr/local", "libfastdds.so", "3.2.3", "libfastdds.so.3.2")
 
-    def of(files):
-        for name, text in files.items():
-            path = tmp_path / "root" / name
+
+@pytest.fixture
+def root(tmp_path, library):
+    """root(CYCLONE) is a root file system with the headers and library of that version, and
+    tools; `.headers(...)` and `.library(...)` add one of both."""
+
+    class Root:
+        def __call__(self, *stacks, tools=TOOLS) -> Path:
+            for name in tools:
+                self.put(f"usr/bin/{name}", "#!/bin/sh\n")
+            for prefix, name, version, soname in stacks:
+                self.headers(prefix, name, version)
+                self.library(prefix, name, version, soname)
+            return self.path
+
+        @property
+        def path(self) -> Path:
+            return tmp_path / "root"
+
+        def put(self, name, text):
+            path = self.path / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
             path.chmod(0o755)
-        return tmp_path / "root"
 
-    return of
+        def headers(self, prefix, name, version):
+            header, macro = HEADERS[name]
+            self.put(f"{prefix}/include/{header}", f'#define {macro} "{version}"\n')
+            if name == "libddsc.so":
+                self.put(f"{prefix}/bin/idlc", "#!/bin/sh\n")
 
+        def library(self, prefix, name, version, soname):
+            folder = self.path / prefix / (LIBRARIES if prefix == "usr" else "lib")
+            if name == "libddsc.so":
+                library.cyclone(folder, version, soname)
+            else:
+                library.installed(folder, name, version, soname)
+            return folder
 
-CYCLONE = {"usr/include/dds/version.h": '#define DDS_VERSION "0.10.4"\n'}
-FASTDDS_2 = {
-    "usr/include/x86_64-linux-gnu/fastrtps/config.h": '#define FASTRTPS_VERSION_STR "2.9.1"\n'
-}
-FASTDDS_3 = {
-    "usr/local/include/fastdds/config.hpp": '#define FASTDDS_VERSION_STR "3.2.3"\n',
-}
-TOOLS = {f"usr/bin/{name}": "#!/bin/sh\n" for name in ("idlc", "gcc", "g++")}
+    return Root()
 
 
 @pytest.mark.parametrize(
-    ("stack", "files", "title"),
+    ("stack", "installed", "title"),
     [
-        ("cyclonedds", CYCLONE, "Cyclone DDS 0.10.4"),
-        ("fastdds", FASTDDS_2, "Fast DDS 2.9.1"),
-        ("fastdds", FASTDDS_3, "Fast DDS 3.2.3"),
-        ("fastdds", FASTDDS_2 | FASTDDS_3, "Fast DDS 3.2.3"),
+        ("cyclonedds", [CYCLONE], "Cyclone DDS 0.10.4"),
+        ("cyclonedds", [CYCLONE_11], "Cyclone DDS 11.0.1"),
+        ("fastdds", [FASTDDS_2], "Fast DDS 2.9.1"),
+        ("fastdds", [FASTDDS_3], "Fast DDS 3.2.3"),
+        ("fastdds", [FASTDDS_2, FASTDDS_3], "Fast DDS 3.2.3"),
+        ("fastdds", [FASTDDS_2, ("usr", *FASTDDS_3[1:])], "Fast DDS 3.2.3"),
     ],
 )
-def test_a_stack_is_found_by_its_headers(root, stack, files, title):
-    assert find(stack, root(files | TOOLS)).title == title
+def test_a_stack_is_found_by_its_headers(root, stack, installed, title):
+    assert find(stack, root(*installed)).title == title
+
+
+def test_of_two_cyclones_one_is_taken_whole(root):
+    """Its headers were taken, the other's library was linked, and the label was the headers'."""
+    found = find("cyclonedds", root(CYCLONE, CYCLONE_11))
+    local = root.path / "usr/local"
+    assert found.title == "Cyclone DDS 11.0.1"
+    assert found.library.path == local / "lib/libddsc.so.11.0.1"
+    assert found.plugins == local / "lib"
+    idlc, compiler = (found.tool(command, "/tmp/x") for command in found.kit.commands)
+    assert "/usr/local/bin/idlc" in idlc
+    assert {"-I/usr/local/include", "-L/usr/local/lib", str(local / "lib")} <= set(compiler)
+
+
+def test_headers_without_a_library_of_theirs_are_refused(root):
+    """A compiler takes them, and links the library of the other."""
+    root(CYCLONE)
+    root.headers("usr/local", "libddsc.so", "11.0.1")
+    with pytest.raises(MissingStackError, match=r"headers of Cyclone DDS 11\.0\.1") as refusal:
+        find("cyclonedds", root.path)
+    assert "usr/local/lib" in str(refusal.value)
+    assert "take the headers away" in refusal.value.hint
+
+
+@pytest.mark.parametrize(("headers", "library_of"), [("11.0.1", "0.10.2"), ("0.10.2", "0.10.5")])
+def test_headers_and_library_of_two_versions_are_refused(root, headers, library_of):
+    root(("usr", "libddsc.so", library_of, "libddsc.so.0"))
+    root.headers("usr", "libddsc.so", headers)
+    with pytest.raises(MissingStackError, match=library_of):
+        find("cyclonedds", root.path)
+
+
+def test_a_link_of_another_version_is_refused(root):
+    """Programs would be linked to the one, and load the other."""
+    folder = root(CYCLONE) / "usr" / LIBRARIES
+    shutil.copy(folder / "libddsc.so.0.10.4", folder / "libddsc.so.0.10.3")
+    (folder / "libddsc.so.0debian").unlink()
+    (folder / "libddsc.so.0debian").symlink_to("libddsc.so.0.10.3")
+    with pytest.raises(MissingStackError, match="which programs load"):
+        find("cyclonedds", root.path)
+
+
+def test_a_cyclone_without_its_own_plugins_is_refused(root):
+    """Or else those of the other would be loaded."""
+    folder = root(CYCLONE, CYCLONE_11) / "usr/local/lib"
+    (folder / "libdds_security_ac.so").unlink()
+    with pytest.raises(MissingStackError, match="without security plugins"):
+        find("cyclonedds", root.path)
+
+
+def test_a_root_that_the_loader_would_misread_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="nothing is loaded"):
+        find("cyclonedds", tmp_path / "a:b")
+
+
+def test_in_another_root_what_was_found_is_run_with(root):
+    """It was looked for in usr/local too, and run with usr/lib alone."""
+    found = find("cyclonedds", root(CYCLONE, CYCLONE_11))
+    root.put(f"usr/{LIBRARIES}/ld-linux-x86-64.so.2", "")
+    loader, option, places, program = found.peer(Path("peer"))
+    assert (Path(loader).name, option, program) == (
+        "ld-linux-x86-64.so.2",
+        "--library-path",
+        "peer",
+    )
+    first, *others = places.split(":")
+    assert first == str(root.path / "usr/local/lib")
+    assert str(root.path / "usr" / LIBRARIES) in others
 
 
 @pytest.mark.parametrize(
@@ -79,25 +180,27 @@ def test_a_stack_is_found_by_its_headers(root, stack, files, title):
 )
 def test_a_stack_that_is_not_there_is_missed_with_its_packages(root, stack, package):
     with pytest.raises(MissingStackError, match="is not installed") as missing:
-        find(stack, root(TOOLS))
+        find(stack, root())
     assert package in missing.value.hint
 
 
 def test_a_header_that_tells_no_version_is_none(root):
+    root.put("usr/include/dds/version.h", "#define OTHER 1\n")
     with pytest.raises(MissingStackError):
-        find("cyclonedds", root({"usr/include/dds/version.h": "#define OTHER 1\n"} | TOOLS))
+        find("cyclonedds", root())
 
 
 def test_a_missing_compiler_is_named_with_its_package(root):
-    files = CYCLONE | {"usr/bin/gcc": "#!/bin/sh\n"}
-    with pytest.raises(MissingStackError, match="not idlc") as missing:
-        find("cyclonedds", root(files))
-    assert "cyclonedds-tools" in missing.value.hint
+    for lacking in ("idlc", "gcc"):
+        (root(CYCLONE) / "usr/bin" / lacking).unlink()
+        with pytest.raises(MissingStackError, match=f"not {lacking}") as missing:
+            find("cyclonedds", root.path)
+        assert "cyclonedds-tools" in missing.value.hint
 
 
 def test_a_stack_that_nobody_can_try_is_refused(root):
     with pytest.raises(UsageError, match="connext"):
-        find("connext", root(TOOLS))
+        find("connext", root())
 
 
 # Compiling a peer
@@ -121,24 +224,48 @@ def tools(tmp_path, monkeypatch):
 
 @pytest.fixture
 def here(root):
-    """A Fast DDS whose headers are elsewhere and whose compiler is this machine's."""
-    return replace(find("fastdds", root(FASTDDS_2 | TOOLS)), root=Path("/"))
+    """A Fast DDS that is elsewhere, and whose compiler is this machine's."""
+    return replace(find("fastdds", root(FASTDDS_2)), root=Path("/"))
 
 
-def test_a_peer_is_compiled_once_and_kept(tools, here, tmp_path):
-    tools({"g++": f"echo run >> {tmp_path}/count; test -f fastdds.cpp && echo it > peer"})
+@pytest.fixture
+def peer(tmp_path, library) -> Path:
+    """What a compiler makes of it."""
+    path = tmp_path / "made"
+    path.write_bytes(library.program(FASTDDS_2[-1], "libc.so.6"))
+    return path
+
+
+def test_a_peer_is_compiled_once_and_kept(tools, here, peer, tmp_path):
+    tools({"g++": f"echo run >> {tmp_path}/count; test -f fastdds.cpp && cp {peer} peer"})
     program = built(here)
     assert built(here) == program
     assert program.is_relative_to(tmp_path / "cache" / "pqsec")
-    assert program.read_text() == "it\n"
+    assert program.read_bytes() == peer.read_bytes()
     assert os.access(program, os.X_OK)
     assert (tmp_path / "count").read_text() == "run\n"
     assert [path.name for path in program.parent.iterdir()] == [program.name]
 
 
-def test_another_version_gets_a_peer_of_its_own(tools, here):
-    tools({"g++": "echo it > peer"})
+def test_another_version_gets_a_peer_of_its_own(tools, here, peer):
+    tools({"g++": f"cp {peer} peer"})
     assert built(here) != built(replace(here, version="2.10.0"))
+
+
+def test_another_build_of_the_library_gets_a_peer_of_its_own(tools, here, peer):
+    """A package that was built anew under one version is linked anew."""
+    tools({"g++": f"cp {peer} peer"})
+    assert built(here) != built(replace(here, library=replace(here.library, build="00")))
+    assert built(here) != built(replace(here, folder=Path("/opt")))
+
+
+def test_a_peer_that_is_linked_to_another_library_is_not_run(tools, here, peer, library, tmp_path):
+    """Its label would be a lie."""
+    peer.write_bytes(library.program("libfastrtps.so.2.6"))
+    tools({"g++": f"cp {peer} peer"})
+    with pytest.raises(BuildError, match=r"libfastrtps\.so\.2\.6, and not to libfastrtps"):
+        built(here)
+    assert [path for path in (tmp_path / "cache").rglob("*") if path.is_file()] == []
 
 
 def test_a_compiler_that_takes_too_long_is_ended_with_what_it_started(
@@ -172,8 +299,8 @@ def test_a_cache_where_others_may_write_is_refused(tools, here, tmp_path, flaw):
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_cache_that_is_a_link_is_refused(tools, here, tmp_path):
-    tools({"g++": "echo it > peer"})
+def test_a_cache_that_is_a_link_is_refused(tools, here, peer, tmp_path):
+    tools({"g++": f"cp {peer} peer"})
     (tmp_path / "cache").mkdir()
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "cache/pqsec").symlink_to(tmp_path / "elsewhere")
@@ -182,8 +309,8 @@ def test_a_cache_that_is_a_link_is_refused(tools, here, tmp_path):
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o002, 0o077])
-def test_a_cache_of_ones_own_is_made_whatever_the_umask(tools, here, umask):
-    tools({"g++": "echo it > peer"})
+def test_a_cache_of_ones_own_is_made_whatever_the_umask(tools, here, peer, umask):
+    tools({"g++": f"cp {peer} peer"})
     before = os.umask(umask)
     try:
         program = built(here)
@@ -194,8 +321,8 @@ def test_a_cache_of_ones_own_is_made_whatever_the_umask(tools, here, umask):
 
 
 @pytest.mark.parametrize("flaw", ["writable", "link"])
-def test_a_program_that_another_put_there_is_not_run(tools, here, tmp_path, flaw):
-    tools({"g++": "echo ours > peer"})
+def test_a_program_that_another_put_there_is_not_run(tools, here, peer, tmp_path, flaw):
+    tools({"g++": f"cp {peer} peer"})
     program = built(here)
     (tmp_path / "theirs").write_text("theirs")
     program.unlink()
@@ -204,12 +331,12 @@ def test_a_program_that_another_put_there_is_not_run(tools, here, tmp_path, flaw
     else:
         program.write_text("theirs")
         program.chmod(0o777)
-    assert built(here).read_text() == "ours\n"
+    assert built(here).read_bytes() == peer.read_bytes()
     assert (tmp_path / "theirs").read_text() == "theirs"
 
 
-def test_a_user_without_a_home_is_told_what_to_set(tools, here, monkeypatch):
-    tools({"g++": "echo it > peer"})
+def test_a_user_without_a_home_is_told_what_to_set(tools, here, peer, monkeypatch):
+    tools({"g++": f"cp {peer} peer"})
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # to be ignored
 
     def homeless():
@@ -222,13 +349,13 @@ def test_a_user_without_a_home_is_told_what_to_set(tools, here, monkeypatch):
 
 
 def test_a_root_from_which_nothing_starts_is_refused(root):
-    installation = find("cyclonedds", root(CYCLONE | TOOLS))
+    installation = find("cyclonedds", root(CYCLONE))
     with pytest.raises(MissingStackError, match="starts programs"):
         installation.peer(Path("peer"))
 
 
-def test_a_cache_that_cannot_be_written_is_said(tools, here, tmp_path):
-    tools({"g++": "echo it > peer"})
+def test_a_cache_that_cannot_be_written_is_said(tools, here, peer, tmp_path):
+    tools({"g++": f"cp {peer} peer"})
     (tmp_path / "cache").write_text("a file in the way")
     with pytest.raises(FileError, match="cache"):
         built(here)

@@ -233,12 +233,15 @@ def shared(there) -> Iterator[Path]:
 def test_a_process_in_another_root_asks_the_agent_outside(there, labs, ours, shared, now):
     """All that it has of pqsec is the library; files and the socket are shared."""
     newer = there("trixie")
-    own = Path("/", newer.kit.plugins(TRIXIE).relative_to(TRIXIE))
+    own = shared / "cyclone" / newer.plugins.name
+    shutil.copytree(newer.plugins, own)  # the same path leads to them outside and inside
+    shutil.copy(newer.library.path, own.parent)
+    (own.parent / newer.soname).symlink_to(newer.library.path.name)
     shutil.copytree(labs("pq").keystore.root, shared / "keystore", symlinks=True)
     shutil.copytree(ours.folder, shared / "plugin", symlinks=True)
     shutil.copy(built(newer), shared / "peer")
     trial = Trial(
-        installation=replace(newer, kit=replace(newer.kit, plugins=lambda _: own)),
+        installation=replace(newer, kit=replace(newer.kit, plugins=lambda *_: own)),
         keystore=Keystore.open(shared / "keystore"),
         timeout=PATIENCE,
         now=now,
