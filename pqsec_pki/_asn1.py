@@ -377,6 +377,6 @@ def algorithm(oid: str, *, null: bool = False) -> AlgorithmIdentifier:
     return AlgorithmIdentifier(algorithm=Oid(oid), parameters=Null() if null else None)
 
 
-def attribute(oid: str, value: bytes) -> Attribute:
-    """An attribute with the one DER value `value`."""
-    return Attribute(type=Oid(oid), values=SetOf([raw(value)]))
+def attribute(oid: str, *values: bytes) -> Attribute:
+    """An attribute with these DER values."""
+    return Attribute(type=Oid(oid), values=SetOf([raw(value) for value in values]))

@@ -29,7 +29,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import UsageError, VerificationError, located, shown
 from pqsec_pki.keystore import Keystore, load_certificate, regular_name
 from pqsec_pki.selfcheck import required_signatures
-from pqsec_pki.smime import Require, document_in, is_signed
+from pqsec_pki.smime import Require, document_in, is_signed, lines_before_document
 from pqsec_pki.smime import verify as verify_signed
 
 Value = TypeVar("Value", Governance, Permissions)
@@ -42,7 +42,6 @@ _PERMISSIONS, _GOVERNANCE = "permissions.p7s", "governance.p7s"
 _GRANTS = re.compile(rb"(?m)^\s*\{?\s*[\"']?grants[\"']?\s*:")
 """What permissions in YAML must have, and governance cannot."""
 _XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe|\xfe\xff")
-_BOUNDARY = re.compile(rb'(?i);\s*boundary="?([^";\s]+)')
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +220,7 @@ def _loaded(
         if is_signed(data):
             xml = judge(data) if judge else document_in(data)
             verified = judge is not None
-            return Loaded(path, from_xml(xml), True, verified, _lines_before(data))  # noqa: FBT003 -- field
+            return Loaded(path, from_xml(xml), True, verified, lines_before_document(data))  # noqa: FBT003 -- field
         if judge:
             raise VerificationError("it is not signed")
         value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)
@@ -231,11 +230,3 @@ def _loaded(
 def _is_yaml(path: Path, data: bytes) -> bool:
     """By its ending; of what has none, as a pipe, by whether it begins as XML does."""
     return path.suffix in YAML or not (path.suffix or _XML.match(data))
-
-
-def _lines_before(message: bytes) -> int:
-    """How many lines of an S/MIME file stand before its document."""
-    text = message.replace(b"\r\n", b"\n")
-    found = _BOUNDARY.search(text)
-    begin = text.find(b"\n--" + found[1]) if found else -1
-    return text.count(b"\n", 0, text.find(b"\n\n", begin + 1) + 2)

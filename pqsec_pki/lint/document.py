@@ -9,6 +9,7 @@ from pqsec_pki.errors import InvalidDocumentError, PqsecError
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Found
 from pqsec_pki.problems import Problem
+from pqsec_pki.smime import lines_before_document
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,7 @@ class Document(Content):
         """How many lines of the file stand before the document."""
         if not self.file.is_signed or self.xml is None:
             return 0
-        text = self.file.data.replace(b"\r\n", b"\n")
-        place = text.find(self.xml.replace(b"\r\n", b"\n").strip())
-        return text.count(b"\n", 0, place) if place > 0 else 0
+        return lines_before_document(self.file.data)
 
     def line(self, line: int | None) -> int | None:
         """The line of the file where that line of the document is."""
@@ -39,7 +38,7 @@ class Document(Content):
     @cached_property
     def _tree(self) -> tuple[Tree | None, str | None]:
         if self.xml is None:
-            return None, self.file.signed_text[1]
+            return None, str(self.file.signed_text[1])
         try:
             return read_tree(self.xml), None
         except PqsecError as error:

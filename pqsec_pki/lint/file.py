@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.smime import document_in, is_signed
+from pqsec_pki.smime import AmbiguousError, document_in, is_signed
 
 _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
 """PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, and then what no certificate or list has."""
@@ -38,12 +38,17 @@ class File:
         return is_signed(self.data)
 
     @cached_property
-    def signed_text(self) -> tuple[bytes | None, str | None]:
+    def signed_text(self) -> tuple[bytes | None, PqsecError | None]:
         """The document in S/MIME; None, and why, if it cannot be read."""
         try:
             return document_in(self.data), None
         except PqsecError as error:
-            return None, str(error)
+            return None, error
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether it is S/MIME in which stacks would not find the same document."""
+        return isinstance(self.signed_text[1], AmbiguousError)
 
     @cached_property
     def labels(self) -> tuple[str, ...]:

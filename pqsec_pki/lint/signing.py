@@ -15,10 +15,12 @@ from pqsec_pki.lint._signatures import Pair
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
 from pqsec_pki.lint.subjects import Inventory
+from pqsec_pki.smime import is_canonical
 
 FAMILY = Family("cross-artefact")
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 _SIGN = "Sign the XML with `pqsec sign-governance` or `pqsec sign-permissions`."
+_BLANK_FIRST = re.compile(rb"[ \t]*\r?\n")
 _SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
 
 
@@ -48,7 +50,7 @@ def not_smime(file: File) -> Iterator[Found]:
     measured=_ALL,
 )  # fmt: skip
 def not_text(file: File) -> Iterator[Found]:
-    if _signatures.listed(file) and _signatures.text(file) is None:
+    if _signatures.listed(file) and _signatures.text(file) is None and not file.is_ambiguous:
         yield Found("the signed text has no header 'Content-Type: text/plain'")
 
 
@@ -59,7 +61,7 @@ def not_text(file: File) -> Iterator[Found]:
     rows=("blank first line",), measured=_ALL,
 )  # fmt: skip
 def blank_first(file: File) -> Iterator[Found]:
-    if file.is_signed and re.match(rb"[ \t]*\r?\n", file.data):
+    if file.is_signed and _BLANK_FIRST.match(file.data):
         yield Found("begins with a blank line, so stacks find no header", 1)
 
 
@@ -69,7 +71,7 @@ def blank_first(file: File) -> Iterator[Found]:
     mend=_SIGN,
 )  # fmt: skip
 def broken(file: File) -> Iterator[Found]:
-    if file.is_signed and (reason := _signatures.trouble(file)):
+    if file.is_signed and not file.is_ambiguous and (reason := _signatures.trouble(file)):
         yield Found(f"cannot be read: {reason}")
 
 
@@ -184,6 +186,32 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Found]:
         text = _signatures.text(file) if file.is_signed and plain else None
         if plain and text is not None and _lines(text) != _lines(plain.data):
             yield Found(f"is not what {plain.path.name} beside it says", path=file.path)
+
+
+@FAMILY.rule(
+    "PQS343", Severity.ERROR, File, "readers of the signed file would not find the same document",
+    why="OpenSSL, with which every stack reads, takes quotes, comments, long lines and lines that"
+    " begin as the boundary otherwise than RFC 2045 and 2046 say. So one file can carry two"
+    " documents, each validly signed: one for those who look at it, one for the stacks. pqsec"
+    " refuses it, whoever signed it.",
+    mend="Find out who made it, ask the signer for the document, and sign that again.",
+)  # fmt: skip
+def ambiguous(file: File) -> Iterator[Found]:
+    if file.is_signed and file.is_ambiguous and not _BLANK_FIRST.match(file.data):
+        yield Found(str(file.signed_text[1]))
+
+
+@FAMILY.rule(
+    "PQS344", Severity.INFO, File, "a signed file is not in the form that pqsec writes",
+    why="Every stack reads the same document in it. What no signature covers, such as other"
+    " headers, certificates that came along or a boundary of its own, is not handed on: what"
+    " pqsec installs or exports is written anew from what was verified.",
+    mend="Nothing needs to be done. Who signs it again with pqsec has the one form.",
+)  # fmt: skip
+def not_canonical(file: File) -> Iterator[Found]:
+    readable = file.is_signed and _signatures.text(file) is not None
+    if readable and len(_signatures.signers(file)) == 1 and not is_canonical(file.data):
+        yield Found("is in another form than pqsec writes; what stacks read in it is the same")
 
 
 def _is_for_stock(pair: Pair) -> bool:

@@ -5,18 +5,22 @@ CA, and nobody else, signed them.
 """
 
 from pqsec_pki.smime._mime import is_signed
+from pqsec_pki.smime._reading import AmbiguousError
 from pqsec_pki.smime._signer_info import Signer
 from pqsec_pki.smime.document import (
     FoundSignature,
     Require,
     Verified,
     document_in,
+    is_canonical,
+    lines_before_document,
     sign,
     verify,
 )
 from pqsec_pki.smime.listing import Listed, ListedSigner, signers_in
 
 __all__ = [
+    "AmbiguousError",
     "FoundSignature",
     "Listed",
     "ListedSigner",
@@ -24,7 +28,9 @@ __all__ = [
     "Signer",
     "Verified",
     "document_in",
+    "is_canonical",
     "is_signed",
+    "lines_before_document",
     "sign",
     "signers_in",
     "verify",

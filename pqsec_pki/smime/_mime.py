@@ -1,4 +1,4 @@
-"""S/MIME multipart/signed, as DDS stacks read it (RFC 8551 3.5.3).
+"""S/MIME multipart/signed, as pqsec writes it and reads it (RFC 8551 3.5.3).
 
 All stacks call SMIME_read_PKCS7 and PKCS7_verify with PKCS7_TEXT, so the signed part is
 text/plain with CRLF line ends; on disk the file has LF, which all of them were measured
@@ -7,8 +7,8 @@ to take.
 
 import base64
 import binascii
+import hashlib
 import re
-import secrets
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -21,6 +21,8 @@ TEXT_HEADER = b"Content-Type: text/plain\r\n\r\n"
 _LINE = 64
 _BOUNDARY_END = re.compile(rb"(|--)[ \t]*(?=\r\n|\Z)")
 """What may follow the boundary in its line: nothing, or that it is the last."""
+_BASE64 = re.compile(rb"(?:[A-Za-z0-9+/]{1,76}\r\n)*[A-Za-z0-9+/]{1,76}={0,2}(?:\r\n)*")
+"""Lines of base64 that every decoder reads to the end (RFC 2045 6.8)."""
 _HEADER = """\
 MIME-Version: 1.0
 Content-Type: multipart/signed; protocol="application/x-pkcs7-signature"; \
@@ -41,34 +43,50 @@ Content-Disposition: attachment; filename="smime.p7s"
 
 @dataclass(frozen=True, slots=True)
 class SignedMessage:
-    """A multipart/signed message taken apart."""
+    """A multipart/signed message taken apart by our own reader."""
 
+    boundary: bytes
     content: bytes
     """The signed part with its MIME header, CRLF line ends: what the signature covers."""
     signature: bytes
-    """The CMS structure, BER or DER."""
+    """The text of the second part: base64 of the CMS structure, BER or DER."""
+    lines_before: int
+    """Lines of the file that stand before `content`."""
 
     @property
-    def document(self) -> bytes:
-        """The signed part without its header; MalformedError unless it is text/plain."""
-        header, found, body = self.content.partition(b"\r\n\r\n")
+    def cms(self) -> bytes:
+        """The CMS structure, BER or DER; MalformedError if it is not base64."""
+        if not _BASE64.fullmatch(self.signature):
+            raise MalformedError("the signature part of the document is not base64")
+        try:
+            return base64.b64decode(self.signature.replace(b"\r\n", b""), validate=True)
+        except binascii.Error as error:
+            raise MalformedError("the signature part of the document is not base64") from error
+
+    @property
+    def header_and_text(self) -> tuple[bytes, bytes]:
+        """The signed part's header and its text; MalformedError unless it is text/plain."""
+        header, found, text = self.content.partition(b"\r\n\r\n")
         if not found or not re.search(rb"(?im)^content-type:[ \t]*text/plain\b", header):
             raise MalformedError(
                 "the signed part is not text/plain, so no DDS stack would read it",
                 hint="sign it with `pqsec`, or with OpenSSL's -text option",
             )
-        return body
+        return header, text
 
 
-def join(document: bytes, signature: bytes, micalg: str) -> bytes:
-    """The file of `document` and the DER `signature` over content_of(document)."""
-    boundary = f"----{secrets.token_hex(16).upper()}"
+def join(content: bytes, signature: bytes, micalg: str) -> bytes:
+    """The file of the DER `signature` over `content`, always the same for the same.
+
+    A text that has the boundary in it would have to contain its own digest.
+    """
+    boundary = f"----{hashlib.sha256(content).hexdigest()[:32].upper()}"
     text = base64.b64encode(signature)
     lines = b"\n".join(text[start : start + _LINE] for start in range(0, len(text), _LINE))
     return b"".join(
         (
             _HEADER.format(micalg=micalg, boundary=boundary).encode(),
-            content_of(document).replace(b"\r\n", b"\n"),
+            content.replace(b"\r\n", b"\n"),
             _SIGNATURE.format(boundary=boundary).encode(),
             lines,
             f"\n\n--{boundary}--\n\n".encode(),
@@ -88,7 +106,8 @@ def split(message: bytes) -> SignedMessage:
     """`message` taken apart; MalformedError if it is not one S/MIME multipart/signed."""
     if len(message) > MAX_MESSAGE:
         raise MalformedError(f"larger than {MAX_MESSAGE} bytes, so no signed document")
-    header, found, rest = _canonical(message).partition(b"\r\n\r\n")
+    whole = _canonical(message)
+    header, found, body = whole.partition(b"\r\n\r\n")
     unfolded = re.sub(rb"\r\n[ \t]+", b" ", header)
     content_type = re.search(rb"(?im)^content-type:[ \t]*multipart/signed\b([^\r]*)", unfolded)
     if not found or not content_type:
@@ -96,8 +115,14 @@ def split(message: bytes) -> SignedMessage:
             "not an S/MIME signed document (multipart/signed)",
             hint="sign the XML with `pqsec sign-governance` or `pqsec sign-permissions`",
         )
-    parts = _parts(rest, _boundary(content_type[1]))
-    return SignedMessage(parts[0], _decoded(parts[1]))
+    boundary = _boundary(content_type[1])
+    body = b"\r\n" + body
+    first, second = _parts(body, boundary)
+    _header, found, signature = body[second].partition(b"\r\n\r\n")
+    if not found:
+        raise MalformedError("the signature part of the document has no header")
+    before = len(header) + len(b"\r\n") + first.start
+    return SignedMessage(boundary, body[first], signature, whole.count(b"\n", 0, before))
 
 
 def is_signed(data: bytes) -> bool:
@@ -106,7 +131,8 @@ def is_signed(data: bytes) -> bool:
 
 
 def _canonical(data: bytes) -> bytes:
-    return data.replace(b"\r\n", b"\n").replace(b"\n", b"\r\n")
+    """Line ends as CRLF; CR CR LF, which comes of signing twice-translated text, is one."""
+    return re.sub(rb"\r*+\n", b"\r\n", data)
 
 
 def _boundary(parameters: bytes) -> bytes:
@@ -116,15 +142,15 @@ def _boundary(parameters: bytes) -> bytes:
     return found[1] or found[2]
 
 
-def _parts(body: bytes, boundary: bytes) -> list[bytes]:
-    """The two parts between boundary lines (RFC 2046 5.1.1)."""
-    body = b"\r\n" + body
+def _parts(body: bytes, boundary: bytes) -> list[slice]:
+    """Where the two parts between boundary lines stand (RFC 2046 5.1.1)."""
     found = _boundary_lines(body, b"\r\n--" + boundary)
     lines = list(islice(found, 4))  # a fourth is one too many
     if [end[1] for _, end in lines] != [b"", b"", b"--"]:
         raise MalformedError("a signed document has two parts: the text and its signature")
     return [
-        body[end.end() : start].removeprefix(b"\r\n") for (_, end), (start, _) in pairwise(lines)
+        slice(min(end.end() + len(b"\r\n"), start), start)
+        for (_, end), (start, _) in pairwise(lines)
     ]
 
 
@@ -137,13 +163,3 @@ def _boundary_lines(body: bytes, mark: bytes) -> Iterator[tuple[int, re.Match[by
         if end:  # else the line goes on, and is none
             yield place, end
         place = body.find(mark, after)
-
-
-def _decoded(part: bytes) -> bytes:
-    _header, found, body = part.partition(b"\r\n\r\n")
-    if not found:
-        raise MalformedError("the signature part of the document has no header")
-    try:
-        return base64.b64decode(b"".join(body.split()), validate=True)
-    except binascii.Error as error:
-        raise MalformedError("the signature part of the document is not base64") from error

@@ -34,6 +34,7 @@ _MESSAGE_DIGEST = "1.2.840.113549.1.9.4"
 _SIGNING_TIME = "1.2.840.113549.1.9.5"
 COUNTERSIGNATURE = "1.2.840.113549.1.9.6"
 _ALGORITHM_PROTECTION = "1.2.840.113549.1.9.52"
+_NULL = b"\x05\x00"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +135,10 @@ def _attributes(info: SignerInfo) -> dict[str, bytes]:
 
 
 def _digest(info: SignerInfo, key: PublicKey) -> Digest:
+    # RFC 5754 2: absent or NULL. No signature covers anything else that stands there.
+    parameters = info.digest_algorithm.parameters
+    if parameters is not None and encode(parameters) != _NULL:
+        raise VerificationError("the digest has parameters")
     digest = digest_of(info.digest_algorithm.algorithm.dotted_string)
     if digest not in key.algorithm.cms_digests:
         raise VerificationError(

@@ -5,28 +5,18 @@ certificate. Certificates inside the file are for stock stacks and are never loo
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from itertools import islice
 
-from pqsec_pki._asn1 import (
-    ContentInfo,
-    EncapsulatedContentInfo,
-    Oid,
-    SetOf,
-    SignedData,
-    SignerInfo,
-    attribute,
-    encode,
-    raw,
-)
+from pqsec_pki._asn1 import SignedData, SignerInfo, raw
 from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.smime import _cms, _mime, _signer_info
-from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, DATA, Signer
+from pqsec_pki.smime import _canonical, _cms, _mime, _reading, _signer_info
+from pqsec_pki.smime._signer_info import DATA, Signer
 
 MAX_COUNTERSIGNATURES = 16
 """pqsec makes one; each costs a verification, and nothing signs their number."""
@@ -61,6 +51,10 @@ class Verified:
     signatures: tuple[FoundSignature, ...]
     unchecked: int
     """Countersignatures that could not be checked, for want of a certificate."""
+    message: bytes = field(repr=False)
+    """The S/MIME file in the one form that pqsec writes, of nothing but what was verified:
+    what to install and hand on in place of the file that came. Countersignatures that could
+    not be checked are in it only where no certificate was given to check any."""
 
 
 def sign(
@@ -75,23 +69,20 @@ def sign(
 
     `countersigner` signs the signature, in an unsigned attribute that stock stacks
     skip. Stock stacks (Cyclone DDS 0.10, Fast DDS 2.9) need the signer's certificate
-    embedded; peers that pin it do not.
+    embedded; peers that pin it do not. MalformedError if no stack could read the file:
+    `document` has a NUL, or is over 8 MiB with its signature.
     """
-    info = _signer_info.make(signer, _mime.content_of(document), now=now)
-    if countersigner:
-        counter = _signer_info.make(countersigner, info.signature, now=now, counter=True)
-        info = _signer_info.with_unsigned(info, [attribute(COUNTERSIGNATURE, encode(counter))])
-    certificates = [raw(signer.certificate.der)] if embed_certificate else None
-    data = SignedData(
-        version=1,
-        digest_algorithms=SetOf([info.digest_algorithm]),
-        encapsulated_content=EncapsulatedContentInfo(content_type=Oid(DATA), content=None),
-        certificates=certificates,
-        crls=None,
-        signer_infos=SetOf([info]),
+    content = _mime.content_of(document)
+    info = _signer_info.make(signer, content, now=now)
+    counters = (
+        [_signer_info.make(countersigner, info.signature, now=now, counter=True)]
+        if countersigner
+        else []
     )
-    der = encode(ContentInfo(content_type=Oid(_cms.SIGNED_DATA), content=data))
-    return _mime.join(document, der, signer.key.algorithm.digest.micalg)
+    certificate = raw(signer.certificate.der) if embed_certificate else None
+    message = _canonical.file_of(content, info, counters, certificate)
+    _reading.read(message)
+    return message
 
 
 def verify(
@@ -110,31 +101,58 @@ def verify(
     certificates.verify_authority to say.
     """
     try:
-        parts = _mime.split(message)
-        info = _signer(_cms.parse(parts.signature))
-        document = parts.document
-        problems = list(_problems(info, parts.content, ca))
+        reading = _reading.read(message)
+        data = _cms.parse(reading.cms)
+        info = _signer(data)
+        document = reading.document
+        problems = list(_problems(info, reading.content, ca))
         counters = _counters(info)
         signatures, refused = _check_counters(counters, info, alternative_ca)
         main = FoundSignature(ca.public_key.algorithm, False, _signer_info.signing_time(info))  # noqa: FBT003 -- field
     except VerificationError:
         raise
     except PqsecError as error:
-        raise VerificationError(str(error), code=Code.NOT_SIGNED, hint=error.hint) from error
+        ambiguous = isinstance(error, _reading.AmbiguousError)
+        code = Code.READERS_DISAGREE if ambiguous else Code.NOT_SIGNED
+        raise VerificationError(str(error), code=code, hint=error.hint) from error
     problems += refused
-    found = (main, *signatures)
+    found = (main, *(signature for _, signature in signatures))
     problems += _missing(found, require)
     if pinned and alternative_ca and not signatures and not refused:
         words = f"there is no countersignature by {alternative_ca.subject_name}"
         problems.append(Problem(words, Code.SIGNATURE_MISSING))
     if problems:
         raise VerificationError(*problems)
-    return Verified(document, found, unchecked=len(counters) - len(signatures))
+    kept = [counter for counter, _ in signatures] if alternative_ca else counters
+    certificate = raw(ca.der) if data.certificates else None
+    file = _canonical.file_of(reading.content, info, kept, certificate)
+    return Verified(document, found, len(counters) - len(signatures), file)
 
 
 def document_in(message: bytes) -> bytes:
-    """The document in `message`, unverified: for looking at. MalformedError if none."""
-    return _mime.split(message).document
+    """The document in `message`, unverified: for looking at.
+
+    MalformedError if it is none; AmbiguousError if DDS stacks would find another.
+    """
+    return _reading.read(message).document
+
+
+def lines_before_document(message: bytes) -> int:
+    """How many lines of the S/MIME file stand before its document; errors as document_in."""
+    return _reading.read(message).lines_before
+
+
+def is_canonical(message: bytes) -> bool:
+    """Whether S/MIME `message` is in the one form that pqsec writes. Nothing is verified."""
+    try:
+        reading = _reading.read(message)
+        data = _cms.parse(reading.cms)
+        info = _signer(data)
+        certificate = data.certificates[0] if data.certificates else None
+        file = _canonical.file_of(reading.content, info, _counters(info), certificate)
+    except PqsecError:
+        return False
+    return file == message
 
 
 def _signer(data: SignedData) -> SignerInfo:
@@ -167,9 +185,9 @@ def _problems(info: SignerInfo, content: bytes, ca: Certificate) -> Iterator[Pro
 
 def _check_counters(
     counters: list[SignerInfo], info: SignerInfo, ca: Certificate | None
-) -> tuple[list[FoundSignature], list[Problem]]:
+) -> tuple[list[tuple[SignerInfo, FoundSignature]], list[Problem]]:
     """The countersignatures by `ca` that hold, and what is wrong with those that do not."""
-    good: list[FoundSignature] = []
+    good: list[tuple[SignerInfo, FoundSignature]] = []
     bad: list[Problem] = []
     for counter in counters:
         if ca is None or not _signer_info.names(counter, ca):
@@ -181,7 +199,8 @@ def _check_counters(
         ]
         if not problems:
             when = _signer_info.signing_time(counter)
-            good.append(FoundSignature(ca.public_key.algorithm, True, when))  # noqa: FBT003 -- field
+            found = FoundSignature(ca.public_key.algorithm, True, when)  # noqa: FBT003 -- field
+            good.append((counter, found))
     return good, bad
 
 

@@ -14,7 +14,7 @@ from pqsec_pki._asn1 import IssuerAndSerialNumber, SignerInfo, encode
 from pqsec_pki.algorithms import digest_of
 from pqsec_pki.certificates import name_text
 from pqsec_pki.errors import MalformedError, UnknownAlgorithmError
-from pqsec_pki.smime import _cms, _mime, _signer_info
+from pqsec_pki.smime import _cms, _reading, _signer_info
 
 MAX_SIGNATURES = 64
 """Signatures and countersignatures; DDS stacks take one of the former."""
@@ -50,7 +50,7 @@ class Listed:
 
 def signers_in(message: bytes) -> Listed:
     """The signatures and certificates in S/MIME `message`; MalformedError if it is none."""
-    data = _cms.parse(_mime.split(message).signature)
+    data = _cms.parse(_reading.read(message).cms)
     listed = _Lister()
     return Listed(
         signers=tuple(listed.signers(data.signer_infos.as_list())),

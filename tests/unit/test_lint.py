@@ -117,8 +117,8 @@ def test_a_file_with_many_links_is_told_once_and_by_its_own_name(tmp_path):
     assert finding.path == tmp_path / "shared/governance.xml"
 
 
-SIGNED = 'Content-Type: multipart/signed; boundary="x"\n\n--x\nContent-Type: text/plain\n\n{}'
-SIGNED += "\n--x\nContent-Type: application/x-pkcs7-signature\n\nAAAA\n--x--\n"
+SIGNED = 'Content-Type: multipart/signed; boundary="xx"\n\n--xx\nContent-Type: text/plain\n\n{}'
+SIGNED += "\n--xx\nContent-Type: application/x-pkcs7-signature\n\nAAAA\n--xx--\n"
 
 
 def test_in_a_signed_file_lines_are_those_of_the_file(tmp_path):

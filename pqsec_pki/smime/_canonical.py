@@ -1,0 +1,60 @@
+"""The one form of a signed file, from what was read: what pqsec writes and hands on.
+
+Nothing that no signature covers gets through: other parts and headers, lists of revoked
+certificates, unknown unsigned attributes, the order of sets, forms of BER.
+"""
+
+from collections.abc import Iterable
+
+from pqsec_pki._asn1 import (
+    TLV,
+    ContentInfo,
+    EncapsulatedContentInfo,
+    IssuerAndSerialNumber,
+    Oid,
+    SetOf,
+    SignedData,
+    SignerInfo,
+    attribute,
+    encode,
+)
+from pqsec_pki.algorithms import digest_of
+from pqsec_pki.smime import _cms, _mime
+from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, DATA
+
+
+def file_of(
+    content: bytes, info: SignerInfo, counters: Iterable[SignerInfo], certificate: TLV | None
+) -> bytes:
+    """The file of the signature `info` over `content`, countersigned by `counters`.
+
+    `certificate` is the signer's, embedded where it is given. UnknownAlgorithmError if the
+    digest is not one that is used here.
+    """
+    signer = _bare(info)
+    if countersigned := {encode(_bare(each)) for each in counters}:
+        signer.unsigned_attributes = [attribute(COUNTERSIGNATURE, *countersigned)]
+    data = SignedData(
+        version=signer.version,
+        digest_algorithms=SetOf([signer.digest_algorithm]),
+        encapsulated_content=EncapsulatedContentInfo(content_type=Oid(DATA), content=None),
+        certificates=None if certificate is None else [certificate],
+        crls=None,
+        signer_infos=SetOf([signer]),
+    )
+    der = encode(ContentInfo(content_type=Oid(_cms.SIGNED_DATA), content=data))
+    digest = digest_of(signer.digest_algorithm.algorithm.dotted_string)
+    return _mime.join(content, der, digest.micalg)
+
+
+def _bare(info: SignerInfo) -> SignerInfo:
+    """`info` with its version by its kind, its signed attributes in order, and no others."""
+    return SignerInfo(
+        version=1 if isinstance(info.sid, IssuerAndSerialNumber) else 3,  # RFC 5652 5.3
+        sid=info.sid,
+        digest_algorithm=info.digest_algorithm,
+        signed_attributes=sorted(info.signed_attributes or [], key=encode),
+        signature_algorithm=info.signature_algorithm,
+        signature=info.signature,
+        unsigned_attributes=None,
+    )

@@ -1,0 +1,78 @@
+"""The one reading of a signed file: what all readers find, or a refusal.
+
+A file in which readers find different documents, each validly signed, is a lie to one of
+them. So a file counts only if our own reader and the model of OpenSSL's find the same.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.smime import _mime, _openssl_reader
+
+Found = TypeVar("Found")
+
+
+class AmbiguousError(MalformedError):
+    """A signed file in which OpenSSL, so every DDS stack, finds another document, or none."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(
+            f"DDS stacks would not read the same document in it: {why}",
+            hint="ask the signer for the document, and sign it again",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What all readers find in a signed file."""
+
+    content: bytes
+    """The signed part with its MIME header, CRLF line ends: what the signature covers."""
+    cms: bytes
+    """The CMS structure, BER or DER."""
+    _message: _mime.SignedMessage
+
+    @property
+    def document(self) -> bytes:
+        """The text. MalformedError unless it is text/plain, AmbiguousError as in read()."""
+        _, text = self._message.header_and_text
+        if _of_openssl(_openssl_reader.text, self.content) != text:
+            raise AmbiguousError("OpenSSL ends the header of the signed part elsewhere")
+        return text
+
+    @property
+    def lines_before(self) -> int:
+        """Lines of the file that stand before the document."""
+        header, _ = self._message.header_and_text
+        return self._message.lines_before + header.count(b"\n") + 2
+
+
+def read(message: bytes) -> Reading:
+    """What is in S/MIME `message`.
+
+    MalformedError if it is not one multipart/signed; AmbiguousError if OpenSSL finds other
+    parts in it than RFC 2046 does.
+    """
+    own = _mime.split(message)
+    if b"\0" in message:
+        raise AmbiguousError("it has a NUL, where some stacks stop reading")
+    other = _of_openssl(_openssl_reader.read, message)
+    if other.content != own.content or other.signature.rstrip() != own.signature.rstrip():
+        raise AmbiguousError(_difference(own, other))
+    return Reading(own.content, own.cms, own)
+
+
+def _of_openssl(reader: Callable[[bytes], Found], data: bytes) -> Found:
+    try:
+        return reader(data)
+    except MalformedError as error:
+        raise AmbiguousError(f"OpenSSL refuses it, because {error}") from None
+
+
+def _difference(own: _mime.SignedMessage, other: _openssl_reader.Parts) -> str:
+    if own.boundary != other.boundary:
+        return f"OpenSSL takes {other.boundary[:70]!r} for the boundary, not {own.boundary!r}"
+    part = "text" if own.content != other.content else "signature"
+    return f"OpenSSL finds another {part} between the boundary lines"

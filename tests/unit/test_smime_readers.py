@@ -1,0 +1,300 @@
+"""One reading of a signed file: what other readers could find in it is refused."""
+
+import base64
+import re
+import shutil
+import subprocess
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from pqsec_pki._asn1 import (
+    AlgorithmIdentifier,
+    ContentInfo,
+    Oid,
+    SetOf,
+    attribute,
+    decode,
+    encode,
+    raw,
+)
+from pqsec_pki.algorithms import SIGNATURES
+from pqsec_pki.certificates import Authority
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.problems import Code
+from pqsec_pki.smime import (
+    AmbiguousError,
+    Require,
+    Signer,
+    _canonical,
+    _signer_info,
+    document_in,
+    is_canonical,
+    lines_before_document,
+    sign,
+    signers_in,
+    verify,
+)
+from tests.unit.signed_files import CONSTRUCTIONS, parts_of
+
+NOW = datetime.now(UTC).replace(microsecond=0)
+YEAR = timedelta(days=365)
+ALLOWED, DENIED = b"<dds>\n  <allowed/>\n</dds>\n", b"<dds>\n  <denied/>\n</dds>\n"
+
+
+def signer_of(name, algorithm):
+    ca = Authority.create(name, SIGNATURES.named(algorithm), now=NOW, validity=YEAR)
+    return Signer(ca.certificate, ca.key)
+
+
+CA = signer_of("Permissions CA", "ecdsa-p256")
+COUNTER = signer_of("Permissions CA ml-dsa-65", "ml-dsa-65")
+
+
+def signed(document=ALLOWED, **options):
+    return sign(document, CA, now=NOW, **options)
+
+
+def countersigned(document=ALLOWED):
+    return signed(document, countersigner=COUNTER)
+
+
+def read(message, require=Require.BOTH):
+    return verify(message, CA.certificate, alternative_ca=COUNTER.certificate, require=require)
+
+
+def crlf(text):
+    return text.replace(b"\n", b"\r\n")
+
+
+def cms_of(message):
+    return base64.b64decode(parts_of(message)[1].partition(b"\n\n")[2])
+
+
+def with_cms(message, der):
+    old = parts_of(message)[1].partition(b"\n\n")[2].rstrip()
+    lines = [base64.b64encode(der)[at : at + 64] for at in range(0, len(der) * 4 // 3 + 3, 64)]
+    return message.replace(old, b"\n".join(line for line in lines if line))
+
+
+def changed(message, change):
+    """`message` after `change` did something to its SignedData and its SignerInfo."""
+    structure = decode(ContentInfo, cms_of(message), "CMS")
+    [info] = structure.content.signer_infos.as_list()
+    change(structure.content, info)
+    structure.content.signer_infos = SetOf([info])
+    return with_cms(message, encode(structure))
+
+
+@pytest.fixture(scope="module")
+def openssl(requires):
+    """Reads a file as stacks do: the document, or None."""
+    program = requires(shutil.which("openssl"), "openssl", "apt-get install openssl")
+
+    def reading(message, folder, command="smime"):
+        (folder / "ca.pem").write_bytes(CA.certificate.pem)
+        (folder / "message").write_bytes(message)
+        options = ["-in", "message", "-text", "-noverify", "-nointern", "-certfile", "ca.pem"]
+        ran = subprocess.run(
+            [program, command, "-verify", *options], cwd=folder, capture_output=True, check=False
+        )
+        return ran.stdout if ran.returncode == 0 else None
+
+    return reading
+
+
+# Two documents in one file
+
+
+@pytest.mark.parametrize("construction", CONSTRUCTIONS, ids=lambda each: each.__name__)
+def test_a_file_in_which_readers_find_two_documents_is_refused(construction):
+    message = construction(signed(ALLOWED), signed(DENIED))
+    for ask in (document_in, signers_in, lines_before_document):
+        with pytest.raises(AmbiguousError, match="would not read the same document"):
+            ask(message)
+    with pytest.raises(VerificationError, match="would not read the same document") as caught:
+        verify(message, CA.certificate)
+    assert caught.value.codes == {Code.READERS_DISAGREE}
+    assert not is_canonical(message)
+
+
+@pytest.mark.interop
+@pytest.mark.parametrize("command", ["smime", "cms"])
+@pytest.mark.parametrize("construction", CONSTRUCTIONS, ids=lambda each: each.__name__)
+def test_openssl_reads_the_first_of_two_documents(openssl, tmp_path, construction, command):
+    # So the refusal above is for a reason; what readers agree on is the other half of it.
+    message = construction(signed(ALLOWED), signed(DENIED))
+    assert openssl(message, tmp_path, command) == crlf(ALLOWED)
+    assert openssl(read(countersigned()).message, tmp_path, command) == crlf(ALLOWED)
+
+
+WRAPPERS = {
+    "CRLF": crlf,
+    "CR CR LF": lambda message: message.replace(b"\n", b"\r\r\n"),
+    "text in CRLF": lambda message: message.replace(ALLOWED, crlf(ALLOWED)),
+    "another preamble": lambda m: m.replace(b"This is an S/MIME signed message", b"<dds/>"),
+    "a trailer": lambda message: message + b"<dds/>\n",
+    "another header": lambda message: b"X-Sent-By: somebody\n" + message,
+    "another boundary": lambda message: re.sub(rb"----[0-9A-F]{32}", b"=_other", message),
+    "other parameters": lambda m: m.replace(b'micalg="sha-256"', b'charset=utf-8; x="y"'),
+    "lines of 76": lambda message: message.replace(
+        parts_of(message)[1].partition(b"\n\n")[2].rstrip(),
+        base64.encodebytes(cms_of(message)).rstrip(),
+    ),
+    "no blank line after the signature": lambda message: re.sub(
+        rb"\n\n(------[0-9A-F]{32}--)", rb"\n\1", message
+    ),
+}
+
+
+@pytest.mark.parametrize("form", WRAPPERS)
+def test_a_file_of_another_form_is_read_and_handed_on_in_the_one_form(form):
+    message = countersigned()
+    other = WRAPPERS[form](message)
+    assert other != message
+    assert not is_canonical(other)
+    found = read(other)
+    assert (found.document, found.message) == (crlf(ALLOWED), message)
+
+
+@pytest.mark.interop
+@pytest.mark.parametrize("form", WRAPPERS)
+def test_openssl_reads_the_other_forms_too(openssl, tmp_path, form):
+    assert openssl(WRAPPERS[form](countersigned()), tmp_path) == crlf(ALLOWED)
+
+
+# What no signature covers
+
+
+def _crls(data, _):
+    data.crls = [raw(CA.certificate.der)]
+
+
+def _certificates(data, _):
+    data.certificates = [raw(COUNTER.certificate.der), *data.certificates]
+
+
+def _version(data, info):
+    data.version, info.version = 4, 7
+
+
+def _digests(data, info):
+    sha1 = AlgorithmIdentifier(algorithm=Oid("1.3.14.3.2.26"), parameters=None)
+    data.digest_algorithms = SetOf([info.digest_algorithm, sha1])
+
+
+def _attribute(_, info):
+    info.unsigned_attributes = [
+        *info.unsigned_attributes,
+        attribute("1.2.840.113549.1.9.16.2.14", b"\x30\x00"),
+    ]
+
+
+def _twice(_, info):
+    info.unsigned_attributes = info.unsigned_attributes * 2
+
+
+def _order(_, info):
+    info.signed_attributes = info.signed_attributes[::-1]
+
+
+def _foreign_counter(_, info):
+    mallory = signer_of("Mallory", "ml-dsa-44")
+    other = decode(
+        ContentInfo, cms_of(signed(countersigner=mallory)), "CMS"
+    ).content.signer_infos.as_list()[0]
+    info.unsigned_attributes = [*info.unsigned_attributes, *other.unsigned_attributes]
+
+
+UNSIGNED = {
+    "a list of revoked certificates": _crls,
+    "another certificate": _certificates,
+    "other versions": _version,
+    "another digest": _digests,
+    "an unsigned attribute": _attribute,
+    "the countersignature twice": _twice,
+    "signed attributes in another order": _order,
+    "somebody else's countersignature": _foreign_counter,
+}
+
+
+@pytest.mark.parametrize("name", UNSIGNED)
+def test_what_no_signature_covers_is_not_handed_on(name):
+    message = countersigned()
+    altered = changed(message, UNSIGNED[name])
+    assert altered != message
+    assert read(altered).message == message
+
+
+def test_a_digest_with_parameters_is_refused():
+    def parameters(data, info):
+        info.digest_algorithm.parameters = raw(b"\x04\x06hidden")
+
+    with pytest.raises(VerificationError, match="the digest has parameters"):
+        read(changed(signed(), parameters), Require.ANY)
+
+
+def test_a_look_alike_of_the_signers_certificate_is_not_handed_on():
+    # OpenSSL looks for the signer by issuer and serial number among those that came along.
+    def look_alike(data, _):
+        theirs, spki = CA.certificate.der, CA.certificate.spki
+        data.certificates = [
+            raw(theirs.replace(spki, signer_of("CA", "ecdsa-p256").certificate.spki))
+        ]
+
+    message = countersigned()
+    assert read(changed(message, look_alike)).message == message
+
+
+# The one form
+
+
+@pytest.mark.parametrize("embedded", [True, False])
+@pytest.mark.parametrize("countersigner", [None, COUNTER], ids=["", "countersigned"])
+def test_what_pqsec_signs_is_in_the_one_form(embedded, countersigner):
+    message = signed(embed_certificate=embedded, countersigner=countersigner)
+    assert is_canonical(message)
+    assert read(message, Require.ANY).message == message
+
+
+def test_a_countersignature_that_cannot_be_checked_is_kept_where_none_can_be():
+    message = countersigned()
+    assert verify(message, CA.certificate).message == message
+    assert verify(message, CA.certificate).unchecked == 1
+
+
+def test_a_countersignature_by_somebody_else_is_dropped():
+    message = signed(countersigner=signer_of("Mallory", "ml-dsa-44"))
+    found = read(message, Require.ANY)
+    assert found.unchecked == 1
+    assert found.message != message
+    assert read(found.message, Require.ANY).unchecked == 0
+
+
+def test_the_header_of_the_signed_part_is_kept_as_it_was_signed():
+    header = b"Content-Language: en\r\nContent-Type: text/plain; charset=utf-8\r\n\r\n"
+    message = signed_as(header + crlf(ALLOWED))
+    found = read(message, Require.ANY)
+    assert (found.document, found.message) == (crlf(ALLOWED), message)
+    assert lines_before_document(message) == message[: message.index(b"<dds>")].count(b"\n")
+
+
+@pytest.mark.parametrize("form", WRAPPERS)
+def test_the_line_where_the_document_begins_is_known(form):
+    message = WRAPPERS[form](signed(b"\n" + ALLOWED))
+    before = message[: message.index(b"  <allowed/>")]
+    assert lines_before_document(message) + 2 == before.count(b"\n")
+
+
+def test_the_text_can_hide_nothing_behind_its_own_header():
+    # A line so long that OpenSSL takes its rest for the blank line that ends the header.
+    long = b"X-Long: " + b"a" * (1023 - 8)
+    content = long + b"\r\nContent-Type: text/plain\r\n\r\n" + crlf(ALLOWED)
+    with pytest.raises(VerificationError, match="would not read the same document"):
+        read(signed_as(content), Require.ANY)
+
+
+def signed_as(content):
+    """A file whose signature covers `content`, MIME header and all."""
+    info = _signer_info.make(CA, content, now=NOW)
+    return _canonical.file_of(content, info, [], raw(CA.certificate.der))
