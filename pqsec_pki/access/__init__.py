@@ -5,6 +5,7 @@ For the self-check, the plugin and the command line. Questions follow DDS-Securi
 stacks answer otherwise.
 """
 
+from pqsec_pki.access._patterns import opendds_reads_beyond
 from pqsec_pki.access.decide import Policy, decide
 from pqsec_pki.access.decision import Decision, Part, Protection
 from pqsec_pki.access.join import may_join
@@ -28,5 +29,6 @@ __all__ = [
     "Side",
     "decide",
     "may_join",
+    "opendds_reads_beyond",
     "reading_named",
 ]

@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from pqsec_pki.access._brackets import ANY, Bracket, cyclonedds_bracket, of, posix_bracket
-from pqsec_pki.access._wild_match import wild_match
+from pqsec_pki.access._wild_match import reads_beyond, wild_match
 from pqsec_pki.access.question import MAX_NAME
 
 Covers: TypeAlias = Callable[[str, str], bool]
@@ -104,6 +104,11 @@ def _octets(text: str) -> bytes:
     return text.encode(errors="surrogatepass")
 
 
+def _characters(text: str) -> str:
+    """One for each octet."""
+    return _octets(text).decode("latin-1")
+
+
 def read(pattern: str) -> Compiled:
     """As `posix` reads it."""
     return _compiled(pattern, posix_bracket, escape="\\")
@@ -127,7 +132,7 @@ def _cyclonedds(pattern: str) -> Compiled:
 
 def _compiled(pattern: str, bracket: Bracket, escape: str) -> Compiled:
     place, stars, characters = 1, 0, dict[int, int]()
-    for token in _tokens(_octets(pattern).decode("latin-1"), bracket, escape):
+    for token in _tokens(_characters(pattern), bracket, escape):
         if token == _STAR:
             stars |= place
         else:
@@ -163,4 +168,9 @@ def opendds(pattern: str, name: str) -> bool:
     special = _SPECIAL.search(pattern)
     if special is None or not name.startswith(pattern[: special.start()]):
         return pattern == name
-    return wild_match(_octets(pattern).decode("latin-1"), _octets(name).decode("latin-1"))
+    return wild_match(_characters(pattern), _characters(name))
+
+
+def opendds_reads_beyond(pattern: str) -> bool:
+    """Whether OpenDDS reads memory behind the pattern, since a bracket in it is open."""
+    return reads_beyond(_characters(pattern))

@@ -1,7 +1,7 @@
 """The checks that stacks make otherwise than the standard.
 
 Cyclone DDS 0.10.2 and Fast DDS 2.9.1 were asked in all of this, through their plugins;
-OpenDDS 3.34 was read.
+OpenDDS 3.34 was read, and its access control run.
 """
 
 from collections.abc import Iterable
@@ -10,6 +10,7 @@ from pqsec_pki.access._checks import (
     by_default,
     by_rules,
     endpoint,
+    in_force,
     is_open,
     name_of,
     opened,
@@ -181,11 +182,15 @@ def opendds_topic(case: Case) -> Decision:
 
 
 def opendds_endpoint(case: Case) -> Decision:
-    """check_create_datawriter and its siblings: any topic rule that is open opens."""
+    """check_create_datawriter and its siblings: any topic rule that is open opens.
+
+    Only where none is are the times of the grant looked at.
+    """
     for rule in _opendds_topic_rules(case):
         if is_open(case, rule):
             return opened(case, rule)
-    return by_rules(case)
+    current = in_force(case)
+    return by_rules(case) if current.allowed else current
 
 
 def opendds_remote_participant(case: Case) -> Decision:

@@ -53,8 +53,12 @@ def fastdds(named: str, subject: str) -> bool:
 
 
 def opendds(named: str, subject: str) -> bool:
-    """SubjectName::operator== (read in 3.34's source, and run): the certificate's order."""
-    return bool(_parsed(named)) and _parsed(named) == _parsed(subject)[::-1]
+    r"""SubjectName::operator== (read in 3.34's source, and run): the certificate's order.
+
+    It compares with what OpenSSL prints, so that of letters beyond ASCII only octets such as
+    `\C3\B1` match, never the letters themselves.
+    """
+    return named.isascii() and bool(_parsed(named)) and _parsed(named) == _parsed(subject)[::-1]
 
 
 @lru_cache(maxsize=4096)

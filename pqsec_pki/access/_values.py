@@ -7,7 +7,16 @@ a clock that is off by the zone (read): both are asked here as on a machine in U
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions, Rule
+from pqsec_pki.access._patterns import opendds_reads_beyond
+from pqsec_pki.documents import (
+    Criteria,
+    DomainRange,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+    Rule,
+)
 from pqsec_pki.documents.domains import MAX_DOMAIN
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -78,18 +87,31 @@ def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
 
 def empty_topic_flaw(governance: Governance, permissions: Permissions) -> str:
     """Cyclone DDS, and Fast DDS 2.9.1 in governance, crash on an empty topic (measured)."""
-    expressions = (
-        topic.topic_expression for rule in governance.domain_rules for topic in rule.topic_rules
-    )
-    topics = (
-        topic
-        for rule in _rules(permissions)
-        for criteria in (*rule.publish, *rule.subscribe, *rule.relay)
-        for topic in criteria.topics
-    )
-    if "" in expressions or "" in topics:
+    topics = (topic for criteria in _criteria(permissions) for topic in criteria.topics)
+    if "" in _expressions(governance) or "" in topics:
         return "an empty topic name stops or crashes the reader of the documents"
     return ""
+
+
+def opendds_flaw(governance: Governance, permissions: Permissions) -> str:
+    """Of a pattern with an open bracket the answers are left to chance (measured)."""
+    patterns = list(_expressions(governance))
+    for criteria in _criteria(permissions):
+        patterns += (*criteria.topics, *criteria.partitions)
+    found = next(filter(opendds_reads_beyond, patterns), None)
+    if found is None:
+        return ""
+    return f"OpenDDS reads beyond the open bracket of {found!r}: what it answers is left to chance"
+
+
+def _expressions(governance: Governance) -> Iterator[str]:
+    for rule in governance.domain_rules:
+        yield from (topic.topic_expression for topic in rule.topic_rules)
+
+
+def _criteria(permissions: Permissions) -> Iterator[Criteria]:
+    for rule in _rules(permissions):
+        yield from (*rule.publish, *rule.subscribe, *rule.relay)
 
 
 def _is_empty(part: DomainRange) -> bool:

@@ -1,8 +1,8 @@
 """ACE::wild_match of ACE 7.0.8, which OpenDDS calls (measured).
 
 Unlike fnmatch it never looks back: after a false match it goes on behind it, so `*ab`
-does not cover `aab`. A bracket that is open makes it read beyond the pattern; here such a
-pattern covers nothing.
+does not cover `aab`. A bracket that is open makes it read beyond the pattern, so that its
+answers are left to chance (run under AddressSanitizer, with ACE 6.2.1): `reads_beyond` finds them.
 """
 
 from pqsec_pki.access._brackets import ANY, between, of
@@ -34,7 +34,7 @@ def _step(pattern: str, place: int, character: str, special: str) -> tuple[bool,
         return True, place + 1
     if special != "[":
         return pattern[place : place + 1] == character, place + 1
-    members, place = _bracket(pattern, place + 1)
+    members, place = _bracket(pattern, place + 1) or (0, len(pattern))
     return bool(members >> ord(character) & 1), place
 
 
@@ -44,8 +44,25 @@ def _after_stars(pattern: str, place: int) -> int:
     return place
 
 
-def _bracket(pattern: str, place: int) -> tuple[int, int]:
-    """The set of octets, and the place after the bracket; the wrong end begins no range."""
+def reads_beyond(pattern: str) -> bool:
+    """Whether a bracket of the pattern is open."""
+    place = 0
+    while place < len(pattern):
+        if pattern[place] == "[":
+            found = _bracket(pattern, place + 1)
+            if found is None:
+                return True
+            place = found[1]
+        else:
+            place += 2 if pattern[place] == "\\" else 1
+    return False
+
+
+def _bracket(pattern: str, place: int) -> tuple[int, int] | None:
+    """The set of octets, and the place after the bracket; the wrong end begins no range.
+
+    None if the bracket is open.
+    """
     negated = pattern.startswith("!", place)
     place += negated
     begin, members = place, 0
@@ -59,4 +76,4 @@ def _bracket(pattern: str, place: int) -> tuple[int, int]:
             members |= between(pattern[place - 1], high)
             place += 1
         place += 1
-    return 0, place
+    return None

@@ -96,13 +96,13 @@ OPENDDS = Reading(
     knows_relay=False,
     partitions_met=_criteria.opendds_partitions,
     tags_met=_criteria.no_tags,
-    flaw=_values.no_flaw,
-    # Read: the times of a grant are looked at for endpoints only.
+    flaw=_values.opendds_flaw,
+    # The times of a grant are looked at for endpoints only, and within their checks.
     join={
         Side.OWN: (governed, _stacks.opendds_own_participant),
         Side.PEER: (governed, _stacks.opendds_remote_participant),
     },
-    use=_both(in_force, _stacks.opendds_topic, _stacks.opendds_endpoint),
+    use=_both(_stacks.opendds_topic, _stacks.opendds_endpoint),
 )
 
 READINGS = (SPEC, CYCLONEDDS, FASTDDS, OPENDDS)

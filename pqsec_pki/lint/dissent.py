@@ -3,6 +3,7 @@
 What is allowed then depends on who is asked. `pqsec explain` shows each reading's answer.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -18,6 +19,7 @@ MAX_DOMAIN_SETS = 16
 _WARNING = Severity.WARNING
 _OTHER = {"publish": "subscribe", "subscribe": "publish"}
 _CYCLONE = "Cyclone DDS 0.10.2"
+_INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,3 +204,24 @@ def allows_nothing(document: PermissionsFile) -> Iterator[Found]:
     for grant in document.grants:
         if grant.default is DefaultAction.DENY and not any(rule.allow for rule in grant.rules):
             yield document.at(grant.line, "the grant has no allow_rule: nobody can join with it")
+
+
+@FAMILY.rule(
+    "PQS275", _WARNING, PermissionsFile, "a partition that wildcards of an endpoint get around",
+    why="Partitions of endpoints are expressions too, and stacks let them in by their names: floor?"
+    " covers the name floor*, with which an endpoint gets what is sent in floor12. The plugin of"
+    " pqsec, and the standard as `pqsec explain` has it, look at what an expression stands for.",
+    mend="Write whole names, or a beginning with one * behind it: these hold in all stacks.",
+    stacks=(Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS),
+    measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
+    " OpenDDS by source",
+)  # fmt: skip
+def covers_expressions(document: PermissionsFile) -> Iterator[Found]:
+    for grant in document.grants:
+        for rule, _, criteria in _criteria(grant):
+            for partition in criteria.partitions if rule.allow else ():
+                if _INNER_WILDCARD.search(partition):
+                    yield document.at(
+                        criteria.line, f"{partition[:60]!a}: stacks let an endpoint in with"
+                        " wildcards that stand for more",
+                    )  # fmt: skip

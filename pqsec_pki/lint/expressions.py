@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 
+from pqsec_pki.access import opendds_reads_beyond
 from pqsec_pki.documents import Node
 from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
@@ -170,3 +171,18 @@ def star_inside(document: Document) -> Iterator[Found]:
     for node in document.all(*_PATTERNS):
         if re.search(r"\*[^*]", node.value):
             yield document.at(node, f"{node.value[:60]!a}: OpenDDS does not look back after a star")
+
+
+@FAMILY.rule(
+    "PQS243", ERROR, Document, "a bracket that is not closed",
+    why="OpenDDS reads on in memory behind the pattern, and what it then answers is left to chance:"
+    " it may allow what nobody granted, or crash.",
+    mend="Close the bracket, or write the topics out.",
+    stacks=(_OPENDDS,), only_when_asked=True,
+    measured="ACE 6.2.1, which OpenDDS 3.13.3 calls, under AddressSanitizer",
+)  # fmt: skip
+def open_bracket(document: Document) -> Iterator[Found]:
+    for node in document.all(*_PATTERNS):
+        if opendds_reads_beyond(node.value):
+            yield document.at(node, f"{node.value[:60]!a}: the bracket has no end, nor has it for"
+                              " OpenDDS, which reads beyond the pattern")  # fmt: skip

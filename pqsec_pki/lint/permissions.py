@@ -131,7 +131,8 @@ def _shadowed_in(
 @FAMILY.rule(
     "PQS256", WARNING, PermissionsFile, "a deny_rule for some partitions only",
     why="Cyclone DDS and Fast DDS deny the topic in every partition, whatever is named; OpenDDS"
-    " denies it in those named.",
+    " denies it in those named, and Cyclone DDS does so where an allow_rule above names the topic."
+    " Both then compare names: with secre? or s* an endpoint gets around a deny_rule for secret.",
     mend="Name the partitions in an allow_rule instead, and deny the topic without them.",
     rows=("deny T only in partition Q, endpoint in none",), measured="all six stacks",
 )  # fmt: skip

@@ -51,12 +51,16 @@ def unknown_word(document: PermissionsFile) -> Iterator[Found]:
     mend="Add a second grant with that spelling, or stay within ASCII.",
     stacks=(_CYCLONE, _OPENDDS),
     rows=("UTF-8 value written raw", "… both as two grants"),
-    measured=f"{_CYCLONES}; OpenDDS, its SubjectName.cpp compiled and run",
+    measured=f"{_CYCLONES}; OpenDDS 3.34, its access control run",
 )  # fmt: skip
 def written_raw(document: PermissionsFile) -> Iterator[Found]:
     for grant in _spelled_once(document):
         if not grant.subject_name.isascii():
-            yield document.at(grant.line, rf"{shown(grant)}: Cyclone DDS wants \.. for each octet")
+            yield document.at(
+                grant.line,
+                rf"{shown(grant)}: write \.. for each octet, for Cyclone DDS and"
+                rf" OpenDDS",
+            )
 
 
 @FAMILY.rule(

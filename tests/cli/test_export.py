@@ -106,19 +106,32 @@ def test_opendds_is_refused_a_governance_that_it_cannot_join(pqsec, keystore, tm
     pqsec("-k k export opendds /talker").refused(
         1, "OpenDDS makes no participant", hint="enable_read_access_control"
     )
-    governance = root / "enclaves/governance.xml"
-    text = governance.read_text()
-    [start, rule, end] = text.partition("<topic_rule>")
-    rule += end.partition("</topic_rule>")[0] + "</topic_rule>"
-    open_rule = rule.replace(">*<", ">nobody<").replace(
-        "read_access_control>true", "read_access_control>false"
-    )
-    governance.write_text(start + open_rule + rule + end.partition("</topic_rule>")[2])
-    pqsec(f"-k k sign-governance {governance} --force").done()
+    add_open_rule(pqsec, root, "nobody")
     done = pqsec("-k k export opendds /talker -o conf").done()
     assert "-DCPSConfigFile" in done.out
     assert "not run" in done.err
     assert "DCPSSecurity=1" in (tmp_path / "conf/opendds.ini").read_text()
+
+
+def add_open_rule(pqsec, root, expression):
+    """Let everyone read topics that the expression covers."""
+    governance = root / "enclaves/governance.xml"
+    text = governance.read_text()
+    [start, rule, end] = text.partition("<topic_rule>")
+    rule += end.partition("</topic_rule>")[0] + "</topic_rule>"
+    open_rule = rule.replace(">*<", f">{expression}<").replace(
+        "read_access_control>true", "read_access_control>false"
+    )
+    governance.write_text(start + open_rule + rule + end.partition("</topic_rule>")[2])
+    pqsec(f"-k k sign-governance {governance} --force").done()
+
+
+def test_opendds_is_refused_a_pattern_that_it_reads_beyond(pqsec, keystore):
+    add_open_rule(pqsec, keystore(), "[P-")
+    pqsec("-k k export opendds /talker").refused(
+        1, "reads beyond the pattern", hint="Close the bracket"
+    )
+    pqsec("-k k export cyclonedds /talker -o conf").done()
 
 
 @pytest.mark.usefixtures("locked_key")

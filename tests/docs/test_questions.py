@@ -46,6 +46,7 @@ CASES = {
         document(allow("a", domains=DomainSet.of(1))),
         JOIN | {"domain": 1},
     ),
+    "A bracket that is open": (document(allow("a", "[P-")), {}),
     "The topic itself": (document(deny("a", publish=(), subscribe=SPLIT), allow("a")), {}),
     "Default of a grant": (document(allow("b"), default=DefaultAction.ALLOW), {}),
     "Criteria of a rule": (document(allow("a", publish=SPLIT)), IN_P),

@@ -30,7 +30,7 @@ SUBJECT = "CN=/lab/alice"
 TOPICS = ("a", "ab", "rt/a")
 PATTERNS = (*TOPICS, "a*", "rt/*", "[ab]", "r?/a")
 DOMAINS = (DomainSet.of(0), DomainSet.of(DomainRange(first=0, last=9)))
-PARTITIONS = ((), ("P",), ("Q",))
+PARTITIONS = ((), ("P",), ("Q",), ("P*",), ("*",))
 POLICIES = 150
 ENOUGH = 20
 [MODEL] = Governance.protected(DOMAINS[1]).domain_rules
@@ -57,7 +57,7 @@ def governance(chance):
 
 def permissions(chance):
     def criteria():
-        partitions = chance.choice(((), (), (), ("P",)))
+        partitions = chance.choice(((), (), (), ("P",), ("P?", "P")))
         return Criteria(topics=chosen(chance, 1, 2, pattern), partitions=partitions)
 
     def pattern():
