@@ -51,6 +51,7 @@ def unpack(data: bytes) -> dict[str, bytes]:
     """
     content = _inflated(data)
     files: dict[str, bytes] = {}
+    end = 0
     try:
         with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as archive:
             for member in _members(archive):
@@ -60,8 +61,11 @@ def unpack(data: bytes) -> dict[str, bytes]:
                 files[member.name] = file.read() if file else b""
                 if len(files[member.name]) != member.size:
                     raise MalformedError(f"the archive ends within {member.name}")
+                end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
     except _UNREADABLE as error:
         raise MalformedError(f"not an archive: {error}") from error
+    if content[end:].strip(b"\0"):  # where tarfile cannot read on, it says that there is no more
+        raise MalformedError("the archive has something after its last file")
     return files
 
 

@@ -60,7 +60,11 @@ TRICKS = {
     "a pax header for all": (pax(b"path=../c", tarfile.XGLTYPE) + GOOD, "not a plain file"),
     "a sparse map in a pax header": (pax(b"GNU.sparse.map=1,2") + GOOD, "not a plain file"),
     "a size past every limit": (member(size=HUGE), "not an archive"),
-    "a size below nothing": (member(size=NEGATIVE), "ends within b"),
+    # What Python 3.11.2 cannot read is the end to it.
+    "a size below nothing": (member(size=NEGATIVE), "ends within b|after its last file"),
+    "what is no header": (b"x" * 512 + member(), "after its last file"),
+    "a header with a wrong sum": (b"c" + member()[1:], "after its last file"),
+    "a file past the end": (END + member(), "after its last file"),
     "a size past the end": (member(size=b"00000100000\0"), "not an archive"),
 }
 
