@@ -7,9 +7,12 @@ folder per file; an example's other files are in its folder. In a block, a line
     > more              goes on with it
     $ command  # exit 1 is to end with that code; without the mark, with 0
     anything else       is what it prints, both streams; `...` stands for any text
+    text  # without X   is printed only where X, one of ABSENT, is not there
 
-A command without output below it may print what it likes. The blocks marked ```sh set
-things up (they install packages), or are for other machines, and are not run here.
+A command without output below it may print what it likes. At a command that runs something
+of OTHERS which is not there, the rest of the document is skipped, and it is said why. The
+blocks marked ```sh set things up (they install packages), or are for other machines, and are
+not run here.
 """
 
 import doctest
@@ -26,6 +29,7 @@ import pytest
 
 import pqsec_pki
 from pqsec_pki.cli import COMMANDS, pqsec
+from pqsec_pki.vendors.cyclonedds import installed_plugins
 from tests.interop.fastdds import find_compiler
 
 ROOT = Path(__file__).parents[2]
@@ -137,7 +141,22 @@ def same(expected: list[str], printed: str) -> bool:
     return doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS)
 
 
+ABSENT = {"Cyclone DDS": lambda: installed_plugins(Path("/")) is None}
+"""What a document may say is not there -> whether it is not."""
+
+
+def said_here(lines: list[str]) -> list[str]:
+    """What a command prints on this machine."""
+    found = []
+    for line in lines:
+        text, mark, what = line.partition("  # without ")
+        if not mark or ABSENT[what]():
+            found.append(text)
+    return found
+
+
 OTHERS = {
+    "pqsec plugin install": ("a C compiler", "apt-get install gcc libc6-dev"),
     "openssl": ("openssl", "apt-get install openssl"),
     "ddsperf": ("cyclonedds-tools", "apt-get install cyclonedds-tools"),
     "g++": ("g++ with Fast DDS's headers", "apt-get install g++ libfastrtps-dev"),
@@ -153,7 +172,7 @@ def others_in(text: str) -> list[str]:
 def _found(program: str) -> str | None:
     if program == "g++":
         return find_compiler()
-    return shutil.which(program)
+    return shutil.which("cc" if program == "pqsec plugin install" else program)
 
 
 def _parameter(path: Path) -> object:
@@ -180,9 +199,10 @@ def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, requires):
         code, printed = session.run(command.text)
         assert code == command.exit_code, f"{place}: {command.text}\nexit {code}\n{printed}"
         if command.output:
-            wanted = "\n".join(command.output)
+            output = said_here(command.output)
+            wanted = "\n".join(output)
             message = f"{place}: {command.text}\nprinted:\n{printed}\nand not:\n{wanted}"
-            assert same(command.output, printed), message
+            assert same(output, printed), message
 
 
 def test_the_documents_are_all_here():
@@ -243,6 +263,13 @@ def test_output_is_compared_with_gaps():
     assert same(["one", ""], "one\n\n\n")
     assert not same(["a", "c"], "a\nb\nc\n")
     assert not same(["a ... b"], "a b c\n")
+
+
+def test_what_is_printed_without_something_is_expected_there_only(monkeypatch):
+    lines = ["a note  # without Cyclone DDS", "b"]
+    for absent, due in ((True, ["a note", "b"]), (False, ["b"])):
+        monkeypatch.setitem(ABSENT, "Cyclone DDS", lambda absent=absent: absent)
+        assert said_here(lines) == due
 
 
 def test_a_failing_command_is_seen(tmp_path):

@@ -50,9 +50,14 @@ def _runs(process: int) -> bool:
 
 
 @pytest.fixture(scope="session")
-def shim(requires, tmp_path_factory) -> Iterator[Shim]:
+def compiler(requires) -> str:
+    """The C compiler."""
+    return requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+
+
+@pytest.fixture(scope="session")
+def shim(compiler, tmp_path_factory) -> Iterator[Shim]:
     """The plugin; what loads it in this process or below finds an agent of this run."""
-    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
     runtime = Path(tempfile.mkdtemp(prefix="pqsec-run-"))  # a socket's path must be short
     before = os.environ.get("XDG_RUNTIME_DIR")
     os.environ["XDG_RUNTIME_DIR"] = str(runtime)

@@ -120,9 +120,8 @@ def laboratory(tmp_path_factory, now) -> Laboratory:
 
 
 @pytest.fixture(scope="module")
-def ours(requires) -> Iterator[Plugin]:
+def ours(compiler) -> Iterator[Plugin]:
     """The plugin, with an agent that all these trials share."""
-    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
     with plugin() as found:
         yield found
 
@@ -257,16 +256,15 @@ def test_a_process_in_another_root_asks_the_agent_outside(there, labs, ours, sha
     assert went.accounts[1].received == roles[0].text, went.accounts
 
 
-def test_the_users_own_agent_is_left_alone(laboratory, there, tmp_path, monkeypatch):
+def test_the_users_own_agent_is_left_alone(laboratory, there, compiler, tmp_path, monkeypatch):
+    cyclone = there("bookworm")
     runtime = tmp_path / "run"
     runtime.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     monkeypatch.setenv("PQSEC_AGENT", "private")
     with plugin() as found:
         place = Place.of(found.environment)
-        trial = laboratory.trial(
-            there("bookworm"), Case("", profile="pq"), timeout=PATIENCE, plugin=found
-        )
+        trial = laboratory.trial(cyclone, Case("", profile="pq"), timeout=PATIENCE, plugin=found)
         way = Passage(sender=SENDER, receiver=RECEIVER, domain=0, topic=TOPIC)
         assert meet(trial, way).ok
         assert agent_status(place)
@@ -275,7 +273,7 @@ def test_the_users_own_agent_is_left_alone(laboratory, there, tmp_path, monkeypa
     assert list(runtime.iterdir()) == []
 
 
-def test_an_agent_that_does_not_start_is_said_with_its_last_words(tmp_path):
+def test_an_agent_that_does_not_start_is_said_with_its_last_words(compiler, tmp_path):
     deep = tmp_path / ("x" * 90)
     deep.mkdir()
     with pytest.raises(AgentError, match="path too long"), plugin(deep):
@@ -283,7 +281,7 @@ def test_an_agent_that_does_not_start_is_said_with_its_last_words(tmp_path):
     assert list(deep.iterdir()) == []
 
 
-def test_the_plugin_is_compiled_once(tmp_path, monkeypatch):
+def test_the_plugin_is_compiled_once(compiler, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with plugin() as first:
         library = first.folder / LIBRARY
