@@ -35,8 +35,8 @@ TRUST = (
         " empty one; an application that sets the properties itself can",
     ),
     Trust(
-        stack="OpenDDS",
+        stack="OpenDDS 3.13.3",
         how=None,
-        evidence="its source: the first certificate in the file",
+        evidence="measured: the first certificate in the file counts",
     ),
 )

@@ -103,7 +103,7 @@ STACKS = (
         versions="3.x",
         first=(3,),
         end=(4,),
-        evidence="its source; not run",
+        evidence="run with 3.13.3; later ones by their source",
     ),
     Stack(
         name="connext",

@@ -233,6 +233,10 @@ def test_opendds_header_compiles_and_holds_the_values_that_were_meant(own, tmp_p
     options = ["-std=c++11", "-trigraphs", "-Wall", "-Werror", f"-I{tmp_path}"]
     program = tmp_path / "program"
     subprocess.run([compiler, *options, "-o", program, tmp_path / "main.cpp"], check=True)
+    for unset in ({}, {"PQSEC_KEY_PASSWORD": ""}):  # OpenDDS would make a useless participant
+        done = run([program], unset)
+        assert (done.returncode < 0, done.stdout) == (True, "")
+        assert "PQSEC_KEY_PASSWORD is to hold the passphrase" in done.stderr
     said = run([program], {"PQSEC_KEY_PASSWORD": "secret"}).stdout
     folder = f"file://{keystore.root}/enclaves/lab/alice"
     assert said.splitlines() == [

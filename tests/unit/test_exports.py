@@ -407,6 +407,53 @@ def test_a_stack_that_was_not_run_says_so(models, stack):
         unchecked(stack, models("classical"), loopback=True)
 
 
+# OpenDDS
+
+
+def protect(keystore, kind):
+    """Write that kind of rtps_protection into the governance, whose signature then fails."""
+    path = keystore.root / "enclaves/governance.p7s"
+    path.write_bytes(path.read_bytes().replace(b"kind>SIGN<", b"kind>%s<" % kind.encode()))
+    return keystore
+
+
+@pytest.mark.parametrize("kind", ["SIGN", "ENCRYPT"])
+@pytest.mark.parametrize("version", ["3.13.3", "3.13", "3.2"])
+def test_opendds_before_3_14_is_refused_protected_rtps_messages(own, kind, version):
+    """It makes no participant: `RTPS protection is unsupported`."""
+    keystore = protect(own(), kind)
+    with pytest.raises(VerificationError, match="rtps_protection_kind") as refusal:
+        unchecked("opendds", keystore, version=version)
+    assert "3.14" in refusal.value.hint
+    assert "rtps_protection_kind" in str(
+        unchecked("opendds", keystore, version=version, anyway=True).warnings
+    )
+
+
+@pytest.mark.parametrize(
+    ("version", "kind", "warned"),
+    [
+        (None, "SIGN", True),
+        ("3", "SIGN", True),
+        ("3.14", "SIGN", False),
+        ("3.34.0", "ENCRYPT", False),
+        ("3.13.3", "NONE", False),
+        (None, "NONE", False),
+    ],
+)
+def test_opendds_is_warned_of_protected_rtps_messages_where_it_may_be_old(
+    own, version, kind, warned
+):
+    made = unchecked("opendds", protect(own(), kind), version=version)
+    assert ("rtps_protection_kind" in str(made.warnings)) is warned
+
+
+def test_what_was_run_of_opendds_is_said(own):
+    keystore = protect(own(), "NONE")
+    assert "not run" not in str(unchecked("opendds", keystore, version="3.13.3").warnings)
+    assert "not run" in str(unchecked("opendds", keystore, version="3.34").warnings)
+
+
 # Passphrases
 
 
@@ -428,6 +475,7 @@ def test_opendds_reads_the_passphrase_in_the_program(own):
     keystore = encrypted(own())
     made = unchecked("opendds", keystore)
     assert 'std::getenv("PQSEC_KEY_PASSWORD")' in made.files["pqsec_participant.h"]
+    assert "a wrong one" in str(made.notes)  # it makes a participant all the same
     with pytest.raises(UsageError, match="no place for a passphrase"):
         unchecked("opendds", keystore, password="open sesame")
 

@@ -26,6 +26,13 @@ MEASURED = {
     " PKCS7_signatureVerify:signature failure": "provider signature not supported",
     "certificate verify error:Verify error: self-signed certificate": "certificate verify error",
     "PKCS7_get0_signers:signer certificate not found": "signer certificate not found",
+    "RTPS protection is unsupported": "RTPS protection is unsupported",
+    "(12|34) SSL::DiffieHellman::factory: ERROR, unknown kagree_algo": (
+        "SSL::DiffieHellman::factory: ERROR, unknown kagree_algo"
+    ),
+    "peer: tpp.c:83: __pthread_tpp_change_priority: Assertion `new_prio == -1 ||": (
+        "__pthread_tpp_change_priority"
+    ),
     "Subject name is invalid(code: 146)": "Subject name is invalid",
     "Process handshake failed: Failed to finalize digest context: (code: 200)": (
         "Failed to finalize digest context"
@@ -288,3 +295,18 @@ def test_the_time_for_a_log_of_a_megabyte_is_bounded(text):
     start = time.perf_counter()
     recognise(text)
     assert time.perf_counter() - start < 10
+
+
+def test_a_signer_that_is_not_found_is_another_ca_before_anything_else():
+    """OpenDDS said it of documents of another permissions CA; to embed a certificate is no cure."""
+    (found,) = recognise("error:10800080:PKCS7_get0_signers:signer certificate not found")
+    assert "Another CA" in found.cause
+    assert "pqsec verify" in found.remedy.partition("--embed-certificate")[0]
+
+
+@pytest.mark.parametrize("said", ["the handshake is over", "a 'x' where a 'y' is due"])
+def test_late_answers_to_repeated_messages_are_no_cause_for_alarm(said):
+    found = recognise(f"Process handshake failed: pqsec: {said}", stack="cyclonedds")
+    assert not any(each.message.tells is Tells.CAUSE for each in found)
+    [known] = [each for each in found if said in each.said]
+    assert "repeat" in known.cause
