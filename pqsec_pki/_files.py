@@ -32,6 +32,7 @@ _NOWHERE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
 
 PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY
 
 
 def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
@@ -150,9 +151,14 @@ def _refuse_devices(path: Path) -> None:
             raise OSError(errno.EPERM, "not a file", str(path))
 
 
-def create(path: Path | str, data: bytes, *, mode: int, sync: bool = False) -> None:
-    """Make the new file `path` with exactly `mode`; OSError as the system gives it."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_MODE)
+def create(
+    path: Path | str, data: bytes, *, mode: int, sync: bool = False, folder: int | None = None
+) -> None:
+    """Make the new file `path` with exactly `mode`; OSError as the system gives it.
+
+    With `folder`, the handle of one, `path` is relative to that.
+    """
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_MODE, dir_fd=folder)
     try:
         rest = memoryview(data)
         while rest:
@@ -176,18 +182,21 @@ def disk_errors(place: Path) -> Iterator[None]:
 
 def sync_folder(folder: Path) -> None:
     """Make the names in `folder` durable."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    handle = os.open(folder, _FOLDER)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
 
 
-def sync_filesystem(folder: Path) -> None:
-    """Make everything written so far on `folder`'s file system durable: one call for many."""
+def sync_filesystem(folder: Path | int) -> None:
+    """Make everything written so far on the file system durable: one call for many.
+
+    That of `folder`, which may be the handle of one.
+    """
     import ctypes  # noqa: PLC0415 -- costs a millisecond that most commands need not pay
 
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    handle = os.open(folder, _FOLDER) if isinstance(folder, Path) else os.dup(folder)
     try:
         syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
         if syncfs is None:  # not Linux

@@ -75,6 +75,10 @@ class KeystoreError(PqsecError):
     """The keystore lacks what the work needs, or is not a keystore."""
 
 
+class InterruptedChangeError(KeystoreError):
+    """A change of the keystore was interrupted, and what can be read is half of it."""
+
+
 class PassphraseError(PqsecError):
     """A private key is encrypted and the passphrase is missing or wrong."""
 

@@ -84,11 +84,11 @@ def keystore_path() -> Path:
     raise UsageError("no keystore is named", hint="say which: -k DIR, or set PQSEC_KEYSTORE")
 
 
-def open_keystore() -> "Keystore":
-    """The keystore the user means, open."""
+def open_keystore(*, to_change: bool = False) -> "Keystore":
+    """The keystore the user means, open; nothing in it is altered unless it is `to_change`."""
     from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- lxml and more hang on it
 
-    return Keystore.open(keystore_path())
+    return Keystore.open(keystore_path(), to_change=to_change)
 
 
 def now() -> datetime:

@@ -63,7 +63,8 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
     """
     if check and folder:
         raise UsageError("--check changes nothing, and --bundles writes", hint="leave one out")
-    desired, keystore, now = read_domain(file), keystore_or_none(), _settings.now()
+    desired, now = read_domain(file), _settings.now()
+    keystore = keystore_or_none(to_change=not check)
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     done = list[Step]()
     if found.steps and not check:

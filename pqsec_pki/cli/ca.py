@@ -123,7 +123,7 @@ def crl(
     Without revoked certificates the list is empty; stacks that are given it refuse
     everybody once it has ended, so make one early only if you will keep it up.
     """
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=not show)
     if out and not force:
         refuse_existing(out)
     found = keystore.revocation_list if show else None
@@ -139,6 +139,19 @@ def crl(
         with _printing.advising("the list is there: `pqsec ca crl --show -o FILE` writes a copy"):
             write(out, found.pem, force=force)
     _printing.emit(list_value(keystore, found), [list_line(keystore, found)])
+
+
+@ca.command()
+@_settings.command_options
+def recover() -> None:
+    """Finish a change that was interrupted when it was half done.
+
+    Every command that changes the keystore does so first; those that only read it refuse.
+    """
+    path = _settings.keystore_path()
+    finished = Keystore.recover(path)
+    line = "the change that was interrupted is finished" if finished else "nothing was interrupted"
+    _printing.emit({"keystore": str(path), "finished": finished}, [f"{path}: {line}"])
 
 
 def _show(keystore: Keystore) -> None:

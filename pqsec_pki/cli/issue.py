@@ -69,7 +69,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if not requests:
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _everybody(wanted)
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=True)
     asked = _bundles.read_requests(requests, keystore.profile, names, patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
     wishes = wanted.wishes(tuple(asked) or names, domain_set)

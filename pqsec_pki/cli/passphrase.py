@@ -24,7 +24,7 @@ def passphrase(
     blocks, and in backups, what they held may stay; keys of older generations keep the
     passphrase they had.
     """
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=True)
     authorities = _passphrases.unlock(keystore, passphrase_file)
     new = _passphrases.new(new_passphrase_file, none=no_passphrase, option="--new-passphrase-file")
     paths = change_passphrase(keystore, authorities, new)

@@ -10,7 +10,7 @@ from pqsec_pki import _files
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.domain import Action, Desired, Plan, new_domain, read_domain
 from pqsec_pki.domain import plan as plan_steps
-from pqsec_pki.errors import ExistsError, KeystoreError
+from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import Keystore
 
 DEFAULT_FILE = Path("domain.yaml")
@@ -52,11 +52,13 @@ def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
         click.get_current_context().exit(1)
 
 
-def keystore_or_none() -> Keystore | None:
+def keystore_or_none(*, to_change: bool = False) -> Keystore | None:
     """The keystore the user means; None if nothing is there yet."""
     path = _settings.keystore_path()
     try:
-        return Keystore.open(path)
+        return Keystore.open(path, to_change=to_change)
+    except InterruptedChangeError:
+        raise
     except KeystoreError:
         try:
             Keystore.refuse_occupied(path)

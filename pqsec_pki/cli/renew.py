@@ -56,7 +56,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     """
     if [bool(names), due is not None, everybody].count(True) != 1:
         raise UsageError("say whom to renew: names, or --due, or --all")
-    keystore, now = _settings.open_keystore(), _settings.now()
+    keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     standing = status_of(keystore, names or None, now=now, due=due or None)
     chosen = standing.due if due is not None else _all_but_the_dead(standing, names)
     if not chosen and not standing.list_is_due:

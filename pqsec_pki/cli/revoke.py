@@ -40,7 +40,7 @@ def revoke(
     one certificate. Give the new crl.pem to every robot: who has an old list, or none,
     still lets them in.
     """
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=True)
     first = not keystore.has_revocation_list
     authorities = _passphrases.unlock(keystore, passphrase_file)
     revoked, made = take_back(

@@ -77,7 +77,7 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     """
     if plan and do:
         raise UsageError("--plan and --apply exclude each other")
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=do)
     terms = Rollover(
         profile=_profile(keystore, profile_name),
         scope=Scope(scope) if scope else Scope.IDENTITY if overlap else Scope.BOTH,

@@ -87,7 +87,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
     goal = output or file.with_suffix(".p7s")
     if not force:  # told before anyone types a passphrase
         refuse_existing(goal)
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=True)
     signed = keystore.sign_document(
         kind,
         document,

@@ -95,7 +95,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     For the machine with the CA keys. What was issued for this very file before is not
     issued again: sign it as often as you like.
     """
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(to_change=not show)
     asked = _read(file)
     with located(file):
         if sha256 and sha256.lower() != asked.sha256:

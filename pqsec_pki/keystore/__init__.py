@@ -11,12 +11,15 @@ What there is:
 The ledger:
     _chain        a line, and how it holds the one before
     _table        lines in SQLite
+    _ledger_file  the database's file, read and replaced whole
     _ledger       the database, and what it is asked
     _entries      the lines on what is made
 Changing anything:
+    _folder       folders by handle, through no link
     _lock         one command at a time
     _draft        what shall be done
     _journal      done wholly or not at all
+    _moves        what a committed change still has to do
     _shredding    private keys that go
 Participants and documents:
     issuing       new participants; `_making`, what one runs with

@@ -4,46 +4,61 @@ Whatever could stand in the way later is refused here, while nothing has been to
 """
 
 import os
-import pwd
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
-from pathlib import Path
 
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
+from pqsec_pki._owners import user
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _layout, _shredding
+from pqsec_pki.keystore import _layout, _ledger, _shredding
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._folder import Folder, should_be
 
 
 @dataclass(frozen=True, slots=True)
 class DraftedFolder:
-    """Files that will stand in one folder of the keystore."""
+    """Files that will stand in one folder of the keystore. Forks of this process may fill it."""
 
-    path: str
+    draft: int
+    """The handle of the draft's folder, where nobody else may write."""
+    name: str
 
     def public(self, name: str, data: bytes) -> None:
         """A file anyone may read."""
-        create(f"{self.path}/{name}", data, mode=PUBLIC_MODE)
+        create(f"{self.name}/{name}", data, mode=PUBLIC_MODE, folder=self.draft)
 
     def private(self, name: str, data: bytes) -> None:
         """A file for its owner only."""
-        create(f"{self.path}/{name}", data, mode=PRIVATE_MODE)
+        create(f"{self.name}/{name}", data, mode=PRIVATE_MODE, folder=self.draft)
 
     def link(self, name: str, target: str) -> None:
         """A symbolic link, relative to where it will stand."""
-        os.symlink(target, f"{self.path}/{name}")
+        os.symlink(target, f"{self.name}/{name}", dir_fd=self.draft)
+
+    def set_mode(self, mode: int) -> None:
+        """The folder's permission bits, from the beginning on."""
+        os.chmod(self.name, mode, dir_fd=self.draft)
+
+    @property
+    def names(self) -> list[str]:
+        """What is in it so far, sorted."""
+        handle = os.open(self.name, os.O_RDONLY | os.O_DIRECTORY, dir_fd=self.draft)
+        try:
+            return sorted(os.listdir(handle))
+        finally:
+            os.close(handle)
 
 
 @dataclass(slots=True)
 class Draft:
     """A change in the making. Folders are added by one thread; each may be filled by any."""
 
-    root: Path
-    path: Path
+    root: Folder
+    """The keystore's."""
+    made: Folder
+    """Its own, in there."""
     targets: list[str] = field(default_factory=list)
     links: list[tuple[str, str]] = field(default_factory=list)
     """Where, and what it will show, relative to its folder."""
@@ -53,11 +68,12 @@ class Draft:
     def folder(self, target: str, *, private: bool) -> DraftedFolder:
         """An empty folder that will stand at, or be merged into, `target`."""
         refuse_detours(self.root, [target])
-        path = f"{self.path}/{len(self.targets)}"
-        os.mkdir(path)
-        os.chmod(path, 0o700 if private else 0o755)
+        name = str(len(self.targets))
+        os.mkdir(name, dir_fd=self.made.handle)
+        drafted = DraftedFolder(self.made.handle, name)
+        drafted.set_mode(0o700 if private else 0o755)
         self.targets.append(target)
-        return DraftedFolder(path)
+        return drafted
 
     def link(self, place: str, target: str) -> None:
         """A symbolic link at `place`, in a folder that is there; another link is replaced.
@@ -65,11 +81,8 @@ class Draft:
         KeystoreError if a file or folder is there.
         """
         refuse_detours(self.root, [os.path.dirname(place)])
-        with suppress(FileNotFoundError):
-            if not stat.S_ISLNK(os.lstat(f"{self.root}/{place}").st_mode):
-                raise KeystoreError(
-                    f"{self.root}/{place} should be a link, and is not", hint="move it away"
-                )
+        if self.root.kind(place) not in {None, stat.S_IFLNK}:
+            raise should_be(f"{self.root.path}/{place}", "link")
         self.links.append((place, target))
 
     def remove(self, place: str) -> None:
@@ -78,14 +91,15 @@ class Draft:
         KeystoreError if that is a folder.
         """
         refuse_detours(self.root, [os.path.dirname(place)])
-        with suppress(FileNotFoundError):
-            if stat.S_ISDIR(os.lstat(f"{self.root}/{place}").st_mode):
-                raise KeystoreError(f"{self.root}/{place} should be a file, and is a folder")
+        if self.root.kind(place) == stat.S_IFDIR:
+            raise KeystoreError(f"{self.root.path}/{place} should be a file, and is a folder")
         self.removed.append(place)
 
     def shred(self, place: str) -> None:
         """What the file at `place` held is overwritten, once the change has replaced it."""
-        _shredding.hold(self.path, f"{self.root}/{place}")
+        folder, _, name = place.rpartition("/")
+        with suppress(FileNotFoundError), self.root.below(folder) as there:
+            _shredding.hold(self.made, there, name)
 
     def record(self, *entries: Entry) -> None:
         """Lines for the ledger, written when the change is.
@@ -94,52 +108,41 @@ class Draft:
         """
         if not self.entries:
             _check_ledger(self.root)
-        operator = _operator()
+        operator = user(os.getuid())
         self.entries += [replace(entry, operator=operator) for entry in entries]
 
     def refuse_folders(self) -> None:
         """KeystoreError if a drafted file would have to replace a folder."""
         for number, target in enumerate(self.targets):
-            drafted, goal = f"{self.path}/{number}", f"{self.root}/{target}"
-            with suppress(FileNotFoundError), os.scandir(goal) as found:
-                folders = {each.name for each in found if each.is_dir(follow_symlinks=False)}
-                taken = folders and folders.intersection(os.listdir(drafted))
+            with suppress(FileNotFoundError), self.root.below(target) as goal:
+                with os.scandir(goal.handle) as found:
+                    folders = {each.name for each in found if each.is_dir(follow_symlinks=False)}
+                drafted = DraftedFolder(self.made.handle, str(number))
+                taken = folders and folders.intersection(drafted.names)
                 if taken:
                     raise KeystoreError(
-                        f"{goal}/{min(taken)} should be a file, and is a folder",
+                        f"{goal.path}/{min(taken)} should be a file, and is a folder",
                         hint="move it away",
                     )
 
 
-@cache
-def _operator() -> str:
-    """Who runs this, as the system calls them."""
-    try:
-        return pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:
-        return f"uid {os.getuid()}"
-
-
-def _check_ledger(root: Path) -> None:
+def _check_ledger(root: Folder) -> None:
     """Before the point of no return: the ledger can be written, and is where it should be."""
-    path = root / _layout.PRIVATE / _layout.LEDGER
-    refuse_detours(root, [_layout.PRIVATE])
-    if path.is_symlink():
-        raise KeystoreError(f"{path} should be a file, and is not")
-    if path.parent.exists():
+    with suppress(FileNotFoundError), root.below(_layout.PRIVATE) as private:
         # A keystore has one; CAs of others, which are being adopted, do not.
-        with Ledger(path, begin=not (root / _layout.SETTINGS).exists()) as ledger:
-            ledger.check()
+        _ledger.check(private, begin=root.kind(_layout.SETTINGS) is None)
 
 
-def refuse_detours(root: Path, targets: Iterable[str]) -> None:
-    """KeystoreError if anything would be written through a link, or where a file stands."""
+def refuse_detours(root: Folder, targets: Iterable[str]) -> None:
+    """KeystoreError if anything would be written through a link, or where a file stands.
+
+    So that it is told before anything is done; who does it goes by handles.
+    """
     places = set(targets)
     for target in targets:
         above = target
         while (above := os.path.dirname(above)) and above not in places:
             places.add(above)
     for place in sorted(places):
-        with suppress(FileNotFoundError):
-            if not stat.S_ISDIR(os.lstat(f"{root}/{place}").st_mode):
-                raise KeystoreError(f"{root}/{place} should be a folder, and is not")
+        if root.kind(place or ".") not in {None, stat.S_IFDIR}:
+            raise should_be(f"{root.path}/{place}", "folder")

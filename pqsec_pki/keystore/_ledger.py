@@ -1,21 +1,15 @@
 """The ledger: every certificate, signed document and revocation that was ever made here."""
 
 import sqlite3
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from pqsec_pki._files import PRIVATE_MODE, create
-from pqsec_pki.errors import FileError, KeystoreError, PqsecError
-from pqsec_pki.keystore import _table
+from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.keystore import _layout, _ledger_file, _table
 from pqsec_pki.keystore._chain import Entry, Line
-
-_PATIENCE = 30.0
-"""Seconds to wait for another process to finish with the database."""
-_DISK = ("SQLITE_IOERR", "SQLITE_FULL", "SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM")
+from pqsec_pki.keystore._folder import Folder
 
 _TOLD = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
 _NEWEST_MARKED = (  # beside max(), SQLite takes the other columns from the row that has it
@@ -50,26 +44,23 @@ class Newest(NamedTuple):
 
 
 class Ledger:
-    """The database, open. Lines are only ever added."""
+    """The database as it was when this was made, in memory."""
 
-    def __init__(self, path: Path, *, begin: bool = False) -> None:
-        """KeystoreError if there is none at `path`, unless to `begin` one is wanted."""
-        self._path, self._begin = path, begin
-        try:
-            if begin:
-                with suppress(FileExistsError):
-                    create(path, b"", mode=PRIVATE_MODE)
-            elif not path.exists():
-                raise self._lost()
-            self._database = sqlite3.connect(path, timeout=_PATIENCE, isolation_level=None)
-        except (sqlite3.Error, OSError) as error:
-            raise KeystoreError(f"{path}: {error}") from error
+    def __init__(self, private: Folder, *, begin: bool = False) -> None:
+        """Of the folder `private`; KeystoreError if there is none, unless to `begin` one."""
+        self._path, self._begin = f"{private.path}/{_layout.LEDGER}", begin
+        self._database = sqlite3.connect(":memory:", isolation_level=None)
         try:
             with self._errors("not a ledger: "):
-                self._write_ahead()
-                self._database.execute("PRAGMA synchronous = FULL")
+                data = _ledger_file.load(private)
+                if data is None and not begin:
+                    raise self._lost()
+                if data:
+                    self._database.deserialize(data)
+                # Whoever made the file may have put views and triggers into it.
+                self._database.execute("PRAGMA trusted_schema = OFF")
                 self._prepare()
-        except PqsecError:
+        except (PqsecError, OSError):
             self._database.close()
             raise
 
@@ -82,17 +73,17 @@ class Ledger:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the memory back."""
         self._database.close()
 
-    def add(self, entries: Iterable[Entry]) -> None:
-        """Add lines, all or none; those that are there already stay as they are."""
+    def added(self, entries: Iterable[Entry]) -> bytes:
+        """The file with these lines, all or none; those that are there already stay."""
         with self._errors(), self._transaction():
             _table.append(self._database, entries)
-
-    def check(self) -> None:
-        """KeystoreError if lines could not be added now."""
-        with self._errors(), self._transaction():
-            pass
+        return self._database.serialize()
 
     @property
     def head(self) -> str:
@@ -163,19 +154,6 @@ class Ledger:
             )
             return [_table.entry(row) for row in rows]
 
-    def _write_ahead(self) -> None:
-        """Readers and a writer side by side. For this switch alone SQLite does not wait."""
-        give_up = time.monotonic() + _PATIENCE
-        while True:
-            try:
-                self._database.execute("PRAGMA journal_mode = WAL")
-            except sqlite3.OperationalError as error:
-                if error.sqlite_errorname != "SQLITE_BUSY" or time.monotonic() > give_up:
-                    raise
-                time.sleep(0.01)
-            else:
-                return
-
     def _prepare(self) -> None:
         """Make the table, or bring one of format 1 up to date; once, whoever comes first."""
         if _table.format_of(self._database) == _table.FORMAT:
@@ -209,13 +187,26 @@ class Ledger:
 
     @contextmanager
     def _errors(self, otherwise: str = "") -> Iterator[None]:
-        """Say what the disk refuses as a FileError, and anything else as a KeystoreError."""
+        """Say what is wrong with the database as a KeystoreError."""
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError, OverflowError, RecursionError) as error:
-            name = str(getattr(error, "sqlite_errorname", ""))
-            if name.startswith(_DISK):
-                raise FileError(f"{self._path}: {str(error).lower()}") from error
-            busy = name.startswith("SQLITE_BUSY")
-            words = "another process is at work here" if busy else f"{otherwise}{error}"
-            raise KeystoreError(f"{self._path}: {words}") from error
+            raise KeystoreError(f"{self._path}: {otherwise}{error}") from error
+
+
+def check(private: Folder, *, begin: bool) -> None:
+    """KeystoreError or PermissionError if no lines could be added now."""
+    _ledger_file.check(private)
+    Ledger(private, begin=begin).close()
+
+
+def add(private: Folder, entries: Iterable[Entry], beside: Folder) -> None:
+    """Add lines to the ledger, all or none, by way of the folder `beside`; it may be repeated.
+
+    The ledger is begun if there is none.
+    """
+    _ledger_file.check(private)
+    _ledger_file.settle(private, beside)
+    with Ledger(private, begin=True) as ledger:
+        data = ledger.added(entries)
+    _ledger_file.save(private, data, beside)

@@ -8,41 +8,55 @@ import os
 import secrets
 import stat
 from contextlib import suppress
-from pathlib import Path
+
+from pqsec_pki.keystore._folder import Folder
 
 FOLDER = "spent"
 """Inside a drafted change: the files that it does away with."""
+_PIECE = 1 << 20
+_WRITE = os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
-def hold(draft: Path, path: str) -> None:
-    """Give the file at `path` a second name in the drafted change, if it is there."""
-    folder = draft / FOLDER
-    folder.mkdir(mode=0o700, exist_ok=True)
-    with suppress(FileNotFoundError):
-        if stat.S_ISREG(os.lstat(path).st_mode):
-            os.link(path, folder / secrets.token_hex(8))
+def hold(change: Folder, folder: Folder, name: str) -> None:
+    """Give the file `name` in `folder` a second name in the drafted change, if it is there."""
+    with suppress(FileExistsError):
+        os.mkdir(FOLDER, 0o700, dir_fd=change.handle)
+    if folder.kind(name) != stat.S_IFREG:
+        return
+    with change.below(FOLDER) as spent:
+        os.link(
+            *(name, secrets.token_hex(8)),
+            src_dir_fd=folder.handle,
+            dst_dir_fd=spent.handle,
+            follow_symlinks=False,
+        )
 
 
-def shred(change: Path) -> None:
+def shred(change: Folder) -> None:
     """Overwrite what the change held, once its own names are gone; may be repeated.
 
-    A file that still has another name is somebody's own copy, and stays.
+    A file that still has another name is somebody's own copy, and stays. So does what no
+    change holds: another's file, or what a link shows.
     """
-    folder = change / FOLDER
-    if not folder.is_dir():
+    if change.kind(FOLDER) is None:
         return
-    for path in folder.iterdir():
-        found = path.lstat()
-        if found.st_nlink == 1:
-            _zero(path, found.st_size)
+    with change.below(FOLDER) as spent:
+        spent.refuse_outsiders()
+        for name in spent.names:
+            if spent.kind(name) == stat.S_IFREG:
+                _zero(spent, name)
 
 
-def _zero(path: Path, size: int) -> None:
-    handle = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
+def _zero(spent: Folder, name: str) -> None:
+    handle = os.open(name, _WRITE, dir_fd=spent.handle)
     try:
-        rest = size
+        found = os.fstat(handle)
+        own = stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid()
+        if not own or found.st_nlink != 1:
+            return
+        rest = found.st_size
         while rest > 0:
-            rest -= os.write(handle, bytes(rest))
+            rest -= os.write(handle, bytes(min(rest, _PIECE)))
         os.fsync(handle)
     finally:
         os.close(handle)

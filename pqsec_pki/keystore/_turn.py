@@ -83,8 +83,7 @@ class Turn:
         self.authorities.write(public, private, passphrase, trusted=trusted)
         for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):  # now it has its own name
             self.draft.remove(f"{_layout.PRIVATE}/{key}")
-        drafted = (*Path(public.path).iterdir(), *Path(private.path).iterdir())
-        written = {_layout.CA_LIST, *(path.name for path in drafted)}
+        written = {_layout.CA_LIST, *public.names, *private.names}
         for place in self._making_way():
             if Path(place).name not in written:
                 self.draft.remove(place)

@@ -86,7 +86,7 @@ def _draft(draft: Draft, keystore: Keystore, survey: Survey) -> None:
     if survey.list_file and not keystore.has_revocation_list:
         public.public(_layout.CA_LIST, read(survey.list_file))
     for drafted, there in ((settings, root), (public, root / _layout.PUBLIC)):
-        Path(drafted.path).chmod(there.stat().st_mode & 0o777)  # so that it stays as it is
+        drafted.set_mode(there.stat().st_mode & 0o777)  # so that it stays as it is
     draft.record(*survey.entries)
 
 

@@ -18,16 +18,19 @@ from functools import lru_cache
 from pathlib import Path
 from sys import intern
 
-from pqsec_pki._files import disk_errors, write
-from pqsec_pki.errors import FileError, KeystoreError, shown
+from pqsec_pki._files import disk_errors, read
+from pqsec_pki.errors import FileError, KeystoreError, PqsecError, shown
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger, Newest
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
 
 _SEEN = "seen.json"
 """In private/: what was found to be right. Without it, all files are read."""
+_MAX_SEEN = 64 << 20
+"""Bytes; of 10,000 participants it has half a million."""
 
 
 class Files(StrEnum):
@@ -97,7 +100,8 @@ def holdings(keystore: Keystore) -> Holdings:
                 mark=intern(mark),  # thousands have the same
                 files=files.look(line.name, line.sha256, permissions),
             )
-        files.remember()
+        if keystore.to_change:
+            files.remember()
         governance = _governance_mark(keystore, ledger.of_name("governance", "")[-1:])
         return Holdings(found, governance, head)
 
@@ -150,18 +154,19 @@ def _governance_mark(keystore: Keystore, newest: list[Entry]) -> str | None:
 class _Files:
     """Looks at participants' files, and keeps what it has seen to be right."""
 
-    def __init__(self, keystore: Keystore, seen: dict[str, str]) -> None:
-        self._enclaves = f"{keystore.root}/{_layout.ENCLAVES}"
-        self._memory = keystore.root / _layout.PRIVATE / _SEEN
+    def __init__(self, root: Path, seen: dict[str, str]) -> None:
+        self._enclaves = f"{root}/{_layout.ENCLAVES}"
+        self._root = root
         self._seen = seen
         self._news = False
 
     @classmethod
     def of(cls, keystore: Keystore) -> "_Files":
         seen: object = {}
-        with suppress(OSError, ValueError, RecursionError):
-            seen = json.loads((keystore.root / _layout.PRIVATE / _SEEN).read_bytes())
-        return cls(keystore, seen if isinstance(seen, dict) else {})
+        with suppress(FileError, ValueError, RecursionError):
+            memory = keystore.root / _layout.PRIVATE / _SEEN
+            seen = json.loads(read(memory, limit=_MAX_SEEN))
+        return cls(keystore.root, seen if isinstance(seen, dict) else {})
 
     def look(self, name: str, certificate: str, permissions: str) -> Files:
         """How they are, against the SHA-256 of each in the ledger."""
@@ -185,11 +190,14 @@ class _Files:
         return found
 
     def remember(self) -> None:
-        """Who may only read the keystore looks at all files the next time, too."""
-        if self._news:
-            with suppress(FileError):
-                data = json.dumps(self._seen, separators=(",", ":")).encode()
-                write(self._memory, data, private=True, force=True)
+        """For the next time; who may only read the keystore looks at all files again."""
+        if not self._news:
+            return
+        data = json.dumps(self._seen, separators=(",", ":")).encode()
+        with suppress(OSError, PqsecError), Folder.opened(self._root) as root:
+            root.refuse_outsiders()
+            with root.below(_layout.PRIVATE) as private:
+                private.replace(_SEEN, data)
 
 
 def _stamp(path: str) -> str:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
@@ -16,6 +16,7 @@ from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageEr
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
+from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
 from pqsec_pki.keystore.participant import (
@@ -38,6 +39,8 @@ class Keystore:
     profile: Profile
     domains: DomainSet
     """Where participants may join unless they are issued for other domains."""
+    to_change: bool = field(default=False, compare=False, repr=False)
+    """Whether it was opened to be changed; else nothing at all is written in it."""
 
     @classmethod
     def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
@@ -70,12 +73,19 @@ class Keystore:
             settings = draft.folder(".", private=False)
             settings.public(_layout.SETTINGS, settings_file(profile, domains))
             draft.record(*authorities.entries(now), document_entry("governance", "", signed, now))
-        return cls(root, profile, domains)
+        return cls(root, profile, domains, to_change=True)
 
     @classmethod
-    def open(cls, root: Path) -> Self:
-        """The keystore at `root`; KeystoreError if there is none."""
-        _journal.recover(root)
+    def open(cls, root: Path, *, to_change: bool = False) -> Self:
+        """The keystore at `root`; KeystoreError if there is none.
+
+        To read it alters nothing: InterruptedChangeError if a change was interrupted. `to_change`
+        finishes that; KeystoreError if the keystore is another user's, or others may write there.
+        """
+        if to_change:
+            _journal.recover(root)
+        else:
+            _journal.refuse_interrupted(root)
         path = root / _layout.SETTINGS
         with disk_errors(path):
             there = path.is_file()
@@ -84,14 +94,26 @@ class Keystore:
                 f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}",
                 hint="make one with `pqsec ca init`, or name another with -k",
             )
+        if to_change:
+            _journal.check(root)
         try:
             settings = json.loads(read(path))
             if settings["format"] != FORMAT:
                 raise KeystoreError(f"{path}: made by another version of pqsec")
             profile = Profile.from_names(settings["algorithms"])
-            return cls(root, profile, DomainSet.parse(settings["domains"]))
+            return cls(root, profile, DomainSet.parse(settings["domains"]), to_change)
         except (*_NOT_SETTINGS, MalformedError, UsageError) as error:
             raise KeystoreError(f"{path}: not settings of pqsec ({error})") from error
+
+    @staticmethod
+    def recover(root: Path) -> bool:
+        """Finish a change of the keystore at `root` that was interrupted; whether one was.
+
+        KeystoreError if there is no keystore, it is another user's, or others may write there.
+        """
+        finished = _journal.recover(root)
+        Keystore.open(root, to_change=True)
+        return finished
 
     @staticmethod
     def refuse_occupied(root: Path) -> None:
@@ -235,7 +257,12 @@ class Keystore:
 
     def open_ledger(self) -> Ledger:
         """The ledger, for the modules of this room."""
-        return Ledger(self.root / _layout.PRIVATE / _layout.LEDGER)
+        with (
+            disk_errors(self.root / _layout.PRIVATE),
+            Folder.opened(self.root) as root,
+            root.below(_layout.PRIVATE) as private,
+        ):
+            return Ledger(private)
 
 
 def settings_file(profile: Profile, domains: DomainSet) -> bytes:

@@ -28,8 +28,7 @@ def change_passphrase(
             )
         folder = draft.folder(_layout.PRIVATE, private=True)
         authorities.write_keys(folder, passphrase)
-        names = sorted(path.name for path in Path(folder.path).iterdir())
-        paths = [keystore.root / _layout.PRIVATE / name for name in names]
+        paths = [keystore.root / _layout.PRIVATE / name for name in folder.names]
         for path in paths:
             if path.is_symlink():
                 raise KeystoreError(

@@ -528,5 +528,5 @@ def test_any_bytes_as_a_journal(tmp_path_factory, keystore, data):
     (root / "private").mkdir()
     (root / ".journal").mkdir()
     (root / ".journal/moves.json").write_bytes(data)
-    only_ours(lambda: Keystore.open(root))
+    only_ours(lambda: Keystore.open(root, to_change=True))
     assert keystore.root != root

@@ -55,7 +55,7 @@ class Scene:
 
     @property
     def keystore(self):
-        return Keystore.open(self.root)
+        return Keystore.open(self.root, to_change=True)
 
     def plan(self, now=NOW, **options) -> Plan:
         keystore = self.keystore if self.root.exists() else None

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, Wish, _journal, issue
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -34,6 +34,12 @@ def add(keystore, *, now=NOW, **names):
         for name, on in names.items()
     ]
     issue(keystore, keystore.unlock(None), wishes, now=now)
+
+
+def enter(keystore, entries):
+    """Lines into the ledger as they are: by who may write it."""
+    with _journal.change(keystore.root) as draft:
+        draft.entries += entries
 
 
 def take(keystore, file, source, goal):

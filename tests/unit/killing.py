@@ -45,7 +45,7 @@ def create(root):
 
 
 def issue_to(root, *names, force=False):
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     wishes = [Wish(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
     return issue(keystore, keystore.unlock(None), wishes, now=NOW, force=force)
 
@@ -206,7 +206,7 @@ def check_no_halves(root: Path) -> None:
 
 def is_keystore(root: Path) -> bool:
     try:
-        Keystore.open(root)
+        Keystore.open(root, to_change=True)
     except KeystoreError:
         return False
     return True

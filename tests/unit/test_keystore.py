@@ -360,11 +360,15 @@ def test_a_folder_that_the_user_closed_stays_closed(root):
     assert mode(root / "enclaves/talker") == 0o500
 
 
-def test_a_folder_that_others_may_write_in_is_closed(root):
+def test_a_folder_that_others_may_write_in_is_refused(root):
     root.mkdir()
     root.chmod(0o777)
+    with pytest.raises(KeystoreError, match="anybody may write there") as refused:
+        create(root)
+    assert refused.value.hint == f"chmod go-w {root}"
+    assert list(root.iterdir()) == []
+    root.chmod(0o755)
     create(root)
-    assert mode(root) == 0o755
 
 
 # Passphrases
@@ -527,10 +531,10 @@ def test_a_committed_change_is_not_finished_through_a_link(tmp_path, root):
     (root / ".journal/moves.json").write_text('{"targets": ["enclaves/new"], "entries": []}')
     (root / "enclaves/new").symlink_to(victim)
     with pytest.raises(KeystoreError, match="should be a folder, and is not"):
-        Keystore.open(root)
+        Keystore.open(root, to_change=True)
     assert [path.name for path in victim.iterdir()] == ["file"]
     (root / "enclaves/new").unlink()
-    assert Keystore.open(root).names() == ["/new", "/old"]
+    assert Keystore.open(root, to_change=True).names() == ["/new", "/old"]
 
 
 @pytest.mark.parametrize(
@@ -542,7 +546,7 @@ def test_a_journal_that_cannot_be_read_is_refused(keystore, root, moves):
     (root / ".journal").mkdir()
     (root / ".journal/moves.json").write_text(moves)
     with pytest.raises(KeystoreError, match="this unfinished change cannot be read"):
-        Keystore.open(root)
+        Keystore.open(root, to_change=True)
     with pytest.raises(KeystoreError):
         issue_to(keystore, "/talker")
 
@@ -553,7 +557,7 @@ def test_a_journal_that_leads_out_of_the_keystore_is_refused(root, keystore, tar
     moves = {"targets": [target], "entries": []}
     (root / ".journal/moves.json").write_text(json.dumps(moves))
     with pytest.raises(KeystoreError, match="this unfinished change cannot be read"):
-        Keystore.open(root)
+        Keystore.open(root, to_change=True)
     assert (root / ".journal/0").is_dir()
 
 
@@ -778,6 +782,8 @@ def as_nobody(folder, action):
 def test_a_folder_where_nothing_may_be_written_is_refused(keystore, root):
     authorities = keystore.unlock(None)
     here = Keystore(Path(), keystore.profile, keystore.domains)
+    if os.getuid() == 0:
+        os.chown(root, NOBODY, NOBODY)
     root.chmod(0o555)
     told = as_nobody(root, lambda: issue(here, authorities, [wish("/talker")], now=NOW))
     assert told.startswith("FileError")

@@ -69,11 +69,13 @@ SCENES = {
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prepared, scene):
     original = prepared(scene.before)
-    old = {name: check_whole(Keystore.open(original), name) for name in scene.before}
+    old = {
+        name: check_whole(Keystore.open(original, to_change=True), name) for name in scene.before
+    }
     outcomes = []
     for root, _ in copies(place, original, scene.work):
         check_no_halves(root)
-        keystore = Keystore.open(root)
+        keystore = Keystore.open(root, to_change=True)
         names = tuple(keystore.names())
         assert names in {scene.before, scene.after}
         found = {name: check_whole(keystore, name) for name in names}
@@ -101,7 +103,7 @@ def test_a_keystore_is_made_or_not_whenever_the_kill_comes(place):
         if outcomes[-1]:
             with pytest.raises(ExistsError):
                 create(root)
-        keystore = Keystore.open(root) if outcomes[-1] else create(root)
+        keystore = Keystore.open(root, to_change=True) if outcomes[-1] else create(root)
         assert keystore.names() == []
         check_ledger(keystore)
         keys = list((root / "private").glob("*.key.pem"))
@@ -125,8 +127,8 @@ def test_a_keystore_can_be_made_again_without_being_opened_after_a_kill(place):
         try:
             create(root)
         except ExistsError:
-            Keystore.open(root)
-        check_ledger(Keystore.open(root))
+            Keystore.open(root, to_change=True)
+        check_ledger(Keystore.open(root, to_change=True))
         shutil.rmtree(root)
 
 
@@ -138,8 +140,8 @@ def test_a_recovery_that_is_killed_too_is_finished_by_the_next(place, prepared):
         survives(calls, lambda: issue_to(original, "/old", "/a", force=True))
         calls += 1
     count = 0
-    for root, _ in copies(place, original, Keystore.open):
-        keystore = Keystore.open(root)
+    for root, _ in copies(place, original, Keystore.recover):
+        keystore = Keystore.open(root, to_change=True)
         assert keystore.names() == ["/a", "/old"]
         for name in keystore.names():
             check_whole(keystore, name)
@@ -150,13 +152,13 @@ def test_a_recovery_that_is_killed_too_is_finished_by_the_next(place, prepared):
 
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared):
     original = prepared(("/old",))
-    old = check_whole(Keystore.open(original), "/old")
+    old = check_whole(Keystore.open(original, to_change=True), "/old")
 
     def again(root):
         issue_to(root, "/old", force=True)
 
     for root, done in copies(place, original, again, fails):
-        keystore = Keystore.open(root)
+        keystore = Keystore.open(root, to_change=True)
         found = check_whole(keystore, "/old")
         check_ledger(keystore)
         assert done or found == old or len(keystore.ledger()) == 4 + 2 * 2
@@ -173,7 +175,7 @@ def test_two_processes_issue_at_the_same_time(place):
     names = [[f"/{who}{number}" for number in range(20)] for who in ("a", "b")]
     codes = at_once(*(lambda each=each: [issue_to(root, name) for name in each] for each in names))
     assert codes == [0, 0]
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     assert keystore.names() == sorted(names[0] + names[1])
     for name in keystore.names():
         check_whole(keystore, name)
@@ -190,4 +192,4 @@ def test_two_processes_that_want_the_same_name_do_not_both_get_it(place):
         shutil.rmtree(root / "enclaves/talker", ignore_errors=True)
         codes = at_once(*[lambda: issue_to(root, "/talker")] * 2)
         assert sorted(codes) == [0, 3]
-        check_whole(Keystore.open(root), "/talker")
+        check_whole(Keystore.open(root, to_change=True), "/talker")

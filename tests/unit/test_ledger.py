@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import resource
 import shutil
 import sqlite3
 from contextlib import closing, suppress
@@ -11,10 +12,12 @@ from datetime import timedelta
 
 import pytest
 
+from pqsec_pki import _owners
 from pqsec_pki.errors import FileError, KeystoreError, VerificationError
-from pqsec_pki.keystore import Entry, Keystore, _draft, _ledger, audit, renew, revoke, status
+from pqsec_pki.keystore import Entry, Keystore, _ledger, audit, renew, revoke, status
 from pqsec_pki.keystore._chain import START
-from tests.unit.keystores import DAY, NOW, add, made
+from pqsec_pki.keystore._folder import Folder
+from tests.unit.keystores import DAY, NOW, add, enter, made
 from tests.unit.killing import at_once
 
 FORMAT_1 = """
@@ -89,10 +92,10 @@ def test_a_user_whom_the_system_does_not_name_is_a_number(keystore, monkeypatch)
     def unknown(uid):
         raise KeyError(uid)
 
-    _draft._operator.cache_clear()
-    monkeypatch.setattr(_draft.pwd, "getpwuid", unknown)
+    _owners.user.cache_clear()
+    monkeypatch.setattr(_owners.pwd, "getpwuid", unknown)
     add(keystore, later="0")
-    _draft._operator.cache_clear()
+    _owners.user.cache_clear()
     assert keystore.ledger()[-1].operator == f"uid {os.getuid()}"
 
 
@@ -104,27 +107,25 @@ def test_each_line_names_the_one_before(keystore):
 
 
 def test_a_line_that_is_there_already_is_not_added_again(keystore):
-    with keystore.open_ledger() as ledger:
-        before = len(list(ledger.lines()))
-        ledger.add([entry(1), entry(2), entry(1)])
-        ledger.add([entry(2), entry(3)])
+    before = len(keystore.lines())
+    enter(keystore, [entry(1), entry(2), entry(1)])
+    enter(keystore, [entry(2), entry(3)])
     assert [line.entry for line in keystore.lines()[before:]] == [entry(1), entry(2), entry(3)]
     audit(keystore)
 
 
 def test_one_ca_gives_a_serial_number_once_only(keystore):
-    with keystore.open_ledger() as ledger:
-        ledger.add([entry(1)])
-        with pytest.raises(KeystoreError, match="UNIQUE"):
-            ledger.add([entry(2), entry(3, serial="1")])
-        ledger.add([entry(4, serial="1", issuer="another")])
+    enter(keystore, [entry(1)])
+    with keystore.open_ledger() as ledger, pytest.raises(KeystoreError, match="UNIQUE"):
+        ledger.added([entry(2), entry(3, serial="1")])
+    enter(keystore, [entry(4, serial="1", issuer="another")])
     assert [each.name for each in keystore.ledger()][-2:] == ["/p1", "/p4"]
 
 
 @pytest.mark.parametrize("text", ["\ud800", "a\0b", "'; DROP TABLE ledger; --", "é" * 1000])
 def test_any_text_can_be_entered_or_is_refused(keystore, text):
     with keystore.open_ledger() as ledger, suppress(KeystoreError):
-        ledger.add([entry(1, name=text)])
+        ledger.added([entry(1, name=text)])
         assert ledger.of_name("participant", text) == [entry(1, name=text)]
     audit(keystore)
 
@@ -218,10 +219,9 @@ def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
     entries = keystore.ledger()
     for file in (keystore.root / "private").glob("ledger*"):
         file.unlink()
-    path = keystore.root / "private/ledger.sqlite3"
-    with _ledger.Ledger(path, begin=True) as ledger:
-        # By who can write it: the same, but for one thing in each line.
-        ledger.add([replace(each, operator="nobody") for each in entries])
+    # By who can write it: the same, but for one thing in each line.
+    with Folder.opened(keystore.root / "private") as private:
+        _ledger.add(private, [replace(each, operator="nobody") for each in entries], private)
     audit(keystore)
     with pytest.raises(VerificationError, match="the head is not in the ledger"):
         audit(keystore, head)
@@ -313,9 +313,16 @@ def test_an_older_ledger_is_brought_up_to_date_with_nothing_lost(keystore):
     issuers = {each.issuer for each in found if each.kind == "participant"}
     assert issuers == {keystore.identity_ca.fingerprint}
     audit(keystore)
+    assert tables(keystore) == {"issued"}  # who reads changes nothing
+    add(keystore, later="0")
+    assert tables(keystore) == {"ledger"}
+    assert len(keystore.ledger()) == len(rows) + 2
+
+
+def tables(keystore):
     with database(keystore) as opened:
-        tables = opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
-    assert tables == [("ledger",)]
+        found = opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    return {name for (name,) in found} - {"sqlite_sequence"}
 
 
 def test_what_an_older_ledger_has_can_be_renewed_and_revoked(keystore):
@@ -341,7 +348,7 @@ def test_a_change_that_an_older_pqsec_left_unfinished_is_finished(keystore):
     line = ["2026-11-21T12:00:00+00:00", "permissions", "x.p7s", None, "0" * 64, None]
     moves = {"targets": [], "entries": [line]}
     (keystore.root / ".journal/moves.json").write_text(json.dumps(moves))
-    assert Keystore.open(keystore.root).ledger()[-1].name == "x.p7s"
+    assert Keystore.open(keystore.root, to_change=True).ledger()[-1].name == "x.p7s"
 
 
 def test_a_newer_ledger_is_refused(keystore):
@@ -359,28 +366,54 @@ def test_a_ledger_is_for_its_owner_only(keystore):
 
 
 def test_a_ledger_on_a_disk_that_is_full_says_so(keystore):
-    with keystore.open_ledger() as ledger:
-        ledger._database.execute("PRAGMA max_page_count = 1")
-        with pytest.raises(FileError, match="database or disk is full"):
-            ledger.add(entry(number, name="x" * 1000) for number in range(1000))
+    enter(keystore, (entry(number, name="x" * 1000) for number in range(1000)))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        with pytest.raises(FileError, match="file too large"):
+            add(keystore, later="0")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert Keystore.recover(keystore.root)
+    assert keystore.names() == ["/later", "/listener", "/talker"]
     audit(keystore)
 
 
-@pytest.mark.parametrize("mode", ["DELETE", "WAL"])
-def test_a_ledger_that_another_process_holds_is_waited_for_and_given_up(
-    keystore, monkeypatch, mode
-):
-    monkeypatch.setattr(_ledger, "_PATIENCE", 0.1)
+def as_sqlite_leaves_it(keystore, goal, mode, *, committed):
+    """The ledger as another program has it open, that changed a line: its files, copied."""
     with database(keystore) as other:
         other.execute(f"PRAGMA journal_mode = {mode}")
-        other.execute("BEGIN EXCLUSIVE")
-        with pytest.raises(KeystoreError, match="another process is at work here"):
-            add(keystore, later="0")
-    add(keystore, later="0")
+        other.execute("BEGIN")
+        other.execute("INSERT INTO ledger SELECT number + 1000, at, operator, kind, name, NULL,"
+                      " issuer, 'x', not_after, details, 'x' FROM ledger LIMIT 1")  # fmt: skip
+        if committed:
+            other.execute("COMMIT")
+        shutil.copytree(keystore.root, goal, symlinks=True)
+    return Keystore.open(goal)
+
+
+def test_lines_that_sqlite_has_not_written_into_the_ledger_yet_are_read(keystore, tmp_path):
+    """As an earlier pqsec leaves them that is killed."""
+    copy = as_sqlite_leaves_it(keystore, tmp_path / "copy", "WAL", committed=True)
+    ledger = copy.root / "private/ledger.sqlite3"
+    assert ledger.with_name("ledger.sqlite3-wal").stat().st_size > 0
+    before = {path: path.read_bytes() for path in ledger.parent.iterdir()}
+    assert copy.lines()[-1].number == 1001
+    assert {path: path.read_bytes() for path in ledger.parent.iterdir()} == before
+    add(copy, later="0")
+    assert [line.number for line in copy.lines()][-3:] == [1001, 1002, 1003]
+    assert not list(ledger.parent.glob("ledger.sqlite3-*"))
+
+
+def test_what_another_program_was_stopped_at_is_not_read(keystore, tmp_path):
+    copy = as_sqlite_leaves_it(keystore, tmp_path / "copy", "DELETE", committed=False)
+    with pytest.raises(KeystoreError, match="another program was stopped while it changed it"):
+        copy.ledger()
+    with pytest.raises(KeystoreError, match="another program was stopped while it changed it"):
+        add(copy, later="0")
 
 
 def test_it_stays_fast_as_it_grows(keystore):
-    with keystore.open_ledger() as ledger:
-        ledger.add(entry(number) for number in range(20_000))
+    enter(keystore, (entry(number) for number in range(20_000)))
     standing = status(keystore, now=NOW + timedelta(days=1))
     assert len(standing.participants) == 20_002

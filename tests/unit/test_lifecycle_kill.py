@@ -34,17 +34,17 @@ BOTH = ("/fleet/robot1", "/talker")
 
 
 def renew_in(root, *names, rekey=True):
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     return renew(keystore, keystore.unlock(None), names, Renewal(rekey=rekey), now=NOW)
 
 
 def revoke_in(root, *subjects):
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     return revoke(keystore, keystore.unlock(None), subjects, now=NOW)
 
 
 def renew_list_in(root):
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     return renew_list(keystore, keystore.unlock(None), now=NOW)
 
 
@@ -90,18 +90,18 @@ def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared
     original = place / "original"
     shutil.copytree(prepared(BOTH), original, symlinks=True)
     scene.before(original)
-    old = state_of(Keystore.open(original))
+    old = state_of(Keystore.open(original, to_change=True))
     outcomes = []
     for root, _ in copies(place, original, scene.work):
         check_no_halves(root)
-        found = state_of(Keystore.open(root))
+        found = state_of(Keystore.open(root, to_change=True))
         outcomes.append(found != old)
         if outcomes[-1] and old[0].keys() == found[0].keys() and found[0] != old[0]:
             assert not set(found[0].values()) & set(old[0].values()), "some renewed, some not"
 
         if not outcomes[-1]:  # a rerun completes
             scene.work(root)
-            assert state_of(Keystore.open(root)) != old
+            assert state_of(Keystore.open(root, to_change=True)) != old
         issue_to(root, "/next")
         assert drafts(root) == []
     check_commitment(outcomes)
@@ -110,12 +110,12 @@ def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared
 @pytest.mark.parametrize("name", ["renewed with new keys", "the first revocation"])
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, name):
     scene, original = SCENES[name], prepared(BOTH)
-    old = state_of(Keystore.open(original))
+    old = state_of(Keystore.open(original, to_change=True))
     for root, done in copies(place, original, scene.work, fails):
-        found = state_of(Keystore.open(root))
+        found = state_of(Keystore.open(root, to_change=True))
         assert found != old or not done
         scene.work(root)
-        assert state_of(Keystore.open(root)) != old
+        assert state_of(Keystore.open(root, to_change=True)) != old
         assert drafts(root) == []
 
 
@@ -125,7 +125,7 @@ COMMANDS = ["renew --all", "renew --all --keep-key", "revoke /talker", "issue /a
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, line):
     for root in killed_processes(place, prepared(BOTH), line, within=0.02):
-        found, listed, _ = state_of(Keystore.open(root))
+        found, listed, _ = state_of(Keystore.open(root, to_change=True))
         assert set(found) in ({*BOTH}, {*BOTH, "/a", "/b", "/c"})
         assert len(listed) <= 1
 
@@ -133,7 +133,7 @@ def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, 
 def test_a_renewal_that_fails_for_one_renews_nobody(place, prepared, monkeypatch):
     root = place / "keystore"
     shutil.copytree(prepared(BOTH), root, symlinks=True)
-    old = state_of(Keystore.open(root))
+    old = state_of(Keystore.open(root, to_change=True))
     real = Renewer.make
 
     def failing(self, name, folder):
@@ -145,7 +145,7 @@ def test_a_renewal_that_fails_for_one_renews_nobody(place, prepared, monkeypatch
     with pytest.raises(FileError, match="no space left"):
         renew_in(root, *BOTH)
     monkeypatch.undo()
-    assert state_of(Keystore.open(root)) == old
+    assert state_of(Keystore.open(root, to_change=True)) == old
     assert drafts(root) == []
 
 
@@ -173,7 +173,7 @@ def test_processes_that_issue_renew_and_revoke_at_once_lose_nothing(place, count
         revoke_in(root, f"/old{number}")
 
     assert at_once(*(lambda each=each: life(each) for each in range(count))) == [0] * count
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     _, listed, number = state_of(keystore)
     assert len(keystore.names()) == 2 * count
     # Both certificates of each: the one before the renewal had not expired.
@@ -190,7 +190,7 @@ def test_a_kept_key_is_refused_where_the_profile_has_another_kind(place):
     issue_to(root, "/talker")
     text = (root / "pqsec.json").read_text()
     (root / "pqsec.json").write_text(text.replace("ml-dsa-65", "ml-dsa-87"))
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     old = keystore.unlock(None)
     with pytest.raises(KeystoreError, match="are not of profile transition") as caught:
         renew(keystore, old, ["/talker"], Renewal(rekey=False), now=NOW + timedelta(days=1))

@@ -37,7 +37,7 @@ def links_count_too(monkeypatch):
 
 
 def step(name: str, root: Path) -> None:
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     if name in {"begin", "switch"}:
         take = {"begin": begin_overlap, "switch": switch_overlap}[name]
         terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
@@ -48,7 +48,7 @@ def step(name: str, root: Path) -> None:
 
 def phase_of(root: Path) -> str:
     """How far it is, after everything was found to fit together."""
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     audit(keystore)
     authorities, overlap = keystore.unlock(None), Overlap.of(keystore)
     begun = overlap is not None and overlap.phase == "begun"
@@ -67,7 +67,7 @@ def _is_error(finding) -> bool:
 
 
 def empty_list(root: Path) -> None:
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     renew_list(keystore, keystore.unlock(None), now=NOW)
 
 

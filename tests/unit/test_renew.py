@@ -29,7 +29,7 @@ from pqsec_pki.keystore import (
 )
 from pqsec_pki.selfcheck import Guest, Occasion, meet
 from pqsec_pki.smime import verify
-from tests.unit.keystores import DAY, NOW, made
+from tests.unit.keystores import DAY, NOW, enter, made
 
 LATER = NOW + 60 * DAY
 
@@ -197,10 +197,9 @@ def test_permissions_that_were_altered_are_not_signed_again(keystore):
     path.write_bytes(signed.replace(b"<topic>x<", b"<topic>*<"))
     with pytest.raises(KeystoreError, match="is not the newest permissions"):
         renewed(keystore, "/listener", "/talker")
-    with keystore.open_ledger() as ledger:  # by who can write that too
-        newest = keystore.ledger()[-1]
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        ledger.add([replace(newest, sha256=digest, name="/talker")])
+    newest = keystore.ledger()[-1]
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    enter(keystore, [replace(newest, sha256=digest, name="/talker")])  # by who can write that too
     with pytest.raises(VerificationError, match="the content was changed after it was signed"):
         renewed(keystore, "/listener", "/talker")
     assert keystore.participant("/listener").certificate.not_after == NOW + 90 * DAY

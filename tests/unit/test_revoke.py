@@ -350,7 +350,7 @@ def unfinished(keystore, *links):
 
 def test_a_link_is_made_when_a_change_is_finished_unless_its_folder_is_gone(keystore):
     unfinished(keystore, ("enclaves/talker/crl.pem", "x"), ("enclaves/gone/crl.pem", "x"))
-    Keystore.open(keystore.root)
+    Keystore.open(keystore.root, to_change=True)
     assert str((keystore.root / "enclaves/talker/crl.pem").readlink()) == "x"
     assert not (keystore.root / "enclaves/gone").exists()
 
@@ -359,7 +359,7 @@ def test_a_link_is_made_when_a_change_is_finished_unless_its_folder_is_gone(keys
 def test_a_link_is_not_made_outside_the_keystore(keystore, place):
     unfinished(keystore, (place, "x"))
     with pytest.raises(KeystoreError, match="this unfinished change cannot be read"):
-        Keystore.open(keystore.root)
+        Keystore.open(keystore.root, to_change=True)
 
 
 def test_a_link_is_not_made_through_a_link(keystore, tmp_path):
@@ -367,7 +367,7 @@ def test_a_link_is_not_made_through_a_link(keystore, tmp_path):
     unfinished(keystore, ("enclaves/linked/crl.pem", "x"))
     (keystore.root / "enclaves/linked").symlink_to(tmp_path / "victim")
     with pytest.raises(KeystoreError, match="should be a folder, and is not"):
-        Keystore.open(keystore.root)
+        Keystore.open(keystore.root, to_change=True)
     assert list((tmp_path / "victim").iterdir()) == []
 
 

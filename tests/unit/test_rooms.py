@@ -11,7 +11,7 @@ import pytest
 import pqsec_pki
 
 ROOT = Path(pqsec_pki.__file__).parent
-GROUND = {"errors", "problems", "_assets", "_files", "_processes", "_asn1"}
+GROUND = {"errors", "problems", "_assets", "_files", "_owners", "_processes", "_asn1"}
 ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))
 
 # A room may import the rooms named here, and the ground.

@@ -526,7 +526,7 @@ def test_a_journal_removes_nothing_outside_the_keystore(keystore, place):
     moves = {"targets": [], "removed": [place], "entries": []}
     (keystore.root / ".journal/moves.json").write_text(json.dumps(moves))
     with pytest.raises(KeystoreError, match="this unfinished change cannot be read"):
-        Keystore.open(keystore.root)
+        Keystore.open(keystore.root, to_change=True)
     assert (keystore.root.parent / "outside").read_text() == "precious"
 
 
@@ -538,7 +538,7 @@ def test_a_journal_removes_nothing_through_a_link(keystore, tmp_path):
     moves = {"targets": [], "removed": ["enclaves/new/key.pem"], "entries": []}
     (keystore.root / ".journal/moves.json").write_text(json.dumps(moves))
     with pytest.raises(KeystoreError, match="should be a folder, and is not"):
-        Keystore.open(keystore.root)
+        Keystore.open(keystore.root, to_change=True)
     assert (tmp_path / "victim/key.pem").read_text() == "precious"
 
 

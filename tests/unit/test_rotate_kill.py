@@ -45,7 +45,7 @@ def links_count_too(monkeypatch):
 
 
 def rotate_in(root, profile=None, *, scope=Scope.BOTH, destroy=False):
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     kept = keystore.unlock(None) if scope is not Scope.BOTH else None
     profile = profile_named(profile) if profile else keystore.profile
     terms = Rollover(profile=profile, scope=scope, destroy=destroy)
@@ -53,13 +53,13 @@ def rotate_in(root, profile=None, *, scope=Scope.BOTH, destroy=False):
 
 
 def empty_list_in(root):
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     renew_list(keystore, keystore.unlock(None), now=NOW)
 
 
 def state_of(root):
     """All fingerprints, after everything was found to fit together."""
-    keystore = Keystore.open(root)
+    keystore = Keystore.open(root, to_change=True)
     authorities = keystore.unlock(None)
     audit(keystore)
     twice = keystore.profile.alternative_key is not None
@@ -185,7 +185,7 @@ def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
         shutil.copytree(original, root, symlinks=True)
         names = {path: os.open(path, os.O_RDONLY) for path in (root / "private").glob("*.key.pem")}
         done = survives(calls, lambda root=root: rotate_in(root, destroy=True))
-        Keystore.open(root)
+        Keystore.open(root, to_change=True)
         if not keys_in(root) & old:
             committed += 1
             # The files without a name hold zeros.
@@ -203,17 +203,17 @@ def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
 def test_the_passphrase_is_old_or_new_whenever_the_kill_comes(place, prepared):
     original = place / "original"
     shutil.copytree(prepared(()), original, symlinks=True)
-    keystore = Keystore.open(original)
+    keystore = Keystore.open(original, to_change=True)
     authorities = keystore.unlock(None)
     change_passphrase(keystore, authorities, SECRET)
     outcomes = []
     for calls in range(1, 1000):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
-        keystore = Keystore.open(root)
+        keystore = Keystore.open(root, to_change=True)
         # To remove it costs no hashes, and goes the same way as to set it.
         done = survives(calls, lambda k=keystore: change_passphrase(k, authorities, None))
-        Keystore.open(root)
+        Keystore.open(root, to_change=True)
         states = {is_encrypted(path.read_bytes()) for path in root.glob("private/*.key.pem")}
         assert len(states) == 1, "some under the old, some under the new"
         outcomes.append(states == {False})
@@ -243,7 +243,7 @@ def test_an_adoption_is_done_or_not_whenever_the_kill_comes(place, with_list):
             outcomes.append(False)
         except ExistsError:
             outcomes.append(True)
-        keystore = Keystore.open(root)
+        keystore = Keystore.open(root, to_change=True)
         audit(keystore)
         assert keystore.names() == sorted(BOTH)
         assert keystore.has_revocation_list == with_list

@@ -1,0 +1,129 @@
+"""The ledger's file: read whole, and replaced whole.
+
+SQLite works in memory only and opens no file here: nothing it would look for beside the
+database, or follow, can be planted. Whoever reads needs neither a lock nor a folder that may
+be written, and has the lines of one moment: a file that has its name is never changed.
+"""
+
+import os
+import sqlite3
+import stat
+import tempfile
+from contextlib import closing, suppress
+from pathlib import Path
+
+from pqsec_pki._files import PRIVATE_MODE, create
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._folder import Folder, refuse_outsiders, should_be
+
+MAX_SIZE = 512 << 20
+"""Bytes; about 400,000 participants, each renewed once. SQLite takes 1 GiB into memory."""
+
+_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+_WAL, _ROLLBACK = "-wal", "-journal"
+_BESIDE = (_WAL, "-shm", _ROLLBACK)
+"""What SQLite keeps beside a database. Of an earlier pqsec, the first may have the newest lines."""
+_VERSIONS = slice(18, 20)
+_USES_WAL, _USES_NONE = b"\x02\x02", b"\x01\x01"
+"""The file format versions of https://www.sqlite.org/fileformat.html, 1.3.1."""
+
+
+def load(private: Folder) -> bytes | None:
+    """The database; None if there is none. KeystoreError for a link, or anything but a file.
+
+    With the lines of an earlier version that SQLite has not written into it yet.
+    """
+    data = _read(private, _layout.LEDGER)
+    if data is None:
+        return None
+    if _read(private, _layout.LEDGER + _ROLLBACK):
+        # SQLite would take it for its own, and delete files that are named in it.
+        raise KeystoreError(
+            f"{private.path}/{_layout.LEDGER}: another program was stopped while it changed it",
+            hint=f"put it back from a backup, and remove {_layout.LEDGER}{_ROLLBACK}",
+        )
+    if wal := _read(private, _layout.LEDGER + _WAL):
+        data = _merged(data, wal)
+    if data[_VERSIONS] == _USES_WAL:
+        data = data[: _VERSIONS.start] + _USES_NONE + data[_VERSIONS.stop :]
+    return data
+
+
+def check(private: Folder) -> None:
+    """KeystoreError or PermissionError if the ledger could not be replaced."""
+    private.refuse_outsiders()
+    with suppress(FileNotFoundError):
+        found = os.lstat(_layout.LEDGER, dir_fd=private.handle)
+        refuse_outsiders(found, f"{private.path}/{_layout.LEDGER}")
+    if not os.access(".", os.W_OK, dir_fd=private.handle):
+        raise PermissionError(13, "Permission denied", f"{private.path}/{_layout.LEDGER}")
+
+
+def save(private: Folder, data: bytes, beside: Folder) -> None:
+    """Let `data` be the database, in one rename; made durable in the folder `beside` first."""
+    with suppress(FileNotFoundError):
+        os.unlink(_layout.LEDGER, dir_fd=beside.handle)  # of a try that was cut off
+    create(_layout.LEDGER, data, mode=_mode(private), sync=True, folder=beside.handle)
+    _replace(beside, private)
+
+
+def settle(private: Folder, beside: Folder) -> None:
+    """Take what an earlier version left beside the database into it.
+
+    Cut off anywhere, it may be repeated: the same pages are taken in again.
+    """
+    there = [each for each in _BESIDE if private.kind(_layout.LEDGER + each) is not None]
+    if not there:
+        return
+    data = load(private)
+    if data is not None:
+        save(private, data, beside)
+        os.fsync(private.handle)
+    for each in there:
+        os.unlink(_layout.LEDGER + each, dir_fd=private.handle)
+
+
+def _replace(beside: Folder, private: Folder) -> None:
+    name = _layout.LEDGER
+    os.replace(name, name, src_dir_fd=beside.handle, dst_dir_fd=private.handle)
+
+
+def _mode(private: Folder) -> int:
+    """As narrow as the user has made it, or as open for readers."""
+    try:
+        found = os.lstat(_layout.LEDGER, dir_fd=private.handle)
+    except FileNotFoundError:
+        return PRIVATE_MODE
+    return PRIVATE_MODE | found.st_mode & 0o044
+
+
+def _read(private: Folder, name: str) -> bytes | None:
+    path = f"{private.path}/{name}"
+    try:
+        handle = os.open(name, _READ, dir_fd=private.handle)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        if private.kind(name) == stat.S_IFLNK:
+            raise should_be(path, "file") from None
+        error.filename = path
+        raise
+    with os.fdopen(handle, "rb") as file:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):
+            raise should_be(path, "file")
+        if found.st_size > MAX_SIZE:
+            raise FileError(f"{path}: larger than {MAX_SIZE} bytes, so not what is expected here")
+        return file.read(MAX_SIZE)
+
+
+def _merged(data: bytes, wal: bytes) -> bytes:
+    """The database with the pages of its write-ahead log: by SQLite, in a folder of our own."""
+    with tempfile.TemporaryDirectory(prefix="pqsec-") as folder:
+        path = Path(folder, _layout.LEDGER)
+        path.write_bytes(data)
+        path.with_name(_layout.LEDGER + _WAL).write_bytes(wal)
+        with closing(sqlite3.connect(path)) as database:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        return path.read_bytes()

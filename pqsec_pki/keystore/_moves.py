@@ -1,0 +1,162 @@
+"""What a committed change still has to do: written into its folder, and done from there.
+
+Each step may have been done before, and goes by handles: through no link, and out of the
+keystore never, whoever wrote the journal.
+"""
+
+import errno
+import json
+import os
+import posixpath
+import secrets
+import shutil
+import stat
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from operator import attrgetter
+
+from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import _layout, _ledger, _shredding
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._draft import Draft, refuse_detours
+from pqsec_pki.keystore._folder import Folder, should_be
+
+JOURNAL = ".journal"
+DRAFT = ".draft-"
+_NAME, _LINK = "moves.json", "link"
+_VALUES = attrgetter(*(each.name for each in fields(Entry)))
+_IN_THE_WAY = {errno.ENOTEMPTY, errno.EEXIST, errno.EBUSY, errno.EINVAL}
+"""What rename(2) says of a folder that cannot take the place of another."""
+_MAX_SIZE = 256 << 20
+"""Bytes; the lines of 100,000 participants have 80 MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Moves:
+    targets: list[str]
+    """Where the folders 0, 1, ... go."""
+    links: list[tuple[str, str]]
+    removed: list[str]
+    entries: list[Entry]
+    """The ledger's new lines."""
+
+    @classmethod
+    def read(cls, journal: Folder) -> "_Moves":
+        path = f"{journal.path}/{_NAME}"
+        with os.fdopen(_open(journal, path), "rb") as file:
+            data = file.read(_MAX_SIZE)
+        try:
+            moves = json.loads(data)
+            found = cls(
+                [str(target) for target in moves["targets"]],
+                [(str(place), str(target)) for place, target in moves.get("links", [])],
+                [str(place) for place in moves.get("removed", [])],
+                [_entry(each) for each in moves["entries"]],
+            )
+        except (ValueError, KeyError, TypeError, RecursionError):
+            raise _unreadable(path) from None
+        places = (*found.targets, *(place for place, _ in found.links), *found.removed)
+        shown = (posixpath.join(posixpath.dirname(place), to) for place, to in found.links)
+        if not all(map(_is_inside, (*places, *map(posixpath.normpath, shown)))):
+            raise _unreadable(path)
+        return found
+
+
+def write(draft: Draft) -> None:
+    """Into the draft's folder, what is to be done once it is committed."""
+    moves = {
+        "targets": draft.targets,
+        "links": draft.links,
+        "removed": draft.removed,
+        "entries": [_VALUES(entry) for entry in draft.entries],
+    }
+    create(_NAME, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=draft.made.handle)
+
+
+def finish(root: Folder) -> None:
+    """Do what the journal in `root` says, if there is one.
+
+    KeystoreError for one that cannot be read, leads out of the keystore, or is another's.
+    """
+    if root.kind(JOURNAL) is None:
+        return
+    with root.below(JOURNAL) as journal:
+        journal.refuse_outsiders()
+        moves = _Moves.read(journal)
+        others = (*(place for place, _ in moves.links), *moves.removed)
+        refuse_detours(root, (*moves.targets, *map(os.path.dirname, others)))
+        for number, target in enumerate(moves.targets):
+            _move(journal, str(number), root, target)
+        for place, target in moves.links:
+            _link(journal, root, place, target)
+        for place in moves.removed:
+            _remove(root, place)
+        if moves.entries:
+            with root.below(_layout.PRIVATE) as private:
+                _ledger.add(private, moves.entries, journal)
+        sync_filesystem(root.handle)
+        _shredding.shred(journal)
+    spent = f"{DRAFT}{secrets.token_hex(8)}"
+    os.rename(JOURNAL, spent, src_dir_fd=root.handle, dst_dir_fd=root.handle)
+    shutil.rmtree(spent, dir_fd=root.handle)
+
+
+def _move(journal: Folder, number: str, root: Folder, target: str) -> None:
+    if journal.kind(number) != stat.S_IFDIR:
+        return
+    above, name = os.path.split(target)
+    with root.below(above, make=True) as goal:
+        try:  # where nothing is yet, or an empty folder
+            os.rename(number, name, src_dir_fd=journal.handle, dst_dir_fd=goal.handle)
+        except OSError as error:
+            if error.errno not in _IN_THE_WAY:
+                raise
+            _merge(journal, number, goal, name)
+
+
+def _merge(journal: Folder, number: str, above: Folder, name: str) -> None:
+    with journal.below(number) as drafted, above.below(name) as goal:
+        mode = goal.mode & drafted.mode
+        if mode != goal.mode:  # never wider than it was: the user may have closed it
+            os.fchmod(goal.handle, mode)
+        # The certificate last: with it, a folder is a participant.
+        for each in sorted(drafted.names, key=lambda name: (name == _layout.CERTIFICATE, name)):
+            os.replace(each, each, src_dir_fd=drafted.handle, dst_dir_fd=goal.handle)
+    os.rmdir(number, dir_fd=journal.handle)
+
+
+def _link(journal: Folder, root: Folder, place: str, target: str) -> None:
+    with suppress(FileNotFoundError):
+        os.unlink(_LINK, dir_fd=journal.handle)
+    os.symlink(target, _LINK, dir_fd=journal.handle)
+    above, name = os.path.split(place)
+    # Where the folder was removed since, none is needed.
+    with suppress(FileNotFoundError), root.below(above) as folder:
+        os.replace(_LINK, name, src_dir_fd=journal.handle, dst_dir_fd=folder.handle)
+
+
+def _remove(root: Folder, place: str) -> None:
+    above, name = os.path.split(place)
+    with suppress(FileNotFoundError), root.below(above) as folder:
+        os.unlink(name, dir_fd=folder.handle)
+
+
+def _entry(values: list[str]) -> Entry:
+    entry = Entry(*values)  # type: ignore[arg-type] # as they were written
+    return replace(entry, details=dict(entry.details))
+
+
+def _is_inside(place: str) -> bool:
+    return not ("\0" in place or place.startswith("/") or ".." in place.split("/"))
+
+
+def _open(journal: Folder, path: str) -> int:
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    if journal.kind(_NAME) != stat.S_IFREG:
+        raise should_be(path, "file") if journal.kind(_NAME) else _unreadable(path)
+    return os.open(_NAME, flags, dir_fd=journal.handle)
+
+
+def _unreadable(path: str) -> KeystoreError:
+    return KeystoreError(f"{path}: this unfinished change cannot be read")
