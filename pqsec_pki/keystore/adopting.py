@@ -128,11 +128,18 @@ def _profile(root: Path) -> Profile | None:
         "participant_key": participant.public_key.algorithm.name,
         "alternative_key": second.algorithm.name if second else None,
     }
-    for profile in reversed(PROFILES):  # classical first
+    for profile in _nearest_first(identity):
         if (second is None) == (profile.alternative_key is None):
             with suppress(UsageError):
                 return profile.changed(kinds)
     return None
+
+
+def _nearest_first(ca: Certificate) -> list[Profile]:
+    """Profiles with keys of the CA's family before others, which may promise less: composite
+    keys keep what pq promises, and pq does not promise what hybrid does. Then classical first."""
+    family = ca.public_key.algorithm.family
+    return sorted(PROFILES[::-1], key=lambda each: each.identity_key.family != family)
 
 
 def _first_participant(root: Path) -> Certificate | None:

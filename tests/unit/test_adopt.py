@@ -8,7 +8,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from pqsec_pki.algorithms import load_private_key, private_key_pem, profile_named
+from pqsec_pki.algorithms import PROFILES, load_private_key, private_key_pem, profile_named
 from pqsec_pki.certificates import Certificate, verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import (
@@ -158,6 +158,36 @@ def test_a_keystore_of_ours_that_lost_its_settings_and_ledger_is_adopted(tmp_pat
     audit(done.keystore)
     renew(done.keystore, done.keystore.unlock(None), ["/talker"], now=NOW + DAY)
     revoke(done.keystore, done.keystore.unlock(None), ["/talker"], now=NOW + DAY)
+
+
+def test_what_a_profile_promised_is_promised_again(tmp_path):
+    """A composite keystore came out as pq, whose promise a later key could keep without a half."""
+    wrong = {}
+    for profile in PROFILES:
+        keystore = made(tmp_path / profile.name, profile.name, names=("/talker",))
+        (keystore.root / "pqsec.json").unlink()
+        (keystore.root / "private/ledger.sqlite3").unlink()
+        done = adopt(keystore.root, now=NOW)
+        if (done.keystore.profile, done.fitting) != (keystore.profile, True):
+            wrong[profile.name] = done.keystore.profile.to_names()
+    assert not wrong
+
+
+def test_any_composite_keys_are_hybrid_and_one_that_is_not_makes_it_pq(tmp_path):
+    composite = {"identity_key": "mldsa44-ecdsa-p256-sha256"}
+    for number, (more, name) in enumerate([({}, "hybrid"), ({"participant": "ml-dsa-65"}, "pq")]):
+        keys = composite | dict.fromkeys(
+            ["permissions_key", "participant_key"], composite["identity_key"]
+        )
+        keys |= {f"{kind}_key": row for kind, row in more.items()}
+        profile = profile_named(name).changed(keys)
+        options = {"domains": DomainSet.of(0), "validity": 900 * DAY, "now": NOW}
+        root = tmp_path / str(number)
+        keystore = Keystore.create(root, profile, name="Test", passphrase=None, **options)
+        issue(keystore, keystore.unlock(None), [wish("/talker")], now=NOW)
+        (root / "pqsec.json").unlink()
+        (root / "private/ledger.sqlite3").unlink()
+        assert adopt(root, now=NOW).keystore.profile.name == name
 
 
 def test_a_keystore_whose_ca_keys_are_elsewhere_is_adopted(sros2):
