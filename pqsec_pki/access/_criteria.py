@@ -52,8 +52,11 @@ def opendds_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
     """As names, and an endpoint without partitions meets all that allow_rules name.
 
     OpenDDS 3.34 (read): partitions_match counts only partitions that the endpoint has,
-    so it finds none that is not allowed, and none that is denied.
+    so it finds none that is not allowed, and none that is denied. Where an allow_rule names
+    no partition there must be one at most.
     """
+    if rule.allow and not criteria.partitions:
+        return case.question.partitions in {(), _DEFAULT}
     if criteria.partitions and not case.question.partitions:
         return rule.allow
     return named_partitions(case, criteria, rule)

@@ -55,6 +55,8 @@ def within(expression: str, patterns: Iterable[str], steps: Steps) -> bool:
     way in which a name that the expression covers can be read: `steps` bounds their number,
     and with it the memory.
     """
+    if steps.spent:
+        return False
     wanted = _of_endpoint(expression)
     near = [each for each in map(compiled, patterns) if each.length <= LONGEST]
     near = [each for each in near if _meet(wanted, each, steps)]
@@ -64,8 +66,10 @@ def within(expression: str, patterns: Iterable[str], steps: Steps) -> bool:
 def meets(expression: str, patterns: Iterable[str], steps: Steps) -> bool:
     """Whether a name is covered by the expression and by one of the patterns.
 
-    True in doubt. It takes at most one step for each place of the expression and pattern.
+    True in doubt. It takes a step or a few for each place of the expression and each pattern.
     """
+    if steps.spent:
+        return True
     wanted = _of_endpoint(expression)
     return any(_meet(wanted, each, steps) for each in map(compiled, patterns))
 

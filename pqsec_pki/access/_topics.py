@@ -40,8 +40,8 @@ class Topics:
         words = {
             Extent.ONE: name,
             Extent.ALL: f"every {self.what}" if self.name == "*" else f"all of {name}",
-            Extent.SOME: f"some of {name}, such as '{self.such_as}'",
-            Extent.OTHER: f"{self.what}s that no rule names, such as '{self.such_as}'",
+            Extent.SOME: f"some of {name}, such as {_quoted(self.such_as)}",
+            Extent.OTHER: f"{self.what}s that no rule names, such as {_quoted(self.such_as)}",
         }[self.extent]
         but = list(map(self._said, self.but))
         if len(but) > MOST_SAID:
@@ -127,6 +127,10 @@ class Universe:
             if covered & left and covered < within and not covered & chosen:
                 yield other
                 left -= covered
+
+
+def _quoted(name: str) -> str:
+    return f"'{name}'" if name.isprintable() else ascii(name)
 
 
 def _shortest(names: Iterable[str]) -> str:

@@ -19,6 +19,10 @@ exponentially many ways. It is a second or two."""
 _State: TypeAlias = frozenset[int]
 _OTHER = -1
 
+_UNNAMED = 1
+"""An octet that no pattern names, since XML cannot hold it: what covers all printable ASCII, as
+`[ -~]` does, does not cover what `?` does."""
+
 # Names that are made up are printable ASCII, and have the first of these that fits.
 _LIKED = "".join(
     dict.fromkeys(f"xyzw{ascii_letters}{digits}_/-." + "".join(map(chr, range(32, 127))))
@@ -27,7 +31,7 @@ _LIKED = "".join(
 
 @dataclass(frozen=True, slots=True)
 class Witnesses:
-    """The names; `complete` if none in printable ASCII meets the patterns in another way."""
+    """The names; `complete` if none in ASCII meets the patterns in another way."""
 
     names: tuple[str, ...]
     complete: bool
@@ -172,7 +176,7 @@ class _Automaton:
 def _alike(kinds: Iterable[int]) -> dict[int, int]:
     """For each octet that names are made of, the first that is of the same kinds."""
     first: dict[tuple[int, ...], int] = {}
-    octets = [ord(character) for character in _LIKED]
+    octets = [*map(ord, _LIKED), _UNNAMED]
     return {
         octet: first.setdefault(tuple(kind for kind in kinds if kind >> octet & 1), octet)
         for octet in octets

@@ -230,6 +230,15 @@ def test_what_takes_too_many_steps_to_compare_is_denied_in_doubt():
     assert not other.reason.endswith("and in doubt it is no")
 
 
+def test_nothing_is_compared_when_no_step_is_left():
+    def patterns():
+        raise AssertionError("asked for")
+        yield
+
+    spent = Steps(-1)
+    assert (within("*", patterns(), spent), meets("*", patterns(), spent)) == (False, True)
+
+
 @pytest.mark.parametrize("compare", [within, meets])
 def test_hostile_expressions_share_the_steps_of_one_question(compare):
     steps, rules = Steps(), [f"{each}{'*?[!b]' * 40}" for each in "abcdefgh"]

@@ -144,6 +144,16 @@ def topic_rule(expression="*", **settings):
             ],
         ),
         (
+            [allow("a", partitions=("?",))],
+            [allow("a", partitions=("[ -~]",))],
+            [
+                (
+                    "taken away: publish 'a' on domain 0 in some of partition '?', such as '\\x01',"
+                    " but none of partition '[ -~]'"
+                )
+            ],
+        ),
+        (
             [deny("a", tags=(("k", "3"),)), allow("a", tags=(("k", "1"), ("k", "2"), ("k", "3")))],
             [allow("a", tags=(("k", "1"),)), allow("a", tags=(("k", "2"),))],
             ["taken away: publish 'a' on domain 0 with data tags k=1, k=2"],
@@ -189,6 +199,7 @@ def test_a_change_of_rules_is_told_by_what_it_does(old, new, changes):
         ([allow("?")], [allow("[!a]", "a")]),
         ([allow("a*"), allow("*")], [allow("*")]),
         ([deny("a"), allow("b")], [allow("b")]),
+        ([allow("a", partitions=("?",))], [allow("a", partitions=("[a-z]", "[!a-z]"))]),
         ([allow("a", partitions=("P*", ""))], [allow("a", partitions=("", "P*", "PQ"))]),
         (
             [allow("x", domains=DomainSet.of(0, 1))],
