@@ -82,6 +82,34 @@ class Code(StrEnum):
     NO_DOMAIN_RULE = "no-domain-rule"
     DOMAIN_DENIED = "domain-denied"
 
+    # A handshake message, by the number of the check (docs/wire.md, 9). C10 has the codes of
+    # certificates, C25 also those of documents
+    C1 = "C1"
+    C2 = "C2"
+    C3 = "C3"
+    C4 = "C4"
+    C5 = "C5"
+    C6 = "C6"
+    C7 = "C7"
+    C8 = "C8"
+    C9 = "C9"
+    C11 = "C11"
+    C12 = "C12"
+    C13 = "C13"
+    C14 = "C14"
+    C15 = "C15"
+    C16 = "C16"
+    C17 = "C17"
+    C18 = "C18"
+    C19 = "C19"
+    C20 = "C20"
+    C21 = "C21"
+    C22 = "C22"
+    C23 = "C23"
+    C24 = "C24"
+    C25 = "C25"
+    C26 = "C26"
+
     # Against what was seen before
     OLDER = "older"
 

@@ -81,10 +81,14 @@ def vouching_for_itself(genuine: Certificate, now: datetime, name: str | None = 
     )
 
 
-def issued(authority: Authority, name: str, keys: Keys, now: datetime) -> Certificate:
+def issued(
+    authority: Authority, name: str, keys: Keys, now: datetime, validity: timedelta = YEAR
+) -> Certificate:
     """A participant's certificate by that authority."""
     second = keys.alternative.public_key if keys.alternative else None
-    return authority.issue(name, keys.plain.public_key, alternative=second, now=now, validity=YEAR)
+    return authority.issue(
+        name, keys.plain.public_key, alternative=second, now=now, validity=validity
+    )
 
 
 def list_of(authority: Authority, taken_back: Certificate, now: datetime) -> RevocationList:
@@ -93,10 +97,10 @@ def list_of(authority: Authority, taken_back: Certificate, now: datetime) -> Rev
     return revocation_list(authority, [entry], number=1, now=now, validity=YEAR)
 
 
-def without_alternative_signature(genuine: Certificate) -> Certificate:
-    """The certificate with one signature less; the other, which covered that one, stays."""
+def without_alternative_signature(genuine: Certificate, broken: PrivateKey) -> Certificate:
+    """The certificate with one signature less; the other, by the CA's plain key, made anew."""
     tbs = _without_alternative_signature(genuine)
-    return _assembled(tbs, tbs.signature, genuine.signature)
+    return _assembled(tbs, tbs.signature, broken.sign(encode(tbs)))
 
 
 def with_broken_key(genuine: Certificate, key: PrivateKey) -> Certificate:

@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from functools import partial
 
 from pqsec_pki.attacks._forgery import (
+    YEAR,
     Keys,
     issued,
     list_of,
@@ -16,10 +17,12 @@ from pqsec_pki.attacks._forgery import (
 from pqsec_pki.attacks._relays import Edit, editing
 from pqsec_pki.attacks._scene import Attempt, Scene, showing
 from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
-from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.certificates import BACKDATE, Authority, Certificate
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.encounter import Side
 
 _MOMENT = timedelta(seconds=1)
+_HOUR = timedelta(hours=1)
 
 
 def copy_certificate(scene: Scene) -> Iterator[Attempt]:
@@ -48,29 +51,25 @@ def vouch_for_itself(scene: Scene) -> Iterator[Attempt]:
 
 
 def come_late(scene: Scene) -> Iterator[Attempt]:
-    """When a certificate has ended."""
-    for side in scene.encounter.sides:
-        late = side.participant.certificate.not_after + _MOMENT
-        encounter = replace(scene.encounter, now=late)
-        yield Attempt(f"a second after the end of {side.name}'s", encounter)
+    """When its certificate has ended. Its permissions have not, so nothing else tells."""
+    ca, scene = under_a_stand_in(scene)
+    now = scene.encounter.now
+    ended = partial(_certified_for, ca, now - _HOUR, _HOUR - _MOMENT)
+    return scene.posing("a second after the end", ended)
 
 
 def come_early(scene: Scene) -> Iterator[Attempt]:
-    """Before a certificate begins."""
-    for side in scene.encounter.sides:
-        early = side.participant.certificate.not_before - _MOMENT
-        encounter = replace(scene.encounter, now=early)
-        yield Attempt(f"a second before the begin of {side.name}'s", encounter)
+    """Before its certificate begins."""
+    ca, scene = under_a_stand_in(scene)
+    begins = scene.encounter.now + _MOMENT + BACKDATE
+    return scene.posing("a second before the begin", partial(_certified_for, ca, begins, YEAR))
 
 
 def stay_though_revoked(scene: Scene) -> Iterator[Attempt]:
-    """On the CA's list; of a CA that stands for the genuine one, whose key is not here."""
+    """On the CA's list."""
+    ca, scene = under_a_stand_in(scene)
+    one, other = scene.encounter.sides
     now = scene.encounter.now
-    ca = vouching_for_itself(scene.encounter.initiator.participant.identity_ca, now)
-    one, other = (
-        showing(_certified_by(ca, now, side, side), ca=ca.certificate)
-        for side in scene.encounter.sides
-    )
     meeting = replace(
         scene.encounter,
         initiator=showing(one, revocation_list=list_of(ca, other.terms.own.certificate, now)),
@@ -78,6 +77,26 @@ def stay_though_revoked(scene: Scene) -> Iterator[Attempt]:
     )
     unaware = replace(scene, encounter=meeting)
     return unaware.posing("on the list", lambda side, _: showing(side, revocation_list=None))
+
+
+def under_a_stand_in(scene: Scene) -> tuple[Authority, Scene]:
+    """A CA like the genuine one, whose key is not here, and the two certified by it."""
+    now = scene.encounter.now
+    ca = vouching_for_itself(scene.encounter.initiator.participant.identity_ca, now)
+    one, other = (
+        showing(_certified_by(ca, now, side, side), ca=ca.certificate)
+        for side in scene.encounter.sides
+    )
+    return ca, replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
+
+
+def _certified_for(
+    ca: Authority, begin: datetime, validity: timedelta, side: Side, _: Side
+) -> Side:
+    """New keys, and a certificate that begins a day before `begin`, as all do."""
+    keys = _new_keys(side)
+    certificate = issued(ca, side.name, keys, begin, validity)
+    return showing(side, certificate=certificate, key=keys.both)
 
 
 # With a quantum computer, which finds plain keys
@@ -114,10 +133,14 @@ def _cuts(side: Side) -> dict[str, Edit]:
 
 def strip_certificate(scene: Scene) -> Iterator[Attempt]:
     """The genuine certificate and keys, but for the signature of the CA's alternative key."""
+    genuine_ca = scene.encounter.initiator.participant.identity_ca
+    key = Keys.like(genuine_ca).plain
+    scene = _where_all_trust(with_broken_key(genuine_ca, key), scene)
 
     def stripped(side: Side, _: Side) -> Side:
         genuine = side.participant.certificate
-        return showing(side, certificate=without_alternative_signature(genuine))
+        less = without_alternative_signature(genuine, key)
+        return showing(side, certificate=less, ca=genuine_ca)
 
     return scene.posing("no alternative signature", stripped)
 
@@ -159,6 +182,7 @@ ATTACKS = (
         attacker=Attacker.OUTSIDER,
         title="shows the certificate of a participant, without having its key",
         refused_at=("final", "authenticated"),
+        checks=(Code.C21, Code.C24),
         act=copy_certificate,
     ),
     Attack(
@@ -166,6 +190,7 @@ ATTACKS = (
         attacker=Attacker.OUTSIDER,
         title="makes a CA of the same name, and certificates with it",
         refused_at=("reply", "final"),
+        checks=(Code.WRONG_ISSUER, Code.BAD_SIGNATURE, Code.ALTERNATIVE_BAD),
         act=found_a_ca,
     ),
     Attack(
@@ -173,6 +198,7 @@ ATTACKS = (
         attacker=Attacker.OUTSIDER,
         title="shows a certificate that it signed itself",
         refused_at=("reply", "final"),
+        checks=(Code.WRONG_ISSUER, Code.NOT_PARTICIPANT, Code.ALTERNATIVE_BAD),
         act=vouch_for_itself,
     ),
     Attack(
@@ -180,6 +206,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="still uses its certificate after that has ended",
         refused_at=("reply", "final"),
+        checks=(Code.EXPIRED,),
         act=come_late,
     ),
     Attack(
@@ -187,6 +214,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="uses its certificate before that begins",
         refused_at=("reply", "final"),
+        checks=(Code.NOT_YET_VALID,),
         act=come_early,
     ),
     Attack(
@@ -194,6 +222,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="still uses its certificate after that was revoked",
         refused_at=("reply", "final"),
+        checks=(Code.REVOKED,),
         act=stay_though_revoked,
     ),
     Attack(
@@ -201,6 +230,7 @@ ATTACKS = (
         attacker=Attacker.QUANTUM,
         title="signs with the classical key alone, as a stock stack does",
         refused_at=("reply", "final"),
+        checks=(Code.C16,),
         act=sign_plainly,
         pointless=two_keys,
     ),
@@ -209,6 +239,7 @@ ATTACKS = (
         attacker=Attacker.QUANTUM,
         title="signs with one of the two keys, and has nothing or another key for the other",
         refused_at=("final", "authenticated"),
+        checks=(Code.C21, Code.C24),
         act=sign_half,
         pointless=two_keys,
     ),
@@ -217,6 +248,7 @@ ATTACKS = (
         attacker=Attacker.QUANTUM,
         title="takes the CA's post-quantum signature out of the certificate",
         refused_at=("reply", "final"),
+        checks=(Code.ALTERNATIVE_MISSING,),
         act=strip_certificate,
         pointless=two_keys,
     ),
@@ -225,6 +257,7 @@ ATTACKS = (
         attacker=Attacker.QUANTUM,
         title="issues itself certificates with the classical key of the CA",
         refused_at=("reply", "final"),
+        checks=(Code.ALTERNATIVE_MISSING, Code.ALTERNATIVE_BAD),
         act=break_the_ca,
         pointless=two_keys,
     ),

@@ -16,23 +16,24 @@ from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import adjusted_guid
 from pqsec_pki.keystore import Participant
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.encounter import Encounter, Side
 from pqsec_pki.smime import Signer, document_in, sign
 
-_STRANGER = "/stranger"
-
 
 def issue_certificates(scene: Scene) -> Iterator[Attempt]:
-    """One for another name, by a participant's key."""
+    """One that never ends, by its own key; its permissions are for that name."""
 
-    def renamed(side: Side, _: Side) -> Side:
+    def prolonged(side: Side, _: Side) -> Side:
         own = side.participant
-        ca, keys = Authority(own.certificate, own.key, own.alternative_key), Keys.of(own)
-        certificate = issued(ca, _STRANGER, keys, scene.encounter.now)
-        guid = adjusted_guid(certificate.subject_der, side.guid)
-        return showing(side, certificate=certificate, guid=guid)
+        ca, keys = (
+            Authority(own.certificate, own.key, own.alternative_key),
+            Keys.like(own.certificate),
+        )
+        certificate = issued(ca, side.name, keys, scene.encounter.now)
+        return showing(side, certificate=certificate, key=keys.both)
 
-    return scene.posing("a participant as CA", renamed)
+    return scene.posing("a participant as CA", prolonged)
 
 
 def claim_guid(scene: Scene) -> Iterator[Attempt]:
@@ -194,6 +195,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="issues a certificate with its own key, as if it were a CA",
         refused_at=("reply", "final"),
+        checks=(Code.WRONG_ISSUER, Code.ALTERNATIVE_BAD),
         act=issue_certificates,
     ),
     Attack(
@@ -201,6 +203,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="claims a GUID that belongs to another participant",
         refused_at=("reply", "final"),
+        checks=(Code.C11,),
         act=claim_guid,
     ),
     Attack(
@@ -208,6 +211,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="shows the permissions of another participant",
         refused_at=("admits",),
+        checks=(Code.C25,),
         act=borrow_permissions,
         pointless=shared_permissions,
     ),
@@ -216,6 +220,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="shows permissions that the permissions CA never signed",
         refused_at=("admits",),
+        checks=(Code.WRONG_SIGNER, Code.CONTENT_CHANGED, Code.NOT_SIGNED, Code.SIGNATURE_MISSING),
         act=forge_permissions,
     ),
     Attack(
@@ -223,6 +228,7 @@ ATTACKS = (
         attacker=Attacker.QUANTUM,
         title="takes the post-quantum signature off its permissions",
         refused_at=("admits",),
+        checks=(Code.SIGNATURE_MISSING,),
         act=strip_countersignature,
         pointless=two_keys,
     ),
@@ -231,6 +237,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="sends key-agreement keys that are none: of a wrong size, off the curve, all zero",
         refused_at=("reply", "message"),
+        checks=(Code.C17, Code.C26),
         act=send_bad_public_keys,
     ),
     Attack(
@@ -238,6 +245,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="answers with a secret that was changed, and signs that",
         refused_at=("final", "message"),
+        checks=(Code.C22, Code.C26),
         act=sign_bad_ciphertexts,
     ),
 )

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, KeyAgreement
 from pqsec_pki.attacks._relays import putting
 from pqsec_pki.attacks._scene import Attempt, Scene, value_in
-from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.attacks.attack import COVERED, DOCUMENT, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import CHALLENGE_SIZE
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.encounter import Relay
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE
 
@@ -129,6 +130,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="puts its own challenge in the place of a fresh one, to have an answer ready",
         refused_at=("reply", "final"),
+        checks=(Code.C14, Code.C19, Code.C20, Code.C21),
+        also=TRANSCRIPT,
+        because=COVERED,
         act=swap_challenges,
     ),
     Attack(
@@ -136,6 +140,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="changes the permissions in a message and takes out the hash that would show it",
         refused_at=("final",),
+        checks=(Code.C21,),
+        also=(*TRANSCRIPT, *DOCUMENT),
+        because=COVERED,
         act=strip_hashes,
     ),
     Attack(
@@ -143,6 +150,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="agrees on a key with each side in the other's name, to read along",
         refused_at=("final",),
+        checks=(Code.C21,),
+        also=TRANSCRIPT,
+        because=COVERED,
         act=sit_in_the_middle,
     ),
     Attack(
@@ -150,6 +160,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="asks for another key agreement than the profile's, a weaker one say",
         refused_at=("reply", "final"),
+        checks=(Code.C8, Code.C18),
+        also=TRANSCRIPT,
+        because=COVERED,
         act=downgrade,
     ),
     Attack(
@@ -157,6 +170,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="names another signature algorithm than the certificate's",
         refused_at=("reply", "final"),
+        checks=(Code.C16,),
+        also=TRANSCRIPT,
+        because=COVERED,
         act=name_other_signatures,
     ),
     Attack(
@@ -164,6 +180,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="names an algorithm that does not exist",
         refused_at=("reply", "final"),
+        checks=(Code.C8, Code.C16, Code.C18),
+        also=TRANSCRIPT,
+        because=COVERED,
         act=name_unknown_algorithms,
     ),
 )

@@ -75,3 +75,12 @@ def adding(message: str, *fields: tuple[str, bytes]) -> Relay:
         return replace(token, binary_properties=token.binary_properties + fields)
 
     return retold(message, change)
+
+
+def preceding(message: str, *fields: tuple[str, bytes]) -> Relay:
+    """Puts more fields before its own."""
+
+    def change(token: DataHolder) -> DataHolder:
+        return replace(token, binary_properties=fields + token.binary_properties)
+
+    return retold(message, change)

@@ -6,8 +6,9 @@ from functools import partial
 
 from pqsec_pki.attacks._relays import instead, on, putting
 from pqsec_pki.attacks._scene import Attempt, Scene, token_in, value_in
-from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.attacks.attack import COVERED, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import DataHolder, Introduction, Request, reply_to
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.encounter import Relay
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
 
@@ -91,6 +92,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="sends a participant its own certificate back, so that it meets itself",
         refused_at=("reply", "final"),
+        checks=(Code.C12, Code.C13),
+        also=TRANSCRIPT,
+        because=COVERED,
         act=reflect,
     ),
     Attack(
@@ -98,6 +102,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="sends a participant its own first encrypted message back",
         refused_at=("message",),
+        checks=(Code.C26,),
         act=reflect_message,
     ),
     Attack(
@@ -105,6 +110,9 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="repeats what it recorded of an earlier handshake, piece by piece or all of it",
         refused_at=("reply", "final", "authenticated", "message"),
+        checks=(Code.C14, Code.C19, Code.C20, Code.C23, Code.C26),
+        also=TRANSCRIPT,
+        because="of an earlier handshake all has to be replayed that its signatures cover",
         act=replay,
     ),
 )

@@ -9,12 +9,13 @@ from pqsec_pki.attacks._relays import (
     adding,
     editing,
     enveloped,
-    instead,
     on,
+    preceding,
     putting,
+    retold,
 )
 from pqsec_pki.attacks._scene import Attempt, Scene
-from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.attacks.attack import CERTIFICATE, COVERED, DOCUMENT, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import (
     DataHolder,
     Final,
@@ -25,7 +26,7 @@ from pqsec_pki.handshake import (
     TransformationKind,
     token_message,
 )
-from pqsec_pki.selfcheck.course import AROUND_TOKEN
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
 
 _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
@@ -56,10 +57,13 @@ def drop_fields(scene: Scene) -> Iterator[Attempt]:
 
 
 def double_fields(scene: Scene) -> Iterator[Attempt]:
-    """Of two values, two readers may take different ones."""
+    """Of two values, two readers may take different ones: the first is forged, the last is not.
+
+    Who takes the last sees nothing wrong. Cyclone DDS takes the first.
+    """
     for message in HANDSHAKE:
         for name, value in scene.token(message).binary_properties:
-            relay = adding(message, (name, value[::-1]))
+            relay = preceding(message, (name, value[::-1]))
             yield scene.between(f"{name} of the {message}", relay)
 
 
@@ -99,42 +103,60 @@ def _as_version_9(token: DataHolder) -> DataHolder:
 
 
 def reorder(scene: Scene) -> Iterator[Attempt]:
-    """Another message than is due."""
+    """Another message than is due, which has all that is looked for in the one that is."""
     for due in HANDSHAKE:
         for other in HANDSHAKE:
             if other != due:
-                relay = instead(due, scene.token(other))
+                relay = retold(due, partial(_as, scene.token(other)))
                 yield scene.between(f"a {other} where a {due} is due", relay)
 
 
+def _as(other: DataHolder, due: DataHolder) -> DataHolder:
+    known = dict(due.binary_properties)
+    more = tuple(pair for pair in other.binary_properties if pair[0] not in known)
+    return replace(other, binary_properties=due.binary_properties + more)
+
+
+_PADDING = bytes(64)
+
+
 def truncate(scene: Scene) -> Iterator[Attempt]:
-    """Messages that end too early."""
+    """Messages that end too early, but behind all that is looked for."""
     for message in (AUTH_REQUEST, *HANDSHAKE):
-        for what, edit in _CUTS.items():
-            yield scene.between(f"{what} of the {message}", on(message, edit))
+        for what, size in _CUTS.items():
+            padding = adding(message, ("x", _PADDING))
+            cut = on(message, partial(_without_end, size))
+            yield scene.between(f"{what} of the {message}", padding, cut)
 
 
-_CUTS: Mapping[str, Edit] = {
-    "nothing": lambda _: b"",
-    "the first byte": lambda data: data[:1],
-    "the first half": lambda data: data[: len(data) // 2],
-    "all but the last byte": lambda data: data[:-1],
+_CUTS: Mapping[str, int] = {
+    "a byte too few": 1,
+    "half of the last field too few": len(_PADDING) // 2,
+    "the last field too few": len(_PADDING),
+    "the last field and its length too few": len(_PADDING) + 4,
 }
+
+
+def _without_end(size: int, data: bytes) -> bytes:
+    return data[:-size]
 
 
 def oversize(scene: Scene) -> Iterator[Attempt]:
     """What would cost memory or time before anybody is authenticated."""
-    many = [("x", b"")] * 10_000
+    many = [(f"x{at}", b"") for at in range(10_000)]
     for message in HANDSHAKE:
         relay = adding(message, ("x", bytes(1 << 20)))
         yield scene.between(f"a field of 1 MiB in the {message}", relay)
         yield scene.between(f"10,000 fields in the {message}", adding(message, *many))
-        yield scene.between(f"a length of 4 GiB in the {message}", on(message, _with_length))
+        claimed = on(message, _with_length)
+        last = adding(message, ("x", _PADDING))
+        yield scene.between(f"a length of 4 GiB in the {message}", last, claimed)
 
 
 def _with_length(sample: bytes) -> bytes:
-    """What a token begins with is the length of its class name."""
-    return sample[:AROUND_TOKEN] + b"\xff" * 4 + sample[AROUND_TOKEN + 4 :]
+    """What the last field begins with is its length."""
+    end = len(_PADDING)
+    return sample[: -end - 4] + b"\xff" * 4 + sample[-end:]
 
 
 # Protected messages
@@ -185,6 +207,20 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="changes one bit of the request, in each of its fields",
         refused_at=("reply", "final"),
+        checks=(
+            Code.C8,
+            Code.C9,
+            *CERTIFICATE,
+            Code.C11,
+            Code.C12,
+            Code.C14,
+            Code.C15,
+            Code.C16,
+            Code.C17,
+            Code.C19,
+        ),
+        also=(*TRANSCRIPT, *DOCUMENT),
+        because=COVERED,
         act=partial(change_fields, "request"),
     ),
     Attack(
@@ -192,6 +228,19 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="changes one bit of the reply, in each of its fields",
         refused_at=("final",),
+        checks=(
+            Code.C9,
+            *CERTIFICATE,
+            Code.C11,
+            Code.C12,
+            Code.C16,
+            Code.C18,
+            Code.C19,
+            Code.C20,
+            Code.C21,
+        ),
+        also=(*TRANSCRIPT, Code.C22, *DOCUMENT),
+        because=COVERED,
         act=partial(change_fields, "reply"),
     ),
     Attack(
@@ -199,6 +248,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="changes one bit of the final message, in each of its fields",
         refused_at=("authenticated",),
+        checks=(Code.C23, Code.C24),
         act=partial(change_fields, "final"),
     ),
     Attack(
@@ -206,6 +256,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="changes what is sent encrypted afterwards, or sends it unencrypted",
         refused_at=("message",),
+        checks=(Code.C26,),
         act=change_message,
     ),
     Attack(
@@ -213,6 +264,12 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="takes a required field out of a message",
         refused_at=("reply", "final", "authenticated"),
+        checks=(Code.C4,),
+        also=(
+            *(Code.C6, Code.C8, Code.C9, Code.C11, Code.C12, Code.C14, Code.C15, Code.C16),
+            *(Code.C17, Code.C18, Code.C20, Code.C22, *TRANSCRIPT, *DOCUMENT),
+        ),
+        because="what is missing is missed again by whoever uses it; what is only repeated is not",
         act=drop_fields,
     ),
     Attack(
@@ -220,6 +277,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="gives a field a second value, so that two readers may see different ones",
         refused_at=("reply", "final", "authenticated"),
+        checks=(Code.C5,),
         act=double_fields,
     ),
     Attack(
@@ -227,6 +285,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="adds a field that some stacks sign and others do not",
         refused_at=("reply", "final", "authenticated"),
+        checks=(Code.C7,),
         act=smuggle_fields,
     ),
     Attack(
@@ -234,6 +293,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="readdresses a message, or says it is of another kind or version",
         refused_at=("auth", "reply", "final", "authenticated"),
+        checks=(Code.C2, Code.C3),
         act=mislabel,
     ),
     Attack(
@@ -241,6 +301,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="delivers a message where another one is due",
         refused_at=("reply", "final", "authenticated"),
+        checks=(Code.C3,),
         act=reorder,
     ),
     Attack(
@@ -248,6 +309,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="cuts messages short",
         refused_at=("auth", "reply", "final", "authenticated"),
+        checks=(Code.C1,),
         act=truncate,
     ),
     Attack(
@@ -255,6 +317,7 @@ ATTACKS = (
         attacker=Attacker.ON_THE_WAY,
         title="sends messages of 1 MiB, of 10,000 fields, or that claim 4 GiB, to exhaust memory",
         refused_at=("reply", "final", "authenticated"),
+        checks=(Code.C1,),
         act=oversize,
     ),
 )

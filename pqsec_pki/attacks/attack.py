@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from pqsec_pki.attacks._scene import Attempt, Scene
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.encounter import Encounter
 
 
@@ -19,6 +20,22 @@ class Attacker(StrEnum):
     """An outsider who has found the classical keys, but not the post-quantum ones."""
     INSIDER = "insider"
     """Is a participant of the domain."""
+
+
+CERTIFICATE = (
+    *(Code.WRONG_ISSUER, Code.BAD_SIGNATURE, Code.ALTERNATIVE_MISSING, Code.ALTERNATIVE_BAD),
+    *(Code.EXPIRED, Code.NOT_YET_VALID, Code.CRITICAL_EXTENSION, Code.NOT_PARTICIPANT),
+    *(Code.KEY_USAGE, Code.REVOKED),
+)
+"""C10 of docs/wire.md: what can be wrong with a participant's certificate."""
+DOCUMENT = (
+    *(Code.NOT_SIGNED, Code.WRONG_SIGNER, Code.CONTENT_CHANGED, Code.SIGNATURE_BAD),
+    *(Code.SIGNATURE_MISSING, Code.COUNTERSIGNATURE_BAD, Code.DOCUMENT_INVALID, Code.C25),
+)
+"""C25: what can be wrong with permissions."""
+TRANSCRIPT = (Code.C19, Code.C21, Code.C23, Code.C24, Code.C26)
+"""Repetitions, signatures and key: they cover whatever is said in a handshake."""
+COVERED = "what is changed is repeated, is in both signatures and, with a bound secret, in the key"
 
 
 def _anywhere(encounter: Encounter) -> str | None:
@@ -43,6 +60,12 @@ class Attack:
     """What the attacker does, in words for who is no expert."""
     refused_at: tuple[str, ...]
     """Where it has to fail: a word of the name of the step."""
+    checks: tuple[Code, ...]
+    """What has to refuse it: a refusal for any other reason is none."""
+    also: tuple[Code, ...] = ()
+    """What would refuse some of its attempts all the same, were those checks missing."""
+    because: str = ""
+    """Why that is so."""
     act: Callable[[Scene], Iterator[Attempt]] = field(repr=False)
     pointless: Callable[[Encounter], str | None] = field(default=_anywhere, repr=False)
     """Why it is none for those two, if it is none."""

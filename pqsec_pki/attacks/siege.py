@@ -8,6 +8,7 @@ from typing import Any
 from pqsec_pki.attacks._scene import Attempt, Scene
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UsageError
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.course import Course
 from pqsec_pki.selfcheck.meeting import Guest, Meeting, Occasion
 from pqsec_pki.selfcheck.report import Report, Step, Steps, StoppedError
@@ -24,11 +25,16 @@ class Result:
     """The participant that refused."""
     step: Step | None
     """Where it did; the detail is the cause, in its own words."""
+    due: tuple[Code, ...] = ()
+    """The checks that had to refuse it."""
+    shares_key: bool = False
+    """Whether the two ended the handshake with one key, neither of them naming the other."""
 
     @property
     def refused(self) -> bool:
-        """Whether somebody did."""
-        return self.step is not None
+        """Whether somebody did, for the reason that was due and no other."""
+        codes = self.step.codes if self.step else frozenset()
+        return bool(codes) and codes <= set(self.due)
 
     def to_json(self) -> dict[str, Any]:
         """The attempt for --json."""
@@ -38,6 +44,8 @@ class Result:
             "by": self.by,
             "step": self.step.name if self.step else None,
             "cause": self.step.detail if self.step else None,
+            "checks": sorted(self.step.codes) if self.step else [],
+            "shares_key": self.shares_key,
         }
 
 
@@ -165,11 +173,11 @@ def attempted(attack: Attack, scene: Scene) -> Outcome:
     """What becomes of one attack."""
     if reason := attack.pointless(scene.encounter):
         return Outcome(attack=attack, skipped=reason)
-    results = tuple(_result(attempt) for attempt in attack.act(scene))
+    results = tuple(_result(attempt, attack) for attempt in attack.act(scene))
     return Outcome(attack=attack, results=results)
 
 
-def _result(attempt: Attempt) -> Result:
+def _result(attempt: Attempt, attack: Attack) -> Result:
     course = Course(attempt.encounter, Steps())
     with suppress(StoppedError):
         course.run()
@@ -177,8 +185,20 @@ def _result(attempt: Attempt) -> Result:
     by = _who_refused(failed, course) if failed else None
     # An attacker does not stop itself.
     if by is None or by == attempt.attacker:
-        return Result(what=attempt.what, by=None, step=None)
-    return Result(what=attempt.what, by=by, step=failed)
+        return Result(what=attempt.what, by=None, step=None, due=attack.checks)
+    return Result(
+        what=attempt.what, by=by, step=failed, due=attack.checks, shares_key=_share_a_key(course)
+    )
+
+
+def _share_a_key(course: Course) -> bool:
+    """Whether the two have one secret, though each has it with somebody else."""
+    if course.done is None:
+        return False
+    mine, theirs = course.done
+    one, other = course.encounter.sides
+    met = (mine.peer.guid, theirs.peer.guid) == (other.guid, one.guid)
+    return mine.shared_secret == theirs.shared_secret and not met
 
 
 def _who_refused(failed: Step, course: Course) -> str:

@@ -4,7 +4,7 @@ For `pqsec verify-handshake --attack`: what is done to two participants of a key
 would meet, with their own credentials, and where it has to fail.
 """
 
-from pqsec_pki.attacks import _impostors, _insiders, _meddling, _replays, _tampering
+from pqsec_pki.attacks import _between, _impostors, _insiders, _meddling, _replays, _tampering
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UnknownAlgorithmError
 
@@ -14,6 +14,7 @@ ATTACKS: tuple[Attack, ...] = (
     *_replays.ATTACKS,
     *_impostors.ATTACKS,
     *_insiders.ATTACKS,
+    *_between.ATTACKS,
 )
 
 

@@ -70,4 +70,11 @@ def _summary(outcome: Outcome) -> str:
 def _told(result: Result) -> str:
     if result.step is None:
         return f"{result.what}: NOT refused"
-    return f"{result.what}: {result.by} refused ({result.step.name}): {result.step.detail}"
+    told = f"{result.what}: {result.by} refused ({result.step.name}): {result.step.detail}"
+    if result.shares_key:
+        told += (
+            "; until then it was suffered, as DDS-Security 1.1 leaves it: both have one key,"
+            " each with the attacker as its peer"
+        )
+    due = ", ".join(result.due)
+    return told if result.refused else f"{told}; NOT by the check that is due ({due})"

@@ -5,6 +5,7 @@ clock. It speaks DDS-Security 1.1 with stock stacks, and post-quantum suites wit
 """
 
 from pqsec_pki.handshake._cdr import ByteOrder
+from pqsec_pki.handshake._checks import check
 from pqsec_pki.handshake.confirmation import confirmation, confirmed, token_message
 from pqsec_pki.handshake.dialect import Dialect
 from pqsec_pki.handshake.guid import (
@@ -67,6 +68,7 @@ __all__ = [
     "adjusted_guid",
     "begin",
     "belongs_to",
+    "check",
     "confirmation",
     "confirmed",
     "initiates",

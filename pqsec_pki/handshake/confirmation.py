@@ -9,10 +9,12 @@ The message must name its reader as the destination and the peer as the source.
 import struct
 
 from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.handshake._checks import check
 from pqsec_pki.handshake.key_exchange import KeyMaterial, key_exchange_material
 from pqsec_pki.handshake.protection import Sender, unprotect_submessage
 from pqsec_pki.handshake.states import Done
 from pqsec_pki.handshake.wire import GenericMessage, MessageClass
+from pqsec_pki.problems import Code
 
 _PREFIX_SIZE = 12
 """Bytes of a GUID that are the participant's."""
@@ -34,18 +36,19 @@ def confirmation(own: bytes, done: Done, keys: KeyMaterial) -> bytes:
 def confirmed(own: bytes, done: Done, data: bytes) -> KeyMaterial:
     """The keys in the peer's first message to `own`; from here on the peer is confirmed.
 
-    VerificationError if it does not open, is for another participant or from another than
-    the one that authenticated; MalformedError if it is not such a message.
+    VerificationError, of C26, if it does not open, is for another participant or from
+    another than the one that authenticated, or is not such a message.
     """
-    message = _message_in(unprotect_submessage(key_exchange_material(done), data))
-    if message.destination_participant != own:
-        raise VerificationError("the first protected message is for another participant")
-    if message.source != _writer_of(done.peer.guid):
-        raise VerificationError("the first protected message is not from the peer")
-    wanted = MessageClass.PARTICIPANT_CRYPTO_TOKENS
-    if message.class_id != wanted or len(message.tokens) != 1:
-        raise MalformedError(f"not a message of one token where a '{wanted}' is due")
-    return KeyMaterial.from_holder(message.tokens[0])
+    with check(Code.C26):
+        message = _message_in(unprotect_submessage(key_exchange_material(done), data))
+        if message.destination_participant != own:
+            raise VerificationError("the first protected message is for another participant")
+        if message.source != _writer_of(done.peer.guid):
+            raise VerificationError("the first protected message is not from the peer")
+        wanted = MessageClass.PARTICIPANT_CRYPTO_TOKENS
+        if message.class_id != wanted or len(message.tokens) != 1:
+            raise MalformedError(f"not a message of one token where a '{wanted}' is due")
+        return KeyMaterial.from_holder(message.tokens[0])
 
 
 def token_message(source: bytes, destination: bytes, keys: KeyMaterial) -> bytes:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake.wire import BinaryProperty, DataHolder, encode_properties
+from pqsec_pki.problems import Code, Problem
 
 AUTHENTICATION = "DDS:Auth:PKI-DH:1.0"
 HASH_SIZE = 32
@@ -25,7 +26,8 @@ _SIZES = {
     "challenge2": CHALLENGE_SIZE,
     "future_challenge": CHALLENGE_SIZE,
 }
-_ALGORITHMS = ("c.dsign_algo", "c.kagree_algo")
+_ALGORITHMS = {"c.dsign_algo": Code.C16, "c.kagree_algo": Code.C8}
+"""With the check that judges the name."""
 _LONGEST_NAME = 64
 """Bytes. No algorithm has so long a name, and messages quote it."""
 
@@ -109,10 +111,11 @@ class Transcript:
         """What the Final's signature covers (9.3.2.5.3, table 51)."""
         return encode_properties(_IN_FINAL(self))
 
-    def differences(self, message: "Reply | Final") -> list[str]:
+    def differences(self, message: "Reply | Final") -> list[Problem]:
         """One problem for each value that `message` repeats, but not as it was."""
+        code = Code.C19 if isinstance(message, Reply) else Code.C23
         return [
-            f"{name} is not what it was"
+            Problem(f"{name} is not what it was", code)
             for (name, value), (_, repeated) in zip(_ALL_SIX(self), _ALL_SIX(message), strict=True)
             if repeated not in (None, value)
         ]
@@ -144,8 +147,10 @@ class _Message:
         found = dict(holder.binary_properties)
         problems = [
             *_class_problems(holder, cls.CLASS_ID),
-            *_name_problems(holder, found, _DUE[cls]),
-            *_value_problems(found),
+            *_missing_problems(found, _DUE[cls]),
+            *_double_problems(holder, found),
+            *_size_problems(found),
+            *_unknown_problems(found),
         ]
         if problems:
             raise VerificationError(*problems)
@@ -225,34 +230,38 @@ def _name(octets: bytes) -> str:
     return octets.removesuffix(b"\0").decode("ascii", "backslashreplace")
 
 
-def _class_problems(holder: DataHolder, class_id: str) -> list[str]:
+def _class_problems(holder: DataHolder, class_id: str) -> list[Problem]:
     # Cyclone DDS compares a prefix only.
     if holder.class_id == class_id:
         return []
-    return [f"a '{shown(holder.class_id)}' where a '{class_id}' is due"]
+    words = f"a '{shown(holder.class_id)}' where a '{class_id}' is due"
+    return [Problem(words, Code.C3)]
 
 
-def _name_problems(
-    holder: DataHolder, found: dict[str, bytes], wanted: Iterable[str]
-) -> Iterator[str]:
-    for name in wanted:
-        if name not in found:
-            yield f"{name} is missing"
+def _missing_problems(found: dict[str, bytes], due: Iterable[str]) -> list[Problem]:
+    return [Problem(f"{name} is missing", Code.C4) for name in due if name not in found]
+
+
+def _double_problems(holder: DataHolder, found: dict[str, bytes]) -> Iterator[Problem]:
     # Cyclone DDS takes the first of a doubled property, others may take the last.
     if len(found) < len(holder.binary_properties):
         for name, count in Counter(name for name, _ in holder.binary_properties).items():
             if count > 1:
-                yield f"'{shown(name)}' is there {count} times"
+                yield Problem(f"'{shown(name)}' is there {count} times", Code.C5)
 
 
-def _value_problems(found: dict[str, bytes]) -> Iterator[str]:
+def _size_problems(found: dict[str, bytes]) -> Iterator[Problem]:
     for name, value in found.items():
-        if name in _SIZES:
-            if len(value) != _SIZES[name]:
-                yield f"{name} has {len(value)} bytes, not {_SIZES[name]}"
-        elif name in _ALGORITHMS:
-            if len(value) > _LONGEST_NAME:
-                yield f"{name} has {len(value)} bytes, which names no algorithm"
-        # Fast DDS hashes every property of this prefix, the others hash five.
-        elif name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
-            yield f"'{shown(name)}' is not covered by every stack's hash"
+        if name in _SIZES and len(value) != _SIZES[name]:
+            words = f"{name} has {len(value)} bytes, not {_SIZES[name]}"
+            yield Problem(words, Code.C6)
+        if name in _ALGORITHMS and len(value) > _LONGEST_NAME:
+            words = f"{name} has {len(value)} bytes, which names no algorithm"
+            yield Problem(words, _ALGORITHMS[name])
+
+
+def _unknown_problems(found: dict[str, bytes]) -> Iterator[Problem]:
+    # Fast DDS hashes every property of this prefix, the others hash five.
+    for name in found:
+        if name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
+            yield Problem(f"'{shown(name)}' is not covered by every stack's hash", Code.C7)

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Self
@@ -17,7 +18,7 @@ from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
-from pqsec_pki.problems import Problem
+from pqsec_pki.problems import Code, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +64,8 @@ class Policy:
             if row.wire_name == name:
                 return row
         allowed = ", ".join(row.wire_name for row in self.agreements)
-        raise VerificationError(f"the peer asks for {name!r}; allowed here: {allowed}")
+        words = f"the peer asks for {name!r}; allowed here: {allowed}"
+        raise VerificationError(words, code=Code.C8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +78,15 @@ class Discovered:
 
 
 NOTHING = Discovered()
+
+
+@contextmanager
+def _read(code: Code) -> Iterator[None]:
+    try:
+        yield
+    except PqsecError as error:
+        words = f"the peer's introduction: {shown(str(error), 300)}"
+        raise VerificationError(words, code=code) from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,17 +104,14 @@ class Peer:
     @classmethod
     def read(cls, introduction: Introduction) -> Self:
         """VerificationError if certificate, its keys, or c.pdata cannot be read."""
-        try:
+        with _read(Code.C9):
             certificate = Certificate.from_pem(introduction.certificate)
-            return cls(
-                certificate=certificate,
-                guid=participant_guid(introduction.participant_data),
-                # OpenDDS sends the file and a NUL.
-                permissions=introduction.permissions.rstrip(b"\0"),
-                keys=certificate.handshake_keys,
-            )
-        except PqsecError as error:
-            raise VerificationError(f"the peer's introduction: {shown(str(error), 300)}") from error
+            keys = certificate.handshake_keys
+        with _read(Code.C11):
+            guid = participant_guid(introduction.participant_data)
+        # OpenDDS sends the file and a NUL.
+        permissions = introduction.permissions.rstrip(b"\0")
+        return cls(certificate=certificate, guid=guid, permissions=permissions, keys=keys)
 
     def key_for(self, name: str, policy: Policy) -> PublicKey | None:
         """The key that signs under c.dsign_algo `name`, if it has one and `policy` lets it."""
@@ -140,12 +148,13 @@ class Terms:
         problems = [*self._problems(peer, now), *others]
         if key is None:
             # Not in the specification: Cyclone DDS does not compare it with the certificate.
-            problems.append(f"c.dsign_algo {name!r} is not how the certificate's key signs here")
+            words = f"c.dsign_algo {name!r} is not how the certificate's key signs here"
+            problems.append(Problem(words, Code.C16))
         if problems or key is None:
             raise VerificationError(*problems)
         return peer, key
 
-    def _problems(self, peer: Peer, now: datetime) -> Iterator[Problem | str]:
+    def _problems(self, peer: Peer, now: datetime) -> Iterator[Problem]:
         """In the order of DDS-Security 1.1, 9.3.3, table 52."""
         # c.id: issued by our identity CA, and in force
         required = self.policy.require_alternative
@@ -156,12 +165,15 @@ class Terms:
         yield from self._revocation_problems(peer, now)
         # c.pdata: the GUID is made from the certificate's subject name
         if not belongs_to(peer.guid, peer.certificate.subject_der):
-            yield "the GUID in c.pdata does not belong to the certificate's subject"
+            words = "the GUID in c.pdata does not belong to the certificate's subject"
+            yield Problem(words, Code.C11)
         # Not in the specification: it must also be the one that was discovered.
         if self.discovered.guid not in (None, peer.guid):
-            yield "the GUID in c.pdata is not the one that was discovered"
+            words = "the GUID in c.pdata is not the one that was discovered"
+            yield Problem(words, Code.C12)
         if peer.guid == self.own.guid:
-            yield "the GUID in c.pdata is our own: the message was reflected"
+            words = "the GUID in c.pdata is our own: the message was reflected"
+            yield Problem(words, Code.C13)
 
     def _revocation_problems(self, peer: Peer, now: datetime) -> Iterator[Problem]:
         if self.own.revocation_list is None:

@@ -20,8 +20,10 @@ from functools import lru_cache
 
 from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
+from pqsec_pki.handshake._checks import check
 from pqsec_pki.handshake.messages import Final, Introduction, Reply, Request, Transcript
 from pqsec_pki.handshake.participants import Peer, Terms
+from pqsec_pki.problems import Code, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,9 +58,10 @@ class RequestSent:
         peer, key = self.terms.admit(reply.introduction, now, others=others)
         # the signature
         signed = transcript.reply_octets()
-        key.verify_handshake(reply.signature, signed)
+        _check_signature(Code.C21, key, reply.signature, signed)
         # dh2, and with it the secret
-        secret = self.key_pair.decapsulate(reply.dh2)
+        with check(Code.C22):
+            secret = self.key_pair.decapsulate(reply.dh2)
         signature = self.terms.own.key.sign_handshake(transcript.final_octets())
         final = self.terms.dialect.written(Final(signature=signature, **transcript.values()))
         return final, _done(peer, self.key_pair.agreement, transcript, secret, signed)
@@ -73,16 +76,16 @@ class RequestSent:
             dh2=reply.dh2,
         )
 
-    def _problems(self, reply: Reply, transcript: Transcript) -> Iterator[str]:
+    def _problems(self, reply: Reply, transcript: Transcript) -> Iterator[Problem | str]:
         yield from self.terms.dialect.problems(reply)
         # Not in the specification: Cyclone DDS lets the replier choose another one.
         if reply.introduction.key_agreement_name != self.key_pair.agreement.wire_name:
-            yield "c.kagree_algo is not what was asked for"
+            yield Problem("c.kagree_algo is not what was asked for", Code.C18)
         # challenge1 must be there, and hash_c1, hash_c2 and dh1 right if they are
         yield from transcript.differences(reply)
         # challenge2 is the announced one
         if self.terms.discovered.future_challenge not in (None, reply.challenge2):
-            yield "challenge2 is not the one that the peer announced"
+            yield Problem("challenge2 is not the one that the peer announced", Code.C20)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +107,8 @@ class ReplySent:
         if problems := self.transcript.differences(final):
             raise VerificationError(*problems)
         # the signature
-        self.peer_key.verify_handshake(final.signature, self.transcript.final_octets())
+        signed = self.transcript.final_octets()
+        _check_signature(Code.C24, self.peer_key, final.signature, signed)
         return self._outcome
 
 
@@ -141,7 +145,8 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     others = _request_problems(request, hash_c1, terms)
     peer, key = terms.admit(request.introduction, now, others=others)
     # dh1, and with it the secret
-    dh2, secret = agreement.encapsulate(request.dh1)
+    with check(Code.C17):
+        dh2, secret = agreement.encapsulate(request.dh1)
     # Fast DDS refuses names with NUL as initiator, OpenDDS refuses them without.
     introduction = terms.own.introduction(agreement, nul=terms.dialect.answers_with_nul(request))
     transcript = Transcript(
@@ -160,14 +165,19 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     return reply, ReplySent(transcript=transcript, peer_key=key, _outcome=outcome)
 
 
-def _request_problems(request: Request, hash_c1: bytes, terms: Terms) -> Iterator[str]:
+def _request_problems(request: Request, hash_c1: bytes, terms: Terms) -> Iterator[Problem | str]:
     yield from terms.dialect.problems(request)
     # challenge1 is the announced one
     if terms.discovered.future_challenge not in (None, request.challenge1):
-        yield "challenge1 is not the one that the peer announced"
+        yield Problem("challenge1 is not the one that the peer announced", Code.C14)
     # hash_c1, if sent; Fast DDS only warns
     if request.hash_c1 not in (None, hash_c1):
-        yield "hash_c1 is not what it was"
+        yield Problem("hash_c1 is not what it was", Code.C15)
+
+
+def _check_signature(code: Code, key: PublicKey, signature: bytes, signed: bytes) -> None:
+    with check(code):
+        key.verify_handshake(signature, signed)
 
 
 def _done(

@@ -58,8 +58,16 @@ class Encounter:
     domain: int
     now: datetime
     relay: Relay = faithful
+    third: Side | None = None
+    """Whom each of the two has discovered as its peer, where that is not the other."""
 
     @property
     def sides(self) -> tuple[Side, Side]:
         """The initiator and the replier."""
         return self.initiator, self.replier
+
+    def peer_of(self, side: Side) -> bytes:
+        """The GUID (16 bytes) that `side` has discovered as its peer's."""
+        if self.third:
+            return self.third.guid
+        return self.replier.guid if side is self.initiator else self.initiator.guid

@@ -5,8 +5,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from pqsec_pki.errors import FileError, MissingError, PqsecError
+from pqsec_pki.errors import FileError, MissingError, PqsecError, problems_of
 from pqsec_pki.handshake import DataHolder, Done, GenericMessage
+from pqsec_pki.problems import Code
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +18,8 @@ class Step:
     ok: bool
     detail: str
     hint: str | None = None
+    codes: frozenset[Code] = frozenset()
+    """What is wrong, for programs, where it failed: which checks refused."""
 
 
 AUTH_REQUEST = "auth request"
@@ -49,7 +52,8 @@ class Steps:
         except PqsecError as error:
             if isinstance(error, FileError) and not isinstance(error, MissingError):
                 raise
-            self.done.append(Step(name, ok=False, detail=str(error), hint=error.hint))
+            codes = frozenset(each.code for each in problems_of(error))
+            self.done.append(Step(name, False, str(error), error.hint, codes))  # noqa: FBT003 -- field
             raise StoppedError from error
         self.done.append(Step(name, ok=True, detail="; ".join(detail)))
 

@@ -10,7 +10,7 @@ import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, Family, pair_private
 from pqsec_pki.certificates import Authority
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import (
     AuthRequest,
     DataHolder,
@@ -193,10 +193,10 @@ def test_what_is_no_first_message_confirms_nobody(meeting):
     for at in (0, 1, 2, 6, 8, 12):
         wrong = bytearray(good)
         wrong[at] ^= 1
-        with pytest.raises(MalformedError, match="not of the volatile secure topic"):
+        with pytest.raises(VerificationError, match="not of the volatile secure topic"):
             confirmed(meeting.bob.guid, other, sender.protect_submessage(bytes(wrong)))
     for size in (0, 4, 20):
-        with pytest.raises(MalformedError, match="a first protected message of"):
+        with pytest.raises(VerificationError, match="a first protected message of"):
             confirmed(meeting.bob.guid, other, sender.protect_submessage(good[:size]))
     assert confirmed(meeting.bob.guid, other, sender.protect_submessage(good)) == keys
 

@@ -1,0 +1,114 @@
+"""The attacker is a participant, and stands between two who each want to meet it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from pqsec_pki.attacks._forgery import Keys, issued
+from pqsec_pki.attacks._impostors import under_a_stand_in
+from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.handshake import (
+    DataHolder,
+    Final,
+    GenericMessage,
+    Introduction,
+    Reply,
+    Request,
+    Transcript,
+    adjusted_guid,
+)
+from pqsec_pki.problems import Code
+from pqsec_pki.selfcheck.encounter import Encounter, Side
+from pqsec_pki.selfcheck.report import MESSAGE
+
+_NAME = "/between"
+
+
+def stand_between(scene: Scene) -> Iterator[Attempt]:
+    """It hands the one's dh1 and the other's dh2 on under its own name, which is genuine."""
+    ca, scene = under_a_stand_in(scene)
+    one, _ = scene.encounter.sides
+    keys = Keys.like(one.participant.certificate)
+    certificate = issued(ca, _NAME, keys, scene.encounter.now)
+    guid = adjusted_guid(certificate.subject_der, one.guid)
+    own = showing(one, certificate=certificate, key=keys.both, guid=guid, permissions=b"")
+    relay = _Between(scene.encounter, own)
+    yield Attempt("dh1 and dh2 handed on", replace(scene.encounter, relay=relay, third=own))
+
+
+@dataclass(slots=True)
+class _Between:
+    """The replier of the one and the initiator of the other, without a key for either."""
+
+    encounter: Encounter
+    own: Side
+    request: Request | None = None
+    reply: Reply | None = None
+
+    def __call__(self, name: str, data: bytes) -> bytes:
+        if name == MESSAGE:  # it cannot read that, nor make one
+            return data
+        message = GenericMessage.decode(data)
+        one, other = self.encounter.sides
+        receiver = other if message.source == one.writer else one
+        answer = replace(
+            message,
+            source=self.own.writer,
+            destination_participant=receiver.guid,
+            tokens=(self._token(message.tokens[0]),),
+        )
+        return answer.encode()
+
+    def _token(self, token: DataHolder) -> DataHolder:
+        match token.class_id:
+            case Request.CLASS_ID:
+                self.request = Request.from_holder(token)
+                own = self._introduction
+                mine = replace(self.request, introduction=own, hash_c1=own.digest())
+                return mine.to_holder()
+            case Reply.CLASS_ID:
+                self.reply = Reply.from_holder(token)
+                transcript = self._transcript(of_request=True)
+                signature = self.own.terms.own.key.sign_handshake(transcript.reply_octets())
+                values = transcript.values()
+                return Reply(
+                    introduction=self._introduction, signature=signature, **values
+                ).to_holder()
+            case Final.CLASS_ID:
+                transcript = self._transcript(of_request=False)
+                signature = self.own.terms.own.key.sign_handshake(transcript.final_octets())
+                return Final(signature=signature, **transcript.values()).to_holder()
+        return token
+
+    @property
+    def _introduction(self) -> Introduction:
+        return self.own.terms.own.introduction(self.encounter.agreement, nul=True)
+
+    def _transcript(self, *, of_request: bool) -> Transcript:
+        """What the initiator has of its handshake, or the replier of the other."""
+        request, reply = self.request, self.reply
+        if request is None or reply is None:
+            raise AssertionError  # a Reply comes after a Request
+        own = self._introduction.digest()
+        return Transcript(
+            hash_c1=request.introduction.digest() if of_request else own,
+            hash_c2=own if of_request else reply.introduction.digest(),
+            challenge1=request.challenge1,
+            challenge2=reply.challenge2,
+            dh1=request.dh1,
+            dh2=reply.dh2,
+        )
+
+
+ATTACKS = (
+    Attack(
+        name="insider-in-the-middle",
+        attacker=Attacker.INSIDER,
+        title="stands between two who each want to meet it, so that they share a key unawares",
+        refused_at=("message",),
+        checks=(Code.C26,),
+        also=(Code.NOT_SIGNED,),
+        because="it has no permissions here, for want of the permissions CA's key",
+        act=stand_between,
+    ),
+)
