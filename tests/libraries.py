@@ -64,7 +64,7 @@ class Libraries:
 
 def _compile(folder: Path, *words) -> None:
     command = [COMPILER, "-nostdlib", "-fPIC", *map(str, words)]
-    subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=300)
 
 
 def libraries(requires: Callable) -> Libraries:

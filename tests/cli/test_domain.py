@@ -208,7 +208,7 @@ def on_a_terminal(folder, *words, answer):
     with suppress(OSError):  # Linux's way to say that the other side is closed
         while data := os.read(ours, 4096):
             said += data
-    process.wait(timeout=60)
+    process.wait(timeout=300)
     os.close(ours)
     return said.decode().replace("\r\n", "\n")
 

@@ -83,7 +83,7 @@ def explained(data: bytes) -> subprocess.CompletedProcess[bytes]:
         env=clean_environment(),
         capture_output=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
 
 
@@ -126,7 +126,7 @@ def test_a_standard_input_that_is_none_is_refused(redirection, code, words):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == code
     assert done.stderr.startswith("pqsec: error: ")

@@ -46,7 +46,7 @@ TEST = (
     "python3 -m venv .venv-test && .venv-test/bin/pip install '.[test]'"
     " && .venv-test/bin/python -m pytest"
 )
-PATIENCE = 60
+PATIENCE = 300
 """Seconds for one command."""
 
 

@@ -156,7 +156,7 @@ class OpenSSL:
 
     def _run(self, arguments, stdin: bytes) -> subprocess.CompletedProcess[bytes]:
         command = [self.path, *map(str, arguments)]
-        return subprocess.run(command, input=stdin, capture_output=True, timeout=60, check=False)
+        return subprocess.run(command, input=stdin, capture_output=True, timeout=300, check=False)
 
 
 @pytest.fixture(scope="session")

@@ -54,7 +54,7 @@ class Ros2:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            timeout=60,
+            timeout=300,
             check=False,
         )
         return Run(done.returncode, done.stdout)

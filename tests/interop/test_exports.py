@@ -61,7 +61,7 @@ def run(command, variables):
         env=kept | variables,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
         errors="replace",
     )

@@ -74,4 +74,4 @@ def test_it_runs_secured_and_who_has_no_credentials_gets_nothing(hello, profiles
     unsecured.write_text(PLAIN.sub("", listener.read_text()))
     for receiver, said in ((listener, b"received hello\n"), (unsecured, b"")):
         with hello(talker, "send"), hello(receiver, "receive") as process:
-            assert process.communicate(timeout=30)[0] == said
+            assert process.communicate(timeout=300)[0] == said

@@ -2,7 +2,6 @@
 
 import contextlib
 import struct
-import time
 import tracemalloc
 from functools import cache
 
@@ -333,7 +332,6 @@ HOSTILE = {
     "a long class": DataHolder("\x1b" * (MAX_TOKEN - 16)).encode(),
     "a class and nothing else": b"\0\0\0\2a\0\0\0" + b"\0\0\0\x3f" * (MAX_TOKEN // 4 - 2),
 }
-SECONDS = 1.0
 MEMORY = 24 << 20
 """Bytes: some copies of the token, and words about it that quote a name three times."""
 
@@ -343,13 +341,11 @@ def take_request(data):
         answer(DataHolder.decode(data))
 
 
+@pytest.mark.timeout(60)  # what is quadratic takes hours
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_token_as_large_as_may_be_costs_little(name):
     data = HOSTILE[name]
     assert MAX_TOKEN - (16 << 10) < len(data) <= MAX_TOKEN
-    start = time.process_time()
-    take_request(data)
-    assert time.process_time() - start < SECONDS
     tracemalloc.start()
     take_request(data)
     _, most = tracemalloc.get_traced_memory()

@@ -95,7 +95,7 @@ def fork() -> int:
     residents[0] = max(residents[0], threads())
     child = os.fork()
     if child == 0:
-        signal.alarm(60)
+        signal.alarm(300)
     return child
 
 
@@ -265,7 +265,7 @@ def killed_processes(place: Path, original: Path, line: str, *, within: float) -
             time.sleep(0.002)
         time.sleep(chance.uniform(0, within))
         process.send_signal(signal.SIGKILL)
-        assert b"Traceback" not in process.communicate(timeout=60)[1]
+        assert b"Traceback" not in process.communicate(timeout=300)[1]
         yield root
 
 

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import re
-import time
 from pathlib import Path
 
 import pytest
@@ -335,10 +334,8 @@ def test_no_more_participants_than_anybody_has(problems):
         "/{a,b}{1..999999999}\n" * 300_000,
         "/.\n" * 2_000_000,
     ]
-    begin = time.monotonic()
     for bomb in bombs:
         assert problems(f"{HEAD}- {{list: l.txt, role: r}}", l_txt=bomb)
-    assert time.monotonic() - begin < 20
 
 
 # The JSON Schema, for editors

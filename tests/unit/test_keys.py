@@ -3,7 +3,6 @@
 import hashlib
 import shutil
 import subprocess
-import time
 from functools import cache
 
 import pytest
@@ -107,10 +106,9 @@ def test_broken_base64_is_refused(body):
         unpem(b"-----BEGIN A-----\n" + body + b"\n-----END A-----\n", "thing")
 
 
+@pytest.mark.timeout(120)  # what is quadratic takes an hour
 def test_blocks_without_an_end_cost_no_more_than_their_length():
-    before = time.monotonic()
-    assert unpem(b"-----BEGIN A-----\n" * 10_000, "thing") == []
-    assert time.monotonic() - before < 2  # seconds; it was ten
+    assert unpem(b"-----BEGIN A-----\n" * 200_000, "thing") == []
 
 
 # Private keys, unencrypted
@@ -398,10 +396,8 @@ def test_a_wrong_passphrase_that_happens_to_pad_rightly_is_refused_as_such():
 
 @pytest.mark.parametrize("iterations", [-1, 0, MAX_ITERATIONS + 1, 2**31, 2**64])
 def test_a_senseless_iteration_count_is_refused_before_any_work(iterations):
-    before = time.monotonic()
     with pytest.raises(MalformedError, match="a senseless parameter"):
         load_private_key(encrypted_key(iterations), b"horse")
-    assert time.monotonic() - before < 1
 
 
 def encrypted_by(cipher, prf, size):

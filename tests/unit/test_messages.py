@@ -1,7 +1,6 @@
 """The table of stacks' security errors, and how a text is looked up in it."""
 
 import re
-import time
 
 import click
 import pytest
@@ -291,10 +290,9 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("text", HOSTILE, ids=lambda text: repr(text[:12]))
+@pytest.mark.timeout(120)  # what is quadratic takes hours
 def test_the_time_for_a_log_of_a_megabyte_is_bounded(text):
-    start = time.perf_counter()
     recognise(text)
-    assert time.perf_counter() - start < 10
 
 
 def test_a_signer_that_is_not_found_is_another_ca_before_anything_else():

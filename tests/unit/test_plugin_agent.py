@@ -23,7 +23,7 @@ from pqsec_pki.plugin.listening import peer
 from pqsec_pki.plugin.server import MAX_CONNECTIONS
 from tests.unit.plugin_wire import framed, greeting
 
-PATIENCE = 20
+PATIENCE = 120
 
 
 @pytest.fixture

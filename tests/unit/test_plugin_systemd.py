@@ -17,7 +17,7 @@ from pqsec_pki.errors import ExistsError, FileError
 from pqsec_pki.plugin import Place, agent_status, stop_agent, units_folder
 from pqsec_pki.plugin.units import planned_units, write_units
 
-PATIENCE = 20
+PATIENCE = 120
 # What systemd does between fork and exec (sd_listen_fds(3)): the handle, and whose it is.
 _HAND_OVER = (
     "import os, sys\n"

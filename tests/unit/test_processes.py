@@ -29,7 +29,7 @@ many = list(range(100))
 def run(script, *arguments):
     """What the script prints, as JSON."""
     command = [sys.executable, "-c", BEGIN + textwrap.dedent(script), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return json.loads(done.stdout)
 
@@ -163,8 +163,8 @@ def test_the_others_end_with_the_first(tmp_path, end, code):
         time.sleep(0.01)
         processes = {int(path.name) for path in tmp_path.iterdir()}
     os.kill(first.pid, end)
-    assert first.wait(10) == code
-    patience = time.monotonic() + 10
+    assert first.wait(120) == code
+    patience = time.monotonic() + 120
     while any(runs(each) for each in processes) and time.monotonic() < patience:
         time.sleep(0.01)
     assert [each for each in processes if runs(each)] == []

@@ -4,7 +4,6 @@ import base64
 import re
 import shutil
 import subprocess
-import time
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -823,13 +822,12 @@ def test_a_line_that_begins_as_the_boundary_and_goes_on_is_read_by_nobody(lab, r
         document_in(forged)
 
 
+@pytest.mark.timeout(120)  # what is quadratic takes hours
 def test_boundary_lines_beyond_number_are_refused_at_once():
     head = b'Content-Type: multipart/signed; boundary="b"\n\n'
-    began = time.process_time()
     for line in (b"--b\n", b"--bx\n"):
         with pytest.raises(MalformedError, match="two parts"):
             document_in(head + line * 1_000_000)
-    assert time.process_time() - began < 5  # half a second; what is quadratic takes minutes
 
 
 def test_headers_may_be_written_otherwise(lab):

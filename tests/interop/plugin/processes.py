@@ -8,7 +8,7 @@ from tests.interop.conftest import TOPIC
 from tests.interop.plugin.conftest import Shim
 
 DOMAIN = 3
-PATIENCE = 25.0
+PATIENCE = 60.0
 """Seconds that two who should meet get."""
 REFUSAL = 2.5
 """Those who should not."""

@@ -30,6 +30,8 @@ pytestmark = pytest.mark.interop
 HERE = Path(__file__).parent
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 ANSWERS = 100_000
+BRIEF = timedelta(seconds=15)
+"""Enough to start an agent and a participant on a busy machine."""
 CYCLES = 150
 GROWTH = 600
 """Kilobytes, over a hundred cycles: an allocator's ups and downs. Cyclone's own plugins take 200
@@ -82,7 +84,7 @@ def test_the_thread_goes_on_whatever_its_host_does(requires, tmp_path, program, 
         capture_output=True,
         text=True,
         check=False,
-        timeout=20,
+        timeout=300,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, said, "")
 
@@ -127,7 +129,7 @@ def test_valgrind_finds_nothing_in_any_function(requires, everything):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -192,10 +194,10 @@ class AccessControl(ACCESS_CONTROL):
 
 @pytest.fixture
 def brief(tmp_path):
-    """A lab, and the enclave of one who is good for five seconds from now."""
+    """A lab, and the enclave of one who is good for a short time from now."""
     start = datetime.now(UTC)
     lab = Lab.create(tmp_path / "lab", LAB_PROFILES["pq"], start)
-    wish = {"domains": DOMAINS, "publish": (TOPIC,), "validity": timedelta(seconds=5)}
+    wish = {"domains": DOMAINS, "publish": (TOPIC,), "validity": BRIEF}
     issue(lab.keystore, lab.authorities, [Wish(name="/lab/brief", **wish)], now=start)
     return lab, lab.alice.with_name("brief")
 
@@ -204,10 +206,10 @@ def test_a_participant_that_expires_is_removed_and_its_process_lives_on(stage, b
     lab, folder = brief
     stage.folder.joinpath("xml").mkdir()
     stage = replace(stage, folder=stage.folder / "xml")
-    with running(stage, stage.sender(folder), seconds=10) as sender:
+    with running(stage, stage.sender(folder), seconds=20) as sender:
         with running(stage, stage.receiver(lab.bob), seconds=4) as early:
             assert "received" in ended(early)
-        while datetime.now(UTC) < lab.now + timedelta(seconds=6.5):
+        while datetime.now(UTC) < lab.now + BRIEF + timedelta(seconds=1.5):
             time.sleep(0.05)
         with running(stage, stage.receiver(lab.bob), seconds=2) as late:
             assert "received" not in ended(late)
@@ -216,9 +218,12 @@ def test_a_participant_that_expires_is_removed_and_its_process_lives_on(stage, b
 
 def test_the_stack_is_told_when_identities_and_permissions_end(shim, brief):
     """Without the agent, if it must be: the library keeps the time."""
-    start, told = time.monotonic(), []
+    lab, folder = brief
+    told = {}
     listen = Listener(
-        CFUNCTYPE(Byte, _pointer, Handle)(lambda plugin, handle: told.append(handle) or 1)
+        CFUNCTYPE(Byte, _pointer, Handle)(
+            lambda plugin, handle: bool(told.setdefault(handle, datetime.now(UTC)))
+        )
     )
     with ExitStack() as stack:
         names = (
@@ -231,14 +236,14 @@ def test_the_stack_is_told_when_identities_and_permissions_end(shim, brief):
         ]
         for each in both:
             each.call("set_listener", listen)
-        participant = Participant(*both, brief[1], "")
+        participant = Participant(*both, folder, "")
         participant.join(0)
         shim.kill_agent()
-        end = time.monotonic() + 10
+        end = time.monotonic() + 120
         while len(told) < 2 and time.monotonic() < end:
             time.sleep(0.05)
-        assert len(set(told)) == 2
+        assert len(told) == 2
         assert participant._identity in told
-        assert time.monotonic() - start > 1  # not at once
+        assert min(told.values()) >= lab.now + BRIEF - timedelta(seconds=1)
         for each in both:
             each.call("set_listener", None)

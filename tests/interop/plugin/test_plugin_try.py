@@ -320,6 +320,6 @@ def test_a_trial_that_is_stopped_leaves_no_agent(laboratory, there, how):
         time.sleep(0.05)
     time.sleep(0.5)
     process.send_signal(how)
-    process.communicate(timeout=20)
+    process.communicate(timeout=300)
     assert len(agents) == 1
     assert not Path(f"/proc/{agents[0]}").exists()
