@@ -1,5 +1,7 @@
 """ML-DSA (FIPS 204), pure mode with an empty context, as RFC 9881 wants it."""
 
+import hashlib
+import hmac
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,8 +22,10 @@ _PUBLIC = {
     "ml-dsa-87": mldsa.MLDSA87PublicKey,
 }
 SEED_SIZE = 32
-_RHO_SIZE = 32
-"""The first bytes of an expanded private key and of the public key are the same rho."""
+_MATRIX = {"ml-dsa-44": (4, 4), "ml-dsa-65": (6, 5), "ml-dsa-87": (8, 7)}
+_EXPANDED_SIZE = {"ml-dsa-44": 2560, "ml-dsa-65": 4032, "ml-dsa-87": 4896}
+"""k, l and the bytes of an expanded private key (FIPS 204, tables 1 and 2)."""
+_RHO_SIZE, _K_SIZE, _TR_SIZE = 32, 32, 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,9 +95,20 @@ class MLDSA(SignatureAlgorithm):
         if len(both.seed) != SEED_SIZE:
             raise MalformedError(f"the seed of this {self.name} key is not 32 bytes")
         key = self.private_key(self.load_raw_private(both.seed))
-        if both.expanded_key[:_RHO_SIZE] != key.public_key.raw[:_RHO_SIZE]:
+        begin = self._expanded_begin(both.seed, key.public_key.raw)
+        same = hmac.compare_digest(both.expanded_key[: len(begin)], begin)
+        if not same or len(both.expanded_key) != _EXPANDED_SIZE[self.name]:
             raise MalformedError(f"the seed and the expanded form of this {self.name} key differ")
         return key
+
+    def _expanded_begin(self, seed: bytes, public: bytes) -> bytes:
+        """rho, K and tr: what of an expanded key is a digest (FIPS 204, algorithm 6).
+
+        tr is of the whole public key. What follows, s1, s2 and t0, takes the algorithm itself
+        to compute, which no library shows; it is not looked at, and nothing here uses it.
+        """
+        digest = hashlib.shake_256(seed + bytes(_MATRIX[self.name])).digest(128)
+        return public[:_RHO_SIZE] + digest[-_K_SIZE:] + hashlib.shake_256(public).digest(_TR_SIZE)
 
     def generate_handle(self) -> Any:
         return self.private.generate()

@@ -1,15 +1,28 @@
-"""PEM: DER between two lines that say what it is (RFC 7468)."""
+"""PEM: DER between two lines that say what it is (RFC 7468), read as every reader does.
+
+Text may stand before, between and after the blocks (section 2). Whatever else OpenSSL or
+another lax reader could take for the beginning or end of a block is refused, and so is a
+block that they cut otherwise: what one of them reads, all of them read.
+"""
 
 import base64
 import binascii
 import re
-import string
 
 from pqsec_pki.errors import MalformedError
 
-_PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----[ \t]*\r?\n([^-]*)-----END \1-----")
-"""The text has no hyphen, so that a block without an end costs no more than its length."""
-_SPACE = string.whitespace.encode()
+_MARKS = (b"-----BEGIN", b"-----END")
+_LINE_END = rb"[ \t]*\r?\n"
+_BLOCK = re.compile(
+    rb"^-----BEGIN (?P<label>[A-Z0-9]+(?: [A-Z0-9]+)*)-----" + _LINE_END +
+    rb"(?P<header>(?:[A-Za-z-]+:[^\n]*\n(?:[ \t]+[^\s-][^\n]*\n)*)+" + _LINE_END + rb")?"
+    rb"(?P<text>(?:[A-Za-z0-9+/]+" + _LINE_END + rb")*[A-Za-z0-9+/]+={0,2}" + _LINE_END + rb")"
+    rb"-----END (?P=label)-----(?:" + _LINE_END + rb"|[ \t]*\Z)",
+    re.MULTILINE,
+)  # fmt: skip
+"""No part of it can match a hyphen that begins a line, so that the work is linear."""
+_NOT_FOR_ALL = {"X509 CERTIFICATE", "TRUSTED CERTIFICATE"}
+"""Labels that OpenSSL takes for CERTIFICATE, and hardly anybody else does."""
 
 
 def pem(label: str, der: bytes) -> bytes:
@@ -22,15 +35,34 @@ def pem(label: str, der: bytes) -> bytes:
 
 
 def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
-    """(label, DER) of each PEM block in `data`; MalformedError if a block is broken."""
-    try:
-        return [
-            (label.decode(), base64.b64decode(body.translate(None, _SPACE), validate=True))
-            for label, body in _PEM.findall(data)
-            if b":" not in body  # RFC 1421 headers: a traditional encrypted key
-        ]
-    except binascii.Error as error:
-        raise MalformedError(f"{what}: broken base64 in PEM") from error
+    """(label, DER) of each PEM block in `data`; MalformedError, naming `what`, if one is broken.
+
+    Traditional encrypted keys, the only blocks that may have headers (RFC 1421), are left out.
+    """
+    found = []
+    for block in blocks(data, what):
+        label, text = block["label"].decode(), block["text"]
+        if not block["header"]:
+            found.append((label, _decoded(text, what)))
+        elif not label.endswith("PRIVATE KEY"):
+            raise MalformedError(f"{what}: a header in PEM, which only private keys may have")
+        if label in _NOT_FOR_ALL:
+            raise MalformedError(f"{what}: PEM says {label}, where some readers want CERTIFICATE")
+    return found
+
+
+def blocks(data: bytes, what: str) -> list[re.Match[bytes]]:
+    """The PEM blocks in `data`: label, header, text; MalformedError, naming `what`, as unpem()."""
+    found = list(_BLOCK.finditer(data))
+    marks = sum(data.count(mark) for mark in _MARKS)
+    if marks != len(_MARKS) * len(found):
+        raise MalformedError(
+            f"{what}: broken PEM, in which other readers could find something else",
+            hint="every BEGIN and END stands on a line of its own, with nothing but base64 between",
+        )
+    if found and b"\0" in data:
+        raise MalformedError(f"{what}: a NUL in PEM")
+    return found
 
 
 def first_pem(data: bytes, labels: set[str], what: str, *, limit: int) -> bytes:
@@ -44,3 +76,10 @@ def first_pem(data: bytes, labels: set[str], what: str, *, limit: int) -> bytes:
         if label in labels:
             return der
     raise MalformedError(f"no {what} in PEM")
+
+
+def _decoded(text: bytes, what: str) -> bytes:
+    try:
+        return base64.b64decode(b"".join(text.split()), validate=True)
+    except binascii.Error as error:
+        raise MalformedError(f"{what}: broken base64 in PEM") from error

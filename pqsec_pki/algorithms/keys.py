@@ -22,7 +22,7 @@ from pqsec_pki._asn1 import (
 from pqsec_pki.algorithms import _pbes2
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA
-from pqsec_pki.algorithms._pem import pem, unpem
+from pqsec_pki.algorithms._pem import blocks, pem, unpem
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms.signature import SIGNATURES
 from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UnknownAlgorithmError
@@ -80,16 +80,16 @@ def load_private_key(data: bytes, passphrase: bytes | None = None) -> PrivateKey
     PassphraseError if the passphrase is missing or wrong, UnknownAlgorithmError if no
     row of SIGNATURES is for it. No message holds any part of the key.
     """
-    blocks = unpem(data, "private key") if data.lstrip().startswith(b"-----") else []
-    for label, der in blocks:
-        if label == "PRIVATE KEY":
-            return _load_pkcs8(der)
-        if label == "ENCRYPTED PRIVATE KEY":
-            return _load_encrypted(der, passphrase)
-    if b"PRIVATE KEY-----" in data:
-        return _load_traditional(data, passphrase)
     if data.startswith(b"\x30"):
         return _load_encrypted(data, passphrase) if _pbes2.is_one(data) else _load_pkcs8(data)
+    for block in blocks(data, "private key"):
+        label = block["label"].decode()
+        if not label.endswith("PRIVATE KEY"):
+            continue
+        if label not in {"PRIVATE KEY", "ENCRYPTED PRIVATE KEY"}:
+            return _load_traditional(block[0], passphrase)
+        [(_, der)] = unpem(block[0], "private key")
+        return _load_pkcs8(der) if label == "PRIVATE KEY" else _load_encrypted(der, passphrase)
     raise MalformedError("not a private key in PEM or DER")
 
 

@@ -4,14 +4,13 @@ Its hybrids are those of TLS (RFC 10024), put together by its own code.
 """
 
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.algorithms._diffie_hellman import ModpKey, P
 from pqsec_pki.errors import VerificationError
+from tests.fuzz import libcrypto
 from tests.interop import evp
 
 pytestmark = pytest.mark.interop
@@ -33,18 +32,6 @@ of_fixed_size = pytest.mark.parametrize(
 )
 IN_ML_KEM = {"mlkem768": 0, "mlkem1024": 0, "x25519mlkem768": 0}
 """An octet of each ciphertext that is ML-KEM's: the first, or else the last."""
-
-
-def command(openssl):
-    """What starts evp.py with the library of the command `openssl`, on its C library."""
-    modules = openssl("version", "-m").decode().split('"')[1]
-    # Unpacked by .ci/openssl35, it stands in a root of its own.
-    root = Path(openssl.path).resolve().parent / "root"
-    folder = Path(f"{root if root.exists() else ''}{modules}").parent
-    loader = next(folder.glob("ld-linux*.so.*"), None)
-    start = [loader, "--library-path", folder] if loader else []
-    [library] = folder.glob("libcrypto.so.?")
-    return [*start, sys.executable, "-I", "-S", evp.__file__, library]
 
 
 class Conversation:
@@ -87,7 +74,9 @@ def plain(row, octets):
 @pytest.fixture(scope="module")
 def peer(openssl35):
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    with subprocess.Popen(command(openssl35), text=True, **pipes) as process:
+    with subprocess.Popen(
+        libcrypto.command(openssl35.path, evp.__file__), text=True, **pipes
+    ) as process:
         yield Conversation(process)
         process.stdin.close()
 

@@ -1,5 +1,6 @@
 """Private and public keys to bytes and back: every form that is read, and what is not."""
 
+import base64
 import hashlib
 import shutil
 import subprocess
@@ -96,19 +97,78 @@ def test_every_block_is_found_and_what_stands_between_them_is_not_looked_at():
     assert unpem(text, "thing") == [("A", b"1"), ("B 2", b"2")]
 
 
-def test_a_block_that_ends_as_another_is_none():
-    assert unpem(b"-----BEGIN A-----\nMTIz\n-----END B-----\n", "thing") == []
+BLOCK = pem("CERTIFICATE", bytes(100))
+BROKEN_PEM = {
+    "it ends as another": BLOCK.replace(b"END CERTIFICATE", b"END X"),
+    "something before BEGIN": b"x" + BLOCK,
+    "a space before BEGIN": b" " + BLOCK,
+    "a byte order mark before BEGIN": b"\xef\xbb\xbf" + BLOCK,
+    "a line so long that OpenSSL cuts it before BEGIN": b"a" * 254 + BLOCK,
+    "something after BEGIN": BLOCK.replace(b"-----\n", b"-----x\n", 1),
+    "a high byte after BEGIN": BLOCK.replace(b"-----\n", b"-----\x80\n", 1),
+    "something before END": BLOCK.replace(b"-----END", b"x-----END"),
+    "something after END": BLOCK.replace(b"-----\n", b"-----x\n").replace(b"x\n", b"\n", 1),
+    "a label in small letters": BLOCK + BLOCK.lower().replace(b"begin", b"BEGIN"),
+    "a BEGIN without an END": b"-----BEGIN CERTIFICATE-----\n" + BLOCK,
+    "an END without a BEGIN": b"-----END CERTIFICATE-----\n" + BLOCK,
+    "a blank line inside": BLOCK.replace(b"\n", b"\n\n", 2),
+    "a blank line at the end": BLOCK.replace(b"-----END", b"\n-----END"),
+    "a space in a line": BLOCK.replace(b"AAAA", b"A AAA", 1),
+    "a NUL in the text": b"\0\n" + BLOCK,
+    "a header": BLOCK.replace(b"-----\n", b"-----\nX: y\n\n", 1),
+    "a header without its blank line": BLOCK.replace(b"-----\n", b"-----\nX: y\n", 1),
+    "another name for a certificate": BLOCK.replace(b" CERT", b" X509 CERT") + BLOCK,
+    "a certificate that is trusted": BLOCK.replace(b" CERT", b" TRUSTED CERT") + BLOCK,
+    "padding in the middle": BLOCK.replace(b"A\n", b"=\n", 1),
+    "nothing inside": b"-----BEGIN CERTIFICATE-----\n-----END CERTIFICATE-----\n",
+    "base64 cut short": BLOCK.replace(b"==\n", b"\n"),
+}
+"""What OpenSSL or another reader takes for something else, or for nothing."""
+
+
+@pytest.mark.parametrize("flaw", BROKEN_PEM)
+def test_pem_that_readers_could_disagree_on_is_refused(flaw):
+    assert BROKEN_PEM[flaw] != BLOCK
+    with pytest.raises(MalformedError, match="PEM"):
+        unpem(BROKEN_PEM[flaw], "thing")
+
+
+@pytest.mark.parametrize("size", [4, 48, 76, 1000])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b" \n", b"\t\r\n"])
+def test_pem_of_other_lines_is_read(size, end):
+    text = base64.b64encode(bytes(100))
+    lines = [text[at : at + size] for at in range(0, len(text), size)]
+    marks = b"-----BEGIN A-----", b"-----END A-----"
+    assert unpem(end.join([marks[0], *lines, marks[1], b""]), "thing") == [("A", bytes(100))]
 
 
 @pytest.mark.parametrize("body", [b"MTI", b"M*Iz", "MTIé".encode()])
 def test_broken_base64_is_refused(body):
-    with pytest.raises(MalformedError, match="thing: broken base64 in PEM"):
+    with pytest.raises(MalformedError, match="thing: broken"):
         unpem(b"-----BEGIN A-----\n" + body + b"\n-----END A-----\n", "thing")
 
 
 @pytest.mark.timeout(120)  # what is quadratic takes an hour
 def test_blocks_without_an_end_cost_no_more_than_their_length():
-    assert unpem(b"-----BEGIN A-----\n" * 200_000, "thing") == []
+    with pytest.raises(MalformedError):
+        unpem(b"-----BEGIN A-----\nAAAA\n" * 200_000, "thing")
+
+
+@pytest.mark.parametrize("row", list(SIGNATURES), ids=lambda row: row.name)
+@pytest.mark.parametrize("passphrase", [None, b"horse"])
+def test_a_private_key_with_text_before_it_is_read(row, passphrase):
+    # As `openssl pkcs12` writes it (RFC 7468 2).
+    text = b"Bag Attributes\n    localKeyID: 01 02\nKey Attributes: <No Attributes>\n"
+    key = key_of(row)
+    found = load_private_key(text + private_key_pem(key, passphrase), passphrase)
+    assert same(found, key)
+
+
+@each_ml_dsa
+def test_a_private_key_of_both_forms_with_text_before_it_is_read(row):
+    key = key_of(row)
+    text = b"Bag Attributes\n" + pem("PRIVATE KEY", pkcs8(row, both(row, key)))
+    assert same(load_private_key(text), key)
 
 
 # Private keys, unencrypted
@@ -150,9 +210,17 @@ def pkcs8(row, octets, parameters=None):
     )
 
 
-def both(row, key, *, seed=None, rho=None):
-    """The form that OpenSSL 3.5 writes unless told otherwise."""
-    expanded = (rho or key.public_key.raw[:32]) + bytes(EXPANDED_SIZES[row.name] - 32)
+MATRIX = {"ml-dsa-44": b"\4\4", "ml-dsa-65": b"\6\5", "ml-dsa-87": b"\x08\7"}
+
+
+def both(row, key, *, seed=None, spoilt=None, size=None):
+    """The form that OpenSSL 3.5 writes unless told otherwise, but for s1, s2 and t0."""
+    public = key.public_key.raw
+    secret = hashlib.shake_256(key.raw + MATRIX[row.name]).digest(128)[96:]
+    begin = bytearray(public[:32] + secret + hashlib.shake_256(public).digest(64))
+    if spoilt is not None:
+        begin[spoilt] ^= 1
+    expanded = bytes(begin).ljust(size or EXPANDED_SIZES[row.name], b"\0")
     return encode(SeedAndExpandedKey(seed=key.raw if seed is None else seed, expanded_key=expanded))
 
 
@@ -180,7 +248,9 @@ def test_a_seed_that_begins_like_a_tag_is_read(row, start):
 
 @each_ml_dsa
 @pytest.mark.parametrize(
-    "other", [{"seed": b"\1" * 32}, {"rho": b"\2" * 32}], ids=["other seed", "other expanded"]
+    "other",
+    [{"seed": b"\1" * 32}, *({"spoilt": at} for at in (0, 31, 32, 63, 64, 127)), {"size": 4000}],
+    ids=str,
 )
 def test_an_ml_dsa_key_whose_two_forms_differ_is_refused(row, other):
     with pytest.raises(MalformedError, match=f"the expanded form of this {row.name} key differ"):

@@ -1,0 +1,279 @@
+"""Do we read what OpenSSL reads? python -m tests.fuzz.differential --inputs 1000000
+
+Makes hostile S/MIME and PEM, and compares what comes out, not only whether something does:
+a file that pqsec takes must be the same document, the same signature, the same objects for
+OpenSSL's library. It also compares the model of OpenSSL's S/MIME reader with OpenSSL.
+
+Prints the seed and what it found, keeps the first inputs of each kind of finding in
+--findings, and ends with 1 if there is one. OpenSSL is the `openssl` command's, and that of
+PQSEC_OPENSSL35 where it is set; --openssl COMMAND names others.
+"""
+
+import argparse
+import hashlib
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+
+from pqsec_pki.algorithms import SIGNATURES, load_private_key, private_key_pem, unpem
+from pqsec_pki.certificates import (
+    Authority,
+    Certificate,
+    CertificateRequest,
+    RevocationList,
+    certificate_request,
+    revocation_list,
+)
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.smime import Signer, _canonical, _cms, _openssl_reader, _reading, document, sign
+from tests.fuzz import hostile_files, libcrypto
+
+BATCH = 256
+YEAR = timedelta(days=365)
+
+
+class Peer:
+    """A libcrypto that answers."""
+
+    def __init__(self, process):
+        self._process = process
+        [self.version] = libcrypto.unpack(process.stdout.read)
+
+    def ask(self, kind, files):
+        """Its answer to each file."""
+        self._process.stdin.write(libcrypto.pack([kind + data for data in files]))
+        self._process.stdin.flush()
+        return [libcrypto.unpacked(each) for each in libcrypto.unpack(self._process.stdout.read)]
+
+
+@contextmanager
+def peer(openssl):
+    """The library of that openssl command."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(libcrypto.command(openssl, libcrypto.__file__), **pipes) as process:
+        yield Peer(process)
+        process.stdin.close()
+
+
+@contextmanager
+def peers(paths):
+    with ExitStack() as stack:
+        yield [stack.enter_context(peer(path)) for path in paths]
+
+
+# What we read: lists as libcrypto.py answers them, empty where we refuse
+
+
+def own_smime(data):
+    """The signed part, the document, and the structure as we hand it on."""
+    try:
+        found = _reading.read(data)
+        return [found.content, b"+" + found.document, handed_on(found.content, found.cms)]
+    except PqsecError:
+        return []
+
+
+def handed_on(content, cms):
+    """The file of a CMS structure, as verify() hands it on."""
+    structure = _cms.parse(cms)
+    info = document._signer(structure)
+    return _canonical.file_of(content, info, document._counters(info), None)
+
+
+def disagreement_on_smime(data, theirs, ask):
+    """What is wrong, if something is."""
+    ours = own_smime(data)
+    if ours and not theirs:
+        # For what we do not hand on, as a broken certificate that came along.
+        [theirs] = ask([ours[2]])
+    if theirs:
+        theirs[2] = silent(lambda cms: handed_on(theirs[0], cms))(theirs[2])
+    if ours and ours != theirs:
+        return "pqsec reads what OpenSSL does not" if not theirs else "two documents"
+    return disagreement_of_model(data, theirs)
+
+
+def disagreement_of_model(data, theirs):
+    """Where the model of OpenSSL is not OpenSSL."""
+    try:
+        model = _openssl_reader.read(data)
+    except PqsecError as error:
+        cautious = any(
+            word in str(error) for word in ("content types", "boundaries", "longer than")
+        )
+        return "the model refuses" if theirs and not cautious and b"\0" not in data else None
+    if not theirs or b"\0" in data:
+        return None  # the model has no ASN.1
+    if model.content != theirs[0]:
+        return "the model reads another text"
+    try:
+        text = b"+" + _openssl_reader.text(model.content)
+    except PqsecError as error:
+        return (
+            "the model refuses the text"
+            if theirs[1] and "content types" not in str(error)
+            else None
+        )
+    return "the model reads another document" if text != theirs[1] else None
+
+
+def pem_reader(read, *, only_first):
+    """A comparison of what `read` gives for PEM, DER in a list, with OpenSSL."""
+
+    def disagreement(data, theirs, _):
+        try:
+            ours = read(data)
+        except PqsecError:
+            return None
+        if only_first:
+            theirs = theirs[:1]
+        return None if ours == theirs else "other objects"
+
+    return disagreement
+
+
+@dataclass
+class Kind:
+    """Files of one kind, and what is said of them."""
+
+    question: bytes
+    make: object
+    disagreement: object
+    taken: object
+
+
+@dataclass
+class Result:
+    """What came of many files."""
+
+    inputs: int = 0
+    taken: int = 0
+    findings: Counter = field(default_factory=Counter)
+    examples: dict = field(default_factory=dict)
+
+    def add(self, words, data):
+        self.findings[words] += 1
+        self.examples.setdefault(words, data)
+
+
+def kinds():
+    """By name. Keys are made for each run."""
+    now = datetime.now(UTC)
+    names = ("One CA", "Another CA", "Third CA")
+    cas = [
+        Authority.create(each, SIGNATURES.named("ecdsa-p256"), now=now, validity=YEAR)
+        for each in names
+    ]
+    signers = [Signer(each.certificate, each.key) for each in cas]
+    texts = [b"<dds>\n<one/>\n</dds>\n", b"\n<dds/>\n", b"<!-- " + b"x" * 1500 + b" -->\n<dds/>"]
+    messages = [sign(*each, now=now) for each in zip(texts, signers, strict=True)]
+    smime = hostile_files.SignedFiles(messages)
+    found = {"smime": Kind(b"S", smime.make, disagreement_on_smime, own_smime)}
+    for name, (question, blocks, read, first) in pem_kinds(cas, now).items():
+        pem = hostile_files.Pem(blocks)
+        found[name] = Kind(question, pem.make, pem_reader(read, only_first=first), silent(read))
+    return found
+
+
+def silent(read):
+    def quietly(data):
+        try:
+            return read(data)
+        except PqsecError:
+            return []
+
+    return quietly
+
+
+def pem_kinds(cas, now):
+    """(question, blocks, what we read, whether only the first) by name."""
+    keys = [unpem(private_key_pem(each.key), "key")[0] for each in cas[:2]]
+    certificates = [("CERTIFICATE", each.certificate.der) for each in cas]
+    lists = [
+        ("X509 CRL", revocation_list(each, [], number=1, now=now, validity=YEAR).der)
+        for each in cas
+    ]
+    requests = [("CERTIFICATE REQUEST", certificate_request("x", each.key).der) for each in cas]
+    other = [certificates[0], keys[0]]
+    return {
+        "certificates": (
+            b"C",
+            certificates * 4 + keys,
+            lambda data: [each.der for each in Certificate.all_from_pem(data)],
+            False,
+        ),
+        "lists": (b"L", lists * 4 + other, lambda data: [RevocationList.from_pem(data).der], True),
+        "requests": (
+            b"R",
+            requests * 4 + other,
+            lambda data: [CertificateRequest.from_pem(data).der],
+            True,
+        ),
+        "keys": (
+            b"K",
+            keys * 4 + certificates,
+            lambda data: [load_private_key(data).public_key.spki],
+            True,
+        ),
+    }
+
+
+def run(kind, peers, inputs, seed):
+    """`inputs` files of one kind, each to all peers."""
+    rng, result = random.Random(seed), Result()  # noqa: S311 -- reproducible, not secret
+    while result.inputs < inputs:
+        files = [kind.make(rng) for _ in range(min(BATCH, inputs - result.inputs))]
+        result.inputs += len(files)
+        result.taken += sum(bool(kind.taken(data)) for data in files)
+        for each in peers:
+            for data, theirs in zip(files, each.ask(kind.question, files), strict=True):
+                ask = partial(each.ask, kind.question)
+                if words := kind.disagreement(data, theirs, ask):
+                    result.add(f"{each.version.decode()}: {words}", data)
+    return result
+
+
+def commands():
+    """The openssl commands that there are."""
+    named = [shutil.which("openssl"), os.environ.get("PQSEC_OPENSSL35")]
+    return [each for each in named if each]
+
+
+def main():
+    known = kinds()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "kinds", nargs="*", metavar="KIND", help=f"of {', '.join(known)}; all unless told"
+    )
+    parser.add_argument("--inputs", type=int, default=100_000, help="files of each kind")
+    parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(1 << 32))
+    parser.add_argument("--openssl", action="append", help="an openssl command")
+    parser.add_argument("--findings", type=Path, default=Path("findings"), help="folder")
+    options = parser.parse_args()
+    print("seed", options.seed)
+    failed = False
+    for name in options.kinds or known:
+        with peers(options.openssl or commands()) as found:
+            result = run(known[name], found, options.inputs, options.seed)
+        total = result.findings.total()
+        print(f"{name}: {result.inputs} files, {result.taken} read, {total} findings", flush=True)
+        for words, count in result.findings.items():
+            failed = True
+            data = result.examples[words]
+            options.findings.mkdir(exist_ok=True, parents=True)
+            path = options.findings / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}"
+            path.write_bytes(data)
+            print(f"  {count} times {words}; {path}")
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()

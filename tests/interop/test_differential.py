@@ -1,0 +1,37 @@
+"""pqsec and OpenSSL read the same in hostile S/MIME and PEM: a few thousand files in each run.
+
+The long job reads a million of each: python -m tests.fuzz.differential --inputs 1000000
+"""
+
+import random
+import shutil
+
+import pytest
+
+from tests.fuzz import differential
+
+INPUTS = 400
+FIXED = 20261122
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    return differential.kinds()
+
+
+@pytest.fixture(scope="module")
+def peers(openssl, openssl35):
+    """The libraries of both."""
+    with differential.peers([shutil.which(openssl.path), openssl35.path]) as found:
+        assert len({each.version for each in found}) == 2
+        yield found
+
+
+@pytest.mark.interop
+@pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
+@pytest.mark.parametrize("name", ["smime", "certificates", "lists", "requests", "keys"])
+def test_what_we_read_openssl_reads_too(kinds, peers, name, seed):
+    print("seed", seed)  # a run that fails shows it: tests.fuzz.differential --seed
+    result = differential.run(kinds[name], peers, INPUTS, seed)
+    assert not result.findings, (seed, result.findings, result.examples)
+    assert result.taken > INPUTS / 20  # else it says little
