@@ -139,7 +139,8 @@ def _nearest_first(ca: Certificate) -> list[Profile]:
     """Profiles with keys of the CA's family before others, which may promise less: composite
     keys keep what pq promises, and pq does not promise what hybrid does. Then classical first."""
     family = ca.public_key.algorithm.family
-    return sorted(PROFILES[::-1], key=lambda each: each.identity_key.family != family)
+    near = [each for each in reversed(PROFILES) if each.identity_key.family == family]
+    return near + [each for each in reversed(PROFILES) if each not in near]
 
 
 def _first_participant(root: Path) -> Certificate | None:
