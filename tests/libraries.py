@@ -26,23 +26,31 @@ class Libraries:
                 self.made[key] = self._make(Path(folder), *key)
         return self.made[key]
 
+    def can(self, *flags: str) -> bool:
+        """Whether the compiler here makes libraries with these flags."""
+        try:
+            self(flags=flags)
+        except subprocess.CalledProcessError:
+            return False
+        return True
+
     def program(self, *needed: str) -> bytes:
         """A program that is linked to those, and exits with 0."""
         return self("", *needed, flags=("-pie", "-nostartfiles", "-e", "nothing"))
 
-    def cyclone(self, folder: Path, release: str, soname: str) -> Path:
+    def cyclone(self, folder: Path, release: str, soname: str, *flags: str) -> Path:
         """A Cyclone DDS in that folder: libddsc.so and, beside it, its plugins."""
-        self.installed(folder, "libddsc.so", release, soname)
+        self.installed(folder, "libddsc.so", release, soname, *flags)
         for kind in ("auth", "crypto", "ac"):
             name = f"libdds_security_{kind}.so"
-            (folder / name).write_bytes(self(name, soname))
+            (folder / name).write_bytes(self(name, soname, flags=flags))
         return folder
 
-    def installed(self, folder: Path, name: str, release: str, soname: str) -> Path:
+    def installed(self, folder: Path, name: str, release: str, soname: str, *flags: str) -> Path:
         """A library in that folder, with the links that a package has; each version is a build."""
         folder.mkdir(parents=True, exist_ok=True)
         real = folder / f"{name}.{release}"
-        real.write_bytes(self(soname, build=release.encode().hex()))
+        real.write_bytes(self(soname, build=release.encode().hex(), flags=flags))
         for link in {name, soname} - {real.name}:
             (folder / link).unlink(missing_ok=True)
             (folder / link).symlink_to(real.name)

@@ -15,7 +15,7 @@ from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.trial.kits import KITS, STACKS, Command, Kit
 from pqsec_pki.vendors.cyclone_plugins import agree, in_words
-from pqsec_pki.vendors.elf import Library, read_library
+from pqsec_pki.vendors.elf import Library, read_library, runs_here
 
 MACHINE = Path("/")
 PREFIXES = ("usr/local", "usr")
@@ -144,12 +144,12 @@ def _whole(kit: Kit, version: str, prefix: str, root: Path) -> Installation:
     """With the library of the same prefix; MissingStackError if it is of another version."""
     headers = f"the headers of {kit.title} {version} are in {root / prefix / 'include'}"
     hint = f"install all of one version there, or take the headers away: {kit.packages}"
-    folder = _folder_of(kit, root / prefix)
-    if folder is None:
+    found_in = next(_libraries(kit, root / prefix), None)
+    if found_in is None:
         raise MissingStackError(
             f"{headers}, and {kit.library} is not in {root / prefix / 'lib'}", hint=hint
         )
-    library = read_library(folder / kit.library)
+    folder, library = found_in
     told = tuple(map(int, version.split(".")))
     if not agree(told, library.release):
         raise MissingStackError(
@@ -176,9 +176,13 @@ def _whole(kit: Kit, version: str, prefix: str, root: Path) -> Installation:
     return found
 
 
-def _folder_of(kit: Kit, prefix: Path) -> Path | None:
-    folders = folders_of_libraries(prefix)
-    return next((each for each in folders if (each / kit.library).is_file()), None)
+def _libraries(kit: Kit, prefix: Path) -> Iterator[tuple[Path, Library]]:
+    """(folder, library) of those below `prefix` that a peer could load."""
+    for folder in folders_of_libraries(prefix):
+        if (folder / kit.library).is_file():
+            library = read_library(folder / kit.library)
+            if runs_here(library):
+                yield folder, library
 
 
 def _refuse_missing_tools(installation: Installation) -> None:

@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from pqsec_pki.errors import PqsecError, shown
-from pqsec_pki.vendors.elf import read_library, release_in
+from pqsec_pki.vendors.elf import Library, read_library, release_in, runs_here
 from pqsec_pki.vendors.export import Version
 
 NAMES = {"auth": "dds_security_auth", "crypto": "dds_security_crypto", "ac": "dds_security_ac"}
@@ -65,11 +65,14 @@ def agree(one: Version, other: Version) -> bool:
 
 def read_plugin(path: Path) -> Plugin:
     """The plugin at `path`. FileError if it cannot be read, MalformedError if it is no library."""
-    found = read_library(path)
+    return _plugin(read_library(path))
+
+
+def _plugin(found: Library) -> Plugin:
     soname = next((each for each in found.needed if each.startswith(_CYCLONE)), "")
     places = (found.path.parent / soname, found.path.parent.parent / soname)
     library = next((each.resolve() for each in places if soname and each.is_file()), None)
-    return Plugin(path=path, soname=soname, library=library)
+    return Plugin(path=found.path, soname=soname, library=library)
 
 
 def plugins_in(folder: Path) -> dict[str, Path]:
@@ -80,13 +83,15 @@ def plugins_in(folder: Path) -> dict[str, Path]:
 def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
     """The folders below `root` that have all plugins, each with its first one.
 
-    Who may not look into a folder does not load from it, and what is no library is not loaded.
+    Who may not look into a folder does not load from it; what is no library, or one for another
+    processor, is not loaded.
     """
     found = {folder.resolve() for place in PLACES for folder in root.glob(place)}
     for folder in sorted(found):
         with suppress(PqsecError, OSError):
-            first, *_ = [read_plugin(path) for path in plugins_in(folder).values()]
-            yield folder, first
+            libraries = [read_library(path) for path in plugins_in(folder).values()]
+            if all(map(runs_here, libraries)):
+                yield folder, _plugin(libraries[0])
 
 
 def installed_plugins(root: Path, fits: Callable[[Plugin], bool] = lambda _: True) -> Path | None:

@@ -10,13 +10,15 @@ import os
 import re
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from stat import S_ISREG
 from typing import Self
 
 from pqsec_pki._files import disk_errors
-from pqsec_pki.errors import MalformedError, located
+from pqsec_pki.errors import MalformedError, PqsecError, located
 from pqsec_pki.vendors.export import Version
 
 MAX_HEADERS = 128
@@ -46,6 +48,8 @@ class Library:
     """The names of those that it loads (DT_NEEDED), in their order."""
     build: str
     """The build ID in hexadecimal; SHA-256 of the file for one without."""
+    machine: tuple[int, int]
+    """EI_CLASS and e_machine: what sort of processor it is for, in which mode."""
 
     @property
     def release(self) -> Version:
@@ -58,6 +62,19 @@ def release_in(name: str) -> Version:
     libddsc.so.0debian; () if there are none."""
     found = _RELEASE.search(name)
     return tuple(map(int, found[1].split("."))) if found else ()
+
+
+def runs_here(library: Library) -> bool:
+    """Whether it is for the processor, and the mode, that this process runs in."""
+    own = _own_machine()
+    return own is None or library.machine == own
+
+
+@cache
+def _own_machine() -> tuple[int, int] | None:
+    with suppress(PqsecError):
+        return read_library(Path("/proc/self/exe")).machine
+    return None  # a system without /proc
 
 
 def read_library(path: Path) -> Library:
@@ -90,7 +107,8 @@ class _Image:
     """`<` or `>`, as in struct."""
     wide: bool
     """Whether it is ELF64."""
-    segments: tuple[_Segment, ...]
+    machine: int
+    segments: tuple[_Segment, ...] = ()
 
     @classmethod
     def of(cls, handle: int) -> Self:
@@ -100,12 +118,14 @@ class _Image:
         if start[5] not in {1, 2}:
             raise MalformedError("not a library: of no byte order that ELF has")
         order, wide = "<>"[start[5] - 1], start[4] == 2  # noqa: PLR2004 -- ELFCLASS64
-        bare = cls(handle, order, wide, ())
+        (machine,) = struct.unpack_from(f"{order}H", start, 18)
+        bare = cls(handle, order, wide, machine)
         offset, size, count = bare._table(start)
         if count > MAX_HEADERS or size != bare._header.size:
             raise MalformedError("not a library: its program headers are not those of ELF")
         table = bare.at(offset, size * count)
-        return cls(handle, order, wide, tuple(map(bare._segment, bare._header.iter_unpack(table))))
+        segments = tuple(map(bare._segment, bare._header.iter_unpack(table)))
+        return replace(bare, segments=segments)
 
     def library(self, path: Path) -> Library:
         entries = list(self._entries())
@@ -121,6 +141,7 @@ class _Image:
             soname=sonames[0] if sonames else "",
             needed=needed,
             build=self._build_id() or self._digest(),
+            machine=(2 if self.wide else 1, self.machine),
         )
 
     def at(self, offset: int, size: int) -> bytes:

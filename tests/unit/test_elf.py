@@ -3,14 +3,16 @@
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from pqsec_pki.errors import FileError, MalformedError, PqsecError
-from pqsec_pki.vendors.elf import MAX_HEADERS, read_library, release_in
+from pqsec_pki.vendors.elf import MAX_HEADERS, read_library, release_in, runs_here
 
 OF_THE_SYSTEM = sorted(Path("/usr/lib").glob("*-linux-gnu*/*.so*"))
+OTHER = ("-m32",)
 MOST = 150
 """Of them; a machine may have thousands."""
 NAMES = ("libddsc.so.0debian", "libc.so.6", f"lib{'x' * 180}.so.1")
@@ -27,6 +29,13 @@ def by_readelf(path: Path) -> tuple[str, tuple[str, ...], str]:
 
 
 @pytest.fixture
+def flags(request, library, requires) -> tuple[str, ...]:
+    """What the compiler is told."""
+    can = library.can(*request.param)
+    return requires(request.param if can else None, f"gcc {request.param}", "apt-get install gcc")
+
+
+@pytest.fixture
 def put(tmp_path):
     def file(data: bytes, name: str = "lib.so") -> Path:
         path = tmp_path / name
@@ -36,13 +45,14 @@ def put(tmp_path):
     return file
 
 
-@pytest.mark.parametrize("flags", [(), ("-m32",)], ids=["ELF64", "ELF32"])
+@pytest.mark.parametrize("flags", [(), OTHER], ids=["own", "ELF32"], indirect=True)
 @pytest.mark.parametrize("hash_style", ["gnu", "sysv"])
 def test_a_librarys_own_words_are_read(library, put, flags, hash_style):
     more = (*flags, f"-Wl,--hash-style={hash_style}")
     path = put(library("libmine.so.3", *NAMES, build="00ff10", flags=more))
     found = read_library(path)
     assert (found.soname, found.needed, found.build) == ("libmine.so.3", NAMES, "00ff10")
+    assert runs_here(found) is (flags == ())
 
 
 def test_a_library_without_words_has_none(library, put):
@@ -109,12 +119,12 @@ def test_what_is_not_a_library_is_refused(put, tmp_path):
         read_library(put(bytes(many), "many"))
 
 
-@pytest.mark.parametrize("flags", [(), ("-m32",)], ids=["ELF64", "ELF32"])
+@pytest.mark.parametrize("flags", [(), OTHER], ids=["own", "ELF32"], indirect=True)
 def test_a_damaged_library_is_read_or_refused_and_nothing_else(library, put, flags):
     """Every byte of its headers, dynamic section and names, each to several values; every end."""
     whole, path = library("libmine.so.3", "libddsc.so.11", build="aa", flags=flags), put(b"")
     strings = whole.index(b"libddsc.so.11")
-    dynamic = whole.rindex((1).to_bytes(8 if not flags else 4, "little"))
+    dynamic = whole.rindex((1).to_bytes(4, sys.byteorder))
     places = {*range(1024), *range(strings - 64, strings + 64), *range(dynamic, dynamic + 256)}
     refused = 0
     with path.open("r+b") as file:

@@ -32,6 +32,7 @@ from pqsec_pki.trial.findings import findings
 from pqsec_pki.trial.network import Wire
 from pqsec_pki.trial.peer import MAX_LOG, Account
 from pqsec_pki.trial.words import words
+from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.unit.keystores import NOW, made
 
 # Finding a stack
@@ -117,6 +118,16 @@ def test_of_two_cyclones_one_is_taken_whole(root):
     idlc, compiler = (found.tool(command, "/tmp/x") for command in found.kit.commands)
     assert "/usr/local/bin/idlc" in idlc
     assert {"-I/usr/local/include", "-L/usr/local/lib", str(local / "lib")} <= set(compiler)
+
+
+def test_a_library_for_another_processor_is_passed_over(root, library, requires):
+    """As of a machine that compiles for its robots: its folder comes first."""
+    requires(library.can("-m32") or None, "gcc -m32", "apt-get install gcc")
+    path = root(CYCLONE)
+    library.cyclone(path / "usr/lib/aarch64-linux-gnu", "0.10.5", "libddsc.so.0debian", "-m32")
+    found = find("cyclonedds", path)
+    assert (found.version, found.plugins) == ("0.10.4", path / "usr" / LIBRARIES)
+    assert installed_plugins(path) == path / "usr" / LIBRARIES
 
 
 def test_headers_without_a_library_of_theirs_are_refused(root):
