@@ -114,12 +114,10 @@ def _looked_at(located: Mapping[str, Path | None], options: Options) -> tuple[st
 def _unlocated(options: Options) -> str:
     """A note about plugins that are named only, with those that were seen and are not meant."""
     note = "the plugins are named, not located: the loader must find libdds_security_*.so"
-    others = (
-        []
-        if options.at
-        else [f"{folder} of {in_words(plugin.release)}" for folder, plugin in installed(Path("/"))]
-    )
-    return f"{note}; not taken: {', '.join(others)}" if others else note
+    there = () if options.at else installed(Path("/"))
+    others = ", ".join(f"{folder} ({in_words(plugin.release)})" for folder, plugin in there)
+    choice = "" if options.version else "; --stack-version chooses"
+    return f"{note}; seen here: {others}{choice}" if others else note
 
 
 def _password(enclave: Enclave, options: Options) -> str | None:
