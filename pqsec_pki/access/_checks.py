@@ -9,6 +9,8 @@ from pqsec_pki.access.question import Action
 from pqsec_pki.access.reading import Case
 from pqsec_pki.documents import Criteria, DefaultAction, Rule, TopicRule
 
+_MOST_SAID = 4
+"""Partitions in a sentence: an endpoint may have a thousand."""
 _VERBS = {Action.PUBLISH: "publish", Action.SUBSCRIBE: "subscribe to", Action.RELAY: "relay"}
 
 
@@ -139,4 +141,6 @@ def name_of(rule: Rule) -> str:
 
 
 def _partitions(names: tuple[str, ...]) -> str:
-    return f"partition{'s' if len(names) > 1 else ''} {', '.join(map(_expressions.said, names))}"
+    more = f" and {len(names) - _MOST_SAID} more" if len(names) > _MOST_SAID else ""
+    words = ", ".join(map(_expressions.said, names[:_MOST_SAID]))
+    return f"partition{'s' if len(names) > 1 else ''} {words}{more}"

@@ -10,9 +10,7 @@ from pqsec_pki.access.reading import Case, Check, Reading, Side
 from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import DomainRule, Governance, Grant, Permissions, parse_subject
 
-_DOUBT = (
-    "its partitions take too many steps to compare with those of the rules, and in doubt it is no"
-)
+_DOUBT = "its partitions take too many steps to compare with those of the rules: in doubt it is no"
 
 
 def decide(
@@ -64,7 +62,7 @@ class Policy:
         case = Case(question=question, reading=self.reading, domain_rules=rules, grant=grant)
         decision = replace(_checked(case, by), protection=_protection(case))
         if case.steps.spent and not decision.allowed:
-            return replace(decision, reason=f"{decision.reason}; {_DOUBT}")
+            return replace(decision, reason=f"{_DOUBT}: {decision.reason}")
         return decision
 
     def _find(self, question: Question) -> tuple[tuple[DomainRule, ...], Grant | None]:

@@ -2,10 +2,13 @@
 
 import os
 from dataclasses import replace
+from itertools import product
 
 import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import Criteria, DomainSet, Grant, Permissions, Rule
 from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin import handles, meetings
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
@@ -22,6 +25,7 @@ from tests.unit.plugin_wire import (
     side,
 )
 
+DOMAINS = DomainSet.of(0)
 TOKEN = DataHolder("DDS:Access:Permissions:1.0")
 
 
@@ -308,6 +312,45 @@ def test_a_peer_is_judged_by_the_documents_of_the_participant_that_met_it(folder
         assert shim.call("validate_remote_permissions", handle, 9, TOKEN, credential)
         with pytest.raises(RefusedError, match="the peer's permissions"):
             shim.call("validate_remote_permissions", 3 - handle, 9, TOKEN, credential)
+
+
+def test_a_partition_is_for_who_is_granted_all_that_its_wildcards_stand_for(tmp_path):
+    """By its own stack and by its peers, and whatever a peer sends, in so many steps."""
+    keystore = made(tmp_path / "k", "pq")
+    folder = keystore.root / f"enclaves{TWO[0]}"
+    where = (Criteria(topics=("x",), partitions=("floor?", "s*")),)
+    secret = (Criteria(topics=("x",), partitions=("secret",)),)
+    rules = (
+        Rule(allow=False, domains=DOMAINS, publish=secret, subscribe=secret),
+        Rule(allow=True, domains=DOMAINS, publish=where, subscribe=where),
+    )
+    subject = Certificate.from_pem((folder / "cert.pem").read_bytes()).subject_name
+    least = Grant.least(
+        subject_name=subject, not_before=NOW - DAY, not_after=NOW + DAY, domains=DOMAINS
+    )
+    document = Permissions(grants=(replace(least, rules=rules),)).to_xml()
+    message = keystore.unlock(None).sign(document, now=NOW)
+    (folder / "permissions.p7s").unlink()
+    (folder / "permissions.p7s").write_bytes(message)
+    shim, (pairs, at) = Shim("access_control", NOW), properties(folder)
+    _, own, _ = shim.call("validate_local_permissions", 1, 0, at, pairs)
+    _, peers, _ = shim.call("validate_remote_permissions", 1, 2, TOKEN, _credential(folder))
+    calls = [(own, "create_datawriter"), (own, "create_datareader")]
+    calls += [(peers, "remote_datawriter"), (peers, "remote_datareader")]
+    let_in = ("floor1", "floor?", "sales", "sal*", "secrets")
+    kept_out = ("floor*", "floor12", "s*", "secre?", "secret", "*", "", "floor[12]")
+    hostile = tuple(f"s{'*?' * 100}{number}" for number in range(1000))
+    wrong = []
+    for (handle, name), partition in product(calls, (*let_in, *kept_out)):
+        try:
+            shim.call(f"check_{name}", handle, 0, "x", (partition,), ())
+        except RefusedError:
+            wrong += [(name, partition)] if partition in let_in else []
+        else:
+            wrong += [(name, partition)] if partition in kept_out else []
+    assert not wrong
+    with pytest.raises(RefusedError, match="in doubt it is no: no rule of grant"):
+        shim.call("check_remote_datawriter", peers, 0, "x", hostile, ())
 
 
 def test_builtin_topics_are_for_the_participant_itself_not_for_its_peers(folders):
