@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Self
+from weakref import WeakValueDictionary
 
 from pqsec_pki.algorithms import KeyAgreement, PrivateKey, PublicKey
 from pqsec_pki.certificates import (
@@ -78,6 +79,8 @@ class Discovered:
 
 
 NOTHING = Discovered()
+_known: WeakValueDictionary[bytes, Certificate] = WeakValueDictionary()
+"""Certificates that somebody still needs, by their DER: one object for all handshakes of a peer."""
 
 
 @contextmanager
@@ -105,7 +108,8 @@ class Peer:
     def read(cls, introduction: Introduction) -> Self:
         """VerificationError if certificate, its keys, or c.pdata cannot be read."""
         with _read(Code.C9):
-            certificate = Certificate.from_pem(introduction.certificate)
+            found = Certificate.from_pem(introduction.certificate)
+            certificate = _known.setdefault(found.der, found)
             keys = certificate.handshake_keys
         with _read(Code.C11):
             guid = participant_guid(introduction.participant_data)

@@ -98,6 +98,11 @@ class ReplySent:
     _outcome: Done = field(repr=False)
     """What is true once it is."""
 
+    @property
+    def peer(self) -> Peer:
+        """Who must send it. Its certificate is good; that it holds the key is not proved."""
+        return self._outcome.peer
+
     def receive(self, final: Final) -> Done:
         """The end; VerificationError lists what is wrong with `final`.
 

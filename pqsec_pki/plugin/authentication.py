@@ -22,7 +22,6 @@ from pqsec_pki.handshake import (
     IdentityToken,
     Peer,
     Reply,
-    ReplySent,
     Request,
     RequestSent,
     begin,
@@ -37,6 +36,7 @@ from pqsec_pki.plugin.meetings import Handshake, Meetings
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
 from pqsec_pki.plugin.recalls import Recalls
+from pqsec_pki.plugin.waiting import Waiting
 
 NO_TOKEN = DataHolder("")
 """TOKEN_NIL: Cyclone DDS looks at the length of its class id, so it must have one."""
@@ -54,13 +54,20 @@ class Result(IntEnum):
     OK_FINAL_MESSAGE = 5
 
 
+class LateError(VerificationError):
+    """A message that was good and comes too late. Nothing is wrong: an agent or network is slow."""
+
+
 class Authentication:
     """The plugin of one DDS process and domain."""
 
-    def __init__(self, clock: Clock, note: Callable[[str], None], lists: NewestLists) -> None:
+    def __init__(
+        self, clock: Clock, note: Callable[[str], None], lists: NewestLists, answers: Waiting
+    ) -> None:
         self._now = clock
         self._handles = Handles()
-        self._meetings = Meetings(self._handles, note)
+        self._answers = answers
+        self._meetings = Meetings(self._handles, answers, note)
         self._recalls = Recalls(self._handles, self._meetings, lists, clock, note)
 
     def __len__(self) -> int:
@@ -122,7 +129,7 @@ class Authentication:
         local, remote, relation = self._meetings.met(identity, peer)
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         request, state = begin(local.terms(discovered, relation.announced, data), local.agreement)
-        handle = self._meetings.asked(relation, Handshake(local, identity, peer, state))
+        handle = self._meetings.asked(local, identity, peer, state)
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
 
     def begin_handshake_reply(
@@ -130,29 +137,34 @@ class Authentication:
     ) -> tuple[Result, int, DataHolder]:
         """The handshake's handle, and the Reply."""
         local, remote, relation = self._meetings.met(identity, peer)
-        request = Request.from_holder(token)
+        request, now = Request.from_holder(token), self._now()
         certificate = Peer.read(request.introduction).certificate
+        self._meetings.refuse_early(identity, certificate, now)
+        document = self._answers.one_copy(certificate, request.introduction.permissions)
+        request = replace(request, introduction=replace(request.introduction, permissions=document))
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         terms = local.terms(discovered, relation.announced, data)
         terms = replace(terms, own=replace(terms.own, ca=local.issuer_of(certificate)))
-        reply, state = reply_to(terms, request, now=self._now())
-        handle = self._meetings.answered(relation, Handshake(local, identity, peer, state))
+        reply, state = reply_to(terms, request, now=now)
+        handle = self._meetings.answered(local, identity, peer, state, now)
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
 
     def process_handshake(self, token: DataHolder, handle: int) -> tuple[Result, DataHolder]:
         """The Final to a Reply; after a Final nothing."""
         handshake = self._handles.get(handle, Handshake)
-        state = handshake.state
-        if isinstance(state, RequestSent):
-            final, done = self._finish(handshake.local, state, Reply.from_holder(token))
-            handshake.state = done
-            self._meetings.finished(handle, handshake)
-            return Result.OK_FINAL_MESSAGE, final.to_holder()
-        if isinstance(state, ReplySent):
-            handshake.state = state.receive(Final.from_holder(token))
-            self._meetings.finished(handle, handshake)
+        is_final = token.class_id == Final.CLASS_ID
+        if handshake.answer and (is_final or handshake.asked is None):
+            done = handshake.answer.receive(Final.from_holder(token))
+            self._meetings.finished(handshake, done)
             return Result.OK, NO_TOKEN
-        raise VerificationError("the handshake is over")
+        if handshake.asked is None:
+            raise LateError("the handshake is over: the message came late, or twice")
+        reply = Reply.from_holder(token)
+        if reply.dh1 in handshake.earlier:
+            raise LateError("a Reply to a Request that was given up for a later one: it came late")
+        final, done = self._finish(handshake.local, handshake.asked, reply)
+        self._meetings.finished(handshake, done)
+        return Result.OK_FINAL_MESSAGE, final.to_holder()
 
     def get_shared_secret(self, handle: int) -> tuple[Result, int, int, bytes, bytes, bytes]:
         """The peer's handle, when its identity ends, both challenges, and the secret.
@@ -184,6 +196,10 @@ class Authentication:
         )
         return Result.OK, DataHolder(PEER_CREDENTIAL, items)
 
+    def finish(self) -> None:
+        """The connection ends."""
+        self._meetings.drop_all()
+
     def find_revoked(self) -> tuple[Result, int]:
         """A participant or a peer that is taken back since; 0 if there is no other.
 
@@ -210,9 +226,9 @@ class Authentication:
 
     def _done(self, handle: int) -> tuple[Handshake, Done]:
         handshake = self._handles.get(handle, Handshake)
-        if not isinstance(handshake.state, Done):
+        if handshake.done is None:
             raise VerificationError("the handshake is not over")
-        return handshake, handshake.state
+        return handshake, handshake.done
 
 
 def end_of(*certificates: Certificate) -> int:

@@ -7,11 +7,12 @@ from typing import Any
 from pqsec_pki import __version__
 from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.plugin.access_control import AccessControl
-from pqsec_pki.plugin.authentication import Authentication
+from pqsec_pki.plugin.authentication import Authentication, LateError
 from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
+from pqsec_pki.plugin.waiting import Waiting
 
 _HEAD = 4
 _DONE, _REFUSED = 0, 1
@@ -24,14 +25,15 @@ class ProtocolError(PqsecError):
 
 @dataclass(frozen=True, slots=True)
 class House:
-    """What connections share: the clock, the log, what the command line may ask for, and what
-    is known of revocation lists."""
+    """What connections share: the clock, the log, what the command line may ask for, what is
+    known of revocation lists, and what waits for a Final."""
 
     clock: Clock
     log: Log
     status: Callable[[], dict[str, Any]]
     stop: Callable[[], None]
     lists: NewestLists = field(default_factory=NewestLists)
+    answers: Waiting = field(default_factory=Waiting)
 
 
 class Control:
@@ -72,6 +74,8 @@ class Connection:
 
     def finish(self) -> None:
         """The other end has gone."""
+        if isinstance(self._plugin, Authentication):
+            self._plugin.finish()
         self._notes.finish()
 
     def receive(self, octets: bytes) -> Iterator[bytes]:
@@ -86,7 +90,7 @@ class Connection:
             frame = bytes(self._inbox[_HEAD : _HEAD + size])
             del self._inbox[: _HEAD + size]
             answer = self._greeted(frame) if self._plugin is None else self._called(frame)
-            yield len(answer).to_bytes(_HEAD, "little") + answer
+            yield framed(answer)
 
     def _greeted(self, frame: bytes) -> bytes:
         reader = Reader(frame)
@@ -98,7 +102,7 @@ class Connection:
         if magic != MAGIC or name not in CALLS:
             raise ProtocolError("not a greeting")
         if version != VERSION and name != CONTROL:
-            return _refusal(
+            return refusal(
                 f"the agent speaks version {VERSION}, the library {version}: run"
                 " `pqsec plugin install` and `pqsec agent stop`"
             )
@@ -108,7 +112,8 @@ class Connection:
 
     def _new(self, name: str) -> Authentication | AccessControl | Control:
         if name == "authentication":
-            return Authentication(self._house.clock, self._notes.add, self._house.lists)
+            house = self._house
+            return Authentication(house.clock, self._notes.add, house.lists, house.answers)
         if name == "access_control":
             return AccessControl(self._house.clock)
         return Control(self._house)
@@ -120,6 +125,9 @@ class Connection:
             reader = Reader(frame)
             name = reader.text()
             return self._result(name, reader)
+        except LateError as error:
+            self._notes.add(f"{shown(name)}: passed over: {error}")
+            return refusal(str(error))
         except PqsecError as error:
             words = str(error) + (f" ({error.hint})" if error.hint else "")
         except Exception:  # noqa: BLE001 -- see above
@@ -128,7 +136,7 @@ class Connection:
             self._notes.add(traceback.format_exc())
             words = "an error of the agent: see its log"
         self._notes.add(f"{shown(name)} refused: {shown(words, _MOST_SHOWN)}")
-        return _refusal(words)
+        return refusal(words)
 
     def _result(self, name: str, reader: Reader) -> bytes:
         call = CALLS[self._name].get(name)
@@ -141,7 +149,13 @@ class Connection:
         return writer.octets + call.results(tuple(values))
 
 
-def _refusal(words: str) -> bytes:
+def framed(body: bytes) -> bytes:
+    """As it goes over the socket."""
+    return len(body).to_bytes(_HEAD, "little") + body
+
+
+def refusal(words: str) -> bytes:
+    """The answer that says why there is no other."""
     writer = Writer()
     writer.number("B", _REFUSED)
     writer.text(shown(words, _MOST_SHOWN))

@@ -36,10 +36,15 @@ class Handles:
         """Another object by the same handle."""
         self._objects[handle] = thing
 
+    def find(self, handle: int, kind: type[Kind]) -> Kind | None:
+        """The object of that kind; None if there is none."""
+        found = self._objects.get(handle)
+        return found if isinstance(found, kind) else None
+
     def get(self, handle: int, kind: type[Kind]) -> Kind:
         """The object of that kind; VerificationError if there is none."""
-        found = self._objects.get(handle)
-        if not isinstance(found, kind):
+        found = self.find(handle, kind)
+        if found is None:
             raise VerificationError(
                 "the handle is unknown to the agent, as after its restart",
                 hint="make the participant again",

@@ -1,23 +1,26 @@
 """What the authentication plugin remembers of peers, and of handshakes with them.
 
 Anyone on the network can be discovered as a peer by as many GUIDs as it likes, and whoever
-heard a certificate can begin handshakes with it. So those that wait have limits, and the
-oldest of them make room; who has finished a handshake stays until Cyclone DDS returns it.
+heard a certificate can begin handshakes with it. So those that wait have limits (`waiting`
+says what for the latter), and make room; who has finished a handshake stays until Cyclone DDS
+returns it, whatever comes in that name, unless a newer handshake of the two is finished too.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import Done, ReplySent, RequestSent
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.waiting import MAX_HELD, Rates, Waiting
 
 MAX_WAITING = 4096
 """Peers that have not authenticated. As many may join a domain at a time."""
-MAX_ANSWERED = 1024
-"""Handshakes that wait for a Final; each keeps what the Request carried."""
+MAX_EARLIER = 8
+"""Requests of ours, before the latest, that a Reply may come late for."""
 
 
 @dataclass(slots=True)
@@ -41,29 +44,41 @@ class Remote:
     """By the handle of the local identity."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Handshake:
-    """Where a handshake stands. A message that is refused leaves it there."""
+    """Where a handshake stands. A message that is refused leaves it there.
+
+    A new Request, ours or the peer's, begins it anew; until that is finished too, what was
+    finished before counts: anybody may send a Request.
+    """
 
     local: Local
     identity: int
     """Its handle."""
     remote: int
     """The handle of the peer's identity."""
-    state: RequestSent | ReplySent | Done
+    asked: RequestSent | None = None
+    """That waits for a Reply."""
+    earlier: list[bytes] = field(default_factory=list)
+    """dh1 of Requests before it, which were given up."""
+    answer: ReplySent | None = None
+    """That waits for a Final. There is one: the latest counts."""
+    number: int = 0
+    """The answer's, in `Waiting`."""
+    done: Done | None = None
 
 
 class Meetings:
     """The peers and handshakes of a connection; `note` is told when a limit is reached."""
 
-    def __init__(self, handles: Handles, note: Callable[[str], None]) -> None:
-        self._handles, self._note = handles, note
+    def __init__(self, handles: Handles, answers: Waiting, note: Callable[[str], None]) -> None:
+        self._handles, self._answers, self._note = handles, answers, note
         self._remotes: dict[bytes, int] = {}
         """The handle of the latest peer with that GUID."""
         self._waiting: dict[int, None] = {}
         """The handles of peers that have not authenticated, the oldest first."""
-        self._answered: dict[int, None] = {}
-        """The handles of handshakes that were answered, the oldest first."""
+        self._rates: dict[int, Rates] = {}
+        """By the handle of the local identity."""
 
     def relation(self, identity: int, guid: bytes) -> tuple[int, Relation]:
         """A fresh one. A peer that one of ours has met already was lost and found again:
@@ -85,37 +100,59 @@ class Meetings:
             raise VerificationError("a handshake with a peer that was not validated")
         return local, remote, remote.relations[identity]
 
-    def asked(self, relation: Relation, handshake: Handshake) -> int:
+    def refuse_early(self, identity: int, certificate: Certificate, now: datetime) -> None:
+        """VerificationError if too many Requests came in that certificate's name lately."""
+        self._rates.setdefault(identity, Rates()).refuse_early(certificate, now)
+
+    def asked(self, local: Local, identity: int, peer: int, state: RequestSent) -> int:
         """The handle of a handshake that was begun, in the place of an earlier one."""
-        handle = self._begun(relation, handshake)
-        self._answered.pop(handle, None)
+        handle, handshake = self._handshake(local, identity, peer)
+        if handshake.asked:
+            handshake.earlier = [*handshake.earlier, handshake.asked.request.dh1][-MAX_EARLIER:]
+        handshake.asked = state
         return handle
 
-    def answered(self, relation: Relation, handshake: Handshake) -> int:
+    def answered(
+        self, local: Local, identity: int, peer: int, state: ReplySent, now: datetime
+    ) -> int:
         """The handle of a handshake that waits for a Final, in the place of an earlier one."""
-        handle = self._begun(relation, handshake)
-        self._answered.pop(handle, None)
-        self._answered[handle] = None
-        if len(self._answered) > MAX_ANSWERED:
-            self._note(f"more than {MAX_ANSWERED} handshakes wait for a Final: the oldest ends")
-            self.drop_handshake(next(iter(self._answered)))
+        handle, handshake = self._handshake(local, identity, peer)
+        certificate, document = state.peer.certificate, state.peer.permissions
+        self._rates.setdefault(identity, Rates()).count(certificate, now)
+        self._forget_answer(handshake)
+
+        def end() -> None:
+            handshake.answer = None
+            if not (handshake.asked or handshake.done):
+                self._handles.drop(handle)
+
+        handshake.answer = state
+        handshake.number = self._answers.add(certificate, document, end)
+        if self._answers.make_room():
+            self._note(
+                f"handshakes that wait for a Final hold more than {MAX_HELD >> 20} MiB: of the"
+                " certificate in whose name most is held, the largest ends"
+            )
         return handle
 
-    def finished(self, handle: int, handshake: Handshake) -> None:
+    def finished(self, handshake: Handshake, done: Done) -> None:
         """The peer has authenticated."""
-        self._answered.pop(handle, None)
+        self._forget_answer(handshake)
+        handshake.asked, handshake.done = None, done
+        self._answers.proved(done.peer.certificate, done.peer.permissions)
         self._waiting.pop(handshake.remote, None)
 
     def authenticated(self) -> Iterator[tuple[int, int, Certificate]]:
         """Who has: the handles of the local identity and of the peer's, and its certificate."""
         for _, handshake in self._handles.all(Handshake):
-            if isinstance(handshake.state, Done):
-                yield handshake.identity, handshake.remote, handshake.state.peer.certificate
+            if handshake.done:
+                yield handshake.identity, handshake.remote, handshake.done.peer.certificate
 
     def drop(self, handle: int) -> None:
         """A participant is gone, or a peer, and their handshakes with it."""
         gone = self._handles.drop(handle)
         self._waiting.pop(handle, None)
+        self._rates.pop(handle, None)
         relations: list[Relation | None] = []
         if isinstance(gone, Local):
             relations = [each.relations.pop(handle, None) for _, each in self._handles.all(Remote)]
@@ -129,8 +166,18 @@ class Meetings:
 
     def drop_handshake(self, handle: int) -> None:
         """It ends, however far it came."""
-        self._answered.pop(handle, None)
-        self._handles.drop(handle)
+        handshake = self._handles.drop(handle)
+        if isinstance(handshake, Handshake):
+            self._forget_answer(handshake)
+
+    def drop_all(self) -> None:
+        """The connection ends."""
+        for handle, _ in self._handles.all(Handshake):
+            self.drop_handshake(handle)
+
+    def _forget_answer(self, handshake: Handshake) -> None:
+        self._answers.drop(handshake.number)
+        handshake.answer = None
 
     def _make_room(self, newest: int = 0) -> None:
         """For a peer, or a handshake with `newest`: the oldest that wait are lost."""
@@ -144,10 +191,15 @@ class Meetings:
             self._note("more peers and handshakes than fit: the oldest not authenticated is lost")
             self.drop(oldest)
 
-    def _begun(self, relation: Relation, handshake: Handshake) -> int:
-        if relation.handshake is None:
-            self._make_room(handshake.remote)
-            relation.handshake = self._handles.add(handshake)
-        else:
-            self._handles.replace(relation.handshake, handshake)
-        return relation.handshake
+    def _handshake(self, local: Local, identity: int, peer: int) -> tuple[int, Handshake]:
+        """That of the two, which may be a fresh one."""
+        _, _, relation = self.met(identity, peer)
+        if relation.handshake is not None:
+            handshake = self._handles.find(relation.handshake, Handshake)
+            if handshake is not None:
+                handshake.local = local
+                return relation.handshake, handshake
+        self._make_room(peer)
+        handshake = Handshake(local, identity, peer)
+        relation.handshake = self._handles.add(handshake)
+        return relation.handshake, handshake

@@ -6,17 +6,19 @@ import resource
 import shutil
 import socket
 import stat
+import struct
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from pqsec_pki.errors import FileError, MalformedError
 from pqsec_pki.plugin import Place, agent_status, stop_agent
+from pqsec_pki.plugin import place as place_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.control import Client
 from pqsec_pki.plugin.listening import peer
@@ -238,17 +240,87 @@ def test_a_guest_that_does_not_read_its_answers_is_waited_for_by_nobody(place):
         assert agent_status(place)
 
 
-def test_the_place_is_in_the_users_runtime_folder_if_that_is_the_users(tmp_path):
-    own = Place.of({"XDG_RUNTIME_DIR": str(tmp_path)})
-    assert own.socket == tmp_path / "pqsec" / "agent.sock"
-    for environment in ({}, {"XDG_RUNTIME_DIR": "here"}, {"XDG_RUNTIME_DIR": "/nowhere"}):
-        assert Place.of(environment).folder == Path(f"/tmp/pqsec-{os.geteuid()}")
+FALLBACK = Path(f"/tmp/pqsec-{os.geteuid()}")
 
 
-def _is_refused(link):
-    with suppress(ConnectionResetError):
-        return not link.recv(1)
-    return True
+@pytest.fixture
+def run_user(tmp_path, monkeypatch):
+    """What /run/user is here: without a folder of this user."""
+    monkeypatch.setattr(place_module, "_RUN_USER", tmp_path / "run")
+    return tmp_path / "run" / str(os.geteuid())
+
+
+def folder_for(**environment):
+    return Place.of({name: str(value) for name, value in environment.items()}).folder
+
+
+def test_the_place_is_where_the_user_alone_can_be_first(tmp_path, run_user):
+    home, runtime, link = tmp_path / "home", tmp_path / "runtime", tmp_path / "link"
+    for each in (home, runtime):
+        each.mkdir(mode=0o755)
+    link.symlink_to(home)
+    found = {
+        "runtime first": folder_for(XDG_RUNTIME_DIR=runtime, HOME=home),
+        "home": folder_for(HOME=home),
+        "a link": folder_for(HOME=link),
+        "runtime is none": folder_for(XDG_RUNTIME_DIR="/nowhere", HOME=home),
+        "runtime is relative": folder_for(XDG_RUNTIME_DIR="here", HOME=home),
+    }
+    run_user.mkdir(parents=True)
+    found["systemd's"] = folder_for(HOME=home)
+    assert found == {
+        "runtime first": runtime / "pqsec",
+        "home": home / ".pqsec",
+        "a link": link / ".pqsec",
+        "runtime is none": home / ".pqsec",
+        "runtime is relative": home / ".pqsec",
+        "systemd's": run_user / "pqsec",
+    }
+
+
+@pytest.mark.usefixtures("run_user")
+def test_a_home_where_another_can_be_first_or_no_socket_fits_is_none(tmp_path):
+    shared, deep = tmp_path / "shared", tmp_path / ("x" * 90)
+    deep.mkdir()
+    shared.mkdir()
+    shared.chmod(0o775)
+    (tmp_path / "file").touch()
+    homes = (shared, deep, tmp_path / "file", "/", "", "home", "/nowhere", "/\0")
+    assert [str(home) for home in homes if folder_for(HOME=home) != FALLBACK] == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_another_user_who_is_first_in_tmp_keeps_nobody_from_an_agent(tmp_path, run_user):
+    """It could make /tmp/pqsec-UID, and every participant of that user was refused."""
+    folder = run_user.parent / "pqsec"
+    folder.mkdir(parents=True)
+    os.chown(folder, 65534, 65534)
+    (tmp_path / "home").mkdir()
+    found = folder_for(HOME=tmp_path / "home")
+    assert found == tmp_path / "home" / ".pqsec"
+    Place(found / "agent.sock").prepare()
+    with pytest.raises(FileError, match="not a folder of this user's alone") as refusal:
+        Place(folder / "agent.sock").prepare()
+    assert "HOME or XDG_RUNTIME_DIR" in refusal.value.hint
+
+
+MOST = (
+    b"the agent is full: 16 connections are the most, two for each domain of a DDS process:"
+    b" 8 processes with one domain each"
+)
+
+
+def _refusal_of(link):
+    """What it is told; b"" for who is served."""
+    try:
+        head = link.recv(5)
+    except ConnectionResetError:
+        return b"reset"
+    if head == framed(b"\0"):
+        return b""
+    assert head[4:] == b"\1"
+    (size,) = struct.unpack("<I", link.recv(4))
+    return link.recv(size)
 
 
 def test_more_connections_than_there_are_files_are_refused_and_those_that_are_stay(place):
@@ -256,8 +328,9 @@ def test_more_connections_than_there_are_files_are_refused_and_those_that_are_st
     with running(place, runner=("sh", "-c", 'ulimit -n 48; exec "$@"', "sh")) as process:
         first = Client(place, "authentication")
         crowd = [connected(place, greeting("authentication")) for _ in range(60)]
-        refused = [link for link in crowd if _is_refused(link)]
+        refused = list(filter(None, map(_refusal_of, crowd)))
         assert 40 < len(refused) < 60
+        assert {each for each in refused if each != b"reset"} == {MOST}
         properties = (("dds.sec.auth.identity_certificate", "file:nowhere.pem"),)
         with pytest.raises(MalformedError, match="no such file"):
             first.call("validate_local_identity", 0, "/", properties, bytes(16))

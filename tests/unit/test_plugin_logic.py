@@ -10,7 +10,7 @@ from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Criteria, DomainSet, Grant, Permissions, Rule
 from pqsec_pki.handshake import DataHolder, participant_data
-from pqsec_pki.plugin import handles, meetings
+from pqsec_pki.plugin import handles
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.handles import Handles
 from tests.unit.keystores import DAY, NOW, TWO, made
@@ -18,7 +18,6 @@ from tests.unit.plugin_wire import (
     IDENTITY,
     RefusedError,
     Shim,
-    half_shaken,
     new_guid,
     properties,
     shaken,
@@ -202,25 +201,6 @@ def test_what_belongs_to_a_participant_goes_with_it(folders):
             shim.call(call, handshake)
     shim.call("return_identity_handle", peer)
     assert shim.connection.what == ("test[1]", "authentication", 0)
-
-
-def test_requests_of_many_guids_leave_room_and_those_who_finished_alone(folders, monkeypatch):
-    """A certificate that was heard is enough to send as many Requests as one likes."""
-    monkeypatch.setattr(meetings, "MAX_ANSWERED", 2)
-    ours = side(folders["pq"][1])
-    shim = ours[0]
-
-    def answered():
-        return half_shaken(side(folders["pq"][0]), ours)
-
-    final, finished = answered()
-    shim.call("process_handshake", final, finished)
-    waiting = [answered() for _ in range(3)]
-    assert shim.call("get_shared_secret", finished)
-    with pytest.raises(RefusedError, match="unknown to the agent"):
-        shim.call("process_handshake", *waiting[0])
-    for each in waiting[1:]:
-        assert shim.call("process_handshake", *each) == [Result.OK, NO_TOKEN]
 
 
 def introduced(folders):

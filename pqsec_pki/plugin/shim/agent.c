@@ -12,10 +12,15 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #ifndef PQSEC_PYTHON
 #error "compile with -DPQSEC_PYTHON=\"...\", as pqsec plugin install does"
+#endif
+
+#ifndef RUN_USER /* but for tests */
+#define RUN_USER "/run/user"
 #endif
 
 enum { PATIENCE_MS = 5000, MAX_KEPT = 16 };
@@ -41,14 +46,39 @@ static bool is_own_folder(const char *path, mode_t forbidden)
          (found.st_mode & forbidden) == 0;
 }
 
+/* What /agent-2147483647.sock and a NUL need of a socket's path. */
+enum { MAX_FOLDER = 256, NAME_ROOM = 23, OF_OTHERS = 022 };
+enum { SOCKET_ROOM = sizeof ((struct sockaddr_un *)0)->sun_path };
+
+/* Whether this user alone can make a folder in it. It may be a link: root makes homes. */
+static bool is_good_home(const char *home)
+{
+  struct stat found;
+  return home != NULL && home[0] == '/' && home[1] != '\0' && stat(home, &found) == 0 &&
+         S_ISDIR(found.st_mode) && found.st_uid == geteuid() && (found.st_mode & OF_OTHERS) == 0 &&
+         access(home, W_OK) == 0;
+}
+
+/* Each in turn, where it is this user's: nobody else can be there first. */
+static int find_folder(char *folder)
+{
+  const char *runtime = secure_getenv("XDG_RUNTIME_DIR"), *home = secure_getenv("HOME");
+  char given[MAX_FOLDER];
+  snprintf(given, sizeof given, RUN_USER "/%u", (unsigned)geteuid());
+  if (runtime != NULL && runtime[0] == '/' && is_own_folder(runtime, 0))
+    return snprintf(folder, MAX_FOLDER, "%s/pqsec", runtime);
+  if (is_own_folder(given, 0))
+    return snprintf(folder, MAX_FOLDER, "%s/pqsec", given);
+  if (is_good_home(home) &&
+      snprintf(folder, MAX_FOLDER, "%s/.pqsec", home) <= SOCKET_ROOM - NAME_ROOM)
+    return 0;
+  return snprintf(folder, MAX_FOLDER, "/tmp/pqsec-%u", (unsigned)geteuid());
+}
+
 bool agent_place(char *path, size_t size, struct exception *ex)
 {
-  char folder[256];
-  const char *runtime = secure_getenv("XDG_RUNTIME_DIR");
-  int length = runtime != NULL && runtime[0] == '/' && is_own_folder(runtime, 0)
-                   ? snprintf(folder, sizeof folder, "%s/pqsec", runtime)
-                   : snprintf(folder, sizeof folder, "/tmp/pqsec-%u", (unsigned)geteuid());
-  if (length >= (int)sizeof folder) {
+  char folder[MAX_FOLDER];
+  if (find_folder(folder) >= MAX_FOLDER) {
     refuse(ex, "pqsec: XDG_RUNTIME_DIR is too long for a socket in it");
     return false;
   }
@@ -57,7 +87,8 @@ bool agent_place(char *path, size_t size, struct exception *ex)
     return false;
   }
   if (!is_own_folder(folder, 077)) {
-    refuse(ex, "pqsec: %s is not a folder of this user's alone", folder);
+    refuse(ex, "pqsec: %s is not a folder of this user's alone; if another user made it, set HOME "
+               "or XDG_RUNTIME_DIR to folders of your own", folder);
     return false;
   }
   int more = is_private() ? snprintf(path, size, "%s/agent-%d.sock", folder, (int)getpid())
@@ -86,6 +117,17 @@ static char **kept_environment(void)
   return kept;
 }
 
+static void refuse_python(int code, struct exception *ex)
+{
+  if (code == ENOENT || code == ENOTDIR)
+    refuse(ex, "pqsec: %s is gone: run `pqsec plugin install` again", PQSEC_PYTHON);
+  else if (code == EACCES)
+    refuse(ex, "pqsec: user %u may not execute %s, or enter a folder above it: run `pqsec plugin "
+               "install` with an interpreter for all users", (unsigned)geteuid(), PQSEC_PYTHON);
+  else
+    refuse(ex, "pqsec: %s cannot be executed: %s", PQSEC_PYTHON, strerror(code));
+}
+
 /* What is started becomes the agent's parent and ends: the host keeps no child it knows not of. */
 pid_t agent_start(const char *path, struct exception *ex)
 {
@@ -96,7 +138,7 @@ pid_t agent_start(const char *path, struct exception *ex)
   static const char script[] = "umask 077; cd / && exec \"$0\" -I -c \"$1\" --detach \"$2\" $3 "
                                "</dev/null >/dev/null 2>>\"${2%/*}/agent.log\"";
   if (access(PQSEC_PYTHON, X_OK) != 0) {
-    refuse(ex, "pqsec: %s is gone: run `pqsec plugin install` again", PQSEC_PYTHON);
+    refuse_python(errno, ex);
     return 0;
   }
   const char *arguments[] = {"sh", "-c", script, PQSEC_PYTHON, python, path,

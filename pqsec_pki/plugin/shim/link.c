@@ -71,13 +71,19 @@ void link_close(struct link *link)
   pthread_mutex_unlock(&link->mutex);
 }
 
+/* Sends a request. An agent that is full hangs up at once, and has said so before. */
+static bool has_sent(struct link *link, const struct writer *request, int64_t deadline)
+{
+  return send_frame(link->socket, request, deadline) || errno == EPIPE || errno == ECONNRESET;
+}
+
 /* Sends a request and reads its answer. Any failure closes the connection: what would come
  * late would be taken for the answer to the next request. */
 static bool exchange(struct link *link, const struct writer *request, struct writer *answer,
                      struct exception *ex)
 {
   int64_t deadline = now_ms() + agent_patience_ms();
-  if (send_frame(link->socket, request, deadline) && receive_frame(link->socket, answer, deadline))
+  if (has_sent(link, request, deadline) && receive_frame(link->socket, answer, deadline))
     return true;
   link->lost = errno == ECONNRESET || errno == EPIPE;
   if (errno == ETIMEDOUT)
