@@ -1,8 +1,10 @@
 """Tokens of discovery: what a participant says of itself before anything is proved."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar, Self
 
+from pqsec_pki.algorithms import SIGNATURES, Family, KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake.wire import DataHolder
@@ -44,12 +46,15 @@ class IdentityToken(_Token):
         "dds.cert.algo",
         "dds.ca.sn",
         "dds.ca.algo",
+        "pqsec.kagree_algo",
     )
 
     subject: str | None = None
     algorithm: str | None = None
     ca_subject: str | None = None
     ca_algorithm: str | None = None
+    agreements: str | None = None
+    """Names for c.kagree_algo that a Request may have, with commas between."""
 
     @classmethod
     def of(cls, certificate: Certificate, ca: Certificate) -> Self:
@@ -60,6 +65,32 @@ class IdentityToken(_Token):
             ca.subject_text,
             ca.public_key.algorithm.token_name,
         )
+
+    @classmethod
+    def announced(
+        cls, certificate: Certificate, ca: Certificate, agreements: Iterable[KeyAgreement]
+    ) -> Self:
+        """The token as we send it, if we take Requests for `agreements`.
+
+        Without dds.ca.sn: OpenDDS 3.33 and 3.34 compare it with their own spelling, and
+        nobody else looks at it.
+        """
+        names = ",".join(each.wire_name for each in agreements)
+        return replace(cls.of(certificate, ca), ca_subject=None, agreements=names)
+
+    def knows(self, agreement: KeyAgreement) -> bool:
+        """Whether the sender can take a Request for `agreement`, by what it says.
+
+        Good for sparing it one, as OpenDDS crashes on a name that it does not know; not for
+        choosing another agreement instead.
+        """
+        if agreement.family is Family.CLASSICAL or self.algorithm in _NEW_KEYS:
+            return True
+        return agreement.wire_name in (self.agreements or "").split(",")
+
+
+_NEW_KEYS = {row.token_name for row in SIGNATURES if row.family is not Family.CLASSICAL}
+"""Whoever has such a key is no stock stack."""
 
 
 @dataclass(frozen=True, slots=True)

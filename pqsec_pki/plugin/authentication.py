@@ -10,6 +10,7 @@ from dataclasses import replace
 from datetime import timedelta
 from enum import IntEnum
 
+from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake import (
@@ -87,7 +88,9 @@ class Authentication:
     def get_identity_token(self, identity: int) -> tuple[Result, DataHolder]:
         """What discovery will say of the participant."""
         local = self._handles.get(identity, Local)
-        return Result.OK, IdentityToken.of(local.certificate, local.authorities[0]).to_holder()
+        ca, agreements = local.authorities[0], local.policy.agreements
+        token = IdentityToken.announced(local.certificate, ca, agreements)
+        return Result.OK, token.to_holder()
 
     def set_permissions_credential_and_token(
         self, identity: int, credential: DataHolder, permissions: DataHolder
@@ -109,9 +112,10 @@ class Authentication:
     ) -> tuple[Result, int, DataHolder]:
         """The peer's handle, and our AuthRequest unless the peer's came first."""
         local = self._handles.get(identity, Local)
-        IdentityToken.from_holder(token)
+        said = IdentityToken.from_holder(token)
         heard = AuthRequest.from_holder(auth_request) if auth_request.class_id else None
         handle, relation = self._meetings.relation(identity, guid)
+        relation.said = said
         answer = NO_TOKEN
         if heard:
             relation.heard = heard.future_challenge
@@ -125,8 +129,12 @@ class Authentication:
     def begin_handshake_request(
         self, identity: int, peer: int, data: bytes
     ) -> tuple[Result, int, DataHolder]:
-        """The handshake's handle, and the Request."""
+        """The handshake's handle, and the Request.
+
+        VerificationError, and none is sent, to a peer that may not know its key agreement.
+        """
         local, remote, relation = self._meetings.met(identity, peer)
+        _check_known(relation.said, local.agreement)
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         request, state = begin(local.terms(discovered, relation.announced, data), local.agreement)
         handle = self._meetings.asked(local, identity, peer, state)
@@ -229,6 +237,16 @@ class Authentication:
         if handshake.done is None:
             raise VerificationError("the handshake is not over")
         return handshake, handshake.done
+
+
+def _check_known(said: IdentityToken, agreement: KeyAgreement) -> None:
+    """A Request that a stock stack does not understand may end it: OpenDDS does crash."""
+    if not said.knows(agreement):
+        raise VerificationError(
+            f"the peer does not say that it knows {agreement.wire_name}, so it was sent no"
+            " request: it may be a stock stack",
+            hint='for peers with stock stacks put peers = "stock" in pqsec.toml',
+        )
 
 
 def end_of(*certificates: Certificate) -> int:

@@ -12,7 +12,7 @@ from datetime import datetime
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.handshake import Done, ReplySent, RequestSent
+from pqsec_pki.handshake import Done, IdentityToken, ReplySent, RequestSent
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
 from pqsec_pki.plugin.waiting import MAX_HELD, Rates, Waiting
@@ -27,6 +27,8 @@ MAX_EARLIER = 8
 class Relation:
     """What passed between a local participant and a peer before and in their handshake."""
 
+    said: IdentityToken = field(default_factory=IdentityToken)
+    """What discovery says of the peer."""
     announced: bytes | None = None
     """The challenge in our AuthRequest, if we sent one."""
     heard: bytes | None = None

@@ -120,6 +120,8 @@ def meeting(shim, here, there, *, ours=(), policy=CLASSICAL):
     own = identity(here, dict(ours))
     with participant(shim, there) as other:
         other.show(*other.join(DOMAIN))
-        known = other.meet(own.guid, token(IdentityToken.of(own.certificate, own.ca)))
+        known = other.meet(
+            own.guid, token(IdentityToken.announced(own.certificate, own.ca, KEY_AGREEMENTS))
+        )
         terms = Terms(own=own, policy=policy, discovered=Discovered(guid=other.guid))
         yield Both(terms, other, known)

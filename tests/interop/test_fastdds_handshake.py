@@ -75,7 +75,7 @@ def test_fastdds_refuses_what_we_protected_if_any_byte_was_changed(meet_fastdds,
 def test_fastdds_asks_for_dh_modp_whatever_it_is_told(fastdds, labs):
     """2.9.1 has no preferred_key_agreement; 2.10.7, 2.14.5, 3.0.2 and 3.1.1 have."""
     own = identity(labs("transition").alice, {})
-    introduced = own.guid, token(IdentityToken.of(own.certificate, own.ca))
+    introduced = own.guid, token(IdentityToken.announced(own.certificate, own.ca, KEY_AGREEMENTS))
     for wish in ("ECDH", ECDH.wire_name):
         folder = labs("transition").bob
         with participant(fastdds, folder, preferred_key_agreement=wish) as bob:

@@ -125,7 +125,7 @@ def sides(plugins, labs):
             announced = os.urandom(32) if announce else None
             meeting = other.meet(
                 own.guid,
-                token(IdentityToken.of(own.certificate, own.ca)),
+                token(IdentityToken.announced(own.certificate, own.ca, KEY_AGREEMENTS)),
                 token(AuthRequest(future_challenge=announced)) if announced else None,
             )
             theirs = dict(meeting.auth_request.binary) if meeting.auth_request else {}

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
+from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.handshake import (
     DataHolder,
     Final,
@@ -52,7 +53,9 @@ def stack(request):
 def met(real, peer):
     """`real`, in the domain, having heard of `peer`."""
     real.show(*real.join(DOMAIN))
-    return real.meet(peer.guid, token(IdentityToken.of(peer.certificate, peer.ca)))
+    return real.meet(
+        peer.guid, token(IdentityToken.announced(peer.certificate, peer.ca, KEY_AGREEMENTS))
+    )
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import os
 
+from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
@@ -9,7 +10,8 @@ from pqsec_pki.plugin.connection import Connection, House
 from pqsec_pki.plugin.octets import Reader, Writer
 from tests.unit.keystores import NOW
 
-IDENTITY = DataHolder("DDS:Auth:PKI-DH:1.0")
+_KNOWN = ",".join(row.wire_name for row in KEY_AGREEMENTS)
+IDENTITY = DataHolder("DDS:Auth:PKI-DH:1.0", (("pqsec.kagree_algo", _KNOWN),))
 AUTHENTICATION = {
     "identity_ca": "identity_ca.cert.pem",
     "identity_certificate": "cert.pem",

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.algorithms import PROFILES, Family, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Criteria, DomainSet, Grant, Permissions, Rule
 from pqsec_pki.handshake import DataHolder, participant_data
@@ -243,6 +243,44 @@ def test_a_final_is_good_for_the_last_reply_though_all_have_one_announced_challe
     with pytest.raises(RefusedError, match="dh2 is not what it was"):
         other.call("process_handshake", finals[0], answered)
     assert other.call("process_handshake", finals[1], answered) == [Result.OK, NO_TOKEN]
+
+
+STOCK_TOKENS = {
+    "empty": (),
+    "Cyclone DDS": (("dds.cert.sn", "/CN=x"), ("dds.cert.algo", "EC-prime256v1")),
+    "Fast DDS": (("dds.cert.algo", "ECDSA-SHA256"),),
+    "another list": (("pqsec.kagree_algo", "MLKEM102,MLKEM76,X25519MLKEM76"),),
+}
+
+
+@pytest.mark.parametrize("profile", [each.name for each in PROFILES])
+def test_a_peer_that_may_be_a_stock_stack_is_sent_no_request_that_it_may_not_know(folders, profile):
+    """OpenDDS crashes on a c.kagree_algo that it does not know."""
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders[profile][0])
+
+    def requested(token):
+        _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, token, new_guid())
+        return shim.call("begin_handshake_request", identity, peer, b"data")
+
+    wanted = profile_named(profile).key_agreement
+    for pairs in STOCK_TOKENS.values():
+        token = replace(IDENTITY, properties=pairs)
+        if wanted.family is Family.CLASSICAL:
+            assert requested(token)
+        else:
+            with pytest.raises(RefusedError, match=f"that it knows {wanted.wire_name}"):
+                requested(token)
+    said = shim.call("get_identity_token", identity)[1]
+    assert requested(said)
+    assert wanted.wire_name in dict(said.properties)["pqsec.kagree_algo"].split(",")
+
+
+def test_the_identity_token_has_no_name_of_a_ca_that_opendds_would_spell_otherwise(folders):
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders["transition"][0])
+    names = [name for name, _ in shim.call("get_identity_token", identity)[1].properties]
+    assert names == ["dds.cert.sn", "dds.cert.algo", "dds.ca.algo", "pqsec.kagree_algo"]
 
 
 def test_a_secret_is_told_only_when_the_handshake_is_over(folders):
