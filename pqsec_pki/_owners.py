@@ -20,8 +20,8 @@ def outsider(found: os.stat_result, *, roots: bool = False, sticky: bool = False
     """
     if found.st_uid != os.geteuid() and not (roots and found.st_uid == 0):
         return f"it belongs to {user(found.st_uid)}"
-    if sticky and found.st_mode & stat.S_ISVTX:
-        return ""
+    if stat.S_ISLNK(found.st_mode) or (sticky and found.st_mode & stat.S_ISVTX):
+        return ""  # the mode of a link says nothing
     if found.st_mode & stat.S_IWOTH:
         return "anybody may write there"
     if found.st_mode & stat.S_IWGRP and not _is_private(found.st_gid):

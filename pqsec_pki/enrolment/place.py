@@ -14,7 +14,6 @@ import os
 import re
 import secrets
 import shutil
-import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from pqsec_pki._files import (
     sync_folder,
     walk,
 )
+from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.enrolment.bundle import ENCLAVES, flat_name
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore.enclave import CERTIFICATE, FILES, KEY, KEYS
@@ -170,14 +170,15 @@ def changing(root: Path) -> Iterator[Place]:
     """The place at `root`, for one process at a time, without leftovers of killed ones.
 
     A folder that was made for it goes again if nothing came of it. FileError if the disk
-    refuses, KeystoreError if another process is at work there, or anybody may write there.
+    refuses, KeystoreError if another process is at work there, or somebody else could change
+    what is there, or put another folder in its place.
     """
     with disk_errors(root):
+        _refuse_outsiders(root)
         new = not root.exists()
         make_private(root)
         try:
             with _locked(root):
-                _refuse_anybodys(root)
                 _sweep(root)
                 try:
                     yield Place(root)
@@ -219,12 +220,25 @@ def _locked(root: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _refuse_anybodys(root: Path) -> None:
-    if root.stat().st_mode & stat.S_IWOTH:
-        raise KeystoreError(
-            f"{root}: anybody may write there, and so choose what this robot runs with",
-            hint="chmod o-w it, or choose another --dir",
-        )
+def _refuse_outsiders(root: Path) -> None:
+    """As sshd's StrictModes: the folder is the caller's alone, and those above theirs or root's.
+
+    Who may write in a folder above can rename this one, and put a link or a folder of their
+    own in its place; in a sticky one such as /tmp they cannot. Links on the way count too.
+    So what follows may go by paths.
+    """
+    given, real = root.absolute(), Path(os.path.realpath(root))
+    for path in dict.fromkeys((*given.parents, given, *real.parents, real)):
+        try:
+            found = path.lstat()
+        except FileNotFoundError:
+            continue
+        above = path != real
+        if who := outsider(found, roots=above, sticky=above):
+            raise KeystoreError(
+                f"{path}: {who}, and so could choose what this robot runs with",
+                hint=f"{way_out(found, str(path))}; or choose another --dir",
+            )
 
 
 def _sweep(root: Path) -> None:

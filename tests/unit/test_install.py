@@ -43,6 +43,8 @@ from tests.unit.killing import NOW, fails_with, survives
 
 pytestmark = pytest.mark.slow
 
+NOBODY = 65534
+
 
 @pytest.fixture(scope="module")
 def keystore(memory):
@@ -626,11 +628,66 @@ def test_a_folder_where_anybody_may_write_is_refused(robot):
         robot.chmod(mode)
         with pytest.raises(KeystoreError, match="anybody may write there") as caught:
             put(robot)
-        assert "o-w" in caught.value.hint
+        assert caught.value.hint == f"chmod go-w {robot}; or choose another --dir"
         with pytest.raises(KeystoreError, match="anybody may write there"):
             make_sealing_key(robot)
     robot.chmod(0o775)
     put(robot)
+
+
+def everything_in(robot, bundle):
+    """What writes into the folder of a robot."""
+    return {
+        "install": lambda: install(bundle, robot, (), now=LATER, trust_first=True),
+        "rollback": lambda: rollback(robot),
+        "bundle-key": lambda: make_sealing_key(robot),
+        "request": lambda: request("/new", profile_named("classical"), robot),
+    }
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files to others")
+def test_a_folder_that_somebody_else_could_change_or_put_another_for_is_refused(robot):
+    """As sshd refuses keys: whoever may rename a folder above can put their own there."""
+    home, wrong, bundle = robot.parent / "home", [], robot.parent / "1.bundle"
+    deep = home / "robot/credentials"
+    deep.mkdir(parents=True, mode=0o755)
+    (robot.parent / "link").symlink_to(home)
+    os.chown(robot.parent / "link", NOBODY, NOBODY, follow_symlinks=False)
+    altered = {
+        "another's": (deep, NOBODY, 0, 0o755),
+        "another's, above": (home, NOBODY, 0, 0o755),
+        "a group's": (deep, 0, NOBODY, 0o775),
+        "a group's, above": (home / "robot", 0, NOBODY, 0o775),
+        "anybody's, above": (home, 0, 0, 0o777),
+        "sticky, but another's, above": (home, NOBODY, NOBODY, 0o1777),
+    }
+    for words, (folder, user, group, mode) in altered.items():
+        os.chown(folder, user, group)
+        folder.chmod(mode)
+        for place in (deep, deep / "new"):
+            for command, work in everything_in(place, bundle).items():
+                wrong += taken(f"{words}, {place.name}, {command}", work, folder)
+        assert list(deep.iterdir()) == []
+        os.chown(folder, 0, 0)
+        folder.chmod(0o755)
+    linked = robot.parent / "link/robot/credentials"
+    for command, work in everything_in(linked, bundle).items():
+        wrong += taken(f"a link of another's, {command}", work, robot.parent / "link")
+    assert wrong == []
+    home.chmod(0o1777)  # as /tmp is
+    make_sealing_key(deep)
+
+
+def taken(words, work, folder):
+    """Nothing if it was refused for that folder."""
+    try:
+        work()
+    except KeystoreError as error:
+        named = str(error).startswith(f"{folder}: ") and "what this robot runs with" in str(error)
+        return [] if named else [f"{words}: {error}"]
+    except PqsecError as error:
+        return [f"{words}: {error}"]
+    return [f"{words}: done"]
 
 
 def test_files_of_others_in_the_folder_stay(robot):
