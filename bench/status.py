@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import DEFAULT_PROFILE
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Entry, Keystore
+from pqsec_pki.keystore import Entry, Keystore, _journal
 
 TARGET = 0.5
 FLOOR = """
@@ -58,8 +58,8 @@ def populate(root: Path, count: int) -> None:
         now=now,
     )
     issuer = keystore.identity_ca.fingerprint
-    with keystore.open_ledger() as ledger:
-        ledger.add(
+    with _journal.change(root) as draft:
+        draft.entries += (
             Entry(
                 at=now.isoformat(timespec="seconds"),
                 kind="participant",

@@ -70,7 +70,7 @@ def not_understood(file: SuppressionFile) -> Iterator[Found]:
     "PQS006", Severity.WARNING, Inventory, "a change of the keystore was cut off",
     why="A command was killed while it moved files into place: what is here is not what it"
     " wanted. The check changes nothing, so it does not finish it either.",
-    mend="Run `pqsec ca show` on the keystore, which finishes it, and check again.",
+    mend="Run `pqsec ca recover` on the keystore, which finishes it, and check again.",
 )  # fmt: skip
 def cut_off(inventory: Inventory) -> Iterator[Found]:
     if inventory.cut_off:

@@ -63,10 +63,9 @@ class Search:
             self._link(link)
 
     def _settings(self, root: Path) -> None:
-        """What is chosen for a keystore. To open one finishes a change that was cut off, and
-        that is not for a check to do."""
+        """What is chosen for a keystore; of one in which a change was cut off, only that it was."""
         path = root / SETTINGS
-        if (root / JOURNAL).exists():
+        if os.path.lexists(root / JOURNAL):
             self.cut_off = root / JOURNAL
             return
         try:
