@@ -178,6 +178,7 @@ EXPRESSIONS = [  # of the rule, of the endpoint, whether the one allows and deni
     (("[!a]*",), "a*", False, False),
     (("a*b",), "a*c", False, False),
     (("a*b", "a*[!b]", "a"), "a*", True, True),
+    (("[b-a]*",), "*", False, False),  # covers nothing
     ((), "*", False, True),
     (("[ab]",), "[ab]", False, True),  # a name to Cyclone DDS
     (("a", "b"), "[ab]", False, True),
@@ -232,6 +233,15 @@ def test_what_takes_too_many_steps_to_compare_is_denied_in_doubt():
     assert decision.reason.startswith("its partitions take too many steps")
     other = ask(deny(*criteria("a", partitions=("b",))), rule, partitions=(f"*{MANY_SETS}", "b"))
     assert not other.reason.startswith("its partitions take too many steps")
+
+
+def test_wherever_the_steps_end_nothing_is_allowed_that_is_not():
+    rules, steps, most = ["a?*", "[!a]*", ""], Steps(), Steps().left
+    assert within("*", [*rules, "a"], steps)
+    for left in range(most - steps.left):
+        assert not within("*", rules, Steps(left))
+        spent = Steps(left)
+        assert within("*", [*rules, "a"], spent) is not spent.spent
 
 
 def test_nothing_is_compared_when_no_step_is_left():
