@@ -5,6 +5,7 @@ pins the versions it was tested with, and golden-file tests watch its output. It
 and writes DER only. Field names follow the specifications, in snake case.
 """
 
+import re
 from datetime import UTC, datetime
 from typing import Annotated, TypeVar
 
@@ -63,6 +64,7 @@ __all__ = [
     "elements",
     "encode",
     "moment_of",
+    "plain_words",
     "raw",
     "read_time",
     "time_of",
@@ -89,7 +91,28 @@ def decode(kind: type[T], der: bytes, what: str) -> T:
     try:
         return asn1.decode_der(kind, der)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MalformedError(f"not a DER {what}: {error}") from error
+        raise MalformedError(f"not a DER {what}: {plain_words(error)}") from error
+
+
+_PARSE_ERROR = re.compile(r"ParseError \{ kind: (\w+)(?:.*location: \[(.*?)\])?")
+_PARSE_ERRORS = {
+    "EncodedDefault": "a default is written out, as cA FALSE, which DER forbids",
+    "ExtraData": "there is more than there should be",
+    "IntegerOverflow": "a number is too large",
+    "InvalidLength": "a length is not written as DER has it",
+    "InvalidSetOrdering": "a set is not in order",
+    "ShortData": "it ends too soon",
+    "UnexpectedTag": "something else stands in the place of a value",
+}
+
+
+def plain_words(error: Exception) -> str:
+    """What cryptography says of a structure, in words for those who do not know its parser."""
+    found = _PARSE_ERROR.search(str(error))
+    if not found:
+        return str(error)
+    place = f" ({found[2]})".replace('"', "") if found[2] else ""
+    return _PARSE_ERRORS.get(found[1], "a value is not what it should be") + place
 
 
 def elements(der: bytes, count: int, what: str) -> list[bytes]:

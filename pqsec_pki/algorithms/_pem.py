@@ -79,7 +79,10 @@ def first_pem(data: bytes, labels: set[str], what: str, *, limit: int) -> bytes:
 
 
 def _decoded(text: bytes, what: str) -> bytes:
+    whole = b"".join(text.split())
+    if len(whole) % 4:  # the library passes over padding that is too much
+        raise MalformedError(f"{what}: broken base64 in PEM")
     try:
-        return base64.b64decode(b"".join(text.split()), validate=True)
+        return base64.b64decode(whole, validate=True)
     except binascii.Error as error:
         raise MalformedError(f"{what}: broken base64 in PEM") from error

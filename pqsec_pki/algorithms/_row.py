@@ -15,9 +15,22 @@ from cryptography.hazmat.primitives.serialization import (
     PublicFormat,
 )
 
+from pqsec_pki._asn1 import Oid, encode
 from pqsec_pki.algorithms._table import Family
 from pqsec_pki.algorithms.digest import Digest
 from pqsec_pki.errors import VerificationError
+
+_BROKEN = {
+    encode(Oid(oid)): digest
+    for oid, digest in (
+        ("1.2.840.113549.1.1.2", "MD2"),
+        ("1.2.840.113549.1.1.4", "MD5"),
+        ("1.2.840.113549.1.1.5", "SHA-1"),
+        ("1.3.14.3.2.29", "SHA-1"),
+        ("1.2.840.10045.4.1", "SHA-1"),
+    )
+}
+"""Signature algorithms, by their identifier in DER, that are refused for their digest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +158,11 @@ class PublicKey:
         """
         marked = self.algorithm.identifier if identifier is None else identifier
         if not self.algorithm.accepts(marked):
+            for identifier_begin, digest in _BROKEN.items():
+                if identifier_begin in marked:
+                    raise VerificationError(
+                        f"the signature is made with {digest}, which is no longer safe"
+                    )
             raise VerificationError(
                 f"the signature is marked with an algorithm that does not fit"
                 f" the signer's {self.algorithm.name} key"

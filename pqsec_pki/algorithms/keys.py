@@ -123,12 +123,25 @@ def _load_pkcs8(der: bytes) -> PrivateKey:
         raise MalformedError("not a PKCS#8 private key") from None
     row = _ROWS_BY_OID.get(info.algorithm.algorithm.dotted_string)
     if row is None:
-        return _wrap(_native(lambda: load_der_private_key(der, None)))
+        return _load_by_library(der, info.algorithm.algorithm.dotted_string)
     if info.algorithm.parameters is not None:
         raise MalformedError(f"{row.name} keys have no parameters")
     if isinstance(row, MLDSA):
         return row.load_pkcs8_octets(info.private_key)
     return row.private_key(_native(lambda: row.load_raw_private(info.private_key)))
+
+
+def _load_by_library(der: bytes, oid: str) -> PrivateKey:
+    try:
+        handle = _native(lambda: load_der_private_key(der, None))
+    except PqsecError:
+        if oid in _KNOWN_OIDS.values():
+            raise
+        raise UnknownAlgorithmError(
+            f"private keys of algorithm {oid} are not known here",
+            hint="`pqsec algorithms` lists those that are",
+        ) from None
+    return _wrap(handle)
 
 
 def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:

@@ -12,7 +12,7 @@ from typing import Self
 
 from cryptography import x509
 
-from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements
+from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements, plain_words
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text
@@ -171,4 +171,4 @@ def _library_view(der: bytes) -> x509.Certificate:
         x509.DuplicateExtension,
         x509.UnsupportedGeneralNameType,
     ) as error:
-        raise MalformedError(f"not a certificate: {error}") from error
+        raise MalformedError(f"not a certificate: {plain_words(error)}") from error

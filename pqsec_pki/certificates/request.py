@@ -11,7 +11,14 @@ from typing import Self
 from cryptography import x509
 from cryptography.x509.oid import NameOID
 
-from pqsec_pki._asn1 import CertificationRequestInfo, Signed, decode, encode, whole_bytes
+from pqsec_pki._asn1 import (
+    CertificationRequestInfo,
+    Signed,
+    decode,
+    encode,
+    plain_words,
+    whole_bytes,
+)
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
@@ -138,4 +145,4 @@ def _library_view(der: bytes) -> tuple[x509.Name, x509.Extensions]:
         x509.InvalidVersion,
         x509.UnsupportedGeneralNameType,
     ) as error:
-        raise MalformedError(f"not a certificate request: {error}") from error
+        raise MalformedError(f"not a certificate request: {plain_words(error)}") from error

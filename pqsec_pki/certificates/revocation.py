@@ -12,7 +12,7 @@ from typing import Self
 
 from cryptography import x509
 
-from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, moment_of, whole_bytes
+from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, moment_of, plain_words, whole_bytes
 from pqsec_pki.algorithms import first_pem, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
@@ -247,7 +247,7 @@ def _library_view(der: bytes) -> _View:
         x509.InvalidVersion,
         x509.UnsupportedGeneralNameType,
     ) as error:
-        raise MalformedError(f"not a revocation list: {error}") from error
+        raise MalformedError(f"not a revocation list: {plain_words(error)}") from error
 
 
 def _revoked(entry: x509.RevokedCertificate) -> RevokedCertificate:

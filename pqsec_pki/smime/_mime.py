@@ -23,6 +23,7 @@ _BOUNDARY_END = re.compile(rb"(|--)[ \t]*(?=\r\n|\Z)")
 """What may follow the boundary in its line: nothing, or that it is the last."""
 _BASE64 = re.compile(rb"(?:[A-Za-z0-9+/]{1,76}\r\n)*[A-Za-z0-9+/]{1,76}={0,2}(?:\r\n)*")
 """Lines of base64 that every decoder reads to the end (RFC 2045 6.8)."""
+_NOT_BASE64 = "the signature part of the document is not base64"
 _HEADER = """\
 MIME-Version: 1.0
 Content-Type: multipart/signed; protocol="application/x-pkcs7-signature"; \
@@ -56,12 +57,14 @@ class SignedMessage:
     @property
     def cms(self) -> bytes:
         """The CMS structure, BER or DER; MalformedError if it is not base64."""
-        if not _BASE64.fullmatch(self.signature):
-            raise MalformedError("the signature part of the document is not base64")
+        text = self.signature.replace(b"\r\n", b"")
+        # The library passes over padding that is too much.
+        if len(text) % 4 or not _BASE64.fullmatch(self.signature):
+            raise MalformedError(_NOT_BASE64)
         try:
-            return base64.b64decode(self.signature.replace(b"\r\n", b""), validate=True)
+            return base64.b64decode(text, validate=True)
         except binascii.Error as error:
-            raise MalformedError("the signature part of the document is not base64") from error
+            raise MalformedError(_NOT_BASE64) from error
 
     @property
     def header_and_text(self) -> tuple[bytes, bytes]:

@@ -6,6 +6,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from pqsec_pki._asn1 import (
@@ -683,3 +685,18 @@ def test_an_authority_prints_none_of_its_keys(double_ca):
     assert "Key(" not in shown
     assert double_ca.key.raw.hex() not in shown
     assert double_ca.alternative_key.raw.hex() not in shown
+
+
+def test_a_certificate_that_says_ca_false_is_refused_in_plain_words(now):
+    # DER leaves a default out (X.690 11.5).
+    extension = x509.UnrecognizedExtension(
+        x509.ObjectIdentifier("2.5.29.19"), bytes.fromhex("3003010100")
+    )
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "x")])
+    key = ec.generate_private_key(ec.SECP256R1())
+    builder = x509.CertificateBuilder(name, name, key.public_key(), 5, now, now + timedelta(1))
+    made = builder.add_extension(extension, critical=True).sign(key, hashes.SHA256())
+    with pytest.raises(MalformedError) as caught:
+        Certificate.from_der(made.public_bytes(Encoding.DER))
+    assert "a default is written out, as cA FALSE, which DER forbids" in str(caught.value)
+    assert "ParseError" not in str(caught.value)

@@ -121,6 +121,7 @@ BROKEN_PEM = {
     "a certificate that is trusted": BLOCK.replace(b" CERT", b" TRUSTED CERT") + BLOCK,
     "padding in the middle": BLOCK.replace(b"A\n", b"=\n", 1),
     "nothing inside": b"-----BEGIN CERTIFICATE-----\n-----END CERTIFICATE-----\n",
+    "padding too much": pem("A", bytes(99)).replace(b"\n-----END", b"==\n-----END"),
     "base64 cut short": BLOCK.replace(b"==\n", b"\n"),
 }
 """What OpenSSL or another reader takes for something else, or for nothing."""
@@ -702,3 +703,23 @@ def test_an_end_line_that_repeats_the_key_is_not_quoted():
     with pytest.raises(MalformedError) as caught:
         load_private_key(data)
     assert caught.value.__context__ is caught.value.__cause__ is None
+
+
+OFFERED = {int(row.key_oid.rpartition(".")[2]) for row in COMPOSITES}
+
+
+@pytest.mark.parametrize("arc", sorted(set(range(37, 55)) - OFFERED))
+def test_a_composite_key_that_is_not_offered_is_refused_with_its_oid(arc):
+    oid = f"1.3.6.1.5.5.7.6.{arc}"
+    der = encode(
+        OneAsymmetricKey(
+            version=0,
+            algorithm=AlgorithmIdentifier(algorithm=Oid(oid), parameters=None),
+            private_key=bytes(100),
+            attributes=None,
+            public_key=None,
+        )
+    )
+    for data in (der, pem("PRIVATE KEY", der)):
+        with pytest.raises(UnknownAlgorithmError, match=f"algorithm {oid} are not known here"):
+            load_private_key(data)

@@ -389,7 +389,26 @@ def test_a_digest_is_found_by_oid_and_has_its_length(digest: Digest):
     assert digest.of(DATA) != digest.of(DATA + b"\0")
 
 
-@pytest.mark.parametrize("oid", ["1.3.14.3.2.26", "1.2.840.113549.2.5", "1.2.3"])
-def test_a_weak_or_unknown_digest_is_refused(oid):
-    with pytest.raises(UnknownAlgorithmError, match="no longer safe"):
+@pytest.mark.parametrize(
+    ("oid", "words"),
+    [
+        ("1.3.14.3.2.26", "digest SHA-1 is no longer safe"),
+        ("1.2.840.113549.2.5", "digest MD5 is no longer safe"),
+        ("1.2.3", "digest 1.2.3 is not known here"),
+    ],
+)
+def test_a_weak_or_unknown_digest_is_refused_by_name(oid, words):
+    with pytest.raises(UnknownAlgorithmError, match=words):
         digest_of(oid)
+
+
+@pytest.mark.parametrize("name", ["ecdsa-p256", "rsa-2048"])
+@pytest.mark.parametrize(
+    ("oid", "digest"),
+    [("1.2.840.10045.4.1", "SHA-1"), ("1.2.840.113549.1.1.5", "SHA-1"),
+     ("1.2.840.113549.1.1.4", "MD5")],
+)  # fmt: skip
+def test_a_signature_with_a_weak_digest_is_refused_by_its_name(name, oid, digest):
+    key = SIGNATURES.named(name).generate()
+    with pytest.raises(VerificationError, match=f"made with {digest}, which is no longer safe"):
+        key.public_key.verify(key.sign(DATA), DATA, encode(algorithm(oid, null=True)))

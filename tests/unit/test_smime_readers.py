@@ -163,6 +163,16 @@ def test_openssl_reads_the_other_forms_too(openssl, tmp_path, form):
     assert openssl(WRAPPERS[form](countersigned()), tmp_path) == crlf(ALLOWED)
 
 
+@pytest.mark.parametrize("padding", [b"=", b"==", b"===", b"\n="])
+def test_a_signature_with_too_much_padding_is_refused(padding):
+    # OpenSSL reads nothing then, and others pass over it.
+    message = countersigned()
+    end = b"\n\n------"
+    head, _, tail = message.rpartition(end)
+    with pytest.raises(VerificationError, match="is not base64"):
+        read(head + padding + end + tail)
+
+
 # What no signature covers
 
 
