@@ -197,7 +197,8 @@ def test_another_user_is_not_served_even_where_the_folder_lets_it_in(place):
         place.socket.chmod(0o666)
         script = (
             "import os, socket, sys; os.setuid(65534)\n"
-            "link = socket.socket(socket.AF_UNIX); link.connect(sys.argv[1])\n"
+            f"link = socket.socket(socket.AF_UNIX); link.settimeout({PATIENCE})\n"
+            "link.connect(sys.argv[1])\n"
             "print(link.recv(1))"
         )
         command = [sys.executable, "-c", script, place.socket]
