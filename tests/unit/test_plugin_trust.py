@@ -4,9 +4,11 @@ import shutil
 
 import pytest
 
+from pqsec_pki.algorithms import SIGNATURES
+from pqsec_pki.certificates import Authority
 from pqsec_pki.handshake import DataHolder
-from pqsec_pki.smime import Require, Signer, sign, verify
-from tests.unit.keystores import NOW, made
+from pqsec_pki.smime import Require, Signer, document_in, sign, verify
+from tests.unit.keystores import DAY, NOW, made
 from tests.unit.plugin_wire import RefusedError, Shim, properties, shaken, side
 
 TOKEN = DataHolder("DDS:Access:Permissions:1.0")
@@ -64,6 +66,24 @@ def test_where_there_is_a_countersigner_both_signatures_are_demanded_of_own_docu
         (folder / file).write_bytes(message)
     assert taken == []
     assert accepted(folder)
+
+
+def test_a_countersigner_with_a_classical_key_is_none_against_a_quantum_computer(enclave):
+    """Two signatures of one kind fall together: of the two, one is post-quantum."""
+    folder = enclave("classical")
+    ca, second = (
+        Authority.create(name, SIGNATURES.named("ecdsa-p256"), now=NOW, validity=DAY)
+        for name in ("Permissions CA", "Second")
+    )
+    signers = [Signer(each.certificate, each.key) for each in (ca, second)]
+    for file in SIGNED:
+        text = document_in((folder / file).read_bytes())
+        (folder / file).write_bytes(sign(text, signers[0], countersigner=signers[1], now=NOW))
+    (folder / "permissions_ca.cert.pem").write_bytes(ca.certificate.pem)
+    assert accepted(folder)
+    (folder / "permissions_ca.alt.cert.pem").write_bytes(second.certificate.pem)
+    with pytest.raises(RefusedError, match="there is no post-quantum signature"):
+        accepted(folder)
 
 
 def test_where_there_is_a_countersigner_both_signatures_are_demanded_of_peers(stores, enclave):

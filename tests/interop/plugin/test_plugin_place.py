@@ -3,14 +3,17 @@
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 
-from pqsec_pki.plugin import Place
+from pqsec_pki.plugin import Place, stop_agent
 from pqsec_pki.plugin import place as place_module
 from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.control import Client
+from tests.interop.cyclone import RefusedError, participant
 from tests.interop.plugin.test_plugin_robust import HERE, compiled
 
 pytestmark = pytest.mark.interop
@@ -26,12 +29,21 @@ def run_user(tmp_path, monkeypatch):
 def asked(requires, tmp_path, run_user):
     """asked(environment) is what the library says, and how it ended."""
     requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
-    words = [f'-DRUN_USER="{run_user}"', '-DPQSEC_PYTHON="/x"', "-pthread", "-I", SOURCES]
-    program = compiled(tmp_path / "place", *words, HERE / "place.c", *SOURCES.glob("*.c"))
 
-    def ask(environment):
+    def build(python):
+        words = [f'-DRUN_USER="{run_user}"', f'-DPQSEC_PYTHON="{python}"', "-I", SOURCES]
+        return compiled(tmp_path / "place", *words, HERE / "place.c", *SOURCES.glob("*.c"))
+
+    program = build("/x")
+
+    def ask(environment, *, starts=None):
         done = subprocess.run(
-            [program], env=environment, capture_output=True, text=True, check=False, timeout=20
+            [build(starts), "start"] if starts else [program],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=20,
         )
         return done.stdout.strip(), done.returncode
 
@@ -78,3 +90,56 @@ def test_what_another_user_made_first_is_told_with_the_way_out(asked, tmp_path):
     assert ended
     assert "is not a folder of this user's alone" in said
     assert "HOME or XDG_RUNTIME_DIR" in said
+
+
+def test_an_interpreter_that_cannot_be_executed_is_told_with_the_true_reason(asked, tmp_path):
+    """It was told as gone where it stood, for root or another user alone."""
+    runtime, python = tmp_path / "runtime", tmp_path / "python"
+    runtime.mkdir()
+    python.write_text("#!/bin/sh\n")
+    python.chmod(0o644)
+    environment = {"XDG_RUNTIME_DIR": str(runtime)}
+    (tmp_path / "ring").symlink_to(tmp_path / "ring")
+    paths = {
+        "gone": tmp_path / "nowhere",
+        "no folder": python / "below",
+        "not executable": python,
+        "a ring": tmp_path / "ring",
+    }
+    found = {name: asked(environment, starts=path) for name, path in paths.items()}
+    gone = "is gone: run `pqsec plugin install` again"
+    denied = (
+        f"pqsec: user {os.geteuid()} may not execute {python}, or enter a folder above it: run"
+        " `pqsec plugin install` with an interpreter for all users"
+    )
+    assert found == {
+        "gone": (f"pqsec: {tmp_path / 'nowhere'} {gone}", 1),
+        "no folder": (f"pqsec: {python / 'below'} {gone}", 1),
+        "not executable": (denied, 1),
+        "a ring": (
+            f"pqsec: {tmp_path / 'ring'} cannot be executed: Too many levels of symbolic links",
+            1,
+        ),
+    }
+
+
+def test_a_full_agent_tells_the_library_that_it_is_full(shim, labs):
+    """It hung up, and the library said that the agent was gone."""
+    stop_agent(shim.place)
+    command = (sys.executable, "-I", "-m", "pqsec_pki.plugin", shim.place.socket)
+    few = ("sh", "-c", 'ulimit -n 48; exec "$@"', "sh")
+    agent = subprocess.Popen([*few, *command], stderr=subprocess.DEVNULL)
+    try:
+        shim.wait_for_agent()
+        guests = [Client(shim.place, "authentication") for _ in range(16)]
+        for _ in range(5):  # whether it hangs up before the library has greeted, or after
+            with (
+                pytest.raises(RefusedError, match="the agent is full: 16 connections are the most"),
+                participant(shim.folder, labs("pq").alice),
+            ):
+                pass
+        for guest in guests:
+            guest.close()
+    finally:
+        agent.kill()
+        agent.wait()
