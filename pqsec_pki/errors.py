@@ -8,15 +8,27 @@ the work could not be done.
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import Self
 
 from pqsec_pki.problems import Code, Problem
+
+MOST_MEANT = 3
+"""Names that are offered in place of one that is not known."""
+_ALIKE = 0.7
+"""Of difflib's measure: /talkr and /talker, but not /listener."""
 
 
 def shown(text: str, limit: int = 80) -> str:
     """`text` from outside made fit for a message: no control characters, not long."""
     short = text if len(text) <= limit else f"{text[: limit - 3]}..."
     return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in short)
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """`did you mean '/talker'?`, with up to three of `known` that are spelled alike; or nothing."""
+    near = get_close_matches(word, known, MOST_MEANT, _ALIKE)
+    return f"did you mean {' or '.join(repr(shown(each)) for each in near)}?" if near else ""
 
 
 class PqsecError(Exception):

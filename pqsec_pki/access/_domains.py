@@ -18,6 +18,30 @@ def stretches(sets: Iterable[DomainSet]) -> tuple[DomainRange, ...]:
 
 def domains_said(found: Sequence[DomainRange]) -> str:
     """As in `domain 0`, `domains 0-3, 5`, `every domain`."""
+    joined = _joined(found)
+    if [(each.first, each.last) for each in joined] == [(0, MAX_DOMAIN_ID)]:
+        return "every domain"
+    words = ", ".join(map(_said, joined))
+    one = len(joined) == 1 and joined[0].first == joined[0].last
+    return f"domain{'' if one else 's'} {words}"
+
+
+def domain_set(found: Sequence[DomainRange]) -> DomainSet:
+    """Some of the stretches as one set, whose text is short: 0,2-5."""
+    return DomainSet(
+        parts=tuple(
+            each.first
+            if each.first == each.last
+            else DomainRange(
+                first=each.first, last=None if each.last == MAX_DOMAIN_ID else each.last
+            )
+            for each in _joined(found)
+        )
+    )
+
+
+def _joined(found: Sequence[DomainRange]) -> list[DomainRange]:
+    """Those that follow one another as one, in order."""
     joined: list[DomainRange] = []
     for each in sorted(found, key=lambda each: each.first):
         before = joined[-1] if joined else None
@@ -25,11 +49,7 @@ def domains_said(found: Sequence[DomainRange]) -> str:
             joined[-1] = DomainRange(first=before.first, last=each.last)
         else:
             joined.append(each)
-    if [(each.first, each.last) for each in joined] == [(0, MAX_DOMAIN_ID)]:
-        return "every domain"
-    words = ", ".join(map(_said, joined))
-    one = len(joined) == 1 and joined[0].first == joined[0].last
-    return f"domain{'' if one else 's'} {words}"
+    return joined
 
 
 def _said(each: DomainRange) -> str:

@@ -1,6 +1,6 @@
 """Who may publish and subscribe to what: many participants, many topics."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
@@ -13,6 +13,7 @@ from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, Permissions, Rule
 
 _ANYONE = "CN=anyone"
+_NOTHING: Mapping[str, str | None] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,15 +57,18 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     domain: int,
     now: datetime,
     reading: Reading = SPEC,
+    asked: Mapping[str, str | None] = _NOTHING,
 ) -> tuple[Row, ...]:
     """A row for each topic, with the members in their order.
+
+    `asked` has the topics that stand for patterns; for others one is made up.
 
     A member is asked only about topics that its rules or governance may let it use, so
     that a thousand of them take seconds.
     """
     wanted = tuple(dict.fromkeys(topics))
     literals = frozenset(topic for topic in (*wanted, *topics_named(members)) if topic)
-    asked = {topic: sample(topic, literals) for topic in wanted}
+    asked = {topic: asked[topic] if topic in asked else sample(topic, literals) for topic in wanted}
     names = [name for name in asked.values() if name]
     may = _Asking(governance, reading, domain, now)
     publishers: dict[str, list[str]] = {name: [] for name in names}

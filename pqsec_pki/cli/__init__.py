@@ -17,7 +17,7 @@ import click
 from pqsec_pki import __version__
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._settings import command_options
-from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki.errors import FileError, PqsecError, meant, shown
 
 __all__ = ["main", "pqsec"]
 
@@ -114,6 +114,15 @@ class _Lazy(click.Group):
         function = name.replace("-", "_") + "_" * iskeyword(name)
         command: click.Command = getattr(module, function)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does it, but an unknown command is told which may be meant."""
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
+            instead = meant(args[0], COMMANDS).replace("did", " Did", 1)
+            ctx.fail(f"No such command {shown(args[0])!r}.{instead}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         del ctx

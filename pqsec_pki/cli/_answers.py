@@ -1,11 +1,23 @@
-"""One question, as each stack answers it."""
+"""One question, as each stack answers it, on each domain."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 
-from pqsec_pki.access import FASTDDS, Decision, Policy, Question, Reading, Side
+from pqsec_pki.access import (
+    FASTDDS,
+    READINGS,
+    SPEC,
+    Action,
+    Decision,
+    Policy,
+    Question,
+    Reading,
+    Side,
+    reading_named,
+)
+from pqsec_pki.access.everywhere import domain_set, domains_named
 from pqsec_pki.cli._documents import Papers
-from pqsec_pki.documents import Grant
+from pqsec_pki.documents import DomainRange, DomainSet, Grant
 
 _WIDEST_ZONE = timedelta(hours=14)
 """Local times lie at most that far from UTC."""
@@ -65,3 +77,69 @@ def _zone_hazard(grant: Grant | None, question: Question) -> str:
                 f" {_WIDEST_ZONE.seconds // 3600} hours: away from UTC it may decide otherwise"
             )
     return ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What is answered alike on some domains; `question` is of the first."""
+
+    question: Question
+    answer: Answer
+    others: list[Answer]
+    """What other readings say."""
+    joins: bool
+    domains: DomainSet
+
+    @property
+    def allowed(self) -> bool:
+        """Whether it may."""
+        return self.answer.decision.allowed
+
+    @property
+    def where(self) -> str:
+        """As in `domain 0`, `domains 0-3,5`."""
+        parts = self.domains.parts
+        one = len(parts) == 1 and isinstance(parts[0], int)
+        return f"domain{'' if one else 's'} {self.domains}"
+
+    def likeness(self, papers: Papers) -> object:
+        """Equal for what the same parts of the documents decide, by each reading."""
+        answers = tuple(
+            (each.decision.allowed, papers.place(each.decision), each.whose, each.hazard)
+            for each in (self.answer, *self.others)
+        )
+        return answers, self.joins, self.answer.decision.protection
+
+
+def findings_of(
+    papers: Papers, question: Question, stack: str | None, *, everywhere: bool
+) -> list[Finding]:
+    """What is allowed first; on all domains that the documents name, or that of the question.
+
+    As `stack` reads the documents, or by the standard and by all others.
+    """
+    if not everywhere:
+        return [_finding(papers, question, stack, DomainSet(parts=(question.domain,)))]
+    found: dict[object, list[tuple[DomainRange, Finding]]] = {}
+    for stretch in domains_named(papers.governance.value, papers.permissions.value):
+        here = replace(question, domain=stretch.first)
+        each = _finding(papers, here, stack, DomainSet(parts=(stretch,)))
+        found.setdefault(each.likeness(papers), []).append((stretch, each))
+    merged = [
+        replace(alike[0][1], domains=domain_set([stretch for stretch, _ in alike]))
+        for alike in found.values()
+    ]
+    return sorted(merged, key=lambda each: (not each.allowed, not each.joins))
+
+
+def _finding(papers: Papers, question: Question, stack: str | None, domains: DomainSet) -> Finding:
+    reading = reading_named(stack) if stack else SPEC
+    others = [] if stack else [each for each in READINGS if each is not SPEC]
+    join = replace(question, action=Action.JOIN, topic=None)
+    return Finding(
+        question=question,
+        answer=answer_of(papers, question, reading),
+        others=[answer_of(papers, question, each) for each in others],
+        joins=answer_of(papers, join, reading).decision.allowed,
+        domains=domains,
+    )

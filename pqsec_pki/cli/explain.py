@@ -7,9 +7,10 @@ from typing import Any
 
 import click
 
-from pqsec_pki.access import READINGS, SPEC, Action, Decision, Question, reading_named
+from pqsec_pki.access import READINGS, Action, Decision, Question
+from pqsec_pki.access.matrix import Member, topics_named
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.cli._answers import Answer, answer_of
+from pqsec_pki.cli._answers import Answer, Finding, findings_of
 from pqsec_pki.cli._documents import (
     Papers,
     governance_in,
@@ -20,7 +21,7 @@ from pqsec_pki.cli._documents import (
     plain,
 )
 from pqsec_pki.documents import parse_subject, ros
-from pqsec_pki.errors import MalformedError, UsageError, VerificationError
+from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
 from pqsec_pki.keystore import load_certificate
 
 
@@ -36,9 +37,7 @@ from pqsec_pki.keystore import load_certificate
 @click.option("--ros-publish", metavar="TOPIC", help="May it publish this ROS 2 topic: /chatter?")
 @click.option("--ros-subscribe", metavar="TOPIC", help="May it subscribe to this ROS 2 topic?")
 @click.option("--join", is_flag=True, help="May it join the domain?")
-@click.option(
-    "--domain", type=click.IntRange(0), default=0, show_default=True, help="On this DDS domain."
-)
+@click.option("--domain", type=click.IntRange(0), help="On this DDS domain.  [default: on all]")
 @click.option("--partition", "partitions", multiple=True, help="In this partition, and ...")
 @click.option("--tag", "tags", multiple=True, metavar="NAME=VALUE", help="With this data tag.")
 @click.option(
@@ -51,8 +50,8 @@ from pqsec_pki.keystore import load_certificate
 def explain(stack: str | None, **asked: Any) -> int:
     """Tell whether a participant may do something, which rule decided, and why.
 
-    The exit code is 0 for yes and 1 for no. A participant of the keystore is believed only
-    what the CAs have signed.
+    The exit code is 0 for yes, were it on one domain only, and 1 for no. A participant of
+    the keystore is believed only what the CAs have signed.
     """
     now = _settings.now()
     try:
@@ -61,11 +60,12 @@ def explain(stack: str | None, **asked: Any) -> int:
         if _settings.settings().json:
             _printing.emit({"allowed": False, "problems": list(error.lines)}, [])
         raise
-    question = _question(asked, papers.subject, now)
-    answer = answer_of(papers, question, reading_named(stack) if stack else SPEC)
-    others = [answer_of(papers, question, each) for each in READINGS if each is not SPEC]
-    _tell(papers, question, answer, [] if stack else others)
-    return 0 if answer.decision.allowed else 1
+    asked_of = _question(asked, papers.subject, now)
+    found = list(findings_of(papers, asked_of, stack, everywhere=asked["domain"] is None))
+    _tell(papers, found)
+    if not found[0].allowed and asked_of.topic:
+        _tell_of_slips(papers, asked_of.topic)
+    return 0 if found[0].allowed else 1
 
 
 def _papers(asked: dict[str, Any], now: datetime) -> Papers:
@@ -123,7 +123,7 @@ def _question(asked: dict[str, Any], subject: str, now: datetime) -> Question:
     action, topic = wanted[0]
     return Question(
         subject=subject,
-        domain=asked["domain"],
+        domain=asked["domain"] or 0,
         action=action,
         now=now,
         topic=topic,
@@ -139,27 +139,52 @@ def _tag(text: str) -> tuple[str, str]:
     return name, value
 
 
+def _tell_of_slips(papers: Papers, topic: str) -> None:
+    """Of a topic that none of its rules names, and that looks like one, or like many."""
+    who = Member(name=papers.who, subject=papers.subject, permissions=papers.permissions.value)
+    named = topics_named([who])
+    if topic in named:
+        return
+    if instead := meant(topic, named):
+        _printing.note(f"no rule of {plain(papers.who)} names {plain(topic)}; {instead}")
+    elif any(each in topic for each in "*?["):
+        _printing.note(
+            "that was asked as the name of one topic; `pqsec who-may --topic` lists all that a"
+            " pattern matches"
+        )
+
+
 # Printing
 
 
-def _tell(papers: Papers, question: Question, answer: Answer, others: list[Answer]) -> None:
+def _tell(papers: Papers, found: list[Finding]) -> None:
+    question = found[0].question
     value = {
         "participant": papers.who,
         "subject": question.subject,
         "action": question.action.value,
         "topic": question.topic,
-        "domain": question.domain,
         "partitions": list(question.partitions),
         "data_tags": list(map("=".join, question.data_tags)),
         "at": question.now.isoformat(),
         "verified": papers.governance.verified and papers.permissions.verified,
+        **_finding_json(papers, found[0]),
+        "elsewhere": [_finding_json(papers, each) for each in found[1:]],
+    }
+    _printing.emit(value, [line for each in found for line in _lines(papers, each)])
+
+
+def _finding_json(papers: Papers, finding: Finding) -> dict[str, Any]:
+    answer = finding.answer
+    return {
+        "domain": finding.question.domain,
+        "domains": str(finding.domains),
         **_as_json(papers, answer),
         "protection": _protection(answer.decision),
         "others": [
-            _as_json(papers, other) | {"differs": other.differs(answer)} for other in others
+            _as_json(papers, other) | {"differs": other.differs(answer)} for other in finding.others
         ],
     }
-    _printing.emit(value, _lines(papers, question, answer, others))
 
 
 def _as_json(papers: Papers, answer: Answer) -> dict[str, Any]:
@@ -181,11 +206,10 @@ def _protection(decision: Decision) -> list[str]:
     return list(decision.protection.words) if decision.protection and decision.allowed else []
 
 
-def _lines(
-    papers: Papers, question: Question, answer: Answer, others: list[Answer]
-) -> Iterator[str]:
+def _lines(papers: Papers, finding: Finding) -> Iterator[str]:
+    question, answer, others = finding.question, finding.answer, finding.others
     what = "join" if question.topic is None else f"{question.action} {plain(question.topic)}"
-    title = f"{plain(papers.who)}: {what}, domain {question.domain}"
+    title = f"{plain(papers.who)}: {what}, {finding.where}"
     yield f"{answer.word.upper():<4}  {title}, by {answer.reading.title}"
     yield from _why(papers, answer, "      ")
     words = _protection(answer.decision)

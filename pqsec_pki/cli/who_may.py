@@ -2,32 +2,70 @@
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import click
 
-from pqsec_pki.access import READINGS, reading_named
+from pqsec_pki.access import READINGS, Reading, reading_named
+from pqsec_pki.access.everywhere import (
+    Placed,
+    is_known,
+    topics_asked,
+    who_may_anywhere,
+)
 from pqsec_pki.access.matrix import Row, topics_named
 from pqsec_pki.access.matrix import who_may as ask
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.cli._fleet import Fleet, fleet_of
-from pqsec_pki.documents import ros
-from pqsec_pki.errors import UsageError
+from pqsec_pki.documents import DomainSet, ros
+from pqsec_pki.errors import UsageError, meant
 
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 _MOST = 6
 """Names in a cell of the table for a terminal."""
+_PATTERN = re.compile(r"[*?\[]")
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    """Where, when, and as who reads the documents."""
+
+    domain: int | None
+    now: datetime
+    reading: Reading
+
+    def rows(
+        self, fleet: Fleet, topics: tuple[str, ...], asked: dict[str, str | None]
+    ) -> list[Placed]:
+        """On all domains, if none is named."""
+        what = (fleet.governance, fleet.members, topics)
+        if self.domain is None:
+            return list(who_may_anywhere(*what, now=self.now, reading=self.reading, asked=asked))
+        if fleet.governance.rule_for(self.domain) is None:
+            _printing.note(
+                f"the governance does not name domain {self.domain}: nobody can join there"
+            )
+        here = DomainSet(parts=(self.domain,))
+        rows = ask(*what, domain=self.domain, now=self.now, reading=self.reading, asked=asked)
+        return [Placed(row=row, domains=here) for row in rows]
 
 
 @click.command("who-may")
 @click.argument("paths", nargs=-1, type=_PATH, metavar="[PATH]...")
-@click.option("--topic", "topics", multiple=True, help="Only this DDS topic, or pattern.")
-@click.option("--ros-topic", "ros_topics", multiple=True, help="Only this ROS 2 topic: /chatter.")
 @click.option(
-    "--domain", type=click.IntRange(0), default=0, show_default=True, help="On this DDS domain."
+    "--topic",
+    "topics",
+    multiple=True,
+    help="Only this DDS topic, or all that this pattern matches.",
 )
+@click.option(
+    "--ros-topic", "ros_topics", multiple=True, help="Only this ROS 2 topic: /chatter, or /cmd*."
+)
+@click.option("--domain", type=click.IntRange(0), help="On this DDS domain.  [default: on all]")
 @click.option("--governance", type=_settings.FILE, help="With PATHs: the governance document.")
 @click.option(
     "--as",
@@ -49,7 +87,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     paths: tuple[Path, ...],
     topics: tuple[str, ...],
     ros_topics: tuple[str, ...],
-    domain: int,
+    domain: int | None,
     governance: Path | None,
     stack: str,
     form: str,
@@ -57,34 +95,64 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     """Tell who may publish and subscribe to what.
 
     Of the keystore, or of PATHs: a keystore, permissions documents (.p7s, .xml, .yaml), or
-    folders of them. Without --topic, of all topics that rules name.
+    folders of them. Without --topic, of all topics that rules name; without --domain, on
+    all domains.
     """
     now = _settings.now()
     fleet = fleet_of(paths, governance, now)
     for name, reason in fleet.refused.items():
         _printing.note(f"{plain(name)} is left out: {plain(reason)}")
-    if fleet.governance.rule_for(domain) is None:
-        _printing.note(f"the governance does not name domain {domain}: nobody can join there")
-    wanted = (*topics, *map(ros.topic, ros_topics)) or topics_named(fleet.members)
+    wanted = (*topics, *map(_ros_topic, ros_topics))
     if "" in wanted:
         raise UsageError("a topic has a name")
-    rows = ask(
-        fleet.governance,
-        fleet.members,
-        wanted,
-        domain=domain,
-        now=now,
-        reading=reading_named(stack),
-    )
+    near = _unknown(fleet, wanted)
+    for topic, instead in near.items():
+        _printing.note(f"no rule names {plain(topic)}{'; ' if instead else ''}{instead}")
+    rows = _rows(fleet, wanted, _Question(domain, now, reading_named(stack)))
     form = "json" if _settings.settings().json else form
     _settings.settings().json = form == "json"
-    _printing.emit(_as_json(fleet, rows, domain, stack), _FORMS[form](rows, len(fleet.members)))
+    value = _as_json(fleet, rows, domain, stack) | {"unknown_topics": near}
+    _printing.emit(value, _FORMS[form](rows, len(fleet.members)))
+
+
+def _rows(fleet: Fleet, wanted: tuple[str, ...], question: _Question) -> list[Placed]:
+    """Of all topics that rules name, if none is `wanted`."""
+    named = topics_named(fleet.members)
+    asked = topics_asked(fleet.members, wanted) if wanted else dict[str, str | None]()
+    rows = question.rows(fleet, tuple(asked) if wanted else named, asked)
+    # A pattern stands there itself for what it covers beside all that it lists.
+    beside = {topic for topic in wanted if _PATTERN.search(topic)}.difference(named)
+    used = [each for each in rows if each.is_used or each.row.topic not in beside]
+    return used or rows
+
+
+def _ros_topic(name: str) -> str:
+    """The DDS topic; of a pattern, the pattern of theirs."""
+    if name.startswith("/") and _PATTERN.search(name):
+        return f"rt{name}"
+    return ros.topic(name)
+
+
+def _unknown(fleet: Fleet, wanted: tuple[str, ...]) -> dict[str, str]:
+    """The topics and patterns that no rule names, each with what may be meant.
+
+    Of those that some pattern covers all the same, only such as look like another.
+    """
+    named = topics_named(fleet.members) if wanted else ()
+    found = {topic: meant(topic, named) for topic in wanted if topic not in named}
+    return {
+        topic: instead
+        for topic, instead in found.items()
+        if not is_known(topic, named) or (instead and not _PATTERN.search(topic))
+    }
 
 
 # Printing
 
 
-def _as_json(fleet: Fleet, rows: Sequence[Row], domain: int, stack: str) -> dict[str, object]:
+def _as_json(
+    fleet: Fleet, rows: Sequence[Placed], domain: int | None, stack: str
+) -> dict[str, object]:
     return {
         "domain": domain,
         "as": stack,
@@ -92,26 +160,30 @@ def _as_json(fleet: Fleet, rows: Sequence[Row], domain: int, stack: str) -> dict
         "left_out": fleet.refused,
         "topics": [
             {
-                "topic": row.topic,
-                "pattern": row.is_pattern,
-                "asked": row.asked,
-                "publish": list(row.publishers),
-                "subscribe": list(row.subscribers),
+                "topic": each.row.topic,
+                "domains": str(each.domains),
+                "pattern": each.row.is_pattern,
+                "asked": each.row.asked,
+                "publish": list(each.row.publishers),
+                "subscribe": list(each.row.subscribers),
             }
-            for row in rows
+            for each in rows
         ],
     }
 
 
-def _table(rows: Sequence[Row], count: int) -> Iterator[str]:
+def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
     def cell(names: tuple[str, ...]) -> str:
         if len(names) == count > _MOST:
             return f"all {count}"
         more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
         return ", ".join(map(plain, names[:_MOST])) + more or "-"
 
-    heads = ("topic", "may publish", "may subscribe")
-    cells = ((_topic(row), cell(row.publishers), cell(row.subscribers)) for row in rows)
+    heads = ("topic", "domain", "may publish", "may subscribe")
+    cells = (
+        (_topic(each.row), str(each.domains), cell(each.row.publishers), cell(each.row.subscribers))
+        for each in rows
+    )
     yield from _printing.table(heads, cells)
 
 
@@ -121,29 +193,30 @@ def _topic(row: Row) -> str:
     return f"{plain(row.topic)} (asked: {plain(row.asked) if row.asked else 'no topic was found'})"
 
 
-def _markdown(rows: Sequence[Row], _count: int) -> Iterator[str]:
+def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:
     def cell(text: str) -> str:
         return _MARKDOWN.sub(r"\\\1", text)
 
-    yield "| Topic | May publish | May subscribe |"
-    yield "|---|---|---|"
-    for row in rows:
-        names = (", ".join(map(plain, each)) for each in (row.publishers, row.subscribers))
-        yield f"| {' | '.join(map(cell, (_topic(row), *names)))} |"
+    yield "| Topic | Domain | May publish | May subscribe |"
+    yield "|---|---|---|---|"
+    for each in rows:
+        who = (", ".join(map(plain, them)) for them in (each.row.publishers, each.row.subscribers))
+        yield f"| {' | '.join(map(cell, (_topic(each.row), str(each.domains), *who)))} |"
 
 
-def _dot(rows: Sequence[Row], _count: int) -> Iterator[str]:
+def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
     """Publishers -> topic -> subscribers; names stand in labels only."""
-    used = (name for row in rows for name in (*row.publishers, *row.subscribers))
+    used = (name for each in rows for name in (*each.row.publishers, *each.row.subscribers))
     nodes = {name: f"p{number}" for number, name in enumerate(dict.fromkeys(used))}
     yield "digraph who_may {"
     yield "  rankdir=LR;"
     for name, node in nodes.items():
         yield f"  {node} [label={_label(plain(name))}];"
-    for number, row in enumerate(rows):
-        yield f"  t{number} [shape=box, label={_label(_topic(row))}];"
-        yield from (f"  {nodes[name]} -> t{number};" for name in row.publishers)
-        yield from (f"  t{number} -> {nodes[name]};" for name in row.subscribers)
+    for number, each in enumerate(rows):
+        label = _label(f"{_topic(each.row)} (domain {each.domains})")
+        yield f"  t{number} [shape=box, label={label}];"
+        yield from (f"  {nodes[name]} -> t{number};" for name in each.row.publishers)
+        yield from (f"  t{number} -> {nodes[name]};" for name in each.row.subscribers)
     yield "}"
 
 
@@ -154,7 +227,7 @@ def _label(text: str) -> str:
     return f'"{text}"'
 
 
-_FORMS: dict[str, Callable[[Sequence[Row], int], Iterator[str]]] = {
+_FORMS: dict[str, Callable[[Sequence[Placed], int], Iterator[str]]] = {
     "table": _table,
     "json": lambda _rows, _count: iter(()),
     "dot": _dot,

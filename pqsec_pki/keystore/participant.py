@@ -1,5 +1,6 @@
 """A participant as it lies in its enclave: keys, certificate, documents, and whom it trusts."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.errors import FileError, KeystoreError, located, meant
 from pqsec_pki.keystore import _layout
 
 
@@ -44,7 +45,7 @@ def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> 
 
 def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Participant:
     refuse_unknown(root, name)
-    _check_complete(folder)
+    _check_complete(folder, name)
     alternative = folder / _layout.ALT_KEY
     alt_ca = folder / _layout.PERMISSIONS_ALT_CA
     revoked = folder / _layout.LIST
@@ -68,9 +69,13 @@ def refuse_unknown(root: Path, name: str) -> None:
         try:
             (root / _layout.enclave_folder(name) / _layout.CERTIFICATE).lstat()
         except (FileNotFoundError, NotADirectoryError):
+            instead = ""
+            with suppress(FileError):  # that this one is not there is known all the same
+                instead = meant(name, _layout.names_in(root))
+            way = f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are"
             raise KeystoreError(
                 f"there is no participant {name} in {root}",
-                hint=f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are",
+                hint=f"{instead} If not, {way}" if instead else way,
             ) from None
 
 
@@ -92,7 +97,7 @@ def _revocation_list(data: bytes) -> RevocationList:
     return RevocationList.from_pem(data)
 
 
-def _check_complete(folder: Path) -> None:
+def _check_complete(folder: Path, name: str) -> None:
     """The six files that every stack reads; ROS 2 does not say which one it misses.
 
     Nor does it say that a link to a revocation list leads nowhere: it takes everybody.
@@ -113,10 +118,10 @@ def _check_complete(folder: Path) -> None:
             hint="what is here can be checked without them: `pqsec check`, `pqsec explain`",
         )
     if missing:
-        raise KeystoreError(
-            f"{folder} lacks {', '.join(missing)}",
-            hint=f"restore {', '.join(lost)}, which all participants share" if lost else None,
-        )
+        hint = f"restore {', '.join(lost)}, which all participants share" if lost else None
+        if _layout.PERMISSIONS in missing:
+            hint = hint or f"put it back, or say what it may do: pqsec issue {name} --force ..."
+        raise KeystoreError(f"{folder} lacks {', '.join(missing)}", hint=hint)
 
 
 def _key(path: Path, passphrase: bytes | None) -> PrivateKey:

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 
 from pqsec_pki._files import exists
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import KeystoreError, meant
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
@@ -164,7 +164,7 @@ def _chosen(participants: list[Entry], names: Iterable[str]) -> list[Entry]:
     if unknown:
         raise KeystoreError(
             f"the ledger knows no participant {', '.join(unknown)}",
-            hint="`pqsec status` lists those there are",
+            hint=meant(unknown[0], known) or "`pqsec status` lists those there are",
         )
     return [known[name] for name in wanted]
 

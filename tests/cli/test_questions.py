@@ -13,6 +13,7 @@ from pqsec_pki.access import READINGS
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.documents import (
     Criteria,
+    DefaultAction,
     DomainRange,
     DomainSet,
     Governance,
@@ -365,6 +366,7 @@ def test_the_matrix_of_a_keystore(pqsec, keystore):
     [row] = found["topics"]
     assert row == {
         "topic": "rt/chatter",
+        "domains": "0",
         "pattern": False,
         "asked": "rt/chatter",
         "publish": both,
@@ -372,14 +374,96 @@ def test_the_matrix_of_a_keystore(pqsec, keystore):
     }
     assert pqsec("-k k who-may --json").json == found
     said = pqsec("who-may k").done().out
-    assert said.splitlines()[1].split() == ["rt/chatter", *["/listener,", "/talker"] * 2]
+    assert said.splitlines()[1].split() == ["rt/chatter", "0", *["/listener,", "/talker"] * 2]
 
 
-@pytest.mark.parametrize("option", ["--topic rt/chatter", "--ros-topic /chatter", "--topic 'rt/*'"])
+@pytest.mark.parametrize(
+    "option",
+    ["--topic rt/chatter", "--ros-topic /chatter", "--topic 'rt/*'", "--ros-topic '/chat*'"],
+)
 def test_one_topic_alone_may_be_asked(pqsec, keystore, option):
     keystore()
     [row] = pqsec(f"-k k who-may {option} --json").done().json["topics"]
-    assert (row["publish"] != []) is ("*" not in option)
+    assert (row["topic"], row["publish"]) == ("rt/chatter", ["/listener", "/talker"])
+
+
+@pytest.fixture
+def apart(pqsec, keystore):
+    """Keystore `k` of domains 0-3: /talker and /listener on 0, /one on 1, /two on 1 and 2."""
+    keystore()
+    _govern(pqsec, "0-3")
+    pqsec("-k k issue /one --domain 1 --publish rt/cmd_vel --subscribe rt/scan").done()
+    pqsec("-k k issue /two --domain 1-2 --subscribe rt/cmd_vel --publish 'rt/s*'").done()
+
+
+def _govern(pqsec, domains):
+    pqsec(f"governance new --domain {domains} -o g.yaml").done()
+    pqsec("-k k sign-governance g.yaml -o k/enclaves/governance.p7s --force").done()
+
+
+def matrix(pqsec, options=""):
+    found = pqsec(f"-k k who-may {options} --json").done().json
+    return {
+        (row["topic"], row["domains"]): (row["publish"], row["subscribe"])
+        for row in found["topics"]
+    }
+
+
+def test_all_domains_are_asked_unless_one_is_named(pqsec, apart):
+    both = ["/listener", "/talker"]
+    assert matrix(pqsec) == {
+        ("rt/chatter", "0"): (both, both),
+        ("rt/cmd_vel", "1"): (["/one"], ["/two"]),
+        ("rt/cmd_vel", "2"): ([], ["/two"]),
+        ("rt/s*", "1-2"): (["/two"], []),
+        ("rt/scan", "1"): (["/two"], ["/one"]),
+        ("rt/scan", "2"): (["/two"], []),
+    }
+    assert matrix(pqsec, "--domain 1 --topic rt/cmd_vel") == {
+        ("rt/cmd_vel", "1"): (["/one"], ["/two"])
+    }
+    for form in ("table", "md"):
+        lines = pqsec(f"-k k who-may --topic rt/cmd_vel --format {form}").done().out.splitlines()
+        assert [line.replace("|", "").split()[1] for line in lines[-2:]] == ["1", "2"]
+    labels, _ = graph(pqsec("-k k who-may --topic rt/cmd_vel --format dot").done().out)
+    assert {"rt/cmd_vel (domain 1)", "rt/cmd_vel (domain 2)"} <= set(labels.values())
+
+
+def test_a_pattern_lists_the_topics_and_patterns_that_it_matches(pqsec, apart):
+    assert set(matrix(pqsec, "--topic 'rt/c*'")) == {
+        ("rt/chatter", "0"),
+        ("rt/cmd_vel", "1"),
+        ("rt/cmd_vel", "2"),
+    }
+    # A pattern that only meets it is asked with a topic of both.
+    found = pqsec("-k k who-may --topic '*scan2' --json").done().json["topics"]
+    assert [(row["topic"], row["asked"]) for row in found] == [("rt/s*", "rt/scan2")]
+
+
+def test_a_default_that_allows_shows_beside_what_a_pattern_lists(pqsec, put):
+    put("g", Governance.protected(ZERO))
+    free = replace(grant(rule("rt/b", allow=False)), default=DefaultAction.ALLOW)
+    put("p", Permissions(grants=(free,)))
+    found = pqsec("who-may p.xml g.xml --topic 'rt/*' --json").done().json["topics"]
+    publishers = {row["topic"]: row["publish"] for row in found}
+    assert publishers == {"rt/b": [], "rt/*": ["CN=/robot"]}
+
+
+@pytest.mark.parametrize(
+    ("topic", "words"),
+    [
+        ("rt/chater", "no rule names rt/chater; did you mean 'rt/chatter'?"),
+        ("/chatter", "did you mean 'rt/chatter'?"),
+        ("rt/sca", "no rule names rt/sca; did you mean 'rt/scan'"),
+        ("zzz", "no rule names zzz\n"),
+        ("zz*", "no rule names zz*\n"),
+    ],
+)
+def test_a_topic_that_no_rule_names_is_told_with_what_may_be_meant(pqsec, apart, topic, words):
+    said = pqsec("-k k who-may --json --topic", topic).done()
+    assert words in said.err
+    assert list(said.json["unknown_topics"]) == [topic]
+    assert pqsec("-k k who-may --topic rt/chatter").done().err == ""
 
 
 def test_a_participant_whose_documents_do_not_hold_is_left_out(pqsec, keystore):
@@ -455,9 +539,9 @@ def test_the_graph_goes_from_publishers_to_subscribers(pqsec, keystore):
     keystore()
     pqsec("-k k issue /eye --publish rt/image --subscribe rt/chatter").done()
     _, edges = graph(pqsec("-k k who-may --format dot").done().out)
-    assert ("/eye", "rt/image") in edges
-    assert ("rt/image", "/eye") not in edges
-    assert ("rt/chatter", "/eye") in edges
+    assert ("/eye", "rt/image (domain 0)") in edges
+    assert ("rt/image (domain 0)", "/eye") not in edges
+    assert ("rt/chatter (domain 0)", "/eye") in edges
     assert len(edges) == 6
 
 
@@ -478,7 +562,7 @@ def test_hostile_names_cannot_break_the_graph(pqsec, hostile):
 def test_hostile_names_cannot_break_the_markdown_table(pqsec, hostile):
     asked = pqsec("who-may p.xml g.xml --format md --topic", HOSTILE_TOPICS[0]).done()
     *_, row = asked.out.splitlines()
-    assert len(re.findall(r"(?<!\\)\|", row)) == 4
+    assert len(re.findall(r"(?<!\\)\|", row)) == 5
     assert re.search(r"(?<!\\)[<>`*\[&]", row) is None
 
 
@@ -624,3 +708,81 @@ def test_governance_of_one_participant_alone_is_not_hidden(pqsec, keystore, tmp_
 @pytest.mark.usefixtures("policy", "broken")
 def test_what_cannot_be_compared_is_refused(pqsec, line, code, words):
     pqsec(line).refused(code, words)
+
+
+# Domains that nobody named, and names that are not known
+
+
+def test_explain_answers_for_all_domains_that_the_documents_name(pqsec, apart):
+    ask = "-k k explain --participant /two --subscribe rt/cmd_vel"
+    said = pqsec(ask).done()
+    titles = [line for line in said.out.splitlines() if ": subscribe rt/cmd_vel, " in line]
+    assert titles == [
+        "YES   /two: subscribe rt/cmd_vel, domains 1-2, by DDS-Security 1.1",
+        "NO    /two: subscribe rt/cmd_vel, domains 0,3, by DDS-Security 1.1",
+    ]
+    found = pqsec(f"{ask} --json").done().json
+    assert (found["allowed"], found["domain"], found["domains"]) == (True, 1, "1-2")
+    [other] = found["elsewhere"]
+    assert (other["allowed"], other["domain"], other["domains"]) == (False, 0, "0,3")
+    named = pqsec(f"{ask} --domain 0 --json").json
+    assert (named["allowed"], named["domains"], named["elsewhere"]) == (False, "0", [])
+
+
+def test_explain_tells_what_differs_from_one_domain_to_another(pqsec, put):
+    [zero] = Governance.protected(ZERO).domain_rules
+    [one] = Governance.protected(DomainSet.of(1)).domain_rules
+    open_ = replace(one, allow_unauthenticated_participants=True)
+    put("g", Governance(domain_rules=(zero, open_)))
+    put("p", permissions(rule("a", domains=DomainSet.of(0, 1))))
+    found = pqsec(f"{FILES} --publish a --json").done().json
+    both = [found, *found["elsewhere"]]
+    assert [each["domains"] for each in both] == ["0", "1"]
+    assert both[0]["protection"] != both[1]["protection"]
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("explain --participant /talkr --join", "did you mean '/talker'?"),
+        ("verify-handshake /talker /listner", "did you mean '/listener'?"),
+        ("export cyclonedds /taker", "did you mean '/talker'?"),
+        ("renew /listner", "did you mean '/listener'?"),
+        ("explain --participant /zzz --join", "`pqsec ca show` lists those there are"),
+    ],
+)
+def test_a_participant_that_is_not_there_may_be_another(pqsec, keystore, line, instead):
+    keystore()
+    pqsec(f"-k k {line}").refused(3, "no participant", hint=instead)
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("statsu", "'status'?"),
+        ("who_may", "'who-may'?"),
+        ("verify-handshak", "'verify-handshake'"),
+        ("ca shwo", "'show'?"),
+        ("zzz", ""),
+    ],
+)
+def test_an_unknown_command_may_be_another(pqsec, line, instead):
+    said = pqsec(line)
+    said.refused(2, "No such command", instead)
+    assert ("Did you mean" in said.err) is bool(instead)
+
+
+@pytest.mark.parametrize(
+    ("topic", "words"),
+    [
+        ("rt/chater", "no rule of /talker names rt/chater; did you mean 'rt/chatter'?"),
+        ("q*", "asked as the name of one topic"),
+        ("other", ""),
+    ],
+)
+def test_explain_tells_of_a_topic_that_looks_like_a_slip(pqsec, keystore, topic, words):
+    keystore()
+    said = pqsec("-k k explain --participant /talker --publish", topic)
+    assert said.code == 1
+    assert words in said.err
+    assert bool(said.err) is bool(words)

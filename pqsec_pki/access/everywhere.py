@@ -1,0 +1,148 @@
+"""Questions that name no domain, or a pattern of topics: who may what, wherever they may."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 -- for those who ask
+from pqsec_pki.access._domains import stretches
+from pqsec_pki.access._index import Names
+from pqsec_pki.access._patterns import posix
+from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
+from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.matrix import Member, Row, topics_named, who_may
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.reading import Reading
+from pqsec_pki.access.readings import SPEC
+from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
+
+_SPECIAL = re.compile(r"[*?\[\\]")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placed:
+    """A row of the matrix, and the domains on which it holds."""
+
+    row: Row
+    domains: DomainSet
+
+    @property
+    def is_used(self) -> bool:
+        """Whether anybody may publish or subscribe."""
+        return bool(self.row.publishers or self.row.subscribers)
+
+
+def domains_apart(governance: Governance, every: Iterable[Permissions]) -> tuple[DomainRange, ...]:
+    """All domains, in stretches that none of the documents tells apart, as any stack reads them."""
+    sets = {rule.domains for rule in governance.domain_rules}
+    sets |= {rule.domains for each in every for grant in each.grants for rule in grant.rules}
+    # Some stacks read a range without an end as its first domain alone.
+    firsts = {DomainSet(parts=(part.first,)) for each in sets for part in _endless(each)}
+    return stretches(sets | firsts)
+
+
+def domains_named(governance: Governance, permissions: Permissions) -> tuple[DomainRange, ...]:
+    """Those stretches that one of the two names; if none does, the first of all."""
+    sets = [rule.domains for rule in governance.domain_rules]
+    sets += [rule.domains for grant in permissions.grants for rule in grant.rules]
+    every = domains_apart(governance, [permissions])
+    return tuple(each for each in every if any(each.first in one for one in sets)) or every[:1]
+
+
+def domains_governed(governance: Governance) -> DomainSet:
+    """Those that the governance names."""
+    return DomainSet(parts=tuple(p for rule in governance.domain_rules for p in rule.domains.parts))
+
+
+def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
+    governance: Governance,
+    members: Sequence[Member],
+    topics: Iterable[str],
+    *,
+    now: datetime,
+    reading: Reading = SPEC,
+    asked: Mapping[str, str | None],
+) -> tuple[Placed, ...]:
+    """For each topic a row for each way in which it may be used, and the domains of that.
+
+    Domains on which nobody may use it are left out; if there are no others it has one row,
+    of the domains that the governance names. `asked` has a topic for each pattern.
+    """
+    wanted = tuple(dict.fromkeys(topics))
+    found: dict[str, dict[Row, list[DomainRange]]] = {topic: {} for topic in wanted}
+    for stretch in domains_apart(governance, (each.permissions for each in members)):
+        here = [each for each in members if _joins(governance, each, stretch.first, now, reading)]
+        rows = who_may(
+            governance, here, wanted, domain=stretch.first, now=now, reading=reading, asked=asked
+        )
+        for row in rows:
+            if row.publishers or row.subscribers:
+                found[row.topic].setdefault(row, []).append(stretch)
+    placed = list[Placed]()
+    for topic, rows_of_it in found.items():
+        placed += (Placed(row=row, domains=domain_set(where)) for row, where in rows_of_it.items())
+        if not rows_of_it:
+            nobody = Row(topic=topic, asked=asked.get(topic, topic), publishers=(), subscribers=())
+            placed.append(Placed(row=nobody, domains=domains_governed(governance)))
+    return tuple(placed)
+
+
+def topics_asked(members: Sequence[Member], topics: Iterable[str]) -> dict[str, str | None]:
+    """What to ask about for those topics, each with the topic that stands for it.
+
+    In place of a pattern comes all that it matches: topics that rules name, and patterns of
+    rules with a topic that both cover; and the pattern itself, for topics that none of those
+    covers.
+    """
+    named = topics_named(members)
+    literals = frozenset(name for name in named if not is_wildcard(name))
+    found: dict[str, str | None] = {}
+    for topic in topics:
+        if is_wildcard(topic):
+            found |= _matching(topic, named, literals)
+        else:
+            found[topic] = topic
+    return found
+
+
+def is_known(topic: str, named: Sequence[str]) -> bool:
+    """Whether one of the topics and patterns that are `named` covers it; or a pattern, meets it."""
+    wildcards = [each for each in named if is_wildcard(each)]
+    if not is_wildcard(topic):
+        return topic in named or any(posix(each, topic) for each in wildcards)
+    covered = any(posix(topic, each) for each in named)
+    return covered or any(_of_both(topic, each, ()) for each in wildcards)
+
+
+def _matching(wanted: str, named: Sequence[str], literals: frozenset[str]) -> dict[str, str | None]:
+    matched = sorted(Names(literals).covered(wanted))
+    found: dict[str, str | None] = {name: name for name in matched}
+    for pattern in filter(is_wildcard, named):
+        if both := _of_both(wanted, pattern, matched):
+            found[pattern] = both
+    rest = sample(wanted, literals)
+    if rest and not any(posix(each, rest) for each in found):
+        found[wanted] = rest
+    return found
+
+
+def _of_both(one: str, other: str, matched: Sequence[str]) -> str | None:
+    """A topic that both patterns cover and is not `matched` by one already; None without any."""
+    begins = [_SPECIAL.split(each, maxsplit=1)[0] for each in (one, other)]
+    if not begins[0].startswith(begins[1]) and not begins[1].startswith(begins[0]):
+        return None
+    known = [name for name in matched if posix(other, name)]
+    found = (name for name in witnesses((one, other, *known)).names if name not in known)
+    return next((name for name in found if posix(one, name) and posix(other, name)), None)
+
+
+def _joins(
+    governance: Governance, member: Member, domain: int, now: datetime, reading: Reading
+) -> bool:
+    question = Question(subject=member.subject, domain=domain, action=Action.JOIN, now=now)
+    return Policy(governance, member.permissions, reading).decide(question).allowed
+
+
+def _endless(domains: DomainSet) -> Iterable[DomainRange]:
+    return (each for each in domains.parts if isinstance(each, DomainRange) and each.last is None)
