@@ -19,6 +19,7 @@ MATRIX = 20
 """Participants that a matrix has room for."""
 LISTED = 20
 """Participants with one fault that are named; --json names all."""
+_SILENT = "met"
 _CELLS = {True: "ok", False: "FAIL", None: "-"}
 
 Item = TypeVar("Item")
@@ -68,9 +69,15 @@ class _Account:
 
     def _mark(self, outcome: Outcome) -> None:
         row, column = outcome.first.seat.name, outcome.second.seat.name
-        self.cells[row, column] = _CELLS[outcome.ok]
+        self.cells[row, column] = self._cell(outcome, row)
         if len(set(self.survey.gathering.stacks)) == 1:
-            self.cells[column, row] = _CELLS[outcome.ok]
+            self.cells[column, row] = self._cell(outcome, column)
+
+    def _cell(self, outcome: Outcome, sender: str) -> str:
+        """How they meet, and whether the other may hear what `sender` says."""
+        talks = outcome.result.talks if outcome.ok and outcome.result else ()
+        mute = any(each.sender == sender and not each.topics for each in talks)
+        return _SILENT if mute else _CELLS[outcome.ok]
 
     @property
     def totals(self) -> dict[str, float]:
@@ -82,6 +89,7 @@ class _Account:
             "ok": tally.met,
             "failed": tally.failed,
             "no_common_domain": tally.apart,
+            "no_common_topic": tally.silent,
             "seconds": round(self.seconds, 3),
             "handshakes": tally.tried,
             "handshakes_per_second": round(tally.tried / self.seconds, 1),
@@ -139,6 +147,7 @@ def _pair_json(outcome: Outcome) -> dict[str, Any]:
         "initiator": result.initiator if result else None,
         "replier": result.replier if result else None,
         "milliseconds": result.milliseconds if result else None,
+        "talks": [each.to_json() for each in result.talks] if result else [],
     } | (_fault(outcome.failed) if outcome.failed else {})
 
 
@@ -167,7 +176,7 @@ def _lines(account: _Account) -> Iterator[str]:
         yield f"No two participants share {'a domain' if domain is None else f'domain {domain}'}."
     yield (
         "{participants} participants; pairs: {pairs}, {ok} ok, {failed} failed,"
-        " {no_common_domain} without a common domain;"
+        " {no_common_domain} without a common domain, {no_common_topic} without a common topic;"
         " {seconds:.1f} s, {handshakes_per_second:.0f} handshakes/s".format(**account.totals)
     )
 
@@ -205,6 +214,8 @@ def _matrix(account: _Account) -> Iterator[str]:
         for number, name in zip(numbers, names, strict=True)
     ]
     yield from _printing.table(("", "", *numbers), rows)
+    if _SILENT in account.cells.values():
+        yield f"{_SILENT}: they meet, but the column may not subscribe to what the row may publish"
     if stacks != (PQSEC.name, PQSEC.name):
         row, column = (stack_named(name).title for name in stacks)
         yield f"a row behaves as {row}, a column as {column}"

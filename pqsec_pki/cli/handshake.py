@@ -1,6 +1,7 @@
 """pqsec verify-handshake: would these two authenticate each other?"""
 
 import os
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import click
@@ -8,12 +9,17 @@ from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, Profile
 from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli._documents import plain
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck import PQSEC, Guest, Occasion, Report, Stack, meet, stack_named
+from pqsec_pki.selfcheck import PQSEC, Guest, Occasion, Report, Stack, stack_named
+from pqsec_pki.selfcheck.common import Ground, meet_on
 
 MATRIX_ROUNDS = 5
 _COUPLE = 2
+_TOLD = 6
+"""Topics, and domains, in a line."""
+_SILENT = "They share no topic: neither may subscribe to anything that the other may publish."
 _MEETING = {"--domain", "--kem", "--as"}
 _TAKES = {
     "two participants": _MEETING,
@@ -40,7 +46,7 @@ _TAKES = {
 @click.option(
     "--domain",
     type=click.IntRange(0, 230),
-    help="The domain they meet on. [default: the CA's; with --all, the first both may join]",
+    help="The domain they meet on. [default: the first that both may join]",
 )
 @click.option(
     "--as",
@@ -72,7 +78,8 @@ def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given:
 
     All three messages between A and B, in memory: both certificate chains, both
     permissions documents, and the key exchange up to one encrypted message each way.
-    Exit 1, with the failing step, if they would not meet.
+    Exit 1, with the failing step, if they would not meet. What they may then say to each
+    other is told too: two that share no topic meet all the same.
 
     \b
     pqsec verify-handshake /talker /listener
@@ -120,21 +127,26 @@ def _two(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
 
 def _report(names: tuple[str, ...], given: dict[str, Any]) -> Report:
-    occasion, guests = _invited(names, given)
-    return meet(occasion, *guests)
+    occasion, guests, ground = _invited(names, given)
+    return meet_on(ground, occasion, *guests, anywhere=given["domain"] is None)
 
 
-def _invited(names: tuple[str, ...], given: dict[str, Any]) -> tuple[Occasion, tuple[Guest, Guest]]:
-    """Two who are to meet, where, and on what."""
-    keystore = _keystore(given["kem"])
+def _invited(
+    names: tuple[str, ...], given: dict[str, Any]
+) -> tuple[Occasion, tuple[Guest, Guest], Ground]:
+    """Two who are to meet, where, and on what; and where they could."""
+    keystore, now = _keystore(given["kem"]), _settings.now()
+    for name in names:
+        keystore.refuse_unknown(name)
+    ground = Ground.of(keystore, names, now)
     occasion = Occasion(
         keystore=keystore,
-        domain=keystore.domains.ids()[0] if given["domain"] is None else given["domain"],
-        now=_settings.now(),
+        domain=ground.domain if given["domain"] is None else given["domain"],
+        now=now,
         agreement=None if given["kem"] is None else KEY_AGREEMENTS.named(given["kem"]),
     )
     first, second = _stacks(given["stacks"])
-    return occasion, (Guest(name=names[0], stack=first), Guest(name=names[1], stack=second))
+    return occasion, (Guest(name=names[0], stack=first), Guest(name=names[1], stack=second)), ground
 
 
 def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
@@ -178,7 +190,9 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    occasion, guests = _invited(names, given)
+    occasion, guests, ground = _invited(names, given)
+    if given["domain"] is None:
+        ground.refuse_split()
     return _handshake_attacks.try_attacks(occasion, guests, attacks)
 
 
@@ -221,6 +235,26 @@ def lines_of(report: Report) -> list[str]:
     return [
         *lines,
         "",
+        *_talk_lines(report),
         f"signatures {report.signature}, key agreement {report.key_agreement}",
         f"{sizes}; {report.milliseconds:.1f} ms for both sides",
     ]
+
+
+def _talk_lines(report: Report) -> Iterator[str]:
+    """Where they meet, and what they may say to each other there."""
+    if report.domain is None:
+        return
+    others = [str(each) for each in report.shared if each != report.domain]
+    also = f"; both may join {_shortened(others)} too" if others else ""
+    yield f"They meet on domain {report.domain}{also}."
+    for talk in report.talks:
+        topics = _shortened(talk.topics) if talk.topics else "no topic"
+        yield f"{talk.sender} to {talk.receiver}: {topics}"
+    if not any(talk.topics for talk in report.talks):
+        yield _SILENT
+
+
+def _shortened(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return ", ".join(map(plain, names[:_TOLD])) + more

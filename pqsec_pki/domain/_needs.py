@@ -38,7 +38,7 @@ class Needs:
             yield Blocked(
                 member.name,
                 "has a certificate that the ledger does not know",
-                "move its folder away, or `pqsec issue --force` it",
+                "move its folder out of enclaves/",
             )
         elif held is not None and held.revoked:
             yield Blocked(member.name, "was revoked")

@@ -86,7 +86,8 @@ class Inspector:
         if stranded:
             raise KeystoreError(
                 f"stayed behind with an earlier CA: {', '.join(stranded)}",
-                hint="`pqsec issue` it with --force; with --csr, if its key is on the robot",
+                hint="`pqsec issue` it with --force and all that it may do; with --csr, if its"
+                " key is on the robot",
             )
 
     def certificate(self, name: str, folder: Path) -> Certificate:

@@ -169,7 +169,8 @@ def _refuse_issued(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -
     if there:
         raise ExistsError(
             f"already issued: {', '.join(there)}",
-            hint="choose another name, or --force to replace key, certificate and permissions",
+            hint="choose another name; `pqsec renew` keeps what it may do, --force replaces key,"
+            " certificate and permissions",
         )
 
 

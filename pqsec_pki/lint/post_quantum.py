@@ -58,7 +58,7 @@ def documents_for_no_stack(file: CertificateFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS603", Severity.ERROR, Enclave, "the alternative signature does not hold",
     why="Only stock stacks, which pass over it, will take this certificate. It may be forged.",
-    mend="Issue the participant again: `pqsec issue NAME --force`.",
+    mend="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
 def alternative_does_not_hold(enclave: Enclave) -> Iterator[Found]:
     certificate, key = enclave.certificate(), _alternative_key(enclave.certificate(IDENTITY_CA))
@@ -75,7 +75,7 @@ def alternative_does_not_hold(enclave: Enclave) -> Iterator[Found]:
     "PQS604", Severity.ERROR, Enclave, "the certificate has no alternative key or signature",
     why="Its CA has one, and pqsec peers ask for it: without, whoever breaks ECDSA could make"
     " this certificate.",
-    mend="Issue the participant again: `pqsec issue NAME --force`.",
+    mend="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
 def no_alternative(enclave: Enclave) -> Iterator[Found]:
     certificate = enclave.certificate()

@@ -130,7 +130,8 @@ def own(inventory: Inventory) -> Iterator[Found]:
     "PQS149", Severity.INFO, Inventory, "a revoked participant is still in the keystore",
     why="Nobody lets it in any more, as was meant. Its files are of no use, and its private key"
     " is one that somebody else may have.",
-    mend="Delete its enclave, or issue it again: `pqsec issue NAME --force --after-revocation`.",
+    mend="Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
+    " --after-revocation.",
 )  # fmt: skip
 def left_in_keystore(inventory: Inventory) -> Iterator[Found]:
     if inventory.keystore:

@@ -117,7 +117,7 @@ def end_last(enclave: Enclave) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS327", Severity.ERROR, Enclave, "certificate and permissions are never good together",
     why="The one ends before the other begins.",
-    mend="Issue the participant again: `pqsec issue NAME --force`.",
+    mend="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
 def never_together(enclave: Enclave) -> Iterator[Found]:
     certificate, grants = enclave.certificate(), own_grants(enclave)

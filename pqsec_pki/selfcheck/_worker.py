@@ -10,16 +10,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from pqsec_pki.access import may_join
+from pqsec_pki.access.sharing import Voice
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.documents import Governance, Permissions
-from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore, Participant
+from pqsec_pki.selfcheck.common import domains_of, talks_between, voice_of
 from pqsec_pki.selfcheck.meeting import Meeting, Occasion, Seated, fetched, vetted
-from pqsec_pki.selfcheck.report import Step, Steps, StoppedError
+from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, Talk
 from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
-from pqsec_pki.smime import document_in
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +66,13 @@ class Result(NamedTuple):
     replier: str | None
     failed: Step | None
     milliseconds: float
+    talks: tuple[Talk, ...] = ()
+    """What each may publish and the other subscribe to, once they have met."""
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether they have met, and share no topic."""
+        return self.failed is None and not any(each.topics for each in self.talks)
 
 
 @dataclass(slots=True)
@@ -77,6 +82,7 @@ class Worker:
     gathering: Gathering
     occasion: Occasion
     _read: dict[str, Participant] = field(default_factory=dict)
+    _voices: dict[str, Voice] = field(default_factory=dict)
     _authorities: dict[bytes, Certificate] = field(default_factory=dict)
 
     @classmethod
@@ -103,7 +109,7 @@ class Worker:
         steps, domains = Steps(), frozenset[int]()
         with suppress(StoppedError):
             participant = self._participant(seat.name, steps)
-            domains, named = _domains(participant, self.gathering.now)
+            domains, named = domains_of(participant, self.gathering.now)
             # Where it may join none, one that is named tells why not.
             occasion = replace(self.occasion, domain=min(domains or named or {0}))
             vetted(occasion, Seated(participant, stack_named(seat.stack)), steps)
@@ -116,7 +122,16 @@ class Worker:
             one, other = (self._seated(seat, meeting.steps) for seat in (pair.first, pair.second))
             meeting.hold(meeting.seat(one, other))
         found = meeting.report()
-        return Result(found.initiator, found.replier, found.failed, found.milliseconds)
+        talks = () if found.failed else self._talks(pair)
+        return Result(found.initiator, found.replier, found.failed, found.milliseconds, talks)
+
+    def _talks(self, pair: Pair) -> tuple[Talk, ...]:
+        names = pair.first.name, pair.second.name
+        for name in names:
+            if name not in self._voices:
+                self._voices[name] = voice_of(self._read[name])
+        one, other = ((name, self._voices[name]) for name in names)
+        return talks_between(one, other, pair.domain, self.gathering.now)
 
     def _seated(self, seat: Seat, steps: Steps) -> Seated:
         return Seated(self._participant(seat.name, steps), stack_named(seat.stack))
@@ -136,19 +151,3 @@ class Worker:
 
     def _authority(self, certificate: Certificate) -> Certificate:
         return self._authorities.setdefault(certificate.der, certificate)
-
-
-def _domains(participant: Participant, now: datetime) -> tuple[frozenset[int], set[int]]:
-    """Those it may join, and those that its governance names. Nothing is verified here."""
-    try:
-        governance = Governance.from_xml(document_in(participant.governance))
-        permissions = Permissions.from_xml(document_in(participant.permissions))
-        named = {each for rule in governance.domain_rules for each in rule.domains.ids()}
-        subject = participant.certificate.subject_name
-        return frozenset(
-            domain
-            for domain in named
-            if may_join(governance, permissions, subject, domain, now).allowed
-        ), named
-    except PqsecError:
-        return frozenset(), set()

@@ -33,6 +33,11 @@ class Applicant:
     """The signed permissions document."""
 
 
+def renewal(name: str) -> str:
+    """How to get a new key and certificate, for a hint: no right is lost."""
+    return f"`pqsec renew {name}` keeps what it may do"
+
+
 def check_identity(participant: Participant, profile: Profile, now: datetime) -> str:
     """The certificate chain and the keys; VerificationError, or what was found."""
     certificate, ca = participant.certificate, participant.identity_ca
@@ -43,9 +48,7 @@ def check_identity(participant: Participant, profile: Profile, now: datetime) ->
     if certificate.subject_der != common_name(participant.name):
         problems.append(f"cert.pem of {participant.name} is for {certificate.subject_name}")
     if problems:
-        raise VerificationError(
-            *problems, hint=f"issue it again: pqsec issue {participant.name} --force"
-        )
+        raise VerificationError(*problems, hint=f"make it anew: {renewal(participant.name)}")
     also = f", and by {profile.alternative_key.name}" if profile.alternative_key else ""
     return f"{certificate.subject_name} signed by {ca.subject_name} ({_name(ca)}{also})"
 
@@ -78,8 +81,7 @@ def check_permissions(
             f"{applicant.name} may not join domain {domain}: {decision.reason}",
             hint="add the domain to enclaves/governance.xml and run `pqsec sign-governance`"
             if governance.rule_for(domain) is None
-            else f"issue it with topics on that domain: pqsec issue {applicant.name}"
-            f" --domain {domain} --publish TOPIC --force",
+            else f"`pqsec explain --participant {applicant.name} --join` tells where it may",
         )
     return f"permissions signed by {_signers(verified)}; {decision.reason}"
 
@@ -99,7 +101,7 @@ def _check_not_revoked(participant: Participant, now: datetime, *, twice: bool) 
         )
     except VerificationError as error:
         error.hint = (
-            f"to let it in again: pqsec issue {participant.name} --force --after-revocation"
+            f"if {participant.name} may come back, `pqsec issue` it with --force --after-revocation"
             if revoked.revocation_of(participant.certificate)
             else "`pqsec ca crl` makes a new list; a robot needs a copy"
         )

@@ -11,7 +11,7 @@ from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
 from pqsec_pki.keystore import Keystore, Participant, regular_name
 from pqsec_pki.selfcheck.course import Course
-from pqsec_pki.selfcheck.credentials import check_documents, check_identity
+from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
 from pqsec_pki.selfcheck.encounter import Encounter, Side
 from pqsec_pki.selfcheck.report import Report, Steps, StoppedError
 from pqsec_pki.selfcheck.stacks import PQSEC, Stack, asked, policy
@@ -73,7 +73,7 @@ def fetched(keystore: Keystore, name: str, steps: Steps) -> Participant:
         try:
             participant = keystore.participant(name)
         except PqsecError as error:
-            error.hint = error.hint or f"issue it again: pqsec issue {name} --force"
+            error.hint = error.hint or f"restore it from a backup; or make it anew: {renewal(name)}"
             raise
         detail.append("keys, certificates, permissions and governance read")
     return participant

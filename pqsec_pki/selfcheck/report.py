@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from pqsec_pki.errors import FileError, MissingError, PqsecError, problems_of
 from pqsec_pki.handshake import DataHolder, Done, GenericMessage
@@ -74,6 +74,18 @@ class Sent:
         return None if self.name == MESSAGE else GenericMessage.decode(self.data).tokens[0]
 
 
+class Talk(NamedTuple):
+    """The topics that one may publish and the other subscribe to."""
+
+    sender: str
+    receiver: str
+    topics: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """For --json."""
+        return {"from": self.sender, "to": self.receiver, "topics": list(self.topics)}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
     """A handshake between two participants. What was not reached is None."""
@@ -94,6 +106,13 @@ class Report:
     sent: tuple[Sent, ...] = field(default=(), repr=False)
     outcome: Done | None = field(default=None, repr=False)
     """What the replier knows at the end."""
+
+    domain: int | None = None
+    """Where they met; None if they share none, or it was not looked for."""
+    shared: tuple[int, ...] = ()
+    """The domains that both may join."""
+    talks: tuple[Talk, ...] = ()
+    """Both ways, once they have met."""
 
     @property
     def token_bytes(self) -> dict[str, int]:
@@ -131,4 +150,7 @@ class Report:
                 for step in self.steps
             ],
             "milliseconds": self.milliseconds,
+            "domain": self.domain,
+            "shared_domains": list(self.shared),
+            "talks": [each.to_json() for each in self.talks],
         }

@@ -31,6 +31,8 @@ class Tally:
     failed: int = 0
     apart: int = 0
     """Pairs that share no domain."""
+    silent: int = 0
+    """Pairs that met, and share no topic."""
     tried: int = 0
     """Pairs whose handshake was run: both are sound each by itself."""
     causes: dict[Cause, list[Outcome]] = field(default_factory=dict)
@@ -46,6 +48,7 @@ class Tally:
         self.met += outcome.ok is True
         self.failed += outcome.ok is False
         self.apart += outcome.ok is None
+        self.silent += bool(outcome.ok and outcome.result and outcome.result.is_silent)
         self.tried += outcome.result is not None
         if (result := outcome.result) and result.failed:
             roles = {result.initiator: "the initiator", result.replier: "the replier"}

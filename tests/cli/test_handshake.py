@@ -35,6 +35,9 @@ KEYS = {
     "token_bytes",
     "steps",
     "milliseconds",
+    "domain",
+    "shared_domains",
+    "talks",
 }
 SIGNATURES = {
     "transition": "ECDSA-SHA256+ML-DSA-65",
@@ -225,7 +228,7 @@ def test_the_key_of_another_is_refused(fails, keystore, profile):
     talker, listener = enclaves(keystore(profile))
     take("key.pem", listener, talker)
     step = fails("identity of /talker", "key.pem is not the key in the certificate of /talker")
-    assert "pqsec issue /talker --force" in step["hint"]
+    assert "pqsec renew /talker" in step["hint"]
 
 
 def test_the_alternative_key_of_another_is_refused(fails, keystore):
@@ -342,7 +345,7 @@ def test_permissions_for_another_domain_are_refused(resign, fails, keystore):
     resign("talker/permissions.xml", "<id>0</id>", "<id>7</id>")
     words = "/talker may not join domain 0: grant '/talker' has no allow_rule for domain 0"
     step = fails("documents of /talker", words)
-    assert "pqsec issue /talker --domain 0 --publish TOPIC --force" in step["hint"]
+    assert "`pqsec explain --participant /talker --join` tells where it may" in step["hint"]
 
 
 def test_governance_for_another_domain_is_refused(resign, fails, keystore):
@@ -436,7 +439,10 @@ def test_a_file_that_is_no_key_or_certificate_is_named(fails, keystore, file, co
     (keystore("transition") / "enclaves/talker" / file).write_bytes(content)
     step = fails("files of /talker", f"k/enclaves/talker/{file}: ")
     assert step["detail"].count(file) == 1
-    assert step["hint"] == "issue it again: pqsec issue /talker --force"
+    assert (
+        step["hint"]
+        == "restore it from a backup; or make it anew: `pqsec renew /talker` keeps what it may do"
+    )
 
 
 @pytest.mark.parametrize(
@@ -446,7 +452,9 @@ def test_a_missing_file_is_named(fails, keystore, file):
     (keystore() / "enclaves/listener" / file).unlink()
     step = fails("files of /listener", "k/enclaves/listener lacks ")
     assert step["detail"] == f"k/enclaves/listener lacks {file}"
-    assert step["hint"] == "issue it again: pqsec issue /listener --force"
+    # What it may do is not known without its permissions.
+    way = "pqsec issue" if file == "permissions.p7s" else "pqsec renew"
+    assert f"{way} /listener" in step["hint"]
 
 
 def test_all_missing_files_are_named(fails, pqsec, keystore):
@@ -455,7 +463,7 @@ def test_all_missing_files_are_named(fails, pqsec, keystore):
         (k / "enclaves/talker" / file).unlink()
     words = "k/enclaves/talker lacks key.pem, permissions.p7s, governance.p7s"
     step = fails("files of /talker", words, line="-k k verify-handshake talker// /listener")
-    pqsec(f"-k k {step['hint'].partition(': pqsec ')[2]} --publish x").done()
+    pqsec(f"-k k {step['hint'].partition(': pqsec ')[2][:-3]} --publish x").done()
     pqsec(LINE).done()
 
 
@@ -479,7 +487,10 @@ def test_a_participants_key_that_is_encrypted_is_named(fails, keystore):
     (k / "enclaves/talker/key.pem").write_bytes(private_key_pem(key, b"open sesame"))
     words = "k/enclaves/talker/key.pem: the private key is encrypted and no passphrase was given"
     step = fails("files of /talker", words)
-    assert step["hint"] == "issue it again: pqsec issue /talker --force"
+    assert (
+        step["hint"]
+        == "restore it from a backup; or make it anew: `pqsec renew /talker` keeps what it may do"
+    )
 
 
 # What cannot be tried at all
@@ -507,3 +518,84 @@ def test_an_unknown_participant_is_named_with_the_way_to_make_it(pqsec, keystore
 def test_a_name_that_can_be_none_is_a_usage_error(pqsec, keystore, name):
     keystore()
     pqsec("-k k verify-handshake /talker", name).refused(2, "cannot be a participant's name")
+
+
+# Where they meet, and what they may say there
+
+
+@pytest.fixture
+def fleet(pqsec, keystore):
+    """Keystore `k` of domains 0-3: /one on 1, /two on 1 and 2, /three on 2 and 3."""
+    keystore()
+    pqsec("governance new --domain 0-3 -o g.yaml").done()
+    pqsec("-k k sign-governance g.yaml -o k/enclaves/governance.p7s --force").done()
+    pqsec("-k k issue /one --domain 1 --publish rt/cmd --subscribe rt/scan").done()
+    pqsec("-k k issue /two --domain 1-2 --subscribe rt/cmd --publish 'rt/s*'").done()
+    pqsec("-k k issue /three --domain 2-3 --publish rt/pose").done()
+
+
+def meet(pqsec, names, code=0):
+    said = pqsec(f"-k k verify-handshake {names} --json")
+    assert said.code == code, said
+    return said.json
+
+
+def test_two_meet_on_a_domain_that_both_may_join(pqsec, fleet):
+    found = meet(pqsec, "/one /two")
+    assert (found["domain"], found["shared_domains"]) == (1, [1])
+    pqsec("-k k issue /four --domain 1-3 --publish rt/cmd").done()
+    found = meet(pqsec, "/four /two")
+    assert (found["domain"], found["shared_domains"]) == (1, [1, 2])
+    told = pqsec("-k k verify-handshake /four /two").done().out
+    assert "They meet on domain 1; both may join 2 too.\n" in told
+    assert "They meet on domain 2" in pqsec("-k k verify-handshake /four /two --domain 2").out
+
+
+def test_two_that_share_no_domain_are_told_so(pqsec, fleet, fails):
+    step = fails(
+        "common domain",
+        "they share no domain: /one may join domain 1, /three may join domains 2, 3",
+        line="-k k verify-handshake /one /three",
+    )
+    assert "--force" not in step["hint"]
+    pqsec("-k k verify-handshake /one /three --attack all").refused(1, "they share no domain")
+    # Where a domain is named, it is that one that is told of.
+    fails("documents of /three", "domain 1", line="-k k verify-handshake /one /three --domain 1")
+
+
+def test_what_two_may_say_to_each_other_is_told(pqsec, fleet):
+    assert meet(pqsec, "/one /two")["talks"] == [
+        {"from": "/one", "to": "/two", "topics": ["rt/cmd"]},
+        {"from": "/two", "to": "/one", "topics": ["rt/scan"]},
+    ]
+    told = pqsec("-k k verify-handshake /one /two").done().out
+    assert "\n/one to /two: rt/cmd\n/two to /one: rt/scan\n" in told
+
+
+def test_two_that_meet_and_share_no_topic_are_told_so(pqsec, fleet):
+    found = meet(pqsec, "/two /three")
+    assert found["ok"] is True
+    assert [each["topics"] for each in found["talks"]] == [[], []]
+    told = pqsec("-k k verify-handshake /two /three").done().out
+    assert "\n/two to /three: no topic\n/three to /two: no topic\n" in told
+    assert "They share no topic: " in told
+    assert "They share no topic: " not in pqsec("-k k verify-handshake /one /two").out
+
+
+def test_all_pairs_tell_who_shares_no_topic_and_which_way(pqsec, fleet):
+    pqsec("-k k issue /ear --domain 3 --subscribe 'rt/p*'").done()
+    said = pqsec("-k k verify-handshake --all").done().out
+    rows = {line.split()[1]: line.split()[2:] for line in said.splitlines()[1:7]}
+    # /ear /listener /one /talker /three /two
+    assert rows["/three"] == ["ok", "-", "-", "-", "met"]
+    assert rows["/ear"] == ["-", "-", "-", "met", "-"]
+    assert rows["/one"] == ["-", "-", "-", "-", "ok"]
+    assert "1 without a common topic" in said
+    assert "met: they meet, but " in said
+    found = pqsec("-k k verify-handshake --all --json").done().json
+    assert found["totals"]["no_common_topic"] == 1
+    talks = {tuple(each["pair"]): each["talks"] for each in found["pairs"]}
+    assert talks["/ear", "/three"] == [
+        {"from": "/ear", "to": "/three", "topics": []},
+        {"from": "/three", "to": "/ear", "topics": ["rt/pose"]},
+    ]

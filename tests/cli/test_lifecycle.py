@@ -66,7 +66,10 @@ def test_verify_handshake_refuses_a_revoked_participant(pqsec, k):
     answer = pqsec("-k k verify-handshake /talker /listener")
     assert answer.code == 1
     assert "the certificate of CN=/talker was revoked on" in answer.out
-    assert "hint: to let it in again: pqsec issue /talker --force --after-revocation" in answer.out
+    assert (
+        "hint: if /talker may come back, `pqsec issue` it with --force --after-revocation"
+        in answer.out
+    )
 
 
 def test_issue_refuses_a_revoked_name_unless_told(pqsec, k):

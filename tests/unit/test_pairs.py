@@ -189,7 +189,10 @@ def test_a_key_that_cannot_be_read_fails_all_pairs_of_its_participant(three):
     cause, name = alone_at_fault(three)
     assert (cause.step, name) == ("files of NAME", "/a")
     assert f"{three.root}/enclaves/a/key.pem: " in cause.words
-    assert cause.hint == "issue it again: pqsec issue NAME --force"
+    assert (
+        cause.hint
+        == "restore it from a backup; or make it anew: `pqsec renew NAME` keeps what it may do"
+    )
 
 
 def test_the_certificate_of_another_fails_all_pairs_of_its_participant(three):

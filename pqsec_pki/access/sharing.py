@@ -1,0 +1,162 @@
+"""The topics that one participant may publish and another may subscribe to.
+
+Two that authenticate each other need not have one: to meet is not to talk.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from functools import lru_cache
+from itertools import product
+from typing import Self
+
+from pqsec_pki.access._patterns import posix
+from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
+from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.reading import Side
+from pqsec_pki.documents import (
+    Criteria,
+    DefaultAction,
+    Governance,
+    Permissions,
+    Rule,
+    TopicRule,
+    ros,
+)
+
+_CACHED = 1 << 12
+"""Pairs of patterns; a fleet has few roles."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Voice:
+    """A participant, and the documents that it goes by."""
+
+    subject: str
+    governance: Governance
+    permissions: Permissions
+
+    def criteria(self, action: Action, domain: int) -> list[Criteria]:
+        """Those of its rules that may allow that there; of which grant, the engine decides."""
+        rules = (rule for rule in self._rules(domain) if rule.allow)
+        return [
+            each
+            for rule in rules
+            for each in (rule.publish if action is Action.PUBLISH else rule.subscribe)
+        ]
+
+    def topics(self, action: Action, domain: int) -> list[str]:
+        """Topics and patterns that a rule may allow there, or a default, or the governance."""
+        found = [topic for each in self.criteria(action, domain) for topic in each.topics]
+        for rule in self._topic_rules(domain):
+            writing, reading = rule.enable_write_access_control, rule.enable_read_access_control
+            if not (writing if action is Action.PUBLISH else reading):
+                found.append(rule.topic_expression)
+        if any(grant.default is DefaultAction.ALLOW for grant in self.permissions.grants):
+            found.append("*")
+        return list(dict.fromkeys(found))
+
+    def limits(self, domain: int) -> Iterator[str]:
+        """Patterns that tell some topics of a pattern from others."""
+        for rule in self._rules(domain):
+            for each in () if rule.allow else (*rule.publish, *rule.subscribe):
+                yield from each.topics
+        yield from (rule.topic_expression for rule in self._topic_rules(domain))
+
+    def _rules(self, domain: int) -> Iterator[Rule]:
+        for grant in self.permissions.grants:
+            yield from (rule for rule in grant.rules if domain in rule.domains)
+
+    def _topic_rules(self, domain: int) -> tuple[TopicRule, ...]:
+        rule = self.governance.rule_for(domain)
+        return rule.topic_rules if rule else ()
+
+
+def topics_between(
+    publisher: Voice, subscriber: Voice, *, domain: int, now: datetime
+) -> tuple[str, ...]:
+    """What the one may publish and the other may subscribe to, by the standard.
+
+    A topic; or a pattern that both have; or of two patterns that meet, a topic of both. Not
+    the topic on which the nodes of ROS 2 announce themselves: all of them share it.
+    """
+    sending = _End.of(publisher, subscriber, Action.PUBLISH, domain, now)
+    receiving = _End.of(subscriber, publisher, Action.SUBSCRIBE, domain, now)
+    partitions = tuple(dict.fromkeys((*sending.partitions, *receiving.partitions)))
+
+    def shared(topic: str) -> bool:
+        return any(sending.may(topic, each) and receiving.may(topic, each) for each in partitions)
+
+    limits = tuple(dict.fromkeys((*publisher.limits(domain), *subscriber.limits(domain))))
+    found: dict[str, None] = {}
+    for one, other in product(sending.topics, receiving.topics):
+        names = (name for name in _of_both(one, other, limits) if name != ros.DISCOVERY)
+        if name := next(filter(shared, names), None):
+            found[one if one == other else name] = None
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _End:
+    """One end of a way between two: what it may do, by its own stack and by its peer."""
+
+    subject: str
+    action: Action
+    domain: int
+    now: datetime
+    topics: list[str]
+    partitions: tuple[tuple[str, ...], ...]
+    tags: tuple[tuple[tuple[str, str], ...], ...]
+    judges: tuple[tuple[Side, Policy], ...]
+
+    @classmethod
+    def of(cls, voice: Voice, peer: Voice, action: Action, domain: int, now: datetime) -> Self:
+        """The default partition and no data tags come first."""
+        criteria = voice.criteria(action, domain)
+        names = (sample(name) for each in criteria for name in each.partitions)
+        return cls(
+            subject=voice.subject,
+            action=action,
+            domain=domain,
+            now=now,
+            topics=voice.topics(action, domain),
+            partitions=tuple(dict.fromkeys([(), *((name,) for name in names if name)])),
+            tags=tuple(dict.fromkeys([(), *(each.data_tags for each in criteria)])),
+            judges=(
+                (Side.OWN, Policy(voice.governance, voice.permissions)),
+                (Side.PEER, Policy(peer.governance, voice.permissions)),
+            ),
+        )
+
+    def may(self, topic: str, partitions: tuple[str, ...]) -> bool:
+        """Whether an endpoint may be there, with some data tags."""
+        return any(self._may(topic, partitions, tags) for tags in self.tags)
+
+    def _may(
+        self, topic: str, partitions: tuple[str, ...], tags: tuple[tuple[str, str], ...]
+    ) -> bool:
+        question = Question(
+            subject=self.subject,
+            domain=self.domain,
+            action=self.action,
+            now=self.now,
+            topic=topic,
+            partitions=partitions,
+            data_tags=tags,
+        )
+        return all(policy.decide(question, by=side).allowed for side, policy in self.judges)
+
+
+def _of_both(one: str, other: str, limits: tuple[str, ...]) -> Iterable[str]:
+    """Topics that both cover: one for each way in which the limits can tell them apart."""
+    if not is_wildcard(one) or not is_wildcard(other):
+        literal, pattern = (other, one) if is_wildcard(one) else (one, other)
+        return (literal,) if posix(pattern, literal) else ()
+    return _met(one, other, limits)
+
+
+@lru_cache(_CACHED)
+def _met(one: str, other: str, limits: tuple[str, ...]) -> tuple[str, ...]:
+    found = witnesses((one, other, *limits)).names
+    return tuple(name for name in found if posix(one, name) and posix(other, name))

@@ -1,0 +1,137 @@
+"""What two participants have in common: domains that both may join, and topics on them."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from pqsec_pki.access import may_join
+from pqsec_pki.access.sharing import Voice, topics_between
+from pqsec_pki.documents import Governance, Permissions
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.keystore import Keystore, Participant, regular_name
+from pqsec_pki.selfcheck.meeting import Guest, Meeting, Occasion, Seated, fetched, meet, vetted
+from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, Talk
+from pqsec_pki.smime import document_in
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Where two may meet."""
+
+    domains: dict[str, frozenset[int]]
+    """Of each by its name, those that it may join; nothing is verified here."""
+    fallback: int
+    """Where to see what is wrong with one that may join none."""
+
+    @classmethod
+    def of(cls, keystore: Keystore, names: Sequence[str], now: datetime) -> "Ground":
+        """FileError if one of them cannot be read."""
+        found = dict[str, frozenset[int]]()
+        for name in map(regular_name, names):
+            found[name] = frozenset()
+            with suppress(StoppedError):
+                participant = fetched(keystore, name, Steps())
+                found[name], _ = domains_of(participant, now)
+        somewhere = frozenset[int]().union(*found.values())
+        return cls(found, min(somewhere or keystore.domains.ids()))
+
+    @property
+    def shared(self) -> tuple[int, ...]:
+        """Those that both may join, ascending."""
+        return tuple(sorted(frozenset.intersection(*self.domains.values())))
+
+    @property
+    def is_split(self) -> bool:
+        """Whether each may join some, and no two the same."""
+        return not self.shared and all(self.domains.values())
+
+    @property
+    def domain(self) -> int:
+        """Where they meet if nobody says."""
+        return min(self.shared, default=self.fallback)
+
+    def __str__(self) -> str:
+        """As in `/a may join domain 0, /b domains 1, 2`."""
+        return ", ".join(
+            f"{name} may join domain{'s' if len(each) > 1 else ''} {_listed(each)}"
+            for name, each in self.domains.items()
+        )
+
+    def refuse_split(self) -> None:
+        """VerificationError if they share no domain."""
+        if self.is_split:
+            raise VerificationError(
+                f"they share no domain: {self}",
+                hint="`pqsec explain --participant NAME --join` tells which rules decide that",
+            )
+
+
+def meet_on(
+    ground: Ground, occasion: Occasion, first: Guest, second: Guest, *, anywhere: bool
+) -> Report:
+    """They meet, and it is told what they may say to each other.
+
+    If `anywhere` would do and they share no domain, each is looked at by itself, and the step
+    `common domain` fails.
+    """
+    if ground.is_split and anywhere:
+        return _apart(occasion, ground, (first, second))
+    report = replace(meet(occasion, first, second), domain=occasion.domain, shared=ground.shared)
+    if not report.ok:
+        return report
+    keystore = occasion.keystore
+    names = tuple(regular_name(guest.name) for guest in (first, second))
+    one, other = ((name, voice_of(keystore.participant(name))) for name in names)
+    return replace(report, talks=talks_between(one, other, occasion.domain, occasion.now))
+
+
+def _apart(occasion: Occasion, ground: Ground, guests: Sequence[Guest]) -> Report:
+    """Each where it may join, and that there is no domain for both."""
+    meeting = Meeting(occasion)
+    with suppress(StoppedError):
+        for guest, domains in zip(guests, ground.domains.values(), strict=True):
+            participant = fetched(occasion.keystore, guest.name, meeting.steps)
+            here = replace(occasion, domain=min(domains))
+            vetted(here, Seated(participant, guest.stack), meeting.steps)
+        with meeting.steps.step("common domain"):
+            ground.refuse_split()
+    return meeting.report()
+
+
+def voice_of(participant: Participant) -> Voice:
+    """What it may say and hear by its documents, as they lie there; MalformedError, or others."""
+    return Voice(
+        subject=participant.certificate.subject_name,
+        governance=Governance.from_xml(document_in(participant.governance)),
+        permissions=Permissions.from_xml(document_in(participant.permissions)),
+    )
+
+
+def domains_of(participant: Participant, now: datetime) -> tuple[frozenset[int], set[int]]:
+    """Those it may join, and those that its governance names. Nothing is verified here."""
+    try:
+        voice = voice_of(participant)
+        named = {each for rule in voice.governance.domain_rules for each in rule.domains.ids()}
+        return frozenset(
+            domain
+            for domain in named
+            if may_join(voice.governance, voice.permissions, voice.subject, domain, now).allowed
+        ), named
+    except PqsecError:
+        return frozenset(), set()
+
+
+def talks_between(
+    one: tuple[str, Voice], other: tuple[str, Voice], domain: int, now: datetime
+) -> tuple[Talk, Talk]:
+    """What each of two, by name, may publish and the other subscribe to."""
+    (first, voice), (second, answer) = one, other
+    return (
+        Talk(first, second, topics_between(voice, answer, domain=domain, now=now)),
+        Talk(second, first, topics_between(answer, voice, domain=domain, now=now)),
+    )
+
+
+def _listed(domains: frozenset[int]) -> str:
+    return ", ".join(map(str, sorted(domains)))

@@ -1,0 +1,82 @@
+"""No hint destroys: each that has --force says what is lost, or is for what was checked."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+
+import pqsec_pki
+
+ROOT = Path(pqsec_pki.__file__).parent
+REPLACES_A_FILE = "a file of the user's choice is in the way, and the hint says that it is replaced"
+SAYS_WHAT = "the rights that were lost or would be are to be said anew, and the hint says so"
+IF_WANTED = "for whom was revoked, and only if it may come back"
+JUSTIFIED = {
+    "choose another place, or --force to replace it": REPLACES_A_FILE,
+    "choose another -o, or --force to replace it": REPLACES_A_FILE,
+    "choose another name; `pqsec renew` keeps what it may do, --force replaces key,"
+    " certificate and permissions": "the user named a participant that is there",
+    "if it may come back, issue it with --force --after-revocation": IF_WANTED,
+    "if it may come back, `pqsec issue` it with --force --after-revocation": IF_WANTED,
+    "if * may come back, `pqsec issue` it with --force --after-revocation": IF_WANTED,
+    "Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
+    " --after-revocation.": IF_WANTED,
+    "say anew what it may do: pqsec issue --force, with topics or a --policy": SAYS_WHAT,
+    "`pqsec issue` it with --force and all that it may do; with --csr, if its key is on the"
+    " robot": SAYS_WHAT,
+    "put it back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
+    "put that back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
+    "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
+}
+WORDS = ("all that it", "all that", "--ros-node", "plugin install")
+"""One of them stands in each remedy of explain-error with --force."""
+
+
+def texts(path: Path) -> Iterator[str]:
+    """Those of a module that have --force, with * for what is filled in; no options, no help."""
+    tree = ast.parse(path.read_text())
+    passed = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "option":
+            passed |= {id(each) for each in ast.walk(node)}
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            passed.add(id(node.value))  # a docstring
+        if isinstance(node, ast.JoinedStr):
+            text = "".join(
+                str(part.value) if isinstance(part, ast.Constant) else "*" for part in node.values
+            )
+            if "--force" in text and id(node) not in passed:
+                yield text
+            passed |= {id(each) for each in node.values}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Constant) or id(node) in passed or node.value == "--force":
+            continue
+        if isinstance(node.value, str) and "--force" in node.value:
+            yield node.value
+
+
+def test_each_hint_that_has_force_has_its_reason():
+    found = {text for path in ROOT.rglob("*.py") for text in texts(path)}
+    assert found == set(JUSTIFIED)
+
+
+def test_each_remedy_that_has_force_says_that_rights_are_said_anew():
+    messages = yaml.safe_load((ROOT / "vendors/messages.yaml").read_text())
+    entries = messages if isinstance(messages, list) else messages["messages"]
+    remedies = [each["remedy"] for each in entries if "--force" in each.get("remedy", "")]
+    assert len(remedies) > 5
+    assert [each for each in remedies if not any(word in each for word in WORDS)] == []
+
+
+def test_no_hint_names_a_domain_that_was_not_asked_for(pqsec, keystore):
+    """Two robots of domain 1 were told to move one of them to domain 0."""
+    keystore()
+    pqsec("governance new --domain 0-1 -o g.yaml").done()
+    pqsec("-k k sign-governance g.yaml -o k/enclaves/governance.p7s --force").done()
+    pqsec("-k k issue /r1 /r2 --domain 1 --publish a --subscribe a").done()
+    said = pqsec("-k k verify-handshake /r1 /r2").done()
+    assert "domain 1" in said.out
+    refused = pqsec("-k k verify-handshake /r1 /r2 --domain 0")
+    assert refused.code == 1
+    assert "--force" not in refused.out + refused.err

@@ -1,0 +1,89 @@
+"""What one may publish and another subscribe to: asked of the engine, for each way."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+
+from pqsec_pki.access.sharing import Voice, topics_between
+from pqsec_pki.documents import Criteria, DefaultAction, DomainSet
+from tests.unit.test_diff import STRICT, allow, deny, document, topic_rule, with_rule
+
+NOW = datetime(2026, 6, 1, tzinfo=UTC)
+
+
+def voice(name, *rules, governance=STRICT, **more):
+    subject = f"CN={name}"
+    permissions = document(*rules, subject=subject, **more)
+    return Voice(subject=subject, governance=governance, permissions=permissions)
+
+
+def hears(*topics, **more):
+    return replace(allow("x"), publish=(), subscribe=(Criteria(topics=topics, **more),))
+
+
+def says(*topics, **more):
+    return replace(allow("x"), publish=(Criteria(topics=topics, **more),))
+
+
+def shared(one, other, domain=0):
+    return topics_between(one, other, domain=domain, now=NOW)
+
+
+CASES = {
+    "a topic": ([says("a", "b")], [hears("b", "c")], ("b",)),
+    "none": ([says("a")], [hears("b")], ()),
+    "the wrong way": ([hears("a")], [says("a")], ()),
+    "a pattern and a topic": ([says("rt/*")], [hears("rt/a", "b")], ("rt/a",)),
+    "a topic and a pattern": ([says("rt/a")], [hears("rt/*")], ("rt/a",)),
+    "one pattern": ([says("rt/*")], [hears("rt/*")], ("rt/*",)),
+    "patterns that meet": ([says("a*")], [hears("*b")], ("ab",)),
+    "patterns that do not": ([says("a*")], [hears("b*")], ()),
+    "denied": ([deny("a"), says("a", "c")], [hears("*")], ("c",)),
+    "denied but for one": ([deny("a?"), says("a*")], [hears("a*")], ("a*",)),
+    "all denied": ([deny("a*"), says("a*")], [hears("a*")], ()),
+    "a partition of both": (
+        [says("a", partitions=("P",))],
+        [hears("a", partitions=("P", "Q"))],
+        ("a",),
+    ),
+    "partitions apart": ([says("a", partitions=("P",))], [hears("a", partitions=("Q",))], ()),
+    "a partition and the default": ([says("a", partitions=("P",))], [hears("a")], ()),
+    "data tags": ([says("a", data_tags=(("k", "v"),))], [hears("a")], ("a",)),
+    "another domain": (
+        [replace(says("a"), domains=DomainSet.of(1)), says("b")],
+        [hears("a", "b")],
+        ("b",),
+    ),
+    "what all nodes of ROS 2 share": (
+        [says("ros_discovery_info")],
+        [hears("ros_discovery_info")],
+        (),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_they_share(case):
+    said, heard, found = CASES[case]
+    assert shared(voice("/talker", *said), voice("/listener", *heard)) == found
+
+
+def test_what_governance_or_a_default_opens_is_shared():
+    opened = with_rule(topics=(topic_rule("open", enable_read_access_control=False),))
+    one = voice("/talker", says("open"), governance=opened)
+    other = voice("/listener", hears("x"), governance=opened)
+    assert shared(one, other) == ("open",)
+    assert shared(other, one) == ()
+    free = voice("/free", default=DefaultAction.ALLOW)
+    assert shared(free, voice("/listener", hears("a", "b*"))) == ("a", "b")
+
+
+def test_both_governances_count():
+    """Each stack judges its own endpoint and the peer's, by the governance that it has."""
+    opened = with_rule(topics=(topic_rule("*", enable_write_access_control=False),))
+    hearing = voice("/listener", hears("a"))
+    assert shared(voice("/talker", says("b"), governance=opened), hearing) == ()
+    assert shared(
+        voice("/talker", says("b"), governance=opened), replace(hearing, governance=opened)
+    )
