@@ -41,6 +41,8 @@ class Scene:
     work: Callable[[Path], object]
     after: tuple[str, ...]
     replaced: tuple[str, ...] = ()
+    every: int = 4
+    """Of how many calls one is killed."""
 
 
 SCENES = {
@@ -62,6 +64,7 @@ SCENES = {
         lambda root: issue_to(root, "/fleet", "/new", force=True),
         ("/fleet", "/fleet/robot1", "/new"),
         replaced=("/fleet",),
+        every=1,
     ),
 }
 
@@ -73,7 +76,7 @@ def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prep
         name: check_whole(Keystore.open(original, to_change=True), name) for name in scene.before
     }
     outcomes = []
-    for root, _ in copies(place, original, scene.work):
+    for root, _ in copies(place, original, scene.work, every=scene.every):
         check_no_halves(root)
         keystore = Keystore.open(root, to_change=True)
         names = tuple(keystore.names())
@@ -91,7 +94,7 @@ def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prep
         check_whole(keystore, "/next")
         check_ledger(keystore)
         assert drafts(root) == []
-    check_commitment(outcomes)
+    check_commitment(outcomes, scene.every)
 
 
 def test_a_keystore_is_made_or_not_whenever_the_kill_comes(place):
@@ -157,7 +160,7 @@ def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared):
     def again(root):
         issue_to(root, "/old", force=True)
 
-    for root, done in copies(place, original, again, fails):
+    for root, done in copies(place, original, again, fails, every=2):
         keystore = Keystore.open(root, to_change=True)
         found = check_whole(keystore, "/old")
         check_ledger(keystore)

@@ -70,15 +70,18 @@ class Scene:
 
     work: Callable[[Path], object]
     before: Callable[[Path], object] = lambda _: None
+    every: int = 4
+    """Of how many calls one is killed."""
 
 
 SCENES = {
-    "renewed with new keys": Scene(lambda root: renew_in(root, *BOTH)),
+    "renewed with new keys": Scene(lambda root: renew_in(root, *BOTH), every=1),
     "renewed with old keys": Scene(lambda root: renew_in(root, *BOTH, rekey=False)),
     "the first revocation": Scene(lambda root: revoke_in(root, "/talker")),
     "another revocation": Scene(
         lambda root: revoke_in(root, "/talker"),
         lambda root: revoke_in(root, "/fleet/robot1"),
+        every=1,
     ),
     "a new list": Scene(renew_list_in, lambda root: revoke_in(root, "/talker")),
     "issued beside a list": Scene(lambda root: issue_to(root, "/new"), renew_list_in),
@@ -92,7 +95,7 @@ def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared
     scene.before(original)
     old = state_of(Keystore.open(original, to_change=True))
     outcomes = []
-    for root, _ in copies(place, original, scene.work):
+    for root, _ in copies(place, original, scene.work, every=scene.every):
         check_no_halves(root)
         found = state_of(Keystore.open(root, to_change=True))
         outcomes.append(found != old)
@@ -104,14 +107,14 @@ def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared
             assert state_of(Keystore.open(root, to_change=True)) != old
         issue_to(root, "/next")
         assert drafts(root) == []
-    check_commitment(outcomes)
+    check_commitment(outcomes, scene.every)
 
 
 @pytest.mark.parametrize("name", ["renewed with new keys", "the first revocation"])
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, name):
     scene, original = SCENES[name], prepared(BOTH)
     old = state_of(Keystore.open(original, to_change=True))
-    for root, done in copies(place, original, scene.work, fails):
+    for root, done in copies(place, original, scene.work, fails, every=4):
         found = state_of(Keystore.open(root, to_change=True))
         assert found != old or not done
         scene.work(root)

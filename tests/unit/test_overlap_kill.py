@@ -72,15 +72,15 @@ def empty_list(root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "name"),
+    ("before", "name", "every"),
     [
-        ((), "begin"),
-        (("begin",), "cancel"),
-        (("begin",), "switch"),
-        (("begin", "switch"), "finish"),
+        ((), "begin", 4),
+        (("begin",), "cancel", 4),
+        (("begin",), "switch", 1),
+        (("begin", "switch"), "finish", 4),
     ],
 )
-def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, name):
+def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, name, every):
     original = place / "original"
     shutil.copytree(prepared((ROBOT,)), original, symlinks=True)
     if name == "begin":
@@ -88,7 +88,7 @@ def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, 
     for each in before:
         step(each, original)
     start, outcomes = phase_of(original), []
-    for root, _ in copies(place, original, partial(step, name)):
+    for root, _ in copies(place, original, partial(step, name), every=every):
         found = phase_of(root)
         outcomes.append(found != start)
         if len(outcomes) % RARELY:
@@ -100,4 +100,4 @@ def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, 
         issue_to(root, "/next")
         assert drafts(root) == []
         assert (root / "public/identity_ca.crl.pem").exists() is False
-    check_commitment(outcomes)
+    check_commitment(outcomes, every)

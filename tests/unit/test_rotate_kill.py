@@ -111,7 +111,7 @@ class Scene:
 SCENES = {
     "both": Scene(rotate_in, empty_list_in, every=1),
     "old keys destroyed": Scene(lambda root: rotate_in(root, destroy=True)),
-    "to pq": Scene(lambda root: rotate_in(root, "pq"), every=1),
+    "to pq": Scene(lambda root: rotate_in(root, "pq")),
     "from pq to transition": Scene(
         lambda root: rotate_in(root, "transition"), lambda root: rotate_in(root, "pq")
     ),
@@ -129,7 +129,7 @@ def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, s
     scene.before(original)
     old = state_of(original)
     outcomes = []
-    for calls in range(1, 2000, scene.every):
+    for calls in killing.disturbed_calls(scene.every):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
         done = survives(calls, lambda root=root: scene.work(root))
@@ -157,7 +157,7 @@ def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, s
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, code):
     original = prepared(BOTH)
     old = state_of(original)
-    for calls in range(1 + (code == errno.EROFS), 2000, 2):
+    for calls in killing.disturbed_calls(5 + (code == errno.EROFS)):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
         done = fails_with(code, calls, lambda root=root: rotate_in(root, "pq", destroy=True))
@@ -180,7 +180,7 @@ def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
     original = prepared(BOTH)
     old = keys_in(original)
     committed = 0
-    for calls in range(1, 2000, 2):
+    for calls in killing.disturbed_calls(4):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
         names = {path: os.open(path, os.O_RDONLY) for path in (root / "private").glob("*.key.pem")}
@@ -234,7 +234,7 @@ def test_an_adoption_is_done_or_not_whenever_the_kill_comes(place, with_list):
             (original / f"enclaves{name}/crl.pem").unlink()
     before = contents(original)
     outcomes = []
-    for calls in range(1, 1000):
+    for calls in killing.disturbed_calls(1 if with_list else 3):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
         done = survives(calls, lambda root=root: adopt(root, now=NOW))
