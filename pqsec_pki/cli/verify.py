@@ -57,7 +57,8 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             verified = verify_signed(message, certificate, alternative_ca=second, require=required)
     except VerificationError as error:
         if _settings.settings().json:
-            _printing.emit({"ok": False, "file": str(file), "problems": error.lines}, [])
+            problems = [str(each) for each in error.problems]
+            _printing.emit({"ok": False, "file": str(file), "problems": problems}, [])
         raise
     _tell(file, verified, certificate, second)
 

@@ -29,7 +29,7 @@ import pytest
 
 import pqsec_pki
 from pqsec_pki.cli import COMMANDS, pqsec
-from pqsec_pki.vendors.cyclonedds import installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.fastdds import find_compiler
 
 ROOT = Path(__file__).parents[2]
