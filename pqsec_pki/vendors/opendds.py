@@ -19,7 +19,7 @@ PROTECTS_RTPS = (3, 14)
 """The first version that can protect RTPS messages (its source); 3.13.3 makes no participant."""
 RUN = (3, 13, 3)
 _NOT_RUN = "run with 3.13.3; later versions were not run with it, their source was read"
-_MEND = (
+_WAY_OUT = (
     "set rtps_protection_kind to NONE and sign the governance again (`pqsec sign-governance`), for"
     " all participants; or update OpenDDS to 3.14 or later"
 )
@@ -39,7 +39,7 @@ def export(enclave: Enclave, options: Options) -> Export:
     problem = _unprotectable(enclave, options)
     certain = len(options.release) >= len(PROTECTS_RTPS)
     if problem and certain and not options.anyway:
-        raise VerificationError(problem, hint=_MEND)
+        raise VerificationError(problem, hint=_WAY_OUT)
     warnings = [problem] if problem else []
     if options.release != RUN:
         warnings += [_NOT_RUN]
