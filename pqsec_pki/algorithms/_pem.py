@@ -44,8 +44,8 @@ def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
         label, text = block["label"].decode(), block["text"]
         if not block["header"]:
             found.append((label, _decoded(text, what)))
-        elif not label.endswith("PRIVATE KEY"):
-            raise MalformedError(f"{what}: a header in PEM, which only private keys may have")
+        elif not label.endswith(" PRIVATE KEY") or label == "ENCRYPTED PRIVATE KEY":
+            raise MalformedError(f"{what}: a header in PEM, for traditional private keys only")
         if label in _NOT_FOR_ALL:
             raise MalformedError(f"{what}: PEM says {label}, where some readers want CERTIFICATE")
     return found

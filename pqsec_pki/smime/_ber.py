@@ -11,7 +11,8 @@ MAX_DEPTH = 24
 MAX_CHILDREN = 4096
 MAX_SIZE = 1 << 20
 """Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
-_CONSTRUCTED, _LONG_TAG, _SET, _OCTET_STRING = 0x20, 0x1F, 0x31, 0x04
+_CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
+_SEQUENCE, _SET, _OCTET_STRING = 0x30, 0x31, 0x04
 
 
 def to_der(data: bytes) -> bytes:
@@ -39,6 +40,8 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
     )
     if tag == _OCTET_STRING | _CONSTRUCTED:
         return _value(_OCTET_STRING, b"".join(map(_octets, children))), stop
+    if tag & _CLASS == 0 and tag not in {_SEQUENCE, _SET}:
+        raise MalformedError("a value in pieces, which DER does not have")
     if tag == _SET:
         children.sort()
     return _value(tag, b"".join(children)), stop

@@ -8,11 +8,11 @@ SIGNED_DATA = "1.2.840.113549.1.7.2"
 
 
 def parse(data: bytes) -> SignedData:
-    """The SignedData in `data`; MalformedError if there is none."""
-    try:
-        info = decode(ContentInfo, data, "CMS structure")
-    except MalformedError:
-        info = decode(ContentInfo, _ber.to_der(data), "CMS structure")
+    """The SignedData in `data`; MalformedError if there is none.
+
+    All of it is walked through, also what is kept as it is: OpenSSL reads that too.
+    """
+    info = decode(ContentInfo, _ber.to_der(data), "CMS structure")
     if info.content_type.dotted_string != SIGNED_DATA:
         raise MalformedError("not a CMS SignedData structure")
     return info.content

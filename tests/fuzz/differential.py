@@ -33,7 +33,16 @@ from pqsec_pki.certificates import (
     revocation_list,
 )
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.smime import Signer, _canonical, _cms, _openssl_reader, _reading, document, sign
+from pqsec_pki.smime import (
+    Signer,
+    _canonical,
+    _cms,
+    _openssl_reader,
+    _reading,
+    _signer_info,
+    document,
+    sign,
+)
 from tests.fuzz import hostile_files, libcrypto
 
 BATCH = 256
@@ -72,10 +81,17 @@ def peers(paths):
 # What we read: lists as libcrypto.py answers them, empty where we refuse
 
 
-def own_smime(data):
-    """The signed part, the document, and the structure as we hand it on."""
-    found = _reading.read(data)
-    return [found.content, b"+" + found.document, handed_on(found.content, found.cms)]
+def smime_reader(cas):
+    """The signed part, the document, and the structure as we hand it on, if a CA is named."""
+
+    def read(data):
+        found = _reading.read(data)
+        info = document._signer(_cms.parse(found.cms))
+        if not any(_signer_info.names(info, each.certificate) for each in cas):
+            return []
+        return [found.content, b"+" + found.document, handed_on(found.content, found.cms)]
+
+    return read
 
 
 def handed_on(content, cms):
@@ -192,7 +208,9 @@ def kinds():
     texts = [b"<dds>\n<one/>\n</dds>\n", b"\n<dds/>\n", b"<!-- " + b"x" * 1500 + b" -->\n<dds/>"]
     messages = [sign(*each, now=now) for each in zip(texts, signers, strict=True)]
     smime = hostile_files.SignedFiles(messages)
-    return {"smime": Kind(b"S", smime.make, own_smime, disagreement_on_smime)} | pem_kinds(cas, now)
+    return {"smime": Kind(b"S", smime.make, smime_reader(cas), disagreement_on_smime)} | pem_kinds(
+        cas, now
+    )
 
 
 def pem_kinds(cas, now):

@@ -723,3 +723,10 @@ def test_a_composite_key_that_is_not_offered_is_refused_with_its_oid(arc):
     for data in (der, pem("PRIVATE KEY", der)):
         with pytest.raises(UnknownAlgorithmError, match=f"algorithm {oid} are not known here"):
             load_private_key(data)
+
+
+@pytest.mark.parametrize("label", ["PRIVATE KEY", "ENCRYPTED PRIVATE KEY"])
+def test_a_private_key_in_pkcs8_with_a_header_is_refused(label):
+    text = pem(label, key_of(ML_DSA[0]).pkcs8).replace(b"-----\n", b"-----\nX: y\n\n", 1)
+    with pytest.raises(MalformedError, match="traditional private keys only"):
+        load_private_key(text, b"horse")

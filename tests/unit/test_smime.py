@@ -707,6 +707,8 @@ def test_a_set_is_put_in_order():
         ("1f8101 00", "a tag that CMS does not have"),
         ("0500 00", "bytes after the end"),
         ("2403 020100", "broken octet string"),
+        ("3805 1803313233", "a value in pieces"),
+        ("2c03 0c0161", "a value in pieces"),
     ],
 )
 def test_broken_ber_is_refused(ber, words):

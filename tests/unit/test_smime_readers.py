@@ -244,6 +244,18 @@ def test_a_digest_with_parameters_is_refused():
         read(changed(signed(), parameters), Require.ANY)
 
 
+def test_a_signature_with_a_value_that_openssl_reads_otherwise_is_refused():
+    # A string in pieces: OpenSSL puts it together, and then looks for another digest.
+    def in_pieces(_, info):
+        info.signed_attributes = [
+            *info.signed_attributes,
+            attribute("1.3.6.1.4.1.99999.1", bytes.fromhex("2c03 0c0161")),
+        ]
+
+    with pytest.raises(VerificationError, match="a value in pieces"):
+        read(changed(signed(), in_pieces), Require.ANY)
+
+
 def test_a_look_alike_of_the_signers_certificate_is_not_handed_on():
     # OpenSSL looks for the signer by issuer and serial number among those that came along.
     def look_alike(data, _):
