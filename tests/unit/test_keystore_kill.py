@@ -5,7 +5,9 @@ every N until the work is done; writes are cut in half. Then the parent looks.
 """
 
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -196,3 +198,38 @@ def test_two_processes_that_want_the_same_name_do_not_both_get_it(place):
         codes = at_once(*[lambda: issue_to(root, "/talker")] * 2)
         assert sorted(codes) == [0, 3]
         check_whole(Keystore.open(root, to_change=True), "/talker")
+
+
+def test_a_recovery_that_takes_in_what_an_earlier_pqsec_left_may_be_killed_too(place, prepared):
+    """Lines that it had in the ledger's -wal, of which nothing is lost or taken in twice."""
+    original = place / "committed"
+    shutil.copytree(prepared(("/old",)), original, symlinks=True)
+    leave_a_table_in_the_wal(original / "private/ledger.sqlite3")
+    calls = 1
+    while not (original / ".journal").is_dir():
+        survives(calls, lambda: issue_to(original, "/a"))
+        calls += 1
+    assert (original / "private/ledger.sqlite3-wal").stat().st_size > 0
+    count = 0
+    for root, _ in copies(place, original, Keystore.recover):
+        Keystore.recover(root)
+        check_ledger(Keystore.open(root))
+        with closing(sqlite3.connect(root / "private/ledger.sqlite3")) as database:
+            assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+            assert database.execute("SELECT number FROM another").fetchall() == [(5,)]
+        assert not list((root / "private").glob("ledger.sqlite3-*"))
+        count += 1
+    assert count > 10
+
+
+def leave_a_table_in_the_wal(ledger):
+    """Where SQLite writes it first; as a process leaves it that is killed."""
+    aside = ledger.parents[2] / "aside"
+    with closing(sqlite3.connect(ledger, isolation_level=None)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("CREATE TABLE another (number INTEGER)")
+        database.execute("INSERT INTO another VALUES (5)")
+        shutil.copytree(ledger.parent, aside)
+    for path in aside.glob("ledger.sqlite3*"):
+        path.replace(ledger.with_name(path.name))
+    ledger.with_name("ledger.sqlite3-shm").unlink()
