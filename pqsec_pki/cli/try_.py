@@ -12,6 +12,7 @@ from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.selfcheck.common import Ground
 from pqsec_pki.trial import (
     MACHINE,
     STACKS,
@@ -35,7 +36,9 @@ _COUPLE = 2
 @click.argument("names", nargs=-1, metavar="A B")
 @click.option("--topic", help="A sends on this DDS topic. [default: one they may use together]")
 @click.option(
-    "--domain", type=click.IntRange(0, 230), help="The domain they meet on. [default: the CA's]"
+    "--domain",
+    type=click.IntRange(0, 230),
+    help="The domain they meet on. [default: the first that both may join]",
 )
 @click.option(
     "--timeout",
@@ -147,8 +150,12 @@ def _way(
 ) -> Passage:
     """Who sends to whom, on what and where, with what the user left out found."""
     first, second = names
+    for name in names:
+        keystore.refuse_unknown(name)
     if domain is None:
-        domain = keystore.domains.ids()[0]
+        ground = Ground.of(keystore, names, now)
+        ground.refuse_split()
+        domain = ground.domain
     if topic is None:
         return passage(keystore, (first, second), domain, now)
     if not topic:

@@ -71,3 +71,13 @@ def test_the_environment_of_ros_2_is_checked_without_running_it(pqsec, keystore,
     assert done.code == code
     assert json.loads(done.out)["ok"] is (code == 0)
     assert list(json.loads(done.out)["participants"]) == ["/camera"]
+
+
+def test_two_are_tried_on_a_domain_that_both_may_join(pqsec, keystore):
+    keystore()
+    pqsec("governance new --domain 0-2 -o g.yaml").done()
+    pqsec("-k k sign-governance g.yaml -o k/enclaves/governance.p7s --force").done()
+    pqsec("-k k issue /one /two --domain 1 --publish a").done()
+    pqsec("-k k issue /far --domain 2 --publish a").done()
+    pqsec("-k k try cyclonedds /one /two").refused(2, "on domain 1 neither of /one and /two")
+    pqsec("-k k try cyclonedds /one /far").refused(1, "they share no domain: /one may join")
