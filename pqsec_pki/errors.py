@@ -39,10 +39,13 @@ class PqsecError(Exception):
     """
 
     exit_code = 3
+    code = Code.OTHER
 
-    def __init__(self, message: str, *, hint: str | None = None) -> None:
+    def __init__(self, message: str, *, code: Code | None = None, hint: str | None = None) -> None:
         super().__init__(message)
         self.hint = hint
+        if code is not None:
+            self.code = code
         self.where: str | None = None
 
     def __str__(self) -> str:
@@ -52,6 +55,11 @@ class PqsecError(Exception):
     def lines(self) -> tuple[str, ...]:
         """The message, a line for each thing that is wrong."""
         return (str(self),)
+
+    @property
+    def codes(self) -> frozenset[Code]:
+        """What is wrong, for programs."""
+        return frozenset({self.code})
 
     def _placed(self, message: str) -> str:
         return f"{self.where}: {message}" if self.where else message
@@ -69,6 +77,8 @@ class UnknownAlgorithmError(UsageError):
 
 class MalformedError(PqsecError):
     """Bytes that are not the certificate, key, document or message they should be."""
+
+    code = Code.FILE_MALFORMED
 
 
 class FileError(PqsecError):
@@ -150,7 +160,7 @@ def problems_of(error: PqsecError, code: Code = Code.OTHER) -> tuple[Problem, ..
     """What `error` says is wrong; `code` is for an error that has no codes of its own."""
     if isinstance(error, VerificationError):
         return error.problems
-    return (Problem(str(error), code),)
+    return (Problem(str(error), code if error.code is Code.OTHER else error.code),)
 
 
 @contextmanager

@@ -29,7 +29,7 @@ from pqsec_pki.certificates import (
     RevokedCertificate,
     revocation_list,
 )
-from pqsec_pki.keystore import Participant
+from pqsec_pki.credentials import Credentials
 from pqsec_pki.smime import Signer, sign
 
 YEAR = timedelta(days=365)
@@ -54,7 +54,7 @@ class Keys:
         )
 
     @classmethod
-    def of(cls, participant: Participant) -> Self:
+    def of(cls, participant: Credentials) -> Self:
         """The participant's own."""
         return cls(plain=participant.key, alternative=participant.alternative_key)
 

@@ -12,10 +12,10 @@ from pqsec_pki.attacks._relays import Edit
 from pqsec_pki.attacks._scene import Attempt, Scene, showing
 from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import Authority
+from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import adjusted_guid
-from pqsec_pki.keystore import Participant
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.encounter import Encounter, Side
 from pqsec_pki.smime import Signer, document_in, sign
@@ -49,7 +49,7 @@ def claim_guid(scene: Scene) -> Iterator[Attempt]:
 # Permissions
 
 
-Forger = Callable[[Participant, Participant, datetime], bytes]
+Forger = Callable[[Credentials, Credentials, datetime], bytes]
 """What the first shows as its permissions, knowing the second's."""
 
 
@@ -96,16 +96,16 @@ def _permitted(scene: Scene, what: str, forger: Forger) -> Iterator[Attempt]:
     return scene.posing(what, permitted)
 
 
-def _by_another_ca(own: Participant, _: Participant, now: datetime) -> bytes:
+def _by_another_ca(own: Credentials, _: Credentials, now: datetime) -> bytes:
     document = document_in(own.permissions)
-    return signed_alike(document, own.permissions_ca, own.permissions_alt_ca, now)
+    return signed_alike(document, own.permissions_ca, own.countersigner, now)
 
 
-def _by_itself(own: Participant, _: Participant, now: datetime) -> bytes:
+def _by_itself(own: Credentials, _: Credentials, now: datetime) -> bytes:
     return sign(document_in(own.permissions), Signer(own.certificate, own.key), now=now)
 
 
-def _renamed(own: Participant, other: Participant, _: datetime) -> bytes:
+def _renamed(own: Credentials, other: Credentials, _: datetime) -> bytes:
     theirs, ours = (each.certificate.subject_name.encode() for each in (other, own))
     return other.permissions.replace(theirs, ours)
 

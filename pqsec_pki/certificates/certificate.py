@@ -16,7 +16,7 @@ from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements, plai
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import MalformedError, PqsecError
 
 MAX_CERTIFICATE = 256 << 10
 """Bytes of PEM or DER. The largest of ours (ML-DSA-87) is 10 kB."""
@@ -150,6 +150,14 @@ class Certificate:
     def fingerprint(self) -> str:
         """SHA-256 of the DER, in hex."""
         return hashlib.sha256(self.der).hexdigest()
+
+    def signed(self, other: "Certificate") -> bool:
+        """Whether the subject's key made the signature on `other` (RFC 5280 6.1.3 (a)(1))."""
+        try:
+            self.public_key.verify(other.signature, other.tbs, other.identifier)
+        except PqsecError:
+            return False
+        return True
 
     @property
     def is_self_issued(self) -> bool:

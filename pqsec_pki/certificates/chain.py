@@ -80,9 +80,10 @@ def _lasting_problems(authority: Certificate) -> tuple[Problem, ...]:
 
 
 def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem]:
-    # 6.1.4 (k): basicConstraints present, cA true
+    # 6.1.4 (k): basicConstraints present, cA true; a certificate of version 1 has none, and is
+    # an authority because its user names it as one: a name and a key (6.1.1 (d))
     constraints = _value(authority, x509.BasicConstraints)
-    if constraints is None or not constraints.ca:
+    if authority.version > 1 and (constraints is None or not constraints.ca):
         yield Problem(f"{who} is not marked as a CA (basicConstraints)", Code.NOT_CA)
     # 6.1.4 (n): keyCertSign, if keyUsage is there
     usage = _value(authority, x509.KeyUsage)
@@ -95,7 +96,7 @@ def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem
     # DDS stacks take self-signed authorities only; the signature must be its own
     if not authority.is_self_issued:
         yield Problem(f"{who} is not self-signed", Code.NOT_SELF_SIGNED)
-    elif not _signed_by(authority, authority):
+    elif not authority.signed(authority):
         yield Problem(f"the signature of {who} is not its own", Code.BAD_SIGNATURE)
 
 
@@ -106,7 +107,7 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
         issuer, expected = name_text(leaf.issuer), authority.subject_name
         yield Problem(f"{who} was issued by {issuer}, not by {expected}", Code.WRONG_ISSUER)
     # 6.1.3 (a)(1): the signature
-    elif not _signed_by(leaf, authority):
+    elif not authority.signed(leaf):
         yield Problem(
             f"{who} is not signed by this CA (same name, another key, or altered)",
             Code.BAD_SIGNATURE,
@@ -168,14 +169,6 @@ def _validity_problems(certificate: Certificate, who: object, now: datetime) -> 
         yield Problem(
             f"{who} expired on {certificate.not_after:%Y-%m-%d %H:%M:%S} UTC", Code.EXPIRED
         )
-
-
-def _signed_by(certificate: Certificate, issuer: Certificate) -> bool:
-    try:
-        issuer.public_key.verify(certificate.signature, certificate.tbs, certificate.identifier)
-    except PqsecError:
-        return False
-    return True
 
 
 def _value(certificate: Certificate, kind: type[Value]) -> Value | None:

@@ -6,9 +6,9 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _printing, _settings
-from pqsec_pki.enrolment import Bundle, flat_name, verify_bundle
+from pqsec_pki.enrolment import Bundle, flat_name
 from pqsec_pki.errors import FileError, UsageError, located
-from pqsec_pki.keystore.enclave import regular_name
+from pqsec_pki.keystore import regular_name
 
 
 @click.command()
@@ -53,7 +53,6 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     keystore = _settings.open_keystore()
     now = _settings.now()
     made = Bundle.of(keystore, wanted, now=now, keys=not no_keys)
-    verify_bundle(made, made.fingerprints, now=now)
     recipient = _bundles.recipient(seal_for)
     _bundles.write(made, goal, recipient, force=force, plain_key=plain_key)
     if made.has_keys and plain_key:

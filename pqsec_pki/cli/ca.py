@@ -97,10 +97,17 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 
 
 @ca.command()
+@click.option(
+    "--pins", is_flag=True, help="Only the CAs, as `pqsec install` is told to trust them."
+)
 @_settings.command_options
-def show() -> None:
+def show(*, pins: bool) -> None:
     """Show the CAs, the profile and the participants of a keystore."""
-    _show(_settings.open_keystore())
+    keystore = _settings.open_keystore()
+    if pins:
+        _show_pins(keystore)
+    else:
+        _show(keystore)
 
 
 @ca.command()
@@ -152,6 +159,16 @@ def recover() -> None:
     finished = Keystore.recover(path)
     line = "the change that was interrupted is finished" if finished else "nothing was interrupted"
     _printing.emit({"keystore": str(path), "finished": finished}, [f"{path}: {line}"])
+
+
+def _show_pins(keystore: Keystore) -> None:
+    """What a robot is told to trust, as `pqsec install` takes it."""
+    overlap = Overlap.of(keystore)
+    cas = [("identity", keystore.identity_ca), ("permissions", keystore.permissions_ca)]
+    cas += [("identity", overlap.other)] if overlap else []
+    cas += [("countersigner", each) for each in [keystore.permissions_alt_ca] if each]
+    pins = [f"{role}:{each.fingerprint}" for role, each in cas]
+    _printing.emit({"pins": pins}, [f"--ca-fingerprint {each}" for each in pins])
 
 
 def _show(keystore: Keystore) -> None:

@@ -7,6 +7,7 @@ import click
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
+from pqsec_pki.enrolment import pins_of
 from pqsec_pki.enrolment import rollback as roll_back
 
 
@@ -16,8 +17,9 @@ from pqsec_pki.enrolment import rollback as roll_back
     "--ca-fingerprint",
     "fingerprints",
     multiple=True,
-    metavar="SHA256",
-    help="Of a CA to trust; name each. [default: those of what is installed]",
+    metavar="ROLE:SHA256",
+    help="Of a CA to trust, and as what: identity, permissions or countersigner; name each."
+    " [default: those that are trusted here]",
 )
 @click.option(
     "--trust-first",
@@ -46,7 +48,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     done = install_bundle(
         bundle,
         folder,
-        fingerprints,
+        pins_of(fingerprints),
         now=_settings.now(),
         trust_first=trust_first,
         older=older,
@@ -64,13 +66,16 @@ def install(  # noqa: PLR0913 -- one for each option, by name
 
 
 @click.command()
+@click.option("--older", is_flag=True, help="Also to what is older, or of other CAs.")
 @folder_option
 @_settings.command_options
-def rollback(folder: Path) -> None:
-    """Go back to what was installed before the last bundle.
+def rollback(folder: Path, *, older: bool) -> None:
+    """Go back to what was installed before the last bundle, once.
 
-    Nothing is checked: its certificates may have ended, its revocation list is older.
+    What is older than the newest that was installed here is refused: it may grant rights that
+    were withdrawn, and let in peers that were revoked. --older takes it all the same. Whether its
+    certificates have expired is not checked.
     """
-    earlier = roll_back(folder)
+    earlier = roll_back(folder, older=older)
     value = {"current": str(earlier.path), "installed_at": earlier.at.isoformat()}
     _printing.emit(value, [f"back to what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"])

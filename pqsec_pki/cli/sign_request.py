@@ -11,7 +11,7 @@ from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
 from pqsec_pki.cli._wishes import Wanted, wish_options
 from pqsec_pki.documents import DomainSet, Permissions
-from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, sign
+from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, pins_of, sign
 from pqsec_pki.enrolment.archive import MAX_ARCHIVE
 from pqsec_pki.errors import UsageError, VerificationError, located
 from pqsec_pki.keystore import Wish
@@ -136,7 +136,11 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     help="The file that was exported, which it must answer.",
 )
 @click.option(
-    "--ca-fingerprint", "fingerprints", multiple=True, metavar="SHA256", help="Of the CAs."
+    "--ca-fingerprint",
+    "fingerprints",
+    multiple=True,
+    metavar="ROLE:SHA256",
+    help="Of the CAs that the bundles must be of, each with its role.",
 )
 @_bundles.folder_option
 @_force
@@ -160,7 +164,7 @@ def import_(
             data,
             asked,
             folder or Path(),
-            fingerprints=fingerprints,
+            pins=pins_of(fingerprints),
             now=_settings.now(),
             force=force,
         )

@@ -12,17 +12,19 @@ from pqsec_pki.enrolment.outbox import refresh
 from pqsec_pki.enrolment.place import InstalledSet
 from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
 from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
-from pqsec_pki.enrolment.verification import Credentials, verify_bundle
+from pqsec_pki.enrolment.trust import Pins, pins_of
+from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 
 __all__ = [
     "NAMELESS",
     "Accepted",
     "Bundle",
-    "Credentials",
     "Installed",
     "InstalledSet",
+    "Pins",
     "Requested",
     "SignRequest",
+    "VerifiedBundle",
     "accept",
     "admit",
     "fingerprint",
@@ -32,6 +34,7 @@ __all__ = [
     "make_sealing_key",
     "name_asked_for",
     "open_sealed",
+    "pins_of",
     "refresh",
     "request",
     "rollback",

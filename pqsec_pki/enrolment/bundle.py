@@ -14,25 +14,22 @@ from pathlib import Path
 from typing import Self
 
 from pqsec_pki._files import disk_errors, write
-from pqsec_pki.algorithms import unpem
-from pqsec_pki.certificates import Certificate
-from pqsec_pki.enrolment.parcel import Parcel
-from pqsec_pki.errors import MalformedError, PqsecError, UsageError, located, shown
-from pqsec_pki.keystore import Keystore
-from pqsec_pki.keystore.enclave import (
+from pqsec_pki.credentials import (
+    CA_FILES,
     FILES,
-    IDENTITY_CA,
     KEYS,
     NEEDED,
-    PERMISSIONS_ALT_CA,
-    PERMISSIONS_CA,
-    enclave_files,
-    regular_name,
+    Credentials,
+    certificates_in,
+    verify_credentials,
 )
+from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.errors import MalformedError, PqsecError, UsageError, shown
+from pqsec_pki.keystore import Keystore, enclave_files, regular_name
+from pqsec_pki.problems import Code
 
 KIND = "bundle"
 ENCLAVES = "enclaves"
-CAS = (IDENTITY_CA, PERMISSIONS_CA, PERMISSIONS_ALT_CA)
 
 
 @dataclass(frozen=True)  # no slots: what is worked out once is kept
@@ -48,18 +45,22 @@ class Bundle:
     ) -> Self:
         """The bundle of these participants; without `keys` only what anybody may read.
 
-        KeystoreError if one is not there or lacks a file, UsageError for no names.
+        What is in it was verified, as its robot will at `now`, and written again from that:
+        VerificationError lists everything that is wrong. KeystoreError if a participant is not
+        there or lacks a file, UsageError for no names.
         """
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
             raise UsageError("a bundle is for at least one participant")
-        found = {name: enclave_files(keystore, name) for name in regular}
+        enclaves = {
+            name: _verified(name, enclave_files(keystore.root, name), now) for name in regular
+        }
         left_out = () if keys else KEYS
         return cls(
             now.replace(microsecond=0),
             {
                 name: {each: data for each, data in files.items() if each not in left_out}
-                for name, files in found.items()
+                for name, files in enclaves.items()
             },
         )
 
@@ -119,21 +120,23 @@ class Bundle:
 
     @property
     def fingerprints(self) -> tuple[str, ...]:
-        """SHA-256 of the CAs' certificates: identity, permissions, countersigner."""
-        return tuple(dict.fromkeys(each for found in self.roles.values() for each in found))
+        """SHA-256 of the CAs' certificates, sorted."""
+        return tuple(sorted({each for found in self.roles.values() for each in found}))
 
     @cached_property
-    def roles(self) -> Mapping[str, tuple[str, ...]]:
+    def roles(self) -> Mapping[str, frozenset[str]]:
         """The same by the file that they stand in.
 
-        Of all in each file: a stack may trust the second one too.
+        Of all in each file: a stack may trust the second one too. MalformedError for a file
+        that is not certificates.
         """
-        return {file: tuple(dict.fromkeys(self._authorities(file))) for file in CAS}
+        found = {file: frozenset(self._authorities(file)) for file in CA_FILES}
+        return {file: pins for file, pins in found.items() if pins}
 
     def _authorities(self, file: str) -> Iterator[str]:
         for name, files in self.enclaves.items():
             if file in files:
-                for each in certificates_in(files[file], f"{name} {file}"):
+                for each in certificates_in(files[file], f"{name}: {file}"):
                     yield each.fingerprint
 
 
@@ -142,22 +145,17 @@ def flat_name(name: str) -> str:
     return name.removeprefix("/").replace("/", "+")
 
 
-def certificates_in(data: bytes, where: str) -> list[Certificate]:
-    """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
-    with located(where):
-        blocks = unpem(data, "certificate")
-        if not blocks or len(blocks) != data.count(b"-----BEGIN"):
-            raise MalformedError("not certificates in PEM, and nothing else")
-        if any(label != "CERTIFICATE" for label, _ in blocks):
-            raise MalformedError("not certificates alone")
-        return [Certificate.from_der(der) for _, der in blocks]
-
-
 def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
     """Write `data` to the file `goal`, and make its folder; errors as _files.write."""
     with disk_errors(goal.parent):
         goal.parent.mkdir(parents=True, exist_ok=True)
     write(goal, data, private=private, force=force)
+
+
+def _verified(name: str, files: Mapping[str, bytes], now: datetime) -> dict[str, bytes]:
+    keys = {file: data for file, data in files.items() if file in KEYS}
+    public = {file: data for file, data in files.items() if file not in KEYS}
+    return {**verify_credentials(Credentials.of(name, public), now=now).files, **keys}
 
 
 def _check_complete(name: str, files: Mapping[str, bytes]) -> None:
@@ -168,4 +166,6 @@ def _check_complete(name: str, files: Mapping[str, bytes]) -> None:
         raise MalformedError(f"the bundle is for {shown(name)!r}") from error
     missing = [each for each in NEEDED if each not in files]
     if missing:
-        raise MalformedError(f"the bundle lacks {', '.join(missing)} of {name}")
+        raise MalformedError(
+            f"the bundle lacks {', '.join(missing)} of {name}", code=Code.FILE_MISSING
+        )

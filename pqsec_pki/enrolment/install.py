@@ -7,12 +7,14 @@ from pathlib import Path
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
+from pqsec_pki.credentials import KEYS, REVOCATION_LIST, Credentials, VerifiedCredentials
 from pqsec_pki.enrolment.archive import MAX_ARCHIVE
-from pqsec_pki.enrolment.bundle import CAS, Bundle
+from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.place import CURRENT, InstalledSet, Place, changing
 from pqsec_pki.enrolment.request import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
-from pqsec_pki.enrolment.verification import Credentials, keys_of, older_parts, pin, verify_bundle
+from pqsec_pki.enrolment.trust import Marks, Pins, TrustState, pin_problems, pins_in
+from pqsec_pki.enrolment.verification import VerifiedBundle, keys_of, verify_bundle
 from pqsec_pki.errors import (
     KeystoreError,
     PqsecError,
@@ -20,7 +22,6 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore.enclave import KEYS, LIST, NEEDED
 
 MAX_FILE = MAX_ARCHIVE + (64 << 10)
 """Bytes: sealing adds to the archive."""
@@ -42,7 +43,7 @@ class Installed:
 def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     path: Path,
     root: Path,
-    fingerprints: Collection[str],
+    pins: Pins | None = None,
     *,
     now: datetime,
     trust_first: bool = False,
@@ -51,10 +52,12 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
 ) -> Installed:
     """Let the robot's folder `root` hold what is in the bundle in file `path`.
 
-    Its CAs must be those of `fingerprints`; without any, those of what is installed. On a
-    first installation `trust_first` takes whatever CAs the bundle has. `older` also takes
-    what is older than what is installed. Other participants that are installed stay, with
-    the bundle's revocation list, unless it shall be there `alone`.
+    Its CAs must be those of `pins`, each in its role; without any, those that are trusted
+    here. On a first installation `trust_first` takes whatever CAs the bundle has. `older` also
+    takes what is older than what was installed before. Other participants that are installed
+    stay, with the bundle's revocation list, unless it shall be there `alone`.
+
+    What is installed was verified, and is written again from what was verified.
 
     VerificationError lists everything that is wrong with the bundle; then, as with any
     error, nothing has changed.
@@ -63,25 +66,30 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     with changing(root) as place, located(path):
         bundle = Bundle.from_bytes(_opened(data, root))
         before = place.current
-        pins = _pins(before, fingerprints, bundle, trust_first=trust_first)
-        credentials = _verified(bundle, pins, now)
-        if before and not older:
-            _refuse_older(credentials, before)
-        keys = {each.name: _keys(each, bundle, place) for each in credentials}
-        others = {} if alone else _others(before, bundle)
-        wanted = {name: {**files, **keys[name]} for name, files in bundle.enclaves.items()}
+        state = _trust_state(place, before, needed=not (pins and older))
+        trusted = _pins(state, pins, bundle, trust_first=trust_first)
+        found = _verified(bundle, trusted, now)
+        if state and not older:
+            _refuse_older(found.credentials, state)
+        keys = {each.name: _keys(each, bundle, place) for each in found.verified}
+        others = {} if alone else _others(before, bundle, found)
+        wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
         already = before is not None and before.enclaves == wanted
+        place.trust(_raised(state, found.credentials, trusted))
         if not already:
             place.put(wanted, now)
         place.tidy(keys)  # also what a killed installation left
-        return _told(credentials, place, already=already)
+        return _told(found, place, already=already)
 
 
-def rollback(root: Path) -> InstalledSet:
+def rollback(root: Path, *, older: bool = False) -> InstalledSet:
     """Let the set before the current one be current again.
 
-    KeystoreError if there is none.
+    KeystoreError if there is none, or it cannot be read; VerificationError if it is of other
+    CAs than those that are trusted here, or anything in it is older than the newest that was
+    installed, unless `older`. What was seen here stays known: no older bundle can be installed
+    afterwards either.
     """
     with changing(root) as place:
         current = place.current
@@ -90,6 +98,11 @@ def rollback(root: Path) -> InstalledSet:
         if current.previous is None or not (current.path.parent / current.previous).is_dir():
             raise KeystoreError(f"{root} keeps nothing from before {current.at:%Y-%m-%d %H:%M} UTC")
         earlier = place.set_named(current.previous)
+        state = _trust_state(place, current, needed=not older)
+        if state and not older:
+            _refuse_rollback(earlier, state)
+        else:
+            place.trust(_raised(state, (), pins_in(_installed(earlier))))
         place.point_to(current.previous)
         return earlier
 
@@ -108,29 +121,50 @@ def _opened(data: bytes, root: Path) -> bytes:
     return open_sealed(data, opener)
 
 
+def _trust_state(place: Place, before: InstalledSet | None, *, needed: bool) -> TrustState | None:
+    """What is believed here: as written down, or, where an older pqsec installed, as it shows.
+
+    None where nothing is, or, unless it is `needed`, where it cannot be read.
+    """
+    try:
+        state = place.trust_state
+        if state or before is None:
+            return state
+        installed = _installed(before)
+        return _raised(None, installed, pins_in(installed))
+    except PqsecError as error:
+        if not needed:
+            return None
+        error.hint = error.hint or (
+            "to do without what was installed before: --older, and --ca-fingerprint for each CA"
+        )
+        raise
+
+
+def _raised(
+    state: TrustState | None, credentials: Collection[Credentials], pins: Pins
+) -> TrustState:
+    return (state or TrustState(pins=pins, marks=Marks())).after(credentials, pins)
+
+
 def _pins(
-    before: InstalledSet | None,
-    fingerprints: Collection[str],
-    bundle: Bundle,
-    *,
-    trust_first: bool,
-) -> tuple[str, ...]:
-    """Which CAs are believed in."""
-    if fingerprints:
-        return tuple(map(pin, fingerprints))
-    if before:
-        installed = Bundle(before.at, before.enclaves)
-        _refuse_other_roles(bundle, installed)
-        return installed.fingerprints
+    state: TrustState | None, pins: Pins | None, bundle: Bundle, *, trust_first: bool
+) -> Pins:
+    """Which CAs are believed in, and as what."""
+    if pins:
+        return pins
+    if state:
+        return state.pins
     if trust_first:
-        return bundle.fingerprints
+        return bundle.roles
     raise UsageError(
         "nothing is installed yet, so nothing tells which CAs to trust",
-        hint="name each: --ca-fingerprint SHA256; `pqsec ca show`, where they are, prints them",
+        hint="name each: --ca-fingerprint ROLE:SHA256; `pqsec ca show --pins`, where they are,"
+        " prints them",
     )
 
 
-def _verified(bundle: Bundle, pins: Collection[str], now: datetime) -> tuple[Credentials, ...]:
+def _verified(bundle: Bundle, pins: Pins, now: datetime) -> VerifiedBundle:
     try:
         return verify_bundle(bundle, pins, now=now)
     except VerificationError as error:
@@ -141,47 +175,35 @@ def _verified(bundle: Bundle, pins: Collection[str], now: datetime) -> tuple[Cre
         raise
 
 
-def _refuse_other_roles(bundle: Bundle, installed: Bundle) -> None:
-    """A CA that is trusted to sign one thing is not trusted with another."""
-    problems = [
-        f"a CA that is trusted stands as {file}, and stood elsewhere: SHA-256 {each}"
-        for file in CAS
-        for each in bundle.roles[file]
-        if each in installed.fingerprints and each not in installed.roles[file]
-    ]
-    if problems:
-        raise VerificationError(
-            *problems, hint="if that is meant, name each CA anew: --ca-fingerprint SHA256"
-        )
-
-
-def _refuse_older(credentials: Collection[Credentials], before: InstalledSet) -> None:
+def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> None:
     """Nobody gets old rights back, or revoked peers in again, by sending an old bundle."""
-    installed = _installed(before)
-    problems = [
-        problem for new in credentials for old in installed for problem in older_parts(new, old)
-    ]
+    problems = [problem for each in credentials for problem in state.marks.problems(each)]
+    if problems:
+        raise VerificationError(*dict.fromkeys(problems), hint="if that is meant: --older")
+
+
+def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
+    credentials = _installed(earlier)
+    problems = list(pin_problems(pins_in(credentials), state.pins))
+    problems += [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
         raise VerificationError(
-            *dict.fromkeys(problems), hint="if that is meant: --older, or `pqsec rollback`"
+            *dict.fromkeys(problems), hint="if that is meant: `pqsec rollback --older`"
         )
 
 
-def _installed(before: InstalledSet) -> list[Credentials]:
-    """What is installed, read; an error says how to do without."""
-    try:
-        with located(before.path):
-            for name, files in before.enclaves.items():
-                missing = [each for each in NEEDED if each not in files]
-                if missing:
-                    raise KeystoreError(f"{name} lacks {', '.join(missing)}")
-            return [Credentials.of(name, files) for name, files in before.enclaves.items()]
-    except PqsecError as error:
-        error.hint = "with --older the bundle is not compared with what is installed"
-        raise
+def _installed(found: InstalledSet) -> list[Credentials]:
+    """What is installed, read; nothing of it is verified."""
+    with located(found.path):
+        return [
+            Credentials.of(name, {file: each for file, each in files.items() if file not in KEYS})
+            for name, files in found.enclaves.items()
+        ]
 
 
-def _others(before: InstalledSet | None, bundle: Bundle) -> dict[str, dict[str, bytes]]:
+def _others(
+    before: InstalledSet | None, bundle: Bundle, found: VerifiedBundle
+) -> dict[str, dict[str, bytes]]:
     """What else is installed, of the same CAs; VerificationError for what is of others."""
     there = before.enclaves if before else {}
     others = {name: dict(files) for name, files in there.items() if name not in bundle.names}
@@ -190,9 +212,10 @@ def _others(before: InstalledSet | None, bundle: Bundle) -> dict[str, dict[str, 
             f"also installed: {', '.join(others)}, which are not of the bundle's CAs",
             hint="`pqsec bundle` makes one for all of them; or --only lets them go",
         )
-    for revoked in (files[LIST] for files in bundle.enclaves.values() if LIST in files):
-        for files in others.values():
-            files[LIST] = revoked
+    for files in found.files.values():
+        if REVOCATION_LIST in files:
+            for each in others.values():
+                each[REVOCATION_LIST] = files[REVOCATION_LIST]
     return others
 
 
@@ -204,17 +227,17 @@ def _same_authorities(one: Bundle, other: Bundle) -> bool:
         return False
 
 
-def _keys(credentials: Credentials, bundle: Bundle, place: Place) -> Mapping[str, bytes]:
+def _keys(verified: VerifiedCredentials, bundle: Bundle, place: Place) -> Mapping[str, bytes]:
     """The private keys: from the bundle, or made or installed here before."""
-    name = credentials.name
+    name = verified.name
     inside = {key: data for key, data in bundle.enclaves[name].items() if key in KEYS}
-    return keys_of(credentials, [inside] if inside else place.keys(name))
+    return keys_of(verified, [inside] if inside else place.keys(name))
 
 
-def _told(credentials: Collection[Credentials], place: Place, *, already: bool) -> Installed:
+def _told(found: VerifiedBundle, place: Place, *, already: bool) -> Installed:
     return Installed(
-        names=tuple(each.name for each in credentials),
-        not_after=min(each.certificate.not_after for each in credentials),
+        names=tuple(each.name for each in found.verified),
+        not_after=min(each.certificate.not_after for each in found.verified),
         current=place.root / CURRENT,
         already=already,
     )

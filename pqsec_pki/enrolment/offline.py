@@ -14,13 +14,15 @@ from typing import Self
 
 from pqsec_pki._files import is_there, read
 from pqsec_pki.algorithms import Profile
-from pqsec_pki.certificates import Certificate, CertificateRequest
+from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.credentials import CERTIFICATE, certificates_in
 from pqsec_pki.documents import Permissions
 from pqsec_pki.enrolment.admission import admit
 from pqsec_pki.enrolment.archive import MAX_ARCHIVE
 from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
 from pqsec_pki.enrolment.parcel import Parcel
-from pqsec_pki.enrolment.verification import pin, verify_bundle
+from pqsec_pki.enrolment.trust import Pins
+from pqsec_pki.enrolment.verification import verify_bundle
 from pqsec_pki.enrolment.wishes import policy_file, read_wish, wish_value
 from pqsec_pki.errors import (
     ExistsError,
@@ -31,7 +33,6 @@ from pqsec_pki.errors import (
     located,
 )
 from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
-from pqsec_pki.keystore.enclave import CERTIFICATE
 
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
 MAX_UNPACKED = 256 << 20
@@ -152,20 +153,19 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
     asked: SignRequest,
     folder: Path,
     *,
-    fingerprints: Sequence[str] = (),
+    pins: Pins | None = None,
     now: datetime,
     force: bool = False,
 ) -> list[Accepted]:
     """Write the bundles of an answer to what was `asked` into `folder`, all or none.
 
-    VerificationError if it answers something else or does not hold; with `fingerprints`
+    VerificationError if it answers something else or does not hold; with `pins`
     its CAs must be these. ExistsError for another bundle in the place of one, unless
     `force`.
     """
-    pins = tuple(map(pin, fingerprints))
     bundles = _answers(Parcel.unpack(answer, ANSWER_KIND), asked)
     for bundle in bundles.values():
-        verify_bundle(bundle, pins or bundle.fingerprints, now=now)
+        verify_bundle(bundle, pins or bundle.roles, now=now)
     goals = {name: folder / f"{flat_name(name)}.bundle" for name in bundles}
     there = {name for name, goal in goals.items() if _is_there(goal, bundles[name], force=force)}
     for name in (each for each in bundles if each not in there):
@@ -205,7 +205,7 @@ def _bundles_in(parcel: Parcel, names: Sequence[str]) -> Iterator[tuple[str, Bun
 
 def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:
     with located(name):
-        certificate = Certificate.from_pem(bundle.enclaves[name][CERTIFICATE])
+        certificate = certificates_in(bundle.enclaves[name][CERTIFICATE], CERTIFICATE)[0]
         kept = certificate.alternative.spki if certificate.alternative else None
         asked = request.alternative.spki if request.alternative else None
     return (certificate.spki, kept) == (request.spki, asked)

@@ -3,6 +3,7 @@
 current -> sets/3   what processes read; one rename changes all of it
 sets/<n>/           enclaves/<path>/..., and installed.json: what came before it
 requests/<name>/    key.pem [alt.key.pem] request.csr, until the answer is installed
+trust.json          the CAs that are trusted, and how new the newest was that was ever installed
 bundle.key.pem      what sealed bundles are opened with, where it was made
 
 A set never changes once it is there. The one before the current is kept.
@@ -31,12 +32,14 @@ from pqsec_pki._files import (
     walk,
 )
 from pqsec_pki._owners import outsider, way_out
+from pqsec_pki.credentials import CERTIFICATE, FILES, KEY, KEYS
 from pqsec_pki.enrolment.bundle import ENCLAVES, flat_name
-from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore.enclave import CERTIFICATE, FILES, KEY, KEYS
+from pqsec_pki.enrolment.trust import TrustState
+from pqsec_pki.errors import KeystoreError, located
 
 CURRENT, SETS, REQUESTS = "current", "sets", "requests"
 RECORD = "installed.json"
+TRUST = "trust.json"
 DRAFT = ".draft-"
 FORMAT = 1
 _PRIVATE_FOLDER = 0o700
@@ -84,6 +87,25 @@ class Place:
                 f"{link} is not a link that pqsec made", hint="install into another --dir"
             )
         return self.set_named(name)
+
+    @property
+    def trust_state(self) -> TrustState | None:
+        """What is believed here, if that was written down; KeystoreError if it is damaged."""
+        path = self.root / TRUST
+        if not os.path.lexists(path):
+            return None
+        with located(path):
+            return TrustState.from_json(read(path))
+
+    def trust(self, state: TrustState) -> None:
+        """Write down what is believed here, in one step."""
+        data = state.to_json()
+        if self.trust_state == state:
+            return
+        draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        create(draft, data, mode=PRIVATE_MODE)
+        draft.rename(self.root / TRUST)
+        sync_folder(self.root)
 
     def set_named(self, name: str) -> InstalledSet:
         """That set; KeystoreError if it is damaged, FileError if it is not there."""

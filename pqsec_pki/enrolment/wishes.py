@@ -7,8 +7,7 @@ from typing import Any
 from pqsec_pki.certificates import common_name
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.enrolment.bundle import flat_name
-from pqsec_pki.keystore import Wish
-from pqsec_pki.keystore.enclave import regular_name
+from pqsec_pki.keystore import Wish, regular_name
 
 
 def wish_value(wish: Wish) -> dict[str, Any]:

@@ -5,7 +5,7 @@ the folder as it is.
 
 What there is:
     _layout       where each file lies
-    participant   one participant, read whole; `enclave`, its files as bytes
+    participant   one participant, its files and what they say
     authorities   the CAs, with their private keys
     keystore      the folder, made and opened
 The ledger:
@@ -40,12 +40,12 @@ Questions:
 """
 
 from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore._layout import enclave_name as regular_name
 from pqsec_pki.keystore._making import Issued, PublicKeys
 from pqsec_pki.keystore.adopting import Adopted, adopt
 from pqsec_pki.keystore.auditing import audit
 from pqsec_pki.keystore.authorities import Authorities, required_signatures
 from pqsec_pki.keystore.compromised import key_hashes
-from pqsec_pki.keystore.enclave import regular_name
 from pqsec_pki.keystore.foreseeing import Outlook, foresee
 from pqsec_pki.keystore.holdings import Files, Holding, Holdings, holdings
 from pqsec_pki.keystore.issuing import Wish, issue
@@ -60,7 +60,7 @@ from pqsec_pki.keystore.overlapping import (
     switch_overlap,
 )
 from pqsec_pki.keystore.participant import (
-    Participant,
+    enclave_files,
     load_certificate,
     load_participant,
     load_revocation_list,
@@ -88,7 +88,6 @@ __all__ = [
     "Line",
     "Outlook",
     "Overlap",
-    "Participant",
     "Phase",
     "PublicKeys",
     "Renewal",
@@ -107,6 +106,7 @@ __all__ = [
     "cancel_overlap",
     "change_passphrase",
     "check_begin",
+    "enclave_files",
     "finish_overlap",
     "foresee",
     "govern",

@@ -14,6 +14,7 @@ import os
 import re
 from pathlib import Path, PurePosixPath
 
+from pqsec_pki import credentials
 from pqsec_pki._files import exists, walk
 from pqsec_pki.errors import UsageError, shown
 
@@ -23,22 +24,25 @@ GENERATIONS = f"{PRIVATE}/generations"
 """CAs that made way for others, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
 
-IDENTITY_CA, PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem"
-PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
+CERTIFICATE, KEY, ALT_KEY, KEYS = (
+    credentials.CERTIFICATE,
+    credentials.KEY,
+    credentials.ALT_KEY,
+    credentials.KEYS,
+)
+IDENTITY_CA, PERMISSIONS_CA = credentials.IDENTITY_CA, credentials.PERMISSIONS_CA
+PERMISSIONS_ALT_CA = credentials.PERMISSIONS_ALT_CA
 IDENTITY_KEY, IDENTITY_ALT_KEY = "identity_ca.key.pem", "identity_ca.alt.key.pem"
 NEXT_KEY, NEXT_ALT_KEY = "next_identity_ca.key.pem", "next_identity_ca.alt.key.pem"
 """Of the identity CA that will issue, once an overlap has begun and until it is switched."""
 PERMISSIONS_KEY, PERMISSIONS_ALT_KEY = "permissions_ca.key.pem", "permissions_ca.alt.key.pem"
 
-CERTIFICATE, KEY, ALT_KEY = "cert.pem", "key.pem", "alt.key.pem"
-KEYS = (KEY, ALT_KEY)
-"""The private ones; not there if they were made elsewhere, for a request."""
 REQUEST = "request.pem"
 """The request that the certificate answers, if its keys were made elsewhere."""
-CA_LIST, LIST = "identity_ca.crl.pem", "crl.pem"
+CA_LIST, LIST = "identity_ca.crl.pem", credentials.REVOCATION_LIST
 """The identity CA's revocation list, and the link to it in each enclave, once there is one."""
-PERMISSIONS_XML, PERMISSIONS = "permissions.xml", "permissions.p7s"
-GOVERNANCE_XML, GOVERNANCE = "governance.xml", "governance.p7s"
+PERMISSIONS_XML, PERMISSIONS = "permissions.xml", credentials.PERMISSIONS
+GOVERNANCE_XML, GOVERNANCE = "governance.xml", credentials.GOVERNANCE
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")

@@ -11,6 +11,7 @@ from typing import Self
 from pqsec_pki._files import disk_errors, exists, read, refuse_existing, write
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import DomainSet, Governance, Kind
 from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
 from pqsec_pki.keystore import _journal, _layout
@@ -20,7 +21,6 @@ from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
 from pqsec_pki.keystore.participant import (
-    Participant,
     load_certificate,
     load_participant,
     load_revocation_list,
@@ -211,7 +211,7 @@ class Keystore:
         """KeystoreError if there is no participant called `name`."""
         refuse_unknown(self.root, _layout.enclave_name(name))
 
-    def participant(self, name: str, passphrase: bytes | None = None) -> Participant:
+    def participant(self, name: str, passphrase: bytes | None = None) -> Credentials:
         """The participant called `name`; KeystoreError if there is none."""
         return load_participant(self.root, _layout.enclave_name(name), passphrase)
 

@@ -1,66 +1,44 @@
-"""A participant as it lies in its enclave: keys, certificate, documents, and whom it trusts."""
+"""A participant as it lies in its enclave: its files, and what they say."""
 
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors, exists, read
-from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.credentials import FILES, NEEDED, Credentials
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
 from pqsec_pki.keystore import _layout
+from pqsec_pki.problems import Code
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Participant:
-    """Everything one participant runs with, as read: nothing of it is verified here."""
-
-    name: str
-    certificate: Certificate
-    key: PrivateKey = field(repr=False)
-    alternative_key: PrivateKey | None = field(repr=False)
-    permissions: bytes = field(repr=False)
-    """The signed permissions document, S/MIME."""
-    governance: bytes = field(repr=False)
-    """The signed governance document, S/MIME."""
-    identity_ca: Certificate
-    permissions_ca: Certificate
-    permissions_alt_ca: Certificate | None
-    """Signer of countersignatures, where the profile has them."""
-    revocation_list: RevocationList | None = None
-    """The identity CA's, once it has taken certificates back."""
-
-
-def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> Participant:
-    """The participant called `name` in the keystore at `root`.
+def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> Credentials:
+    """The participant called `name` in the keystore at `root`, with its keys.
 
     KeystoreError if there is none or a file is missing, MalformedError for a file that
     cannot be read, PassphraseError for an encrypted key without `passphrase`.
     """
     folder = root / _layout.enclave_folder(name)
-    with disk_errors(folder):
-        return _load(root, folder, name, passphrase)
+    files = _files(root, name, (*NEEDED, _layout.KEY))
+    return Credentials.of(name, files, passphrase, folder=folder)
 
 
-def _load(root: Path, folder: Path, name: str, passphrase: bytes | None) -> Participant:
+def enclave_files(root: Path, name: str) -> dict[str, bytes]:
+    """The files of the participant called `name`, links followed, by their names in FILES.
+
+    Those that are not NEEDED may be missing. KeystoreError if there is no such
+    participant, or it lacks one that is.
+    """
+    return _files(root, name, NEEDED)
+
+
+def _files(root: Path, name: str, needed: tuple[str, ...]) -> dict[str, bytes]:
     refuse_unknown(root, name)
-    _check_complete(folder, name)
-    alternative = folder / _layout.ALT_KEY
-    alt_ca = folder / _layout.PERMISSIONS_ALT_CA
-    revoked = folder / _layout.LIST
-    return Participant(
-        name=name,
-        certificate=load_certificate(folder / _layout.CERTIFICATE),
-        key=_key(folder / _layout.KEY, passphrase),
-        alternative_key=_key(alternative, passphrase) if exists(alternative) else None,
-        permissions=read(folder / _layout.PERMISSIONS),
-        governance=read(folder / _layout.GOVERNANCE),
-        identity_ca=load_certificate(folder / _layout.IDENTITY_CA),
-        permissions_ca=load_certificate(folder / _layout.PERMISSIONS_CA),
-        permissions_alt_ca=load_certificate(alt_ca) if exists(alt_ca) else None,
-        revocation_list=load_revocation_list(revoked) if exists(revoked) else None,
-    )
+    folder = root / _layout.enclave_folder(name)
+    with disk_errors(folder):
+        there = [each for each in FILES if exists(folder / each)]
+        _refuse_incomplete(folder, name, there, needed)
+        return {each: read(folder / each) for each in there}
 
 
 def refuse_unknown(root: Path, name: str) -> None:
@@ -97,33 +75,26 @@ def _revocation_list(data: bytes) -> RevocationList:
     return RevocationList.from_pem(data)
 
 
-def _check_complete(folder: Path, name: str) -> None:
-    """The six files that every stack reads; ROS 2 does not say which one it misses.
+def _refuse_incomplete(
+    folder: Path, name: str, there: list[str], needed: tuple[str, ...]
+) -> None:
+    """KeystoreError for what is missing; ROS 2 does not say which file it misses.
 
     Nor does it say that a link to a revocation list leads nowhere: it takes everybody.
     """
-    needed = (
-        _layout.KEY,
-        _layout.PERMISSIONS,
-        _layout.GOVERNANCE,
-        _layout.IDENTITY_CA,
-        _layout.PERMISSIONS_CA,
-        *([_layout.LIST] if (folder / _layout.LIST).is_symlink() else []),
-    )
-    missing = [name for name in needed if not exists(folder / name)]
-    lost = [str((folder / name).readlink()) for name in missing if (folder / name).is_symlink()]
+    links = {each for each in FILES if (folder / each).is_symlink()}
+    missing = [each for each in FILES if each not in there and each in {*needed, *links}]
     if missing == [_layout.KEY] and exists(folder / _layout.REQUEST):
         raise KeystoreError(
             f"{folder} lacks {_layout.KEY}: its keys are on its robot",
             hint="what is here can be checked without them: `pqsec check`, `pqsec explain`",
+            code=Code.FILE_MISSING,
         )
     if missing:
+        lost = [str((folder / each).readlink()) for each in missing if each in links]
         hint = f"restore {', '.join(lost)}, which all participants share" if lost else None
         if _layout.PERMISSIONS in missing:
             hint = hint or f"put it back, or say what it may do: pqsec issue {name} --force ..."
-        raise KeystoreError(f"{folder} lacks {', '.join(missing)}", hint=hint)
-
-
-def _key(path: Path, passphrase: bytes | None) -> PrivateKey:
-    with located(path):
-        return load_private_key(read(path), passphrase)
+        raise KeystoreError(
+            f"{folder} lacks {', '.join(missing)}", hint=hint, code=Code.FILE_MISSING
+        )

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from pqsec_pki.access.sharing import Voice
 from pqsec_pki.algorithms import KEY_AGREEMENTS
-from pqsec_pki.certificates import Certificate
-from pqsec_pki.keystore import Keystore, Participant
+from pqsec_pki.credentials import Credentials
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck.common import domains_of, talks_between, voice_of
 from pqsec_pki.selfcheck.meeting import Meeting, Occasion, Seated, fetched, vetted
 from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, Talk
@@ -81,9 +81,8 @@ class Worker:
 
     gathering: Gathering
     occasion: Occasion
-    _read: dict[str, Participant] = field(default_factory=dict)
+    _read: dict[str, Credentials] = field(default_factory=dict)
     _voices: dict[str, Voice] = field(default_factory=dict)
-    _authorities: dict[bytes, Certificate] = field(default_factory=dict)
 
     @classmethod
     def of(cls, gathering: Gathering) -> "Worker":
@@ -136,18 +135,9 @@ class Worker:
     def _seated(self, seat: Seat, steps: Steps) -> Seated:
         return Seated(self._participant(seat.name, steps), stack_named(seat.stack))
 
-    def _participant(self, name: str, steps: Steps) -> Participant:
-        """Read once. All share one value for one CA, so that what is known of it is known."""
+    def _participant(self, name: str, steps: Steps) -> Credentials:
+        """Read once."""
         if name not in self._read:
-            found = fetched(self.occasion.keystore, name, steps)
-            second = found.permissions_alt_ca
-            self._read[name] = replace(
-                found,
-                identity_ca=self._authority(found.identity_ca),
-                permissions_ca=self._authority(found.permissions_ca),
-                permissions_alt_ca=self._authority(second) if second else None,
-            )
+            self._read[name] = fetched(self.occasion.keystore, name, steps)
         return self._read[name]
 
-    def _authority(self, certificate: Certificate) -> Certificate:
-        return self._authorities.setdefault(certificate.der, certificate)

@@ -9,7 +9,8 @@ from pqsec_pki.access import may_join
 from pqsec_pki.access.sharing import Voice, topics_between
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.keystore import Keystore, Participant, regular_name
+from pqsec_pki.credentials import Credentials
+from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.meeting import Guest, Meeting, Occasion, Seated, fetched, meet, vetted
 from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, Talk
 from pqsec_pki.smime import document_in
@@ -99,7 +100,7 @@ def _apart(occasion: Occasion, ground: Ground, guests: Sequence[Guest]) -> Repor
     return meeting.report()
 
 
-def voice_of(participant: Participant) -> Voice:
+def voice_of(participant: Credentials) -> Voice:
     """What it may say and hear by its documents, as they lie there; MalformedError, or others."""
     return Voice(
         subject=participant.certificate.subject_name,
@@ -108,7 +109,7 @@ def voice_of(participant: Participant) -> Voice:
     )
 
 
-def domains_of(participant: Participant, now: datetime) -> tuple[frozenset[int], set[int]]:
+def domains_of(participant: Credentials, now: datetime) -> tuple[frozenset[int], set[int]]:
     """Those it may join, and those that its governance names. Nothing is verified here."""
     try:
         voice = voice_of(participant)

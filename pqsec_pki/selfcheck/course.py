@@ -173,11 +173,9 @@ class Course:
             # What came with the handshake, not what lies on our disk.
             peer = done.peer
             applicant = Applicant(subject.name, peer.certificate, peer.permissions)
-            own, profile = judge.participant, encounter.profile
+            own = judge.participant
             with check(Code.C25):
-                detail.append(
-                    check_permissions(own, applicant, profile, encounter.domain, encounter.now)
-                )
+                detail.append(check_permissions(own, applicant, encounter.domain, encounter.now))
 
 
 def _opened(name: str, sample: bytes, reader: Side) -> DataHolder:

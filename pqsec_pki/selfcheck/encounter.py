@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from pqsec_pki.algorithms import KeyAgreement, Profile
+from pqsec_pki.credentials import Credentials
 from pqsec_pki.handshake import Terms
-from pqsec_pki.keystore import Participant
 from pqsec_pki.selfcheck.stacks import Stack
 
 _STATELESS_WRITER = bytes.fromhex("000201c3")
@@ -26,7 +26,7 @@ def faithful(name: str, sample: bytes) -> bytes:
 class Side:
     """A participant, how it behaves, and what it insists on."""
 
-    participant: Participant
+    participant: Credentials
     stack: Stack
     terms: Terms
 

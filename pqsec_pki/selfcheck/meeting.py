@@ -7,9 +7,10 @@ from datetime import datetime
 from typing import NamedTuple
 
 from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
+from pqsec_pki.credentials import Credentials
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
-from pqsec_pki.keystore import Keystore, Participant, regular_name
+from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.course import Course
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
 from pqsec_pki.selfcheck.encounter import Encounter, Side
@@ -62,11 +63,11 @@ def meet(occasion: Occasion, first: Guest, second: Guest) -> Report:
 class Seated(NamedTuple):
     """A participant that is there, and how it behaves."""
 
-    participant: Participant
+    participant: Credentials
     stack: Stack
 
 
-def fetched(keystore: Keystore, name: str, steps: Steps) -> Participant:
+def fetched(keystore: Keystore, name: str, steps: Steps) -> Credentials:
     """The participant of that name, as it lies in the keystore. StoppedError if unreadable."""
     name = regular_name(name)
     with steps.step(f"files of {name}") as detail:
@@ -87,7 +88,7 @@ def vetted(occasion: Occasion, seated: Seated, steps: Steps) -> None:
         detail.append(check_identity(participant, profile, now))
         stack.check_identity(participant.certificate, participant.identity_ca)
     with steps.step(f"documents of {participant.name}") as detail:
-        detail.append(check_documents(participant, profile, domain, now))
+        detail.append(check_documents(participant, domain, now))
         stack.check_documents_ca(participant.permissions_ca)
 
 

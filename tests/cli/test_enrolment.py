@@ -37,8 +37,7 @@ def asked(pqsec, keystore, tmp_path):
 
 
 def fingerprints(pqsec):
-    cas = pqsec("-k k --json ca show").done().json["cas"]
-    return " ".join(f"--ca-fingerprint {ca['sha256']}" for ca in cas)
+    return " ".join(pqsec("-k k ca show --pins").done().out.split())
 
 
 @pytest.mark.parametrize("profile", NAMES)
@@ -342,7 +341,10 @@ def test_an_import_takes_fingerprints_as_people_write_them(pqsec, asked):
     pqsec("-k k sign-request sign asked -o answer").done()
     line = "sign-request import answer --request asked"
     pins = fingerprints(pqsec)
-    pqsec(f"{line} {pins[:-1]}").refused(2, "is not a SHA-256 fingerprint")
-    plain = [each for each in pins.split() if not each.startswith("-")]
-    written = [":".join(each[at : at + 2] for at in range(0, 64, 2)).upper() for each in plain]
+    pqsec(f"{line} {pins[:-1]}").refused(2, "is not a role and a SHA-256 fingerprint")
+    plain = [each.split(":") for each in pins.split() if not each.startswith("-")]
+    written = [
+        ":".join([role, *(digits[at : at + 2] for at in range(0, 64, 2))]).upper()
+        for role, digits in plain
+    ]
     pqsec(line, *(f"--ca-fingerprint={each}" for each in written)).done()

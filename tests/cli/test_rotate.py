@@ -203,17 +203,16 @@ def test_a_robot_with_bundles_is_told_whom_to_trust_at_the_begin_and_the_end(pqs
         return pqsec("install one.bundle --dir robot", *named)
 
     def named():
-        cas = pqsec("-k k ca show --json").done().json["cas"]
-        return [text for ca in cas for text in ("--ca-fingerprint", ca["sha256"])]
+        return pqsec("-k k ca show --pins").done().out.split()
 
     install(*named()).done()
     pqsec("-k k ca rotate --overlap begin --apply").done()
-    install().refused(1, "a CA in the bundle is not one that is trusted")
+    install().refused(1, "is not one that is trusted")
     install(*named()).done()
     pqsec("-k k ca rotate --overlap switch --apply").done()
     install().done()
     pqsec("-k k ca rotate --overlap finish --apply").done()
-    install().refused(1, "the bundle lacks a CA that is trusted")
+    install().refused(1, "the identity CA that is trusted is not there")
     install(*named()).done()
 
 

@@ -85,7 +85,7 @@ def take_bundle(data):
         file, root = Path(folder) / "b.bundle", Path(folder) / "robot"
         file.write_bytes(data)
         try:
-            install(file, root, bundle().fingerprints, now=NOW)
+            install(file, root, bundle().roles, now=NOW)
         except PqsecError:
             assert not root.exists(), sorted(root.rglob("*"))
             raise

@@ -51,7 +51,7 @@ def test_a_robot_whose_keys_openssl_made_is_enrolled(openssl35, tmp_path, now, p
     issue(lab.keystore, lab.authorities, [wish], now=now)
     bundle = Bundle.of(lab.keystore, [NAME], now=now)
     (tmp_path / "bundle").write_bytes(bundle.to_bytes())
-    install(tmp_path / "bundle", robot, bundle.fingerprints, now=now)
+    install(tmp_path / "bundle", robot, bundle.roles, now=now)
     folder = robot / "current/enclaves/lab/robot"
     openssl35("verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem")
     public = openssl35("x509", "-in", folder / "cert.pem", "-noout", "-pubkey")

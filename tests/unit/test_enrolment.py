@@ -24,6 +24,7 @@ from pqsec_pki.certificates import (
     certificate_request,
     revocation_list,
 )
+from pqsec_pki.credentials import IDENTITY_CA, PERMISSIONS_ALT_CA
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.enrolment import (
     Bundle,
@@ -272,7 +273,7 @@ def test_a_bundle_says_in_its_manifest_what_it_holds(good):
     assert manifest["kind"] == "bundle"
     assert manifest["names"] == [ROBOT]
     assert manifest["created"] == NOW.isoformat()
-    assert sorted(manifest["ca_sha256"]) == sorted(good.fingerprints)
+    assert manifest["ca_sha256"] == list(good.fingerprints)
     assert set(manifest["files"]) == set(files)
 
 
@@ -403,7 +404,7 @@ def problems(bundle, pins, now=NOW):
 def test_a_good_bundle_of_every_profile_holds(keystores, profile, tmp_path):
     keystore = keystores(profile.name)
     bundle = answered(keystore, asked_of(keystore, tmp_path))
-    [found] = verify_bundle(bundle, bundle.fingerprints, now=NOW)
+    [found] = verify_bundle(bundle, bundle.roles, now=NOW).verified
     assert found.name == ROBOT
 
 
@@ -415,27 +416,29 @@ def test_a_good_bundle_of_every_profile_holds(keystores, profile, tmp_path):
     ],
 )
 def test_a_bundle_outside_its_time_is_refused(good, days, words):
-    found = problems(good, good.fingerprints, NOW + days * DAY)
+    found = problems(good, good.roles, NOW + days * DAY)
     assert all(any(word in each for each in found) for word in words), found
 
 
 def test_the_cas_must_be_those_that_are_trusted_and_no_others(good, foreign):
-    first, second, third = good.fingerprints
-    assert len(problems(foreign, good.fingerprints)) == 6
-    assert problems(good, [first, second]) == (
-        f"a CA in the bundle is not one that is trusted: SHA-256 {third}",
+    assert len(problems(foreign, good.roles)) == 6
+    [countersigner] = good.roles[PERMISSIONS_ALT_CA]
+    without = {file: pins for file, pins in good.roles.items() if file != PERMISSIONS_ALT_CA}
+    [only] = problems(good, without)
+    assert (
+        f"the countersigner CA is not one that is trusted as that: SHA-256 {countersigner}" in only
     )
-    assert problems(good, [first, second, third, "00" * 32]) == (
-        f"the bundle lacks a CA that is trusted: SHA-256 {'00' * 32}",
-    )
+    more = {**good.roles, IDENTITY_CA: good.roles[IDENTITY_CA] | {"00" * 32}}
+    [only] = problems(good, more)
+    assert f"the identity CA that is trusted is not there: SHA-256 {'00' * 32}" in only
 
 
 def test_a_countersigner_that_is_left_out_is_missed(good):
     bad = with_files(good, **{"permissions_ca.alt.cert_pem": None})
-    [only] = problems(bad, good.fingerprints)
-    assert "lacks a CA that is trusted" in only
-    found = problems(bad, bad.fingerprints)  # even where nobody pinned it
-    assert "there is no post-quantum signature" in found[0]
+    [only] = problems(bad, good.roles)
+    assert "the countersigner CA that is trusted is not there" in only
+    found = problems(bad, bad.roles)  # even where nobody pinned it
+    assert "the countersigner is missing" in found[0]
 
 
 FLAWS = {
@@ -451,15 +454,15 @@ def test_a_file_of_somebody_elses_cas_is_refused(good, foreign, flaw):
     real = {"cert_pem": "cert.pem", "permissions_p7s": "permissions.p7s"}
     real["governance_p7s"] = "governance.p7s"
     bad = with_files(good, **{each: foreign.enclaves[ROBOT][real[each]] for each in files})
-    assert words in "\n".join(problems(bad, good.fingerprints))
+    assert words in "\n".join(problems(bad, good.roles))
 
 
 def test_a_certificate_and_permissions_for_another_participant_are_refused(keystores, good):
     other = Bundle.of(keystores(), ["/listener"], now=NOW).enclaves["/listener"]
     bad = with_files(good, cert_pem=other["cert.pem"])
-    assert f"{ROBOT}: the certificate is for CN=/listener" in problems(bad, good.fingerprints)
+    assert f"{ROBOT}: cert.pem: the certificate is for CN=/listener" in problems(bad, good.roles)
     bad = with_files(good, permissions_p7s=other["permissions.p7s"])
-    assert problems(bad, good.fingerprints) == (
+    assert problems(bad, good.roles) == (
         f"{ROBOT}: permissions.p7s: nothing in them is granted to CN={ROBOT}",
     )
 
@@ -470,7 +473,7 @@ def test_an_altered_document_is_refused(good):
         altered = data.replace(b"<id>0</id>", b"<id>9</id>", 1)
         assert altered != data
         bad = with_files(good, **{file.replace(".", "_"): altered})
-        assert "was changed after it was signed" in problems(bad, good.fingerprints)[0]
+        assert "was changed after it was signed" in problems(bad, good.roles)[0]
 
 
 def test_permissions_that_end_before_the_certificate_are_refused_from_then_on(keystores, tmp_path):
@@ -485,8 +488,8 @@ def test_permissions_that_end_before_the_certificate_are_refused_from_then_on(ke
         subscribe=[],
     )
     bundle = answered(keystore, asked_of(keystore, tmp_path), grants=(grant,))
-    verify_bundle(bundle, bundle.fingerprints, now=NOW + 9 * DAY)
-    [only] = problems(bundle, bundle.fingerprints, NOW + 11 * DAY)
+    verify_bundle(bundle, bundle.roles, now=NOW + 9 * DAY)
+    [only] = problems(bundle, bundle.roles, NOW + 11 * DAY)
     assert "permissions.p7s: not valid now, but 2026-11-20 to 2026-12-01" in only
 
 
@@ -500,10 +503,11 @@ def resigned(keystore, *, countersigner):
 
 def test_a_document_whose_second_signature_is_stripped_is_refused(keystores, good):
     bad = with_files(good, governance_p7s=resigned(keystores(), countersigner=True))
-    verify_bundle(bad, good.fingerprints, now=NOW)
+    verify_bundle(bad, good.roles, now=NOW)
     bad = with_files(good, governance_p7s=resigned(keystores(), countersigner=False))
-    [only] = problems(bad, good.fingerprints)
-    assert "there is no post-quantum signature" in only
+    first, second = problems(bad, good.roles)
+    assert "there is no post-quantum signature" in first
+    assert "there is no countersignature by" in second
 
 
 def test_a_certificate_without_its_second_signature_is_refused(keystores, good):
@@ -513,7 +517,7 @@ def test_a_certificate_without_its_second_signature_is_refused(keystores, good):
     made = half.issue(
         ROBOT, old.public_key, alternative=old.alternative_key, now=NOW, validity=YEAR
     )
-    [only] = problems(with_files(good, cert_pem=made.pem), good.fingerprints)
+    [only] = problems(with_files(good, cert_pem=made.pem), good.roles)
     assert "has no alternative signature" in only
 
 
@@ -523,7 +527,7 @@ def test_one_ca_for_both_is_refused(keystores, tmp_path):
     identity = keystore.unlock(None).identity
     one = {"permissions_ca.cert_pem": identity.certificate.pem}
     bad = with_files(bundle, **one)
-    assert any("CVE-2023-24010" in each for each in problems(bad, bad.fingerprints))
+    assert any("CVE-2023-24010" in each for each in problems(bad, bad.roles))
 
 
 @pytest.mark.parametrize(
@@ -549,8 +553,8 @@ def test_a_signer_whose_own_time_is_over_is_refused(keystores, good, signer, fil
             "permissions_ca.alt.cert_pem": authorities.countersigner.certificate.pem,
         },
     )
-    verify_bundle(bundle, bundle.fingerprints, now=NOW)
-    [only] = problems(bundle, bundle.fingerprints, NOW + 60 * DAY)
+    verify_bundle(bundle, bundle.roles, now=NOW)
+    [only] = problems(bundle, bundle.roles, NOW + 60 * DAY)
     assert only.startswith(f"{ROBOT}: {file}: the CA certificate expired")
 
 
@@ -558,9 +562,9 @@ def test_a_second_ca_behind_the_first_is_trusted_by_nobody_either(good, foreign)
     """Some stacks take all the certificates in the file for CAs."""
     both = b"".join(each.enclaves[ROBOT]["identity_ca.cert.pem"] for each in (good, foreign))
     bad = with_files(good, **{"identity_ca.cert_pem": both})
-    [only] = problems(bad, good.fingerprints)
-    assert foreign.fingerprints[0] in only
-    verify_bundle(bad, bad.fingerprints, now=NOW)
+    [only] = problems(bad, good.roles)
+    assert next(iter(foreign.roles[IDENTITY_CA])) in only
+    verify_bundle(bad, bad.roles, now=NOW)
 
 
 @pytest.mark.parametrize("file", ["cert_pem", "permissions_ca.cert_pem", "crl_pem"])
@@ -568,7 +572,7 @@ def test_two_of_what_there_is_one_of_are_refused(keystores, good, file):
     bundle = with_files(good, crl_pem=revoked_list(keystores(), 1))
     data = bundle.enclaves[ROBOT][file.replace("_pem", ".pem")]
     with pytest.raises(MalformedError, match=r"2 certificates, not one|not one revocation list"):
-        verify_bundle(with_files(bundle, **{file: data + data}), good.fingerprints, now=NOW)
+        verify_bundle(with_files(bundle, **{file: data + data}), good.roles, now=NOW)
 
 
 @pytest.mark.parametrize(
@@ -579,9 +583,7 @@ def test_what_a_stack_could_read_beside_a_certificate_is_refused(good, label):
     hidden = data.replace(b"CERTIFICATE", label.encode())
     for bad in (data + hidden, hidden + data):
         with pytest.raises(MalformedError, match=r"in PEM|certificates alone|PEM says|broken PEM"):
-            verify_bundle(
-                with_files(good, **{"identity_ca.cert_pem": bad}), good.fingerprints, now=NOW
-            )
+            verify_bundle(with_files(good, **{"identity_ca.cert_pem": bad}), good.roles, now=NOW)
 
 
 def revoked_list(keystore, *serials, now=NOW):
@@ -596,33 +598,33 @@ def test_a_revoked_certificate_and_a_list_that_is_no_good_are_refused(keystores,
     serial = Certificate.from_pem(good.enclaves[ROBOT]["cert.pem"]).serial_number
     ours, theirs = keystores(), keystores(label="other")
     with_list = with_files(good, crl_pem=revoked_list(ours, 1, 2))
-    verify_bundle(with_list, good.fingerprints, now=NOW)
+    verify_bundle(with_list, good.roles, now=NOW)
     assert (
         "was revoked on"
-        in problems(with_files(good, crl_pem=revoked_list(ours, serial)), good.fingerprints)[0]
+        in problems(with_files(good, crl_pem=revoked_list(ours, serial)), good.roles)[0]
     )
     assert (
         "not signed by this CA"
-        in problems(with_files(good, crl_pem=revoked_list(theirs, 1)), good.fingerprints)[0]
+        in problems(with_files(good, crl_pem=revoked_list(theirs, 1)), good.roles)[0]
     )
-    assert "revocation list" in problems(with_list, good.fingerprints, NOW + 11 * DAY)[0]
+    assert "revocation list" in problems(with_list, good.roles, NOW + 11 * DAY)[0]
 
 
 @pytest.mark.parametrize("file", ["cert_pem", "identity_ca.cert_pem", "crl_pem"])
 def test_a_file_that_is_not_what_it_should_be_is_named(good, file):
     bad = with_files(good, **{file: b"nonsense"})
     with pytest.raises(MalformedError, match=file.replace("_pem", ".pem")):
-        verify_bundle(bad, good.fingerprints, now=NOW)
+        verify_bundle(bad, good.roles, now=NOW)
 
 
 def test_a_bundle_of_a_keystore_that_revoked_somebody_carries_the_list(tmp_path):
     keystore = made(tmp_path / "k", "classical", names=("/a", "/b"))
     revoke(Keystore.open(keystore.root), keystore.unlock(None), ["/b"], now=NOW)
     bundle = Bundle.of(keystore, ["/a"], now=NOW)
-    [found] = verify_bundle(bundle, bundle.fingerprints, now=NOW)
-    assert found.revocation_list.number == 1
-    bundle = Bundle.of(keystore, ["/b"], now=NOW)
-    assert "was revoked on" in problems(bundle, bundle.fingerprints)[0]
+    [found] = verify_bundle(bundle, bundle.roles, now=NOW).verified
+    assert found.anchors.revocation_list.number == 1
+    with pytest.raises(VerificationError, match="was revoked on"):
+        Bundle.of(keystore, ["/b"], now=NOW)
 
 
 def test_permissions_may_be_for_others_too(keystores, good):
@@ -634,7 +636,7 @@ def test_permissions_may_be_for_others_too(keystores, good):
         for name in ("/listener", ROBOT)
     )
     signed = authorities.sign(Permissions(grants=grants).to_xml(), now=NOW)
-    verify_bundle(with_files(good, permissions_p7s=signed), good.fingerprints, now=NOW)
+    verify_bundle(with_files(good, permissions_p7s=signed), good.roles, now=NOW)
 
 
 def test_the_tables_have_no_kind_of_key_that_a_request_cannot_carry():

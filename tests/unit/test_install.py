@@ -13,8 +13,10 @@ import pytest
 
 from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey, profile_named
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.enrolment import Bundle, install, make_sealing_key, request, rollback, seal
 from pqsec_pki.enrolment.place import Place, changing
+from pqsec_pki.enrolment.trust import ROLES, pins_of
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
 from pqsec_pki.errors import (
     ExistsError,
@@ -37,6 +39,7 @@ from pqsec_pki.keystore import (
     revoke,
     rotate,
 )
+from pqsec_pki.problems import Code
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, fails_with, survives
@@ -72,7 +75,7 @@ def robot(bundles, place):
     return place / "robot"
 
 
-def put(robot, which="1", *pins, **options):
+def put(robot, which="1", pins=None, **options):
     path = robot.parent / f"{which}.bundle"
     return install(path, robot, pins, **{"now": LATER, "trust_first": True, **options})
 
@@ -83,7 +86,7 @@ def installed(robot):
     if current is None:
         return None
     found = Bundle(LATER, current.enclaves)
-    [credentials] = verify_bundle(found, found.fingerprints, now=LATER)
+    [credentials] = verify_bundle(found, found.roles, now=LATER).verified
     keys_of(credentials, [found.enclaves[ROBOT]])
     for file in current.path.rglob("*"):
         private = file.is_dir() or file.name.endswith("key.pem")
@@ -123,35 +126,138 @@ def test_the_next_bundle_needs_no_fingerprint_and_the_way_back_stays_open(robot,
     put(robot)
     put(robot, "2", trust_first=False)
     assert installed(robot) == fingerprint(bundles[2])
-    rollback(robot)
+    before = snapshot(robot)
+    with pytest.raises(VerificationError, match="older than one installed before") as caught:
+        rollback(robot)
+    assert caught.value.codes == {Code.OLDER}
+    assert snapshot(robot) == before
+    rollback(robot, older=True)
     assert installed(robot) == fingerprint(bundles[1])
     with pytest.raises(KeystoreError, match="keeps nothing from before"):
-        rollback(robot)
+        rollback(robot, older=True)
     put(robot, "2")
     assert installed(robot) == fingerprint(bundles[2])
-    rollback(robot)
+    rollback(robot, older=True)
     assert installed(robot) == fingerprint(bundles[1])
+
+
+def test_after_a_rollback_no_older_bundle_is_installed_either(robot, bundles):
+    put(robot)
+    put(robot, "2")
+    rollback(robot, older=True)
+    with pytest.raises(VerificationError, match="older than one installed before") as caught:
+        put(robot, "1")
+    assert caught.value.codes == {Code.OLDER}
+    put(robot, "2")
+    assert installed(robot) == fingerprint(bundles[2])
+
+
+def test_a_second_copy_of_the_identity_ca_does_not_switch_the_list_off(place):
+    """Audit H2: two certificates of one CA, or the permissions CA as second, are no overlap."""
+    keystore = made(place / "k", "classical", names=("/arm", "/leg"))
+    answered(keystore, asked_of(keystore, place / "robot"))
+    revoke(Keystore.open(keystore.root), keystore.unlock(None), ["/leg"], now=NOW)
+    listed = Bundle.of(keystore, [ROBOT], now=NOW)
+    (place / "1.bundle").write_bytes(listed.to_bytes())
+    put(place / "robot", "1")
+    files = listed.enclaves[ROBOT]
+    for second, code in (
+        (files["identity_ca.cert.pem"], Code.CA_DOUBLED),
+        (files["permissions_ca.cert.pem"], Code.CA_UNKNOWN),
+    ):
+        cas = files["identity_ca.cert.pem"] + second
+        stripped = with_files(listed, **{"identity_ca.cert_pem": cas, "crl_pem": None})
+        (place / "2.bundle").write_bytes(stripped.to_bytes())
+        with pytest.raises(VerificationError) as caught:
+            put(place / "robot", "2")
+        assert code in caught.value.codes
+        with pytest.raises(VerificationError) as caught:  # even where it is pinned as that
+            put(place / "robot", "2", stripped.roles)
+        assert caught.value.codes & {Code.CA_DOUBLED, Code.ONE_KEY_TWO_ROLES}
+
+
+def test_a_first_installation_trusts_each_ca_in_its_role_only(robot, bundles):
+    """Audit M1: identity_ca.cert.pem with the permissions CA behind the identity CA."""
+    pins, files = bundles[1].roles, bundles[1].enclaves[ROBOT]
+    cas = files["identity_ca.cert.pem"] + files["permissions_ca.cert.pem"]
+    both = with_files(bundles[1], **{"identity_ca.cert_pem": cas})
+    (robot.parent / "3.bundle").write_bytes(both.to_bytes())
+    with pytest.raises(VerificationError) as caught:
+        put(robot, "3", pins)
+    assert caught.value.codes == {Code.CA_UNKNOWN}
+    assert Place(robot).current is None
+
+
+def test_what_an_older_pqsec_installed_is_believed_as_it_shows(robot, bundles):
+    put(robot, "2")
+    (robot / "trust.json").unlink()
+    with pytest.raises(VerificationError, match="older than one installed before"):
+        put(robot, "1", trust_first=False)
+    put(robot, "2", trust_first=False)
+    assert (robot / "trust.json").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *('{"format": 2}', "[]", "{", '{"format": 1, "pins": {}, "marks": {}}'),
+        '{"format": 1, "pins": {"identity": 7}, "marks": {"lists": {}, "signed": {}}}',
+        '{"format": 1, "pins": {}, "marks": {"lists": {}, "signed": {"x": "2026-01-01"}}}',
+    ],
+)
+def test_a_damaged_trust_state_is_told_and_never_taken_for_none(robot, text):
+    put(robot)
+    (robot / "trust.json").write_text(text)
+    with pytest.raises(KeystoreError, match=r"trust\.json") as caught:
+        put(robot, "2", trust_first=True)
+    assert "--older" in caught.value.hint
+
+
+def test_a_bundle_is_written_again_from_what_was_verified(robot, bundles):
+    files = dict(bundles[1].enclaves[ROBOT])
+    files["cert.pem"] = b"what anybody wrote\n" + files["cert.pem"]
+    files["permissions.p7s"] = files["permissions.p7s"].replace(
+        b"This is an S/MIME signed message", b"whatever"
+    )
+    noisy = with_files(
+        bundles[1], cert_pem=files["cert.pem"], permissions_p7s=files["permissions.p7s"]
+    )
+    (robot.parent / "3.bundle").write_bytes(noisy.to_bytes())
+    put(robot, "3")
+    there = Place(robot).current.enclaves[ROBOT]
+    for file in ("cert.pem", "permissions.p7s"):
+        assert there[file] == bundles[1].enclaves[ROBOT][file]
 
 
 def test_only_the_set_before_is_kept(robot):
     for which in ("1", "2", "1", "2"):
         put(robot, which, older=True)
     assert {each.name for each in (robot / "sets").iterdir()} == {"3", "4"}
-    assert {each.name for each in robot.iterdir()} == {"current", "sets", "requests"}
+    assert {each.name for each in robot.iterdir()} == {"current", "sets", "requests", "trust.json"}
 
 
 def test_nothing_is_trusted_without_being_told(robot, bundles):
-    pins = bundles[1].fingerprints
+    pins = bundles[1].roles
     with pytest.raises(UsageError, match="nothing tells which CAs to trust"):
         put(robot, trust_first=False)
-    with pytest.raises(UsageError, match="not a SHA-256 fingerprint"):
-        put(robot, "1", "abc")
     with pytest.raises(VerificationError, match="not one that is trusted"):
-        put(robot, "1", *pins[:2])
+        put(robot, "1", {IDENTITY_CA: pins[IDENTITY_CA]})
     assert Place(robot).current is None
-    spelled = [":".join(pin[i : i + 2] for i in range(0, 64, 2)).upper() for pin in pins]
-    put(robot, "1", *spelled, trust_first=False)
+    put(robot, "1", pins, trust_first=False)
     assert installed(robot)
+
+
+def test_a_fingerprint_is_written_with_its_role_and_as_people_write_them(bundles):
+    pins = bundles[1].roles
+    spelled = [
+        f"{role}:" + ":".join(pin[i : i + 2] for i in range(0, 64, 2)).upper()
+        for role, file in ROLES.items()
+        for pin in pins[file]
+    ]
+    assert pins_of(spelled) == pins
+    for text in ("abc", "0" * 64, "identity:abc", "countersign:" + "0" * 64, "identity:"):
+        with pytest.raises(UsageError, match="not a role and a SHA-256 fingerprint"):
+            pins_of([text])
 
 
 def test_who_trusted_first_trusts_no_others_after(robot, place):
@@ -165,7 +271,7 @@ def test_who_trusted_first_trusts_no_others_after(robot, place):
         put(robot, "3")
     assert snapshot(robot) == before
     with pytest.raises(VerificationError, match="no private key here is that of the certificate"):
-        put(robot, "3", *foreign.fingerprints)
+        put(robot, "3", foreign.roles)
 
 
 def test_a_bundle_for_another_robot_is_refused(robot, keystore, place):
@@ -190,7 +296,7 @@ def test_a_key_that_is_not_the_certificates_is_refused(robot, key):
 
 def test_an_older_bundle_brings_no_old_rights_back(robot, bundles):
     put(robot, "2")
-    with pytest.raises(VerificationError, match="certificate is older than the one installed"):
+    with pytest.raises(VerificationError, match="certificate is older than one installed before"):
         put(robot, "1")
     assert installed(robot) == fingerprint(bundles[2])
     put(robot, "1", older=True)
@@ -205,7 +311,7 @@ def test_a_revocation_list_cannot_be_left_out_of_the_next_bundle(place):
     for number, bundle in enumerate((first, second), start=1):
         (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
     put(place / "robot", "2")
-    with pytest.raises(VerificationError, match="revocation list is older"):
+    with pytest.raises(VerificationError, match="revocation list is missing"):
         put(place / "robot", "1")
 
 
@@ -216,8 +322,8 @@ def test_an_older_revocation_list_does_not_come_with_another_participant(place):
     revoke(Keystore.open(keystore.root), keystore.unlock(None), ["/leg"], now=NOW)
     for number, bundle in enumerate((older, Bundle.of(keystore, [ROBOT], now=NOW)), start=1):
         (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
-    put(place / "robot", "2", *first.fingerprints)
-    with pytest.raises(VerificationError, match="/arm: the revocation list is older"):
+    put(place / "robot", "2", first.roles)
+    with pytest.raises(VerificationError, match=r"/arm: crl\.pem: the revocation list is missing"):
         put(place / "robot", "1")
 
 
@@ -236,9 +342,9 @@ def test_the_list_goes_with_the_first_bundle_of_an_overlap_and_with_no_other(pla
     put(robot, "1")
     with pytest.raises(VerificationError, match="not one that is trusted"):
         put(robot, "2")
-    with pytest.raises(VerificationError, match="revocation list is older"):
-        put(robot, "3", *listless.fingerprints)
-    put(robot, "2", *begun.fingerprints)
+    with pytest.raises(VerificationError, match="revocation list is missing"):
+        put(robot, "3", listless.roles)
+    put(robot, "2", begun.roles)
     assert not list((robot / "current").rglob("crl.pem"))
 
 
@@ -256,7 +362,7 @@ def test_new_cas_count_their_revocation_lists_from_one(place):
     put(place / "robot", "1")
     with pytest.raises(VerificationError, match="not one that is trusted"):
         put(place / "robot", "2")
-    put(place / "robot", "2", *new.fingerprints)
+    put(place / "robot", "2", new.roles)
     assert installed(place / "robot") == fingerprint(new)
 
 
@@ -267,9 +373,9 @@ def test_a_countersigner_does_not_become_the_identity_ca(robot, bundles):
     swapped = with_files(bundles[2], **dict(zip(names, (second, first), strict=True)))
     (robot.parent / "3.bundle").write_bytes(swapped.to_bytes())
     assert set(swapped.fingerprints) == set(bundles[2].fingerprints)
-    with pytest.raises(VerificationError, match="stands as identity_ca") as caught:
+    with pytest.raises(VerificationError, match="not one that is trusted as that") as caught:
         put(robot, "3")
-    assert len(caught.value.lines) == 2
+    assert caught.value.codes == {Code.CA_UNKNOWN, Code.CA_MISSING}
 
 
 @pytest.mark.parametrize("file", ["governance", "permissions"])
@@ -282,7 +388,7 @@ def test_an_older_document_beside_a_new_certificate_is_refused(robot, bundles, k
         bundle = with_files(bundles[2], **{f"{file}_p7s": signed})
         (robot.parent / f"{which}.bundle").write_bytes(bundle.to_bytes())
     put(robot, "3")
-    with pytest.raises(VerificationError, match=f"{file}.p7s is older than the one installed"):
+    with pytest.raises(VerificationError, match=f"{file} is older than one installed before"):
         put(robot, "4")
 
 
@@ -324,12 +430,14 @@ def test_another_bundle_for_the_same_robot_lets_what_is_installed_be(pair):
     assert put(pair, "2").already
     assert put(pair, "1").already
     for name, files in Place(pair).current.enclaves.items():
-        [found] = verify_bundle(Bundle(LATER, {name: files}), pins_of(files), now=LATER)
+        [found] = verify_bundle(
+            Bundle(LATER, {name: files}), pins_in_files(files), now=LATER
+        ).verified
         keys_of(found, [files])
 
 
-def pins_of(files):
-    return Bundle(LATER, {"/x": files}).fingerprints
+def pins_in_files(files):
+    return Bundle(LATER, {"/x": files}).roles
 
 
 def test_what_else_is_installed_goes_if_that_is_said(pair):
@@ -365,10 +473,10 @@ def test_what_is_installed_of_other_cas_neither_goes_nor_stays_unasked(pair, pla
     before = snapshot(pair)
     taking = {"now": LATER, "older": True}
     with pytest.raises(VerificationError, match="also installed: /head, which are not") as caught:
-        install(path, pair, pins.fingerprints, **taking)
+        install(path, pair, pins.roles, **taking)
     assert "--only" in caught.value.hint
     assert snapshot(pair) == before
-    assert install(path, pair, pins.fingerprints, alone=True, **taking).names == ("/hand",)
+    assert install(path, pair, pins.roles, alone=True, **taking).names == ("/hand",)
 
 
 def test_several_enclaves_with_their_keys_are_one_set(keystore, place):
@@ -424,7 +532,12 @@ def test_killed_at_any_instant_the_first_bundle_is_there_or_nothing_is(robot, bu
         assert installed(goal) in {None, fingerprint(bundles[1])}
         put(goal)
         assert installed(goal) == fingerprint(bundles[1])
-        assert {each.name for each in goal.iterdir()} == {"current", "sets", "requests"}
+        assert {each.name for each in goal.iterdir()} == {
+            "current",
+            "sets",
+            "requests",
+            "trust.json",
+        }
         assert not list((goal / "requests").iterdir())
 
     assert at_every_call(robot, place, put, look) > 25
@@ -439,7 +552,7 @@ def test_killed_at_any_instant_the_old_set_is_there_or_the_new_one(robot, bundle
         seen.add(installed(goal))
         put(goal, "2")
         assert installed(goal) == new
-        rollback(goal)
+        rollback(goal, older=True)
         assert installed(goal) == old
         newest = max(int(each.name) for each in (goal / "sets").iterdir())
         assert {each.name for each in (goal / "sets").iterdir()} == {"1", str(newest)}
@@ -462,7 +575,8 @@ def ends_well(bundles):
 def test_killed_at_any_instant_a_rollback_is_done_or_not_begun(robot, bundles, place):
     put(robot)
     put(robot, "2")
-    at_every_call(robot, place, rollback, ends_well(bundles))
+    back = partial(rollback, older=True)
+    at_every_call(robot, place, back, ends_well(bundles))
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
@@ -524,7 +638,7 @@ def test_killed_at_any_instant_a_request_is_answered_or_the_old_keys_are_there(p
     def look(goal):
         keystore = Keystore.open(goal)
         bundle = Bundle.of(keystore, [ROBOT], now=NOW)
-        [found] = verify_bundle(bundle, bundle.fingerprints, now=NOW)
+        [found] = verify_bundle(bundle, bundle.roles, now=NOW).verified
         answer = found.certificate.spki == asked.spki
         assert answer != bundle.has_keys
         assert answer == (goal / f"enclaves{ROBOT}/request.pem").exists()
@@ -593,9 +707,9 @@ def test_nothing_to_go_back_to_is_told(place):
 def test_a_file_that_went_missing_is_put_back_by_the_same_bundle(robot, bundles):
     put(robot)
     (robot / "current/enclaves/fleet/robot1/governance.p7s").unlink()
-    with pytest.raises(KeyError):
+    with pytest.raises(KeystoreError):
         installed(robot)
-    assert not put(robot, "1", *bundles[1].fingerprints, older=True).already
+    assert not put(robot, "1", bundles[1].roles, older=True).already
     assert installed(robot) == fingerprint(bundles[1])
 
 
@@ -610,16 +724,17 @@ def test_what_is_installed_and_damaged_is_not_blamed_on_the_bundle(
     robot, bundles, file, content, words
 ):
     put(robot)
+    (robot / "trust.json").unlink()  # as where an older pqsec installed
     path = robot / f"current/enclaves/fleet/robot1/{file}"
     path.unlink()
     if content:
         path.write_bytes(content)
-    pins = bundles[1].fingerprints
+    pins = bundles[1].roles
     with pytest.raises(PqsecError, match=words) as caught:
-        put(robot, "2", *pins)
+        put(robot, "2", pins)
     assert "2.bundle" not in str(caught.value)
     assert "--older" in caught.value.hint
-    put(robot, "2", *pins, older=True)
+    put(robot, "2", pins, older=True)
     assert installed(robot) == fingerprint(bundles[2])
 
 
@@ -696,7 +811,13 @@ def test_files_of_others_in_the_folder_stay(robot):
         (robot / name).mkdir()
     (robot / f".draft-{'0' * 16}").mkdir()
     put(robot)
-    assert {each.name for each in robot.iterdir()} == {"current", "sets", "requests", *mine}
+    assert {each.name for each in robot.iterdir()} == {
+        "current",
+        "sets",
+        "requests",
+        "trust.json",
+        *mine,
+    }
 
 
 def test_a_folder_that_cannot_be_written_is_told(place, robot):

@@ -147,7 +147,7 @@ def test_an_answer_of_other_cas_is_refused_where_they_are_named(tmp_path, keysto
     with pytest.raises(VerificationError, match="not one that is trusted"):
         accept(
             *(answer_to(other, exported), asked, tmp_path),
-            fingerprints=pins.fingerprints,
+            pins=pins.roles,
             now=NOW,
         )
 

@@ -22,7 +22,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "smime": {"algorithms", "certificates"},
     "access": {"documents"},
     "handshake": {"algorithms", "certificates"},
-    "keystore": {"algorithms", "certificates", "smime", "documents"},
+    "credentials": {"algorithms", "certificates", "smime", "documents", "access"},
+    "keystore": {"algorithms", "certificates", "smime", "documents", "credentials"},
     "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
     "domain": {"enrolment", "keystore", "documents", "access", "certificates", "algorithms"},
     "inspection": {"documents", "smime", "certificates", "algorithms"},
@@ -38,6 +39,8 @@ MAY_IMPORT["lint"] = {
 MAY_IMPORT["enrolment"] = MAY_IMPORT["keystore"] | {"keystore"}
 MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
+for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "attacks"):
+    MAY_IMPORT[room] = MAY_IMPORT[room] | {"credentials"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.

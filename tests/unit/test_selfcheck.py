@@ -119,7 +119,7 @@ def test_one_ca_for_both_is_refused(made):
     sign_all_again(keystore, Signer(identity.certificate, identity.key))
     step = failing(keystore)
     assert step.name == "documents of /talker"
-    assert "one key is identity CA and permissions CA" in step.detail
+    assert "one key is this CA's and that of identity_ca.cert.pem" in step.detail
 
 
 def test_a_weaker_key_than_the_profile_promises_is_refused(made):
@@ -132,7 +132,7 @@ def test_a_weaker_key_than_the_profile_promises_is_refused(made):
     (folder / "key.pem").write_bytes(private_key_pem(key))
     step = failing(keystore)
     assert step.name == "identity of /talker"
-    assert step.detail == "ecdsa-p256 participant key, where profile pq has ml-dsa-65"
+    assert step.detail == "cert.pem: ecdsa-p256 participant key, where profile pq has ml-dsa-65"
 
 
 def test_an_enclave_with_anothers_credentials_is_refused(made):
@@ -142,7 +142,7 @@ def test_an_enclave_with_anothers_credentials_is_refused(made):
         shutil.copy(enclaves / "listener" / file, enclaves / "talker" / file)
     step = failing(keystore)
     assert step.name == "identity of /talker"
-    assert step.detail == "cert.pem of /talker is for CN=/listener"
+    assert step.detail == "cert.pem: the certificate is for CN=/listener"
 
 
 def test_a_needless_alternative_key_is_refused(made):
@@ -151,4 +151,4 @@ def test_a_needless_alternative_key_is_refused(made):
     (keystore.root / "enclaves/talker/alt.key.pem").write_bytes(stray)
     step = failing(keystore)
     assert step.name == "identity of /talker"
-    assert step.detail == "alt.key.pem is not the alternative key of /talker"
+    assert step.detail == "alt.key.pem: not the alternative key of the certificate"

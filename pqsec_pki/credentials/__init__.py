@@ -1,0 +1,56 @@
+"""Whether an enclave's credentials can be trusted: decided here, and nowhere else.
+
+From the bytes of an enclave's files (`Credentials`) and the CAs among them, each with its
+role (`TrustAnchors`), to what was verified (`VerifiedCredentials`): identity, governance and
+permissions, in the order of DDS-Security 1.1, 9.3.3 and 9.4.3. No file, socket or clock: who
+asks brings the bytes and the time.
+"""
+
+from pqsec_pki.credentials.anchors import SignedDocument, TrustAnchors, certificates_in
+from pqsec_pki.credentials.enclave import Credentials, alternative_spki
+from pqsec_pki.credentials.names import (
+    ALT_KEY,
+    CA_FILES,
+    CERTIFICATE,
+    FILES,
+    GOVERNANCE,
+    IDENTITY_CA,
+    KEY,
+    KEYS,
+    NEEDED,
+    PERMISSIONS,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+    REVOCATION_LIST,
+)
+from pqsec_pki.credentials.verification import (
+    VerifiedCredentials,
+    grant_of,
+    identity_problems,
+    verify_credentials,
+)
+
+__all__ = [
+    "ALT_KEY",
+    "CA_FILES",
+    "CERTIFICATE",
+    "FILES",
+    "GOVERNANCE",
+    "IDENTITY_CA",
+    "KEY",
+    "KEYS",
+    "NEEDED",
+    "PERMISSIONS",
+    "PERMISSIONS_ALT_CA",
+    "PERMISSIONS_CA",
+    "REVOCATION_LIST",
+    "Credentials",
+    "SignedDocument",
+    "TrustAnchors",
+    "VerifiedCredentials",
+    "alternative_spki",
+    "certificates_in",
+    "grant_of",
+    "identity_problems",
+    "verify_credentials",
+]

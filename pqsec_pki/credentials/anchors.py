@@ -1,0 +1,289 @@
+"""Whom a participant trusts, each with a role, and what follows from their word alone."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property, lru_cache, partial
+from itertools import combinations
+from typing import Generic, Self, TypeVar
+
+from pqsec_pki.algorithms import Family, unpem
+from pqsec_pki.certificates import (
+    Certificate,
+    RevocationList,
+    verify_authority,
+    verify_chain,
+    verify_not_revoked,
+)
+from pqsec_pki.credentials.names import (
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+    REVOCATION_LIST,
+)
+from pqsec_pki.documents import Governance, Permissions
+from pqsec_pki.errors import (
+    InvalidDocumentError,
+    MalformedError,
+    PqsecError,
+    VerificationError,
+    located,
+    problems_of,
+)
+from pqsec_pki.problems import Code, Problem
+from pqsec_pki.smime import FoundSignature, Require, Verified, verify
+
+Value = TypeVar("Value", Governance, Permissions)
+
+
+@dataclass(frozen=True, slots=True)
+class SignedDocument(Generic[Value]):
+    """A document whose signatures hold, by those who must sign it."""
+
+    value: Value
+    verified: Verified
+
+    @property
+    def signed_at(self) -> datetime | None:
+        """When its signer says that it was signed; None where the signer does not say."""
+        return self.verified.signatures[0].signed_at
+
+
+@dataclass(frozen=True, kw_only=True)  # no slots: what is worked out once is kept
+class TrustAnchors:
+    """The CAs of a participant by their roles, and the revocation list that counts."""
+
+    identity_cas: tuple[Certificate, ...]
+    """The participant's own issuer first; behind it, in a rollover, the other one."""
+    permissions_ca: Certificate
+    countersigner: Certificate | None = None
+    revocation_list: RevocationList | None = None
+    """Of the first identity CA."""
+    stock_peers: bool = False
+    """Whether peers may lack alternative signatures: then documents need a countersignature
+    only where a countersigner is named."""
+
+    @classmethod
+    def of(cls, files: Mapping[str, bytes], *, folder: str = "") -> Self:
+        """From the files of an enclave. MalformedError, naming the file in `folder`."""
+        where = f"{folder}/" if folder else ""
+        second, list_ = files.get(PERMISSIONS_ALT_CA), files.get(REVOCATION_LIST)
+        return cls(
+            identity_cas=certificates_in(files[IDENTITY_CA], f"{where}{IDENTITY_CA}"),
+            permissions_ca=only_certificate(files[PERMISSIONS_CA], f"{where}{PERMISSIONS_CA}"),
+            countersigner=only_certificate(second, f"{where}{PERMISSIONS_ALT_CA}")
+            if second is not None
+            else None,
+            revocation_list=only_list(list_, f"{where}{REVOCATION_LIST}")
+            if list_ is not None
+            else None,
+        )
+
+    @property
+    def identity_ca(self) -> Certificate:
+        """The first, whose revocation list counts."""
+        return self.identity_cas[0]
+
+    @property
+    def signed_twice(self) -> bool:
+        """Whether everything is signed twice: the identity CA's certificate says so."""
+        return self.identity_ca.alternative is not None and not self.stock_peers
+
+    @property
+    def required(self) -> Require:
+        """Which signatures a document must have, so that none can be left out."""
+        family = _family(self.permissions_ca)
+        if self.countersigner or self.signed_twice or family is Family.HYBRID:
+            return Require.BOTH
+        return Require.PQ if family is Family.PQ else Require.CLASSICAL
+
+    @property
+    def in_overlap(self) -> bool:
+        """Whether two identity CAs are trusted, as in a rollover, when no list can be given."""
+        return len({each.spki for each in self.identity_cas}) > 1
+
+    @property
+    def roles(self) -> Mapping[str, tuple[Certificate, ...]]:
+        """The CAs by the files that they stand in."""
+        return {
+            IDENTITY_CA: self.identity_cas,
+            PERMISSIONS_CA: (self.permissions_ca,),
+            PERMISSIONS_ALT_CA: (self.countersigner,) if self.countersigner else (),
+        }
+
+    def problems(self, now: datetime) -> tuple[Problem, ...]:
+        """What is wrong with the CAs themselves, and with one that has two roles."""
+        return (*self._role_problems, *self._authority_problems(now))
+
+    def identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
+        """9.3.3: did a trusted CA issue `certificate`, is it in force, is it not revoked?"""
+        ca, twice = self.issuer_of(certificate), self.signed_twice
+        yield from _told(lambda: verify_chain(certificate, ca, now=now, require_alternative=twice))
+        if self.revocation_list is not None:
+            list_ = self.revocation_list
+            yield from _told(
+                lambda: verify_not_revoked(
+                    certificate, list_, self.identity_ca, now=now, require_alternative=twice
+                )
+            )
+
+    def issuer_of(self, certificate: Certificate) -> Certificate:
+        """The identity CA that issued `certificate`; the first if none of them did."""
+        for each in self.identity_cas[1:]:
+            if each.subject_der == certificate.issuer_der and each.signed(certificate):
+                return each
+        return self.identity_ca
+
+    def governance(self, message: bytes, now: datetime) -> SignedDocument[Governance]:
+        """9.4.3: the governance in S/MIME `message`, if CAs that are good `now` signed it.
+
+        VerificationError lists everything that is wrong.
+        """
+        self._refuse_signers(now)
+        return self.signed_governance(message)
+
+    def permissions(self, message: bytes, now: datetime) -> SignedDocument[Permissions]:
+        """The same for permissions; to whom they grant what is not looked at."""
+        self._refuse_signers(now)
+        return self.signed_permissions(message)
+
+    def signed_governance(self, message: bytes) -> SignedDocument[Governance]:
+        """The governance, if those signed it who must; whether they are good is not looked at."""
+        return self._document(message, GOVERNANCE, Governance.from_xml)
+
+    def signed_permissions(self, message: bytes) -> SignedDocument[Permissions]:
+        """The permissions, likewise."""
+        return self._document(message, PERMISSIONS, Permissions.from_xml)
+
+    def signatures(self, message: bytes) -> tuple[FoundSignature, ...]:
+        """The signatures on S/MIME `message`, likewise."""
+        return _verified(message, self.permissions_ca, self.countersigner, self.required).signatures
+
+    def _refuse_signers(self, now: datetime) -> None:
+        problems = [each for each in self.problems(now) if each.subject != IDENTITY_CA]
+        if problems:
+            raise VerificationError(*problems)
+
+    def _document(
+        self, message: bytes, file: str, read: Callable[[bytes], Value]
+    ) -> SignedDocument[Value]:
+        code = Code.NOT_SIGNED
+        try:
+            verified = _verified(message, self.permissions_ca, self.countersigner, self.required)
+            code = Code.DOCUMENT_INVALID
+            return SignedDocument(read(verified.document), verified)
+        except InvalidDocumentError as error:
+            problems = tuple(each.as_code(code) for each in error.problems)
+            raise VerificationError(*(each.of(file) for each in problems)) from error
+        except PqsecError as error:
+            problems = problems_of(error, code)
+            raise VerificationError(
+                *(each.of(file) for each in problems), hint=error.hint
+            ) from error
+
+    @cached_property
+    def _role_problems(self) -> tuple[Problem, ...]:
+        return tuple(self._find_role_problems())
+
+    def _find_role_problems(self) -> Iterator[Problem]:
+        keys = [each.spki for each in self.identity_cas]
+        if len(set(keys)) < len(keys):
+            yield Problem("the same CA stands in it twice", Code.CA_DOUBLED, IDENTITY_CA)
+        for (one, first), (other, second) in combinations(self.roles.items(), 2):
+            if not _keys_of(first).isdisjoint(_keys_of(second)):
+                yield Problem(
+                    f"one key is this CA's and that of {one}: whoever is issued a certificate"
+                    " could sign permissions (CVE-2023-24010)"
+                    if one == IDENTITY_CA
+                    else f"one key is this CA's and that of {one}",
+                    Code.ONE_KEY_TWO_ROLES,
+                    other,
+                )
+        classical = _family(self.permissions_ca) is Family.CLASSICAL
+        if self.signed_twice and classical and self.countersigner is None:
+            words = "the identity CA signs everything twice, and the countersigner is missing"
+            yield Problem(words, Code.COUNTERSIGNER_MISSING, PERMISSIONS_ALT_CA)
+
+    def _authority_problems(self, now: datetime) -> Iterator[Problem]:
+        for file, found in self.roles.items():
+            for each in found:
+                for problem in _told(partial(verify_authority, each, now=now)):
+                    yield problem.of(file)
+
+
+def _family(certificate: Certificate) -> Family | None:
+    """Of its key; None if no row is for it, which the signature check tells of."""
+    try:
+        return certificate.public_key.algorithm.family
+    except PqsecError:
+        return None
+
+
+def certificates_in(data: bytes, where: str) -> tuple[Certificate, ...]:
+    """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
+    with located(where):
+        blocks = unpem(data, "certificate")
+        if not blocks or len(blocks) != data.count(b"-----BEGIN"):
+            raise MalformedError("not certificates in PEM, and nothing else")
+        if any(label != "CERTIFICATE" for label, _ in blocks):
+            raise MalformedError("not certificates alone")
+        return tuple(_certificate(der) for _, der in blocks)
+
+
+def only_certificate(data: bytes, where: str) -> Certificate:
+    """The only certificate in PEM `data`; MalformedError if there are several, or none."""
+    found = certificates_in(data, where)
+    if len(found) > 1:
+        raise MalformedError(f"{where}: {len(found)} certificates, not one")
+    return found[0]
+
+
+def only_list(data: bytes, where: str) -> RevocationList:
+    """The only revocation list in PEM `data`; MalformedError if there is not one."""
+    with located(where):
+        if data.count(b"-----BEGIN") != 1:
+            raise MalformedError("not one revocation list in PEM")
+        return _list(data)
+
+
+@lru_cache(maxsize=64)
+def _certificate(der: bytes) -> Certificate:
+    """Read once, though all participants of a domain name the same CAs."""
+    return Certificate.from_der(der)
+
+
+@lru_cache(maxsize=8)
+def _list(data: bytes) -> RevocationList:
+    """All participants of a domain share one, which may be long."""
+    return RevocationList.from_pem(data)
+
+
+@lru_cache(maxsize=16)
+def _verified(
+    message: bytes, ca: Certificate, countersigner: Certificate | None, require: Require
+) -> Verified:
+    """Once for each document: all participants of a domain share one governance."""
+    return verify(message, ca, alternative_ca=countersigner, require=require, pinned=True)
+
+
+def _keys_of(certificates: tuple[Certificate, ...]) -> set[bytes]:
+    """Subject public keys, DER, alternative ones among them."""
+    found = {each.spki for each in certificates}
+    for each in certificates:
+        try:
+            second = each.alternative_key
+        except PqsecError:  # which the chain check tells of
+            continue
+        if second is not None:
+            found.add(second.spki)
+    return found
+
+
+def _told(check: Callable[[], object]) -> tuple[Problem, ...]:
+    try:
+        check()
+    except PqsecError as error:
+        return problems_of(error)
+    return ()

@@ -1,0 +1,211 @@
+"""What a robot believes and has seen, whatever it runs with: it outlives each set.
+
+Pins: the CAs that it trusts, each with its role. Marks: how new the newest of everything was
+that was ever installed here, so that no older bundle brings back old rights, or lets a revoked
+peer in again, not even after a rollback. Marks never go down.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Self, TypeAlias
+
+from pqsec_pki.credentials import (
+    CA_FILES,
+    CERTIFICATE,
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+    REVOCATION_LIST,
+    Credentials,
+)
+from pqsec_pki.errors import KeystoreError, UsageError, shown
+from pqsec_pki.problems import Code, Problem
+
+FORMAT = 1
+ROLES = {
+    "identity": IDENTITY_CA,
+    "permissions": PERMISSIONS_CA,
+    "countersigner": PERMISSIONS_ALT_CA,
+}
+"""The role of a CA, as a person names it, and the file that it stands in."""
+
+Pins: TypeAlias = Mapping[str, frozenset[str]]
+"""SHA-256 fingerprints of CA certificates, hex, by the file that they stand in."""
+
+_PIN = re.compile(rf"({'|'.join(ROLES)}):([0-9a-f]{{64}})")
+_WORDS = {GOVERNANCE: "the governance", PERMISSIONS: "the permissions"}
+_NEVER = datetime.min.replace(tzinfo=UTC)
+
+
+def pins_of(texts: Iterable[str]) -> Pins:
+    """Pins as a person writes them: identity:0ab1..., with or without colons in the digits.
+
+    UsageError for anything else: a fingerprint without a role would let one CA act as another.
+    """
+    found: dict[str, set[str]] = {}
+    for text in texts:
+        role, _, digits = text.lower().partition(":")
+        match = _PIN.fullmatch(f"{role}:{digits.replace(':', '')}")
+        if not match:
+            raise UsageError(
+                f"'{shown(text)}' is not a role and a SHA-256 fingerprint",
+                hint=f"write {', '.join(f'{each}:SHA256' for each in ROLES)};"
+                " `pqsec ca show --pins`, where the CAs are, prints them",
+            )
+        found.setdefault(ROLES[match[1]], set()).add(match[2])
+    return {file: frozenset(pins) for file, pins in found.items()}
+
+
+def pin_problems(found: Pins, trusted: Pins) -> Iterator[Problem]:
+    """CAs that are not trusted with the role that they are `found` in, and those that lack."""
+    for role, file in ROLES.items():
+        there, due = found.get(file, frozenset()), trusted.get(file, frozenset())
+        for each in sorted(there - due):
+            words = f"the {role} CA is not one that is trusted as that: SHA-256 {each}"
+            yield Problem(words, Code.CA_UNKNOWN, file)
+        for each in sorted(due - there):
+            words = f"the {role} CA that is trusted is not there: SHA-256 {each}"
+            yield Problem(words, Code.CA_MISSING, file)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Marks:
+    """How new the newest was."""
+
+    lists: Mapping[str, int] = field(default_factory=dict)
+    """CRL numbers, by SHA-256 of the identity CA's key (SPKI), hex."""
+    signed: Mapping[str, datetime] = field(default_factory=dict)
+    """When documents were signed: 'governance.p7s', 'permissions.p7s /talker'."""
+    issued: Mapping[str, datetime] = field(default_factory=dict)
+    """From when certificates are valid, by participant."""
+
+    @classmethod
+    def of(cls, credentials: Credentials) -> Self:
+        """Of one participant's credentials; VerificationError if signatures do not hold."""
+        anchors, name = credentials.anchors, credentials.name
+        governance = anchors.signatures(credentials.governance)[0].signed_at
+        permissions = anchors.signatures(credentials.permissions)[0].signed_at
+        revocation_list = anchors.revocation_list
+        number = -1 if revocation_list is None else (revocation_list.number or 0)
+        return cls(
+            lists={} if revocation_list is None else {_key_of(credentials): number},
+            signed={
+                GOVERNANCE: governance or _NEVER,
+                f"{PERMISSIONS} {name}": permissions or _NEVER,
+            },
+            issued={name: credentials.certificate.not_before},
+        )
+
+    def raised_by(self, other: "Marks") -> "Marks":
+        """The newer of both."""
+        return Marks(
+            lists=_highest(self.lists, other.lists),
+            signed=_highest(self.signed, other.signed),
+            issued=_highest(self.issued, other.issued),
+        )
+
+    def problems(self, credentials: Credentials) -> Iterator[Problem]:
+        """What of `credentials`, whose signatures hold, is older than the marks."""
+        new, name = Marks.of(credentials), credentials.name
+        for who, when in new.issued.items():
+            if when < self.issued.get(who, _NEVER):
+                yield _older(name, CERTIFICATE, "the certificate")
+        key = _key_of(credentials)
+        if key not in new.lists:
+            # Who trusts two identity CAs, in a rollover, has no list (docs/rollover.md).
+            if key in self.lists and not credentials.anchors.in_overlap:
+                words = "the revocation list is missing, and one was installed before"
+                yield Problem(words, Code.LIST_MISSING, f"{name}: {REVOCATION_LIST}")
+        elif new.lists.get(key, -1) < self.lists.get(key, -1):
+            yield _older(name, REVOCATION_LIST, "the revocation list")
+        for file, when in new.signed.items():
+            if when < self.signed.get(file, _NEVER):
+                document = file.split()[0]
+                yield _older(name, document, _WORDS[document])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrustState:
+    """Pins and marks of one robot."""
+
+    pins: Pins
+    marks: Marks
+
+    @classmethod
+    def from_json(cls, data: bytes) -> Self:
+        """KeystoreError if it is damaged, or of another version."""
+        try:
+            value: dict[str, Any] = json.loads(data)
+            if value["format"] != FORMAT:
+                raise KeystoreError(f"format {value['format']}; this is format {FORMAT}")
+            marks = value["marks"]
+            return cls(
+                pins={
+                    file: frozenset(map(str, value["pins"][role]))
+                    for role, file in ROLES.items()
+                    if role in value["pins"]
+                },
+                marks=Marks(
+                    lists={str(key): int(number) for key, number in marks["lists"].items()},
+                    signed=_times(marks["signed"]),
+                    issued=_times(marks["issued"]),
+                ),
+            )
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise KeystoreError(f"cannot be read: {shown(str(error))}") from error
+
+    def to_json(self) -> bytes:
+        """The same text for the same state."""
+        value = {
+            "format": FORMAT,
+            "pins": {
+                role: sorted(self.pins[file]) for role, file in ROLES.items() if file in self.pins
+            },
+            "marks": {
+                "lists": self.marks.lists,
+                "signed": {key: each.isoformat() for key, each in self.marks.signed.items()},
+                "issued": {key: each.isoformat() for key, each in self.marks.issued.items()},
+            },
+        }
+        return json.dumps(value, indent=2, sort_keys=True).encode() + b"\n"
+
+    def after(self, credentials: Collection[Credentials], pins: Pins) -> "TrustState":
+        """Once `credentials`, of the CAs `pins`, are installed."""
+        marks = self.marks
+        for each in credentials:
+            marks = marks.raised_by(Marks.of(each))
+        return TrustState(pins=pins, marks=marks)
+
+
+def pins_in(credentials: Iterable[Credentials]) -> Pins:
+    """The CAs of `credentials` by their roles."""
+    found: dict[str, set[str]] = {}
+    for each in credentials:
+        for file, authorities in each.anchors.roles.items():
+            found.setdefault(file, set()).update(ca.fingerprint for ca in authorities)
+    return {file: frozenset(found[file]) for file in CA_FILES if found.get(file)}
+
+
+def _key_of(credentials: Credentials) -> str:
+    return hashlib.sha256(credentials.anchors.identity_ca.spki).hexdigest()
+
+
+def _older(name: str, file: str, what: str) -> Problem:
+    return Problem(f"{what} is older than one installed before", Code.OLDER, f"{name}: {file}")
+
+
+def _highest(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: max(each[key] for each in (one, other) if key in each) for key in {**one, **other}}
+
+
+def _times(value: Mapping[str, str]) -> dict[str, datetime]:
+    found = {str(key): datetime.fromisoformat(each) for key, each in value.items()}
+    if any(each.tzinfo is None for each in found.values()):
+        raise ValueError("a time without a zone")
+    return found
