@@ -75,9 +75,7 @@ def _revocation_list(data: bytes) -> RevocationList:
     return RevocationList.from_pem(data)
 
 
-def _refuse_incomplete(
-    folder: Path, name: str, there: list[str], needed: tuple[str, ...]
-) -> None:
+def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[str, ...]) -> None:
     """KeystoreError for what is missing; ROS 2 does not say which file it misses.
 
     Nor does it say that a link to a revocation list leads nowhere: it takes everybody.

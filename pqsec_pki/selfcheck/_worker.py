@@ -140,4 +140,3 @@ class Worker:
         if name not in self._read:
             self._read[name] = fetched(self.occasion.keystore, name, steps)
         return self._read[name]
-

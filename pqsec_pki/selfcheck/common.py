@@ -7,9 +7,9 @@ from datetime import datetime
 
 from pqsec_pki.access import may_join
 from pqsec_pki.access.sharing import Voice, topics_between
+from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.credentials import Credentials
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.meeting import Guest, Meeting, Occasion, Seated, fetched, meet, vetted
 from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, Talk

@@ -134,7 +134,7 @@ def test_a_keystore_of_every_profile_issues_whole_participants(root, profile):
     assert issued.not_after == keystore.participant("talker").certificate.not_after
     for ca in (keystore.identity_ca, keystore.permissions_ca):
         verify_authority(ca, now=NOW)
-    assert (keystore.countersigner is None) == (profile.alternative_key is None)
+    assert (keystore.permissions_alt_ca is None) == (profile.alternative_key is None)
 
 
 def test_a_changed_profile_is_kept(root):
