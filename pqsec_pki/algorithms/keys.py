@@ -84,6 +84,9 @@ def load_private_key(data: bytes, passphrase: bytes | None = None) -> PrivateKey
         return _load_encrypted(data, passphrase) if _pbes2.is_one(data) else _load_pkcs8(data)
     for block in blocks(data, "private key"):
         label = block["label"].decode()
+        if label == "EC PARAMETERS":  # OpenSSL reads nothing behind such as are broken
+            [(_, der)] = unpem(block[0], "private key")
+            decode(Oid, der, "name of a curve")
         if not label.endswith("PRIVATE KEY"):
             continue
         if label not in {"PRIVATE KEY", "ENCRYPTED PRIVATE KEY"}:

@@ -730,3 +730,11 @@ def test_a_private_key_in_pkcs8_with_a_header_is_refused(label):
     text = pem(label, key_of(ML_DSA[0]).pkcs8).replace(b"-----\n", b"-----\nX: y\n\n", 1)
     with pytest.raises(MalformedError, match="traditional private keys only"):
         load_private_key(text, b"horse")
+
+
+def test_a_key_behind_broken_parameters_is_refused_as_openssl_does():
+    key = private_key_pem(key_of(SIGNATURES.named("ecdsa-p256")))
+    curve = pem("EC PARAMETERS", encode(Oid("1.2.840.10045.3.1.7")))
+    assert load_private_key(curve + key)
+    with pytest.raises(MalformedError, match="name of a curve"):
+        load_private_key(pem("EC PARAMETERS", b"123") + key)
