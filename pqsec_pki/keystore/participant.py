@@ -4,9 +4,9 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, exists, read
+from pqsec_pki._files import disk_errors, exists, read, read_within
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials import FILES, NEEDED, Credentials
+from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
 from pqsec_pki.keystore import _layout
 from pqsec_pki.problems import Code
@@ -27,7 +27,8 @@ def enclave_files(root: Path, name: str) -> dict[str, bytes]:
     """The files of the participant called `name`, links followed, by their names in FILES.
 
     Those that are not NEEDED may be missing. KeystoreError if there is no such
-    participant, or it lacks one that is.
+    participant, or it lacks one that is; FileError for a link that leads out of the keystore,
+    or a key that is a link: who bundles a keystore of somebody else's hands on nothing else.
     """
     return _files(root, name, NEEDED)
 
@@ -38,7 +39,7 @@ def _files(root: Path, name: str, needed: tuple[str, ...]) -> dict[str, bytes]:
     with disk_errors(folder):
         there = [each for each in FILES if exists(folder / each)]
         _refuse_incomplete(folder, name, there, needed)
-        return {each: read(folder / each) for each in there}
+        return {each: read_within(root, folder / each, follow=each not in KEYS) for each in there}
 
 
 def refuse_unknown(root: Path, name: str) -> None:

@@ -39,6 +39,7 @@ from pqsec_pki.enrolment import (
 from pqsec_pki.enrolment.parcel import Parcel
 from pqsec_pki.errors import (
     ExistsError,
+    FileError,
     KeystoreError,
     MalformedError,
     PqsecError,
@@ -644,3 +645,24 @@ def test_the_tables_have_no_kind_of_key_that_a_request_cannot_carry():
         made = certificate_request(ROBOT, row.generate())
         made.verify()
         assert CertificateRequest.from_pem(made.pem).spki == made.spki
+
+
+@pytest.mark.parametrize("file", ["crl.pem", "cert.pem", "key.pem", "permissions.p7s"])
+def test_a_link_in_an_enclave_leads_no_file_of_others_into_a_bundle(tmp_path, file):
+    keystore = made(tmp_path / "k", "classical", names=("/a",))
+    mine = tmp_path / "mine.pem"
+    inside = keystore.root / "enclaves/a" / file
+    mine.write_bytes(inside.read_bytes() if inside.exists() else b"secret")
+    inside.unlink(missing_ok=True)
+    inside.symlink_to(mine)
+    with pytest.raises(FileError, match=r"leads out of|ymbolic link"):
+        Bundle.of(keystore, ["/a"], now=NOW)
+
+
+def test_a_key_of_a_ca_is_in_no_bundle_though_a_link_shows_it(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/a",))
+    key = keystore.root / "enclaves/a/key.pem"
+    key.unlink()
+    key.symlink_to("../../private/identity_ca.key.pem")
+    with pytest.raises(FileError, match=r"key\.pem"):
+        Bundle.of(keystore, ["/a"], now=NOW)
