@@ -174,7 +174,7 @@ def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:
         issuer = name_text(crl.issuer)
         yield Problem(
             f"the revocation list was issued by {issuer}, not by {ca.subject_name}",
-            Code.WRONG_ISSUER,
+            Code.LIST_WRONG_ISSUER,
         )
         return
     # (f): cRLSign, if keyUsage is there

@@ -39,7 +39,7 @@ Pins: TypeAlias = Mapping[str, frozenset[str]]
 """SHA-256 fingerprints of CA certificates, hex, by the file that they stand in."""
 
 _PIN = re.compile(rf"({'|'.join(ROLES)}):([0-9a-f]{{64}})")
-_WORDS = {GOVERNANCE: "the governance", PERMISSIONS: "the permissions"}
+_WORDS = {GOVERNANCE: "the governance is", PERMISSIONS: "the permissions are"}
 _NEVER = datetime.min.replace(tzinfo=UTC)
 
 
@@ -115,7 +115,7 @@ class Marks:
         new, name = Marks.of(credentials), credentials.name
         for who, when in new.issued.items():
             if when < self.issued.get(who, _NEVER):
-                yield _older(name, CERTIFICATE, "the certificate")
+                yield _older(name, CERTIFICATE, "the certificate is")
         key = _key_of(credentials)
         if key not in new.lists:
             # Who trusts two identity CAs, in a rollover, has no list (docs/rollover.md).
@@ -123,7 +123,7 @@ class Marks:
                 words = "the revocation list is missing, and one was installed before"
                 yield Problem(words, Code.LIST_MISSING, f"{name}: {REVOCATION_LIST}")
         elif new.lists.get(key, -1) < self.lists.get(key, -1):
-            yield _older(name, REVOCATION_LIST, "the revocation list")
+            yield _older(name, REVOCATION_LIST, "the revocation list is")
         for file, when in new.signed.items():
             if when < self.signed.get(file, _NEVER):
                 document = file.split()[0]
@@ -197,7 +197,7 @@ def _key_of(credentials: Credentials) -> str:
 
 
 def _older(name: str, file: str, what: str) -> Problem:
-    return Problem(f"{what} is older than one installed before", Code.OLDER, f"{name}: {file}")
+    return Problem(f"{what} older than one installed before", Code.OLDER, f"{name}: {file}")
 
 
 def _highest(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:

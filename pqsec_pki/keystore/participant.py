@@ -54,6 +54,7 @@ def refuse_unknown(root: Path, name: str) -> None:
             way = f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are"
             raise KeystoreError(
                 f"there is no participant {name} in {root}",
+                code=Code.FILE_MISSING,
                 hint=f"{instead} If not, {way}" if instead else way,
             ) from None
 

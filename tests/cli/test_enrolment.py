@@ -203,7 +203,9 @@ def test_the_way_back(pqsec, asked, tmp_path):
     assert (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes() != first
     again = pqsec("install fleet+robot1.bundle --dir r --json").done().json
     assert again["already"]
-    pqsec("rollback --dir r").done()
+    assert "older than one installed before" in pqsec("rollback --dir r").err
+    assert (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes() != first
+    pqsec("rollback --dir r --older").done()
     assert (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes() == first
     pqsec("rollback --dir nowhere").refused(3, "nothing is installed")
 
