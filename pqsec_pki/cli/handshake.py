@@ -13,7 +13,7 @@ from pqsec_pki.cli._documents import plain
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck import PQSEC, Guest, Occasion, Report, Stack, stack_named
-from pqsec_pki.selfcheck.common import Ground, meet_on
+from pqsec_pki.selfcheck.shared_domains import JoinableDomains, meet_on
 
 MATRIX_ROUNDS = 5
 _COUPLE = 2
@@ -127,26 +127,30 @@ def _two(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
 
 def _report(names: tuple[str, ...], given: dict[str, Any]) -> Report:
-    occasion, guests, ground = _invited(names, given)
-    return meet_on(ground, occasion, *guests, anywhere=given["domain"] is None)
+    occasion, guests, joinable = _invited(names, given)
+    return meet_on(joinable, occasion, *guests, anywhere=given["domain"] is None)
 
 
 def _invited(
     names: tuple[str, ...], given: dict[str, Any]
-) -> tuple[Occasion, tuple[Guest, Guest], Ground]:
+) -> tuple[Occasion, tuple[Guest, Guest], JoinableDomains]:
     """Two who are to meet, where, and on what; and where they could."""
     keystore, now = _keystore(given["kem"]), _settings.now()
     for name in names:
         keystore.refuse_unknown(name)
-    ground = Ground.of(keystore, names, now)
+    joinable = JoinableDomains.of(keystore, names, now)
     occasion = Occasion(
         keystore=keystore,
-        domain=ground.domain if given["domain"] is None else given["domain"],
+        domain=joinable.domain if given["domain"] is None else given["domain"],
         now=now,
         agreement=None if given["kem"] is None else KEY_AGREEMENTS.named(given["kem"]),
     )
     first, second = _stacks(given["stacks"])
-    return occasion, (Guest(name=names[0], stack=first), Guest(name=names[1], stack=second)), ground
+    return (
+        occasion,
+        (Guest(name=names[0], stack=first), Guest(name=names[1], stack=second)),
+        joinable,
+    )
 
 
 def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
@@ -190,9 +194,9 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    occasion, guests, ground = _invited(names, given)
+    occasion, guests, joinable = _invited(names, given)
     if given["domain"] is None:
-        ground.refuse_split()
+        joinable.refuse_split()
     return _handshake_attacks.try_attacks(occasion, guests, attacks)
 
 

@@ -12,7 +12,7 @@ from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck.common import Ground
+from pqsec_pki.selfcheck.shared_domains import JoinableDomains
 from pqsec_pki.trial import (
     MACHINE,
     STACKS,
@@ -153,9 +153,9 @@ def _way(
     for name in names:
         keystore.refuse_unknown(name)
     if domain is None:
-        ground = Ground.of(keystore, names, now)
-        ground.refuse_split()
-        domain = ground.domain
+        joinable = JoinableDomains.of(keystore, names, now)
+        joinable.refuse_split()
+        domain = joinable.domain
     if topic is None:
         return passage(keystore, (first, second), domain, now)
     if not topic:

@@ -14,9 +14,9 @@ from pqsec_pki.access.sharing import Voice
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck.common import domains_of, talks_between, voice_of
 from pqsec_pki.selfcheck.meeting import Meeting, Occasion, Seated, fetched, vetted
 from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, Talk
+from pqsec_pki.selfcheck.shared_domains import domains_of, talks_between, voice_of
 from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
 
 

@@ -17,7 +17,7 @@ from pqsec_pki.smime import document_in
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class JoinableDomains:
     """Where two may meet."""
 
     domains: dict[str, frozenset[int]]
@@ -26,7 +26,7 @@ class Ground:
     """Where to see what is wrong with one that may join none."""
 
     @classmethod
-    def of(cls, keystore: Keystore, names: Sequence[str], now: datetime) -> "Ground":
+    def of(cls, keystore: Keystore, names: Sequence[str], now: datetime) -> "JoinableDomains":
         """FileError if one of them cannot be read."""
         found = dict[str, frozenset[int]]()
         for name in map(regular_name, names):
@@ -69,16 +69,16 @@ class Ground:
 
 
 def meet_on(
-    ground: Ground, occasion: Occasion, first: Guest, second: Guest, *, anywhere: bool
+    joinable: JoinableDomains, occasion: Occasion, first: Guest, second: Guest, *, anywhere: bool
 ) -> Report:
     """They meet, and it is told what they may say to each other.
 
     If `anywhere` would do and they share no domain, each is looked at by itself, and the step
     `common domain` fails.
     """
-    if ground.is_split and anywhere:
-        return _apart(occasion, ground, (first, second))
-    report = replace(meet(occasion, first, second), domain=occasion.domain, shared=ground.shared)
+    if joinable.is_split and anywhere:
+        return _apart(occasion, joinable, (first, second))
+    report = replace(meet(occasion, first, second), domain=occasion.domain, shared=joinable.shared)
     if not report.ok:
         return report
     keystore = occasion.keystore
@@ -87,16 +87,16 @@ def meet_on(
     return replace(report, talks=talks_between(one, other, occasion.domain, occasion.now))
 
 
-def _apart(occasion: Occasion, ground: Ground, guests: Sequence[Guest]) -> Report:
+def _apart(occasion: Occasion, joinable: JoinableDomains, guests: Sequence[Guest]) -> Report:
     """Each where it may join, and that there is no domain for both."""
     meeting = Meeting(occasion)
     with suppress(StoppedError):
-        for guest, domains in zip(guests, ground.domains.values(), strict=True):
+        for guest, domains in zip(guests, joinable.domains.values(), strict=True):
             participant = fetched(occasion.keystore, guest.name, meeting.steps)
             here = replace(occasion, domain=min(domains))
             vetted(here, Seated(participant, guest.stack), meeting.steps)
         with meeting.steps.step("common domain"):
-            ground.refuse_split()
+            joinable.refuse_split()
     return meeting.report()
 
 
