@@ -211,7 +211,7 @@ ATTACKS = (
         attacker=Attacker.INSIDER,
         title="shows the permissions of another participant",
         refused_at=("admits",),
-        checks=(Code.C25,),
+        checks=(Code.NO_GRANT,),
         act=borrow_permissions,
         pointless=shared_permissions,
     ),

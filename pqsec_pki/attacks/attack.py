@@ -30,7 +30,8 @@ CERTIFICATE = (
 """C10 of docs/wire.md: what can be wrong with a participant's certificate."""
 DOCUMENT = (
     *(Code.NOT_SIGNED, Code.WRONG_SIGNER, Code.CONTENT_CHANGED, Code.SIGNATURE_BAD),
-    *(Code.SIGNATURE_MISSING, Code.COUNTERSIGNATURE_BAD, Code.DOCUMENT_INVALID, Code.C25),
+    *(Code.SIGNATURE_MISSING, Code.COUNTERSIGNATURE_BAD, Code.DOCUMENT_INVALID),
+    *(Code.NO_GRANT, Code.GRANT_EXPIRED, Code.NO_DOMAIN_RULE, Code.DOMAIN_DENIED, Code.C25),
 )
 """C25: what can be wrong with permissions."""
 TRANSCRIPT = (Code.C19, Code.C21, Code.C23, Code.C24, Code.C26)

@@ -6,10 +6,13 @@ from contextlib import contextmanager
 from pqsec_pki.errors import PqsecError, VerificationError, problems_of
 from pqsec_pki.problems import Code
 
+_UNSAID = frozenset({Code.OTHER, Code.FILE_MALFORMED})
+"""Codes that tell no check: what cannot be decoded here is a message, not a file."""
+
 
 @contextmanager
 def check(code: Code) -> Iterator[None]:
-    """What is refused inside is refused by that check, unless it says another.
+    """What is refused inside is refused by that check, unless the error has a code of its own.
 
     VerificationError for every PqsecError.
     """
@@ -17,10 +20,7 @@ def check(code: Code) -> Iterator[None]:
         yield
     except PqsecError as error:
         refused = VerificationError(
-            *(
-                each.as_code(code) if each.code is Code.OTHER else each
-                for each in problems_of(error)
-            ),
+            *(each.as_code(code) if each.code in _UNSAID else each for each in problems_of(error)),
             hint=error.hint,
         )
         if isinstance(error, VerificationError):  # the words of all others say where

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, shown
+from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.handshake import (
     CHALLENGE_SIZE,
     AuthRequest,
@@ -193,7 +193,7 @@ def _check_envelope(message: GenericMessage, wanted: MessageClass, reader: Side)
     if message.destination_participant != reader.guid:
         raise VerificationError("a message for another participant")
     if len(message.tokens) != 1:
-        raise MalformedError(f"{len(message.tokens)} tokens where one is due")
+        raise VerificationError(f"{len(message.tokens)} tokens where one is due")
 
 
 def _both_ways(
