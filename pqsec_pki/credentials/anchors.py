@@ -151,11 +151,11 @@ class TrustAnchors:
 
     def signed_governance(self, message: bytes) -> SignedDocument[Governance]:
         """The governance, if those signed it who must; whether they are good is not looked at."""
-        return self._document(message, GOVERNANCE, Governance.from_xml)
+        return self._document(message, GOVERNANCE, _governance)
 
     def signed_permissions(self, message: bytes) -> SignedDocument[Permissions]:
         """The permissions, likewise."""
-        return self._document(message, PERMISSIONS, Permissions.from_xml)
+        return self._document(message, PERMISSIONS, _permissions)
 
     def signatures(self, message: bytes) -> tuple[FoundSignature, ...]:
         """The signatures on S/MIME `message`, likewise."""
@@ -266,6 +266,16 @@ def _verified(
 ) -> Verified:
     """Once for each document: all participants of a domain share one governance."""
     return verify(message, ca, alternative_ca=countersigner, require=require, pinned=True)
+
+
+@lru_cache(maxsize=16)
+def _governance(document: bytes) -> Governance:
+    return Governance.from_xml(document)
+
+
+@lru_cache(maxsize=16)
+def _permissions(document: bytes) -> Permissions:
+    return Permissions.from_xml(document)
 
 
 def _keys_of(certificates: tuple[Certificate, ...]) -> set[bytes]:

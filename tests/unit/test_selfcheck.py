@@ -1,13 +1,15 @@
 """The self-check refuses what would break a promise though every signature holds."""
 
 import shutil
+from collections import Counter
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from pqsec_pki.algorithms import SIGNATURES, private_key_pem, profile_named
 from pqsec_pki.certificates import Authority
-from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.credentials import anchors
+from pqsec_pki.documents import DomainSet, Governance, Permissions
 from pqsec_pki.keystore import Keystore, Wish, issue
 from pqsec_pki.keystore.issuing import permissions_for
 from pqsec_pki.selfcheck import Guest, Occasion, meet
@@ -152,3 +154,26 @@ def test_a_needless_alternative_key_is_refused(made):
     step = failing(keystore)
     assert step.name == "identity of /talker"
     assert step.detail == "alt.key.pem: not the alternative key of the certificate"
+
+
+def test_each_document_is_verified_once_per_reader(made, monkeypatch):
+    """Two readers, each of its own two documents and of its peer's permissions: six at most."""
+    keystore = made("transition")
+    calls = Counter()
+
+    def counted(name, check):
+        def count(*arguments, **options):
+            calls[name] += 1
+            return check(*arguments, **options)
+
+        return count
+
+    for check in (anchors._verified, anchors._governance, anchors._permissions):
+        check.cache_clear()
+    monkeypatch.setattr(anchors, "verify", counted("signatures", anchors.verify))
+    for kind in (Governance, Permissions):
+        monkeypatch.setattr(kind, "from_xml", counted("schemas", kind.from_xml))
+    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
+    assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
+    assert 0 < calls["signatures"] <= 6
+    assert 0 < calls["schemas"] <= 6
