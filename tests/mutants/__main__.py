@@ -1,0 +1,221 @@
+"""Is each security-relevant condition tested? python -m tests.mutants --jobs 4
+
+Breaks one condition at a time (`conditions.py`) and runs the tests that run it: at least one
+must fail. A mutant that survives fails this job, unless `survivors.toml` has its id with the
+reason why no test can or need tell; a listed one that is killed is told, to be taken out.
+
+Which tests run a condition is measured first, by coverage, on the files of tests in TESTS.
+Tests of kills, properties and fuzzing are not among them: they run the same code a thousand
+times, and what only they find is not named by any test. Nor are those of other implementations.
+
+Why not mutmut or cosmic-ray: both start Python for each mutant and mutate everything, text too;
+here two of three mutants would be noise, and each would take its two seconds of imports.
+
+Ends with 0 if each survivor has a reason, 1 if one has none, 3 if the tests fail by themselves.
+"""
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+import time
+import tomllib
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from tests.mutants.children import Copy, Measured, Ran, warm
+from tests.mutants.conditions import ROOMS, Mutant, mutants
+
+TESTS = {
+    "credentials": ("selfcheck", "install", "enrolment", "credentials*"),
+    "smime": ("smime", "smime_readers"),
+    "certificates": ("certificates", "requests", "revocation_lists", "der_cutting"),
+    "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
+    "enrolment": ("archive", "hostile_archives", "offline_ca", "enrolment", "install", "sharing"),
+    "plugin": ("plugin_*",),
+    "access": ("access", "decide", "matrix_access", "diff", "sharing", "plugin_rights"),
+}
+"""For each room the files of tests in tests/unit, test_*.py, that are there for it."""
+
+KILLED, SURVIVED, NO_TEST, HANGS = "killed", "survived", "run by no test", "hangs"
+SURVIVING = {SURVIVED, NO_TEST}
+MEASURING = 1800.0
+"""Seconds for one file of tests."""
+
+
+@dataclass
+class Run:
+    """What came of which mutant."""
+
+    copies: list[Copy]
+    measured: Measured
+    results: dict[str, str] = field(default_factory=dict)
+    killers: dict[str, str] = field(default_factory=dict)
+    _reliable: dict[str, bool] = field(default_factory=dict)
+
+    def all(self, wanted: list[Mutant], until: float | None) -> None:
+        """Run them, as many at once as there are copies; none is started after `until`."""
+        waiting = list(reversed(wanted))
+        running: list[tuple[Copy, Mutant]] = []
+        free = list(self.copies)
+        while waiting or running:
+            while waiting and free and (until is None or time.time() < until):
+                mutant = waiting.pop()
+                tests = self.measured.running(mutant)
+                if not tests:
+                    self._tell(mutant, NO_TEST)
+                    continue
+                copy = free.pop()
+                copy.start(tests, mutant, self.measured.timeout(tests), "-x")
+                running.append((copy, mutant))
+            if not running:
+                return
+            for copy, mutant in list(running):
+                ran = copy.ended()
+                if ran is not None:
+                    running.remove((copy, mutant))
+                    self._tell(mutant, self._result(copy, mutant, ran), ran.failed or "")
+                    free.append(copy)
+            time.sleep(0.02)
+
+    def _result(self, copy: Copy, mutant: Mutant, ran: Ran) -> str:
+        if ran.code is None:
+            return HANGS
+        if ran.code == 0:
+            return SURVIVED
+        # What fails without the mutant as well, when it runs alone, tells nothing of it.
+        if ran.failed and not self._passes_alone(copy, ran.failed):
+            raise RuntimeError(f"{ran.failed} fails alone, without {mutant.id}: {copy.log[-2000:]}")
+        return KILLED
+
+    def _passes_alone(self, copy: Copy, test: str) -> bool:
+        if test not in self._reliable:
+            ran = copy.run([test], None, self.measured.timeout([test]))
+            self._reliable[test] = ran.code == 0
+        return self._reliable[test]
+
+    def _tell(self, mutant: Mutant, result: str, killer: str = "") -> None:
+        self.results[mutant.id] = result
+        self.killers[mutant.id] = killer
+        print(f"{result:14}  {mutant.id}  {killer}", flush=True)
+        if result in SURVIVING:
+            print(f"    line {mutant.lines[0]}: {mutant.condition}\n    -> {mutant.replacement}")
+
+
+def test_files(root: Path, rooms: tuple[str, ...]) -> list[str]:
+    """For those rooms."""
+    patterns = dict.fromkeys(pattern for room in rooms for pattern in TESTS[room])
+    found = [
+        path
+        for pattern in patterns
+        for path in sorted((root / "tests/unit").glob(f"test_{pattern}.py"))
+    ]
+    return [str(path.relative_to(root)) for path in dict.fromkeys(found)]
+
+
+def accepted(root: Path) -> dict[str, str]:
+    """Survivors with their reasons."""
+    path = root / "tests/mutants/survivors.toml"
+    return tomllib.loads(path.read_text()) if path.exists() else {}
+
+
+def table(wanted: list[Mutant], results: dict[str, str]) -> str:
+    """Results of each room."""
+    kinds = (KILLED, HANGS, SURVIVED, NO_TEST)
+    rows = [("room", "mutants", "run", *kinds)]
+    for room in dict.fromkeys(each.room for each in wanted):
+        ids = [each.id for each in wanted if each.room == room]
+        counted = Counter(results[each] for each in ids if each in results)
+        rows.append((room, len(ids), counted.total(), *(counted[kind] for kind in kinds)))
+    rows.append(("all", *(sum(column) for column in list(zip(*rows[1:], strict=True))[1:])))
+    return "\n".join(f"{row[0]:14}" + "".join(f"{cell:>16}" for cell in row[1:]) for row in rows)
+
+
+def verdict(known: set[str], results: dict[str, str], reasons: dict[str, str]) -> int:
+    """Say what is not as it is listed; the exit code."""
+    bad = sorted(key for key, result in results.items() if result in SURVIVING)
+    unlisted = [each for each in bad if each not in reasons]
+    for each in unlisted:
+        print(f"survived, without a reason in survivors.toml: {each}")
+    for each in sorted(reasons):
+        if each not in known:
+            print(f"in survivors.toml, and not a mutant: {each}")
+        elif results.get(each) in {KILLED, HANGS}:
+            print(f"in survivors.toml, and killed: {each}")
+    return 1 if unlisted else 0
+
+
+def options() -> argparse.ArgumentParser:
+    """Of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.mutants",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--root", type=Path, default=Path(), help="the checkout")
+    parser.add_argument("--room", action="append", choices=ROOMS, help="this room alone")
+    parser.add_argument("--id", action="append", help="this mutant alone")
+    parser.add_argument("--sample", type=int, help="so many, drawn by --seed")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1, help="so many at once")
+    parser.add_argument("--minutes", type=float, help="start none after that")
+    parser.add_argument("--list", action="store_true", help="say which there are, and run none")
+    parser.add_argument("--measured", type=Path, help="keep what was measured here, and use it")
+    parser.add_argument("--json", type=Path, help="write results here")
+    return parser
+
+
+def measured(copy: Copy, files: list[str], kept: Path | None) -> Measured:
+    """By running them, unless it is kept."""
+    if kept and kept.exists():
+        read = json.loads(kept.read_text())
+        lines = {
+            path: {int(line): tests for line, tests in found.items()}
+            for path, found in read["tests"].items()
+        }
+        return Measured(read["seconds"], lines)
+    result = Measured.by(copy, files, MEASURING)
+    if kept:
+        kept.write_text(json.dumps(asdict(result)))
+    return result
+
+
+def main() -> int:
+    chosen = options().parse_args()
+    until = chosen.minutes and time.time() + 60 * chosen.minutes
+    rooms = tuple(chosen.room or ROOMS)
+    every = mutants(chosen.root, rooms)
+    wanted = [each for each in every if not chosen.id or each.id in chosen.id]
+    if chosen.sample is not None and chosen.sample < len(wanted):
+        wanted = random.Random(chosen.seed).sample(wanted, chosen.sample)  # noqa: S311 -- a draw
+    if chosen.list:
+        for each in wanted:
+            print(each.id)
+        return 0
+    warm()
+    with tempfile.TemporaryDirectory(prefix="pqsec-mutants-") as folder:
+        copies = [
+            Copy.made(chosen.root, Path(folder).resolve() / str(n)) for n in range(chosen.jobs)
+        ]
+        try:
+            found = measured(copies[0], test_files(chosen.root, rooms), chosen.measured)
+            run = Run(copies, found)
+            run.all(wanted, until)
+        except RuntimeError as error:
+            print(error, file=sys.stderr)
+            return 3
+    print(table(wanted, run.results))
+    if chosen.json:
+        chosen.json.write_text(
+            json.dumps({"results": run.results, "killers": run.killers}, indent=1)
+        )
+    reasons = {
+        key: why for key, why in accepted(chosen.root).items() if key.partition("/")[0] in rooms
+    }
+    return verdict({each.id for each in every}, run.results, reasons)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,219 @@
+"""Tests in child processes of one warm process, each on a copy of the checkout.
+
+The checkout is never edited. A copy's module is replaced by the mutant's, in the file, so that
+programs which a test starts run the mutant as well.
+"""
+
+import gc
+import importlib
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+import traceback
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from coverage import CoverageData
+
+from tests.mutants.conditions import PACKAGE, Mutant
+
+COPIED = (PACKAGE, "tests", "schemas", "templates", "docs", "examples", "pyproject.toml")
+WARM = (
+    "pytest", "hypothesis", "click", "jinja2", "lxml.etree", "yaml", "sqlite3", "jsonschema",
+    "cryptography.x509", "cryptography.hazmat.asn1", "_pytest.assertion.rewrite",
+)  # fmt: skip
+"""What tests import and no mutant touches: imported once, before the children are forked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """How a run of tests ended."""
+
+    code: int | None
+    """pytest's exit code; None for a child that was ended, or ended itself."""
+    failed: str | None
+    """The first test that failed."""
+    seconds: dict[str, float]
+    """Of each test that ran."""
+
+
+class _Recorder:
+    """A plugin of pytest."""
+
+    def __init__(self) -> None:
+        self.failed: str | None = None
+        self.seconds: dict[str, float] = {}
+
+    def pytest_runtest_logreport(self, report) -> None:
+        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        if report.failed and self.failed is None:
+            self.failed = report.nodeid
+
+
+@dataclass
+class Copy:
+    """A copy of the checkout in `root`, for one child at a time."""
+
+    root: Path
+    folder: Path
+    _mutant: Mutant | None = None
+    _deadline: float = 0.0
+    pid: int = 0
+
+    @classmethod
+    def made(cls, root: Path, folder: Path) -> "Copy":
+        """A new one."""
+        folder.mkdir(parents=True)
+        for name in COPIED:
+            if (root / name).is_dir():
+                shutil.copytree(
+                    root / name, folder / name, ignore=shutil.ignore_patterns("__pycache__")
+                )
+            elif (root / name).exists():
+                shutil.copy2(root / name, folder / name)
+        return cls(root, folder)
+
+    def start(self, tests: list[str], mutant: Mutant | None, timeout: float, *options: str) -> None:
+        """Start a child that runs those tests with that mutant, for so many seconds at most."""
+        self._change(mutant)
+        self._deadline = time.monotonic() + timeout
+        self._answer.unlink(missing_ok=True)
+        sys.stdout.flush()
+        gc.freeze()
+        self.pid = os.fork()
+        if not self.pid:
+            try:
+                self._child(tests, options)
+            except BaseException:  # noqa: BLE001 -- nothing of the parent's may run in the child
+                traceback.print_exc()
+            finally:
+                os._exit(70)
+
+    def ended(self) -> Ran | None:
+        """How the child ended; None while it runs."""
+        done, _ = os.waitpid(self.pid, os.WNOHANG)
+        if not done and time.monotonic() < self._deadline:
+            return None
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)  # and what it started
+        if not done:
+            os.waitpid(self.pid, 0)
+        self.pid = 0
+        return Ran(**json.loads(self._answer.read_text())) if self._answer.exists() else NOT_ENDED
+
+    def run(self, tests: list[str], mutant: Mutant | None, timeout: float, *options: str) -> Ran:
+        """Start it and wait."""
+        self.start(tests, mutant, timeout, *options)
+        while (ran := self.ended()) is None:
+            time.sleep(0.05)
+        return ran
+
+    @property
+    def log(self) -> str:
+        """What the last child printed."""
+        path = self.folder / "log"
+        return path.read_text(errors="replace") if path.exists() else ""
+
+    @property
+    def _answer(self) -> Path:
+        return self.folder / "answer.json"
+
+    def _change(self, mutant: Mutant | None) -> None:
+        for each in (self._mutant, mutant):
+            if each is not None:
+                path = self.folder / each.path
+                source = (self.root / each.path).read_bytes()
+                path.write_bytes(source if each is not mutant else each.applied(source))
+                # Its date has whole seconds; a mutant of the same length would be taken for it.
+                shutil.rmtree(path.parent / "__pycache__", ignore_errors=True)
+        self._mutant = mutant
+
+    def _child(self, tests: list[str], options: tuple[str, ...]) -> None:
+        os.setsid()
+        os.chdir(self.folder)
+        log = os.open("log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for number in (1, 2):
+            os.dup2(log, number)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        root = str(self.root.resolve())
+        sys.path[:] = [str(self.folder), *(each for each in sys.path if each not in {"", root})]
+        os.environ["PYTHONPATH"] = str(self.folder)
+        for name in [each for each in sys.modules if each.split(".")[0] in {"tests", PACKAGE}]:
+            del sys.modules[name]
+        # A mutant's bytecode must not outlive it.
+        sys.dont_write_bytecode = self._mutant is not None
+        if sys.dont_write_bytecode:
+            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+        recorder = _Recorder()
+        pytest = importlib.import_module("pytest")
+        code = pytest.main(["-q", "-p", "no:cacheprovider", *options, *tests], plugins=[recorder])
+        sys.stdout.flush()
+        answer = {"code": int(code), "failed": recorder.failed, "seconds": recorder.seconds}
+        self._answer.write_text(json.dumps(answer))
+        os._exit(0)
+
+
+NOT_ENDED = Ran(None, None, {})
+
+
+@dataclass
+class Measured:
+    """Which tests run which lines, and how long they take."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    tests: dict[str, dict[int, list[str]]] = field(default_factory=dict)
+    """Of a module's path, of a line: the tests."""
+
+    @classmethod
+    def by(cls, copy: Copy, files: list[str], timeout: float) -> "Measured":
+        """Measured by running those files of tests once, without a mutant.
+
+        RuntimeError if one of them fails.
+        """
+        measured = cls()
+        for file in files:
+            options = (f"--cov={PACKAGE}", "--cov-context=test", "--cov-report=")
+            ran = copy.run([file], None, timeout, *options)
+            if ran.code != 0:
+                raise RuntimeError(f"{file} fails without a mutant:\n{copy.log[-4000:]}")
+            measured.seconds |= ran.seconds
+            measured.add(copy)
+        return measured
+
+    def add(self, copy: Copy) -> None:
+        """What the last run left in the copy's folder."""
+        data = CoverageData(str(copy.folder / ".coverage"))
+        data.read()
+        for name in data.measured_files():
+            path = str(Path(name).relative_to(copy.folder))
+            lines = self.tests.setdefault(path, {})
+            for line, contexts in data.contexts_by_lineno(name).items():
+                found = {each.rpartition("|")[0] for each in contexts} - {""}
+                lines[line] = sorted({*lines.get(line, ()), *found})
+
+    def running(self, mutant: Mutant) -> list[str]:
+        """The tests that run what the mutant changes, the cheapest files first."""
+        first, last = mutant.lines
+        lines = self.tests.get(mutant.path, {})
+        found = {test for line in range(first, last + 1) for test in lines.get(line, ())}
+        seconds: dict[str, float] = {}
+        for test in found:
+            file = test.partition("::")[0]
+            seconds[file] = seconds.get(file, 0.0) + self.seconds.get(test, 0.0)
+        # Within a file in the file's order: its fixtures are made for that.
+        order = {test: number for number, test in enumerate(self.seconds)}
+        return sorted(found, key=lambda test: (seconds[test.partition("::")[0]], order[test]))
+
+    def timeout(self, tests: list[str]) -> float:
+        """Seconds after which these tests hang."""
+        return 60 + 10 * sum(self.seconds.get(test, 0.0) for test in tests)
+
+
+def warm() -> None:
+    """Import what no mutant touches."""
+    for name in WARM:
+        importlib.import_module(name)

@@ -1,0 +1,103 @@
+"""The job that breaks conditions says the truth: on a toy of one module and one test."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.mutants.conditions import PACKAGE, ROOMS, mutants
+
+ROOT = Path(__file__).resolve().parents[2]
+
+DOOR = '''\
+"""A door."""
+
+LIMIT = 3
+
+
+def enter(count):
+    """Raise ValueError for more than LIMIT."""
+    if count > LIMIT:
+        raise ValueError(count)
+    return count
+'''
+TESTED = """\
+import pytest
+from pqsec_pki.access.door import enter
+
+
+def test_one_enters():
+    assert enter(1) == 1
+"""
+REFUSED = """
+
+def test_four_do_not():
+    with pytest.raises(ValueError, match="4"):
+        enter(4)
+"""
+
+
+@pytest.fixture
+def toy(tmp_path):
+    """toy(tests) is a checkout with that door and those tests."""
+
+    def make(tests):
+        for path, text in {
+            f"{PACKAGE}/__init__.py": "",
+            f"{PACKAGE}/access/__init__.py": "",
+            f"{PACKAGE}/access/door.py": DOOR,
+            "tests/unit/test_access.py": tests,
+            "tests/mutants/survivors.toml": "",
+        }.items():
+            (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / path).write_text(text)
+        return tmp_path
+
+    return make
+
+
+def outcome(root):
+    """The exit code, and of each kind of mutant what came of it."""
+    results = root / "results.json"
+    command = [sys.executable, "-m", "tests.mutants", "--root", root, "--json", results]
+    done = subprocess.run(
+        [*command, "--room", "access"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert results.exists(), done.stdout + done.stderr
+    found = json.loads(results.read_text())["results"]
+    return done.returncode, {key.rpartition(":")[2]: result for key, result in found.items()}
+
+
+def test_a_mutant_survives_without_its_test_and_fails_the_job(toy):
+    root = toy(TESTED)
+    survivors = {"never": "survived", "boundary-1": "survived"}
+
+    assert outcome(root) == (1, {"always": "killed"} | survivors)
+    assert (root / PACKAGE / "access/door.py").read_text() == DOOR
+
+
+def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
+    root = toy(TESTED + REFUSED)
+    [boundary] = [each.id for each in mutants(root) if each.kind == "boundary-1"]
+    (root / "tests/mutants/survivors.toml").write_text(f'"{boundary}" = "A toy."\n')
+
+    killed = {"always": "killed", "never": "killed"}
+    assert outcome(root) == (0, killed | {"boundary-1": "survived"})
+
+
+def test_each_of_the_seven_rooms_has_its_mutants():
+    found = mutants(ROOT)
+
+    assert len({each.id for each in found}) == len(found) >= 300
+    assert {each.room for each in found} == set(ROOMS)
+    for each in found:
+        source = (ROOT / each.path).read_bytes()
+        assert each.applied(source) != source, each.id
+        compile(each.applied(source), each.path, "exec")
