@@ -88,6 +88,8 @@ class FileError(PqsecError):
 class MissingError(FileError):
     """There is nothing at the path: that is known, where others cannot be read."""
 
+    code = Code.FILE_MISSING
+
 
 class ExistsError(FileError):
     """Something is there already, and nothing is overwritten unless told."""

@@ -6,7 +6,13 @@ permissions, in the order of DDS-Security 1.1, 9.3.3 and 9.4.3. No file, socket 
 asks brings the bytes and the time.
 """
 
-from pqsec_pki.credentials.anchors import SignedDocument, TrustAnchors, certificates_in
+from pqsec_pki.credentials.anchors import (
+    SignedDocument,
+    TrustAnchors,
+    certificates_in,
+    only_certificate,
+    only_list,
+)
 from pqsec_pki.credentials.enclave import Credentials, alternative_spki
 from pqsec_pki.credentials.names import (
     ALT_KEY,
@@ -25,9 +31,12 @@ from pqsec_pki.credentials.names import (
 )
 from pqsec_pki.credentials.verification import (
     VerifiedCredentials,
+    VerifiedDocuments,
     grant_of,
     identity_problems,
+    key_problems,
     verify_credentials,
+    verify_documents,
 )
 
 __all__ = [
@@ -48,9 +57,14 @@ __all__ = [
     "SignedDocument",
     "TrustAnchors",
     "VerifiedCredentials",
+    "VerifiedDocuments",
     "alternative_spki",
     "certificates_in",
     "grant_of",
     "identity_problems",
+    "key_problems",
+    "only_certificate",
+    "only_list",
     "verify_credentials",
+    "verify_documents",
 ]

@@ -100,6 +100,11 @@ class TrustAnchors:
         return Require.PQ if family is Family.PQ else Require.CLASSICAL
 
     @property
+    def signers(self) -> tuple[Certificate, ...]:
+        """Who signs documents."""
+        return (self.permissions_ca, *((self.countersigner,) if self.countersigner else ()))
+
+    @property
     def in_overlap(self) -> bool:
         """Whether two identity CAs are trusted, as in a rollover, when no list can be given."""
         return len({each.spki for each in self.identity_cas}) > 1

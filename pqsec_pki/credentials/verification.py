@@ -11,6 +11,7 @@ from datetime import datetime
 from typing import TypeVar
 
 from pqsec_pki.access import SPEC, Action, Question
+from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials.anchors import SignedDocument, TrustAnchors
 from pqsec_pki.credentials.enclave import Credentials, alternative_spki
@@ -58,6 +59,16 @@ class VerifiedCredentials:
         return files
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VerifiedDocuments:
+    """What `verify_documents` found to hold."""
+
+    governance: SignedDocument[Governance]
+    permissions: SignedDocument[Permissions]
+    grant: Grant
+    """The participant's own that is in force."""
+
+
 def verify_credentials(credentials: Credentials, *, now: datetime) -> VerifiedCredentials:
     """What holds at `now`; VerificationError lists everything that is wrong."""
     found, anchors = _Findings(), credentials.anchors
@@ -65,21 +76,24 @@ def verify_credentials(credentials: Credentials, *, now: datetime) -> VerifiedCr
     found.problems += anchors.problems(now)
     found.problems += identity_problems(credentials, now)
     # 9.4.3: governance and permissions
-    governance = found.of(lambda: anchors.signed_governance(credentials.governance))
-    permissions = found.of(lambda: anchors.signed_permissions(credentials.permissions))
-    grant = None
-    if permissions is not None:
-        granted = permissions.value
-        grant = found.of(lambda: grant_of(credentials.certificate, granted, now))
-    if found.problems or governance is None or permissions is None or grant is None:
+    documents = found.of(
+        lambda: verify_documents(
+            credentials.certificate,
+            anchors,
+            governance=credentials.governance,
+            permissions=credentials.permissions,
+            now=now,
+        )
+    )
+    if found.problems or documents is None:
         raise VerificationError(*(each.of(credentials.name) for each in _once(found.problems)))
     return VerifiedCredentials(
         name=credentials.name,
         certificate=credentials.certificate,
         anchors=anchors,
-        governance=governance,
-        permissions=permissions,
-        grant=grant,
+        governance=documents.governance,
+        permissions=documents.permissions,
+        grant=documents.grant,
     )
 
 
@@ -90,20 +104,47 @@ def identity_problems(credentials: Credentials, now: datetime) -> Iterator[Probl
     if certificate.subject_der != common_name(credentials.name):
         words = f"the certificate is for {certificate.subject_name}"
         yield Problem(words, Code.WRONG_SUBJECT, CERTIFICATE)
-    yield from _key_problems(credentials)
+    if credentials.private_key is not None:
+        key, second = credentials.private_key, credentials.alternative_key
+        yield from key_problems(certificate, key, second)
 
 
-def _key_problems(credentials: Credentials) -> Iterator[Problem]:
-    if credentials.private_key is None:
-        return
-    if credentials.private_key.public_key.spki != credentials.certificate.spki:
+def key_problems(
+    certificate: Certificate, key: PrivateKey, second: PrivateKey | None, *, alone: bool = False
+) -> Iterator[Problem]:
+    """Are these the keys of `certificate`? With `alone`, the second need not be there."""
+    if key.public_key.spki != certificate.spki:
         yield Problem("not the private key of the certificate", Code.KEY_MISMATCH, KEY)
-    second = credentials.alternative_key
-    known = alternative_spki(credentials.certificate)
-    if second is None and known is not None:
+    known = alternative_spki(certificate)
+    if second is None and known is not None and not alone:
         yield Problem("it is missing, and the certificate has one", Code.KEY_MISMATCH, ALT_KEY)
     elif second is not None and second.public_key.spki != known:
         yield Problem("not the alternative key of the certificate", Code.KEY_MISMATCH, ALT_KEY)
+
+
+def verify_documents(
+    certificate: Certificate,
+    anchors: TrustAnchors,
+    *,
+    governance: bytes,
+    permissions: bytes,
+    now: datetime,
+) -> VerifiedDocuments:
+    """9.4.3: what S/MIME `governance` and `permissions` say of the holder of `certificate`.
+
+    VerificationError lists everything that is wrong, with the CAs too.
+    """
+    found = _Findings()
+    found.problems += anchors.problems(now)
+    rules = found.of(lambda: anchors.signed_governance(governance))
+    granted = found.of(lambda: anchors.signed_permissions(permissions))
+    grant = None
+    if granted is not None:
+        document = granted.value
+        grant = found.of(lambda: grant_of(certificate, document, now))
+    if found.problems or rules is None or granted is None or grant is None:
+        raise VerificationError(*found.problems)
+    return VerifiedDocuments(governance=rules, permissions=granted, grant=grant)
 
 
 def grant_of(certificate: Certificate, permissions: Permissions, now: datetime) -> Grant:

@@ -9,19 +9,19 @@ from typing import Any
 
 from pqsec_pki.access import Action, Side, decide
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.documents import Governance, Permissions
-from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.credentials import GOVERNANCE, PERMISSIONS, grant_of, verify_documents
+from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import DataHolder, PermissionsToken
-from pqsec_pki.plugin import attributes, credentials, identity
+from pqsec_pki.plugin import attributes, trust
 from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY
 from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
-from pqsec_pki.plugin.rights import Own, Rights, Signers, Theirs, anywhere
+from pqsec_pki.plugin.rights import Own, Rights, Theirs, anywhere, end_of
+from pqsec_pki.plugin.trust import Trust
 
-_GOVERNANCE = "dds.sec.access.governance"
-_PERMISSIONS = "dds.sec.access.permissions"
+_PEERS = {PERMISSIONS: "the peer's permissions"}
 _TEXT = "surrogateescape"
 _OK = 0
 
@@ -41,24 +41,29 @@ class AccessControl:
     ) -> tuple[int, int, int]:
         """The handle of a local participant's rights, and the second when they end."""
         properties, now = Properties(pairs, folder), self._now()
-        certificate = credentials.certificate_at(properties.source(identity.CERTIFICATE))
-        signers = Signers.load(properties)
-        governance, permissions = properties.source(_GOVERNANCE), properties.source(_PERMISSIONS)
-        with located(governance.where):
-            rules = Governance.from_xml(signers.document(governance.read(), now))
-        message = permissions.read()
-        with located(permissions.where):
-            granted = Permissions.from_xml(signers.document(message, now))
+        trusted = Trust.of(properties, now)
+        certificate, anchors = trusted.certificate, trusted.anchors
+        governance, message = (
+            properties.source(trust.PROPERTIES[file]).read() for file in (GOVERNANCE, PERMISSIONS)
+        )
+        try:
+            found = verify_documents(
+                certificate, anchors, governance=governance, permissions=message, now=now
+            )
+        except VerificationError as error:
+            raise trust.refusal(
+                error.problems, trust.places(properties), hint=error.hint
+            ) from error
         rights = Own(
             subject=certificate.subject_name,
             domain=domain,
-            governance=rules,
-            permissions=granted,
-            signers=signers,
+            governance=found.governance.value,
+            permissions=found.permissions.value,
+            anchors=anchors,
             message=message,
             identity=identity_handle,
         )
-        return _OK, self._handles.add(rights), rights.end(now, signers)
+        return _OK, self._handles.add(rights), end_of(found.grant, anchors)
 
     def validate_remote_permissions(
         self, identity_handle: int, peer: int, token: DataHolder, credential: DataHolder
@@ -70,15 +75,18 @@ class AccessControl:
         found = dict(credential.properties)
         certificate = Certificate.from_pem(found.get("c.id", "").encode(errors=_TEXT))
         message = found.get("c.perm", "").encode(errors=_TEXT).rstrip(b"\0")
-        with located("the peer's permissions"):
-            granted = Permissions.from_xml(own.signers.document(message, now))
+        try:
+            granted = own.anchors.permissions(message, now).value
+            grant = grant_of(certificate, granted, now)
+        except VerificationError as error:
+            raise trust.refusal(error.problems, _PEERS, hint=error.hint) from error
         rights = Theirs(
             subject=certificate.subject_name,
             domain=own.domain,
             governance=own.governance,
             permissions=granted,
         )
-        return _OK, self._handles.add(rights), rights.end(now, own.signers)
+        return _OK, self._handles.add(rights), end_of(grant, own.anchors)
 
     # The handle tells whose rights they are: a check of the local participant's own is made as
     # it makes a thing, of a peer's as the thing is discovered.

@@ -82,13 +82,13 @@ class Authentication:
         del domain
         local = Local.load(Properties(properties, folder), candidate, self._now())
         local = self._recalls.admitted(local)
-        end = end_of(local.certificate, local.authorities[0])
+        end = end_of(local.certificate, local.anchors.issuer_of(local.certificate))
         return Result.OK, self._handles.add(local), local.guid, end, local.revoked is not None
 
     def get_identity_token(self, identity: int) -> tuple[Result, DataHolder]:
         """What discovery will say of the participant."""
         local = self._handles.get(identity, Local)
-        ca, agreements = local.authorities[0], local.policy.agreements
+        ca, agreements = local.anchors.identity_ca, local.policy.agreements
         token = IdentityToken.announced(local.certificate, ca, agreements)
         return Result.OK, token.to_holder()
 
@@ -152,7 +152,7 @@ class Authentication:
         request = replace(request, introduction=replace(request.introduction, permissions=document))
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         terms = local.terms(discovered, relation.announced, data)
-        terms = replace(terms, own=replace(terms.own, ca=local.issuer_of(certificate)))
+        terms = replace(terms, own=replace(terms.own, ca=local.anchors.issuer_of(certificate)))
         reply, state = reply_to(terms, request, now=now)
         handle = self._meetings.answered(local, identity, peer, state, now)
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
@@ -185,7 +185,7 @@ class Authentication:
             raise VerificationError(
                 f"the certificate of {certificate.subject_name} was revoked meanwhile"
             )
-        end = end_of(certificate, handshake.local.issuer_of(certificate))
+        end = end_of(certificate, handshake.local.anchors.issuer_of(certificate))
         return (
             Result.OK,
             handshake.remote,
@@ -228,7 +228,7 @@ class Authentication:
 
     def _finish(self, local: Local, state: RequestSent, reply: Reply) -> tuple[Final, Done]:
         certificate = Peer.read(reply.introduction).certificate
-        own = replace(state.terms.own, ca=local.issuer_of(certificate))
+        own = replace(state.terms.own, ca=local.anchors.issuer_of(certificate))
         state = replace(state, terms=replace(state.terms, own=own))
         return state.receive(reply, now=self._now())
 

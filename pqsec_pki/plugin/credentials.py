@@ -10,13 +10,13 @@ import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
-from pqsec_pki._files import MAX_FILE, disk_errors, read
+from pqsec_pki._files import MAX_FILE, disk_errors, exists, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.credentials import certificates_in, only_certificate, only_list
 from pqsec_pki.errors import FileError, MalformedError, UsageError, located
 from pqsec_pki.plugin.property_names import understood
 
@@ -40,9 +40,12 @@ class Source:
         return octets_of(self.path) if self.path else self.data or b""
 
     def beside(self, name: str) -> Path | None:
-        """The file of that name in its folder, if it is a file and has such a neighbour."""
+        """The file of that name in its folder, if it is a file and has such a neighbour.
+
+        FileError if the system does not say.
+        """
         found = self.path.with_name(name) if self.path else None
-        return found if found and found.exists() else None
+        return found if found and exists(found) else None
 
     @property
     def where(self) -> str:
@@ -96,21 +99,13 @@ def octets_of(path: Path, *, limit: int = MAX_FILE) -> bytes:
 
 
 def certificate_at(source: Source) -> Certificate:
-    """MalformedError or FileError, which name the file."""
-    with located(source.where):
-        return _certificate(source.read())
+    """MalformedError, also where there are several, or FileError; they name the file."""
+    return only_certificate(source.read(), source.where)
 
 
 def certificates_at(source: Source) -> tuple[Certificate, ...]:
-    """All that stand in it, the first of which `certificate_at` gives; the same errors."""
-    with located(source.where):
-        return Certificate.all_from_pem(source.read())
-
-
-@lru_cache(maxsize=64)
-def _certificate(data: bytes) -> Certificate:
-    """Read once, though all participants of a domain name the same CAs."""
-    return Certificate.from_pem(data)
+    """All that stand in it; the same errors."""
+    return certificates_in(source.read(), source.where)
 
 
 def key_at(source: Source, password: str) -> PrivateKey:
@@ -122,13 +117,7 @@ def key_at(source: Source, password: str) -> PrivateKey:
 
 def revocation_list_at(source: Source) -> RevocationList:
     """MalformedError or FileError, which name the file."""
-    with located(source.where):
-        return _revocation_list(source.read())
-
-
-@lru_cache(maxsize=8)
-def _revocation_list(data: bytes) -> RevocationList:
-    return RevocationList.from_pem(data)
+    return only_list(source.read(), source.where)
 
 
 def state_of(source: Source | None) -> FileState:
@@ -142,10 +131,11 @@ def state_of(source: Source | None) -> FileState:
     return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
 
 
-def certificates_in(folder: Path) -> tuple[Certificate, ...]:
-    """Those in the files of a folder; what is no certificate is passed over.
+def certificates_below(folder: Path) -> tuple[Certificate, ...]:
+    """Those in the files of a folder; what is not a certificate is passed over.
 
-    FileError if the folder cannot be read or has too many files.
+    MalformedError for a file with several; FileError if the folder cannot be read or has too
+    many files.
     """
     try:
         with disk_errors(folder):
@@ -154,10 +144,13 @@ def certificates_in(folder: Path) -> tuple[Certificate, ...]:
         raise FileError(f"{folder}: {error}") from error
     if len(paths) > MAX_TRUSTED:
         raise FileError(f"{folder}: more than {MAX_TRUSTED} files")
-    found = []
-    for path in paths:
-        try:
-            found.append(_certificate(octets_of(path)))
-        except MalformedError:
-            continue
-    return tuple(found)
+    return tuple(found for path in paths if (found := _certificate_below(path)))
+
+
+def _certificate_below(path: Path) -> Certificate | None:
+    data = octets_of(path)
+    try:
+        certificates_in(data, str(path))
+    except MalformedError:
+        return None
+    return only_certificate(data, str(path))

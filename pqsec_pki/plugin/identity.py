@@ -5,25 +5,24 @@ from datetime import datetime
 from typing import Self
 
 from pqsec_pki.algorithms import KeyAgreement, PrivateKey, pair_private
-from pqsec_pki.certificates import (
-    Certificate,
-    RevocationList,
-    verify_chain,
-    verify_not_revoked,
+from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.credentials import (
+    ALT_KEY,
+    CERTIFICATE,
+    KEY,
+    PERMISSIONS_ALT_CA,
+    TrustAnchors,
+    key_problems,
 )
-from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located
+from pqsec_pki.errors import located
 from pqsec_pki.handshake import Discovered, Identity, Introduction, Policy, Terms, adjusted_guid
-from pqsec_pki.plugin import credentials
+from pqsec_pki.plugin import credentials, trust
 from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
-from pqsec_pki.plugin.property_names import REVOCATION_LIST
-from pqsec_pki.plugin.settings import Settings
+from pqsec_pki.plugin.trust import Trust
+from pqsec_pki.problems import Code, Problem
 
-CERTIFICATE = "dds.sec.auth.identity_certificate"
-_CA = "dds.sec.auth.identity_ca"
-_KEY = "dds.sec.auth.private_key"
 _PASSWORD = "dds.sec.auth.password"  # noqa: S105 -- a property's name
-_TRUSTED = "dds.sec.auth.trusted_ca_dir"
-_REVOKED = REVOCATION_LIST
+_WAY_OUT = 'put all files of the enclave there, or say peers = "stock" in pqsec.toml'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,12 +43,11 @@ class Local:
 
     certificate: Certificate
     key: PrivateKey = field(repr=False)
-    authorities: tuple[Certificate, ...]
-    """Its identity CA, and others whose participants it trusts as much."""
+    anchors: TrustAnchors
+    """Whom it trusts, with the revocation list that counts."""
     list_at: Source | None
-    revoked: RevocationList | None
-    """What its revocation list said when it last was read, and how its file was then."""
     list_state: FileState
+    """How the list's file was when it last was read."""
     guid: bytes
     """16 bytes."""
     agreement: KeyAgreement
@@ -65,36 +63,41 @@ class Local:
         VerificationError with all that is wrong, or the error of a file that is missing
         or cannot be read.
         """
-        certificate = credentials.certificate_at(properties.source(CERTIFICATE))
-        ca = credentials.certificate_at(properties.source(_CA))
-        settings = Settings.of(certificate, properties.source(CERTIFICATE))
-        policy = settings.policy(certificate)
-        verify_chain(certificate, ca, now=now, require_alternative=policy.require_alternative)
-        source = _list_source(properties)
+        source = trust.list_source(properties)
         state = state_of(source)
-        revoked = credentials.revocation_list_at(source) if source else None
-        if revoked:
-            verify_not_revoked(
-                certificate, revoked, ca, now=now, require_alternative=policy.require_alternative
-            )
+        trusted = Trust.of(properties, now)
+        certificate, anchors = trusted.certificate, trusted.anchors
+        policy = trusted.settings.policy(certificate)
+        key, second = _keys(properties, both=policy.require_alternative)
+        problems = [*anchors.problems(now), *anchors.identity_problems(certificate, now)]
+        problems += key_problems(certificate, key, second, alone=anchors.stock_peers)
+        if policy.require_alternative and not anchors.signed_twice:
+            words = "it has an alternative key, and the identity CA has none"
+            problems.append(Problem(words, Code.ALTERNATIVE_MISSING, CERTIFICATE))
+        if problems:
+            raise trust.refusal(problems, trust.places(properties), hint=_hint(problems))
         return cls(
             certificate=certificate,
-            key=_key(properties, certificate, pair=policy.require_alternative),
-            authorities=(ca, *_trusted(properties, ca)),
+            key=pair_private(key, second) if second else key,
+            anchors=anchors,
             list_at=source,
-            revoked=revoked,
             list_state=state,
             guid=adjusted_guid(certificate.subject_der, candidate),
-            agreement=settings.agreements[0],
+            agreement=trusted.settings.agreements[0],
             policy=policy,
         )
+
+    @property
+    def revoked(self) -> RevocationList | None:
+        """What its revocation list said when it last was read."""
+        return self.anchors.revocation_list
 
     def terms(self, discovered: Discovered, announced: bytes | None, data: bytes) -> Terms:
         """For a handshake with one peer; `data` is our participant data."""
         own = Speaker(
             certificate=self.certificate,
             key=self.key,
-            ca=self.authorities[0],
+            ca=self.anchors.identity_ca,
             guid=self.guid,
             permissions=self.permissions,
             revocation_list=self.revoked,
@@ -112,70 +115,26 @@ class Local:
             return self
         fresh = credentials.revocation_list_at(self.list_at)
         with located(self.list_at.where):
-            fresh.verify(self.authorities[0], require_alternative=self.policy.require_alternative)
-        return replace(self, revoked=fresh, list_state=state)
+            fresh.verify(self.anchors.identity_ca, require_alternative=self.anchors.signed_twice)
+        return replace(self.with_list(fresh), list_state=state)
+
+    def with_list(self, fresh: RevocationList) -> Self:
+        """The same, for which `fresh` counts."""
+        return replace(self, anchors=replace(self.anchors, revocation_list=fresh))
 
     def takes_back(self, certificate: Certificate) -> bool:
         """Whether its revocation list, as it was read last, names the certificate."""
         return self.revoked is not None and self.revoked.revocation_of(certificate) is not None
 
-    def issuer_of(self, certificate: Certificate) -> Certificate:
-        """The authority that issued a peer's certificate; ours if none of them did."""
-        if len(self.authorities) > 1:
-            for each in self.authorities:
-                if each.subject_der == certificate.issuer_der and _signed(certificate, each):
-                    return each
-        return self.authorities[0]
+
+def _keys(properties: Properties, *, both: bool) -> tuple[PrivateKey, PrivateKey | None]:
+    """The certificate's, and with `both` its alternative one, if it is there."""
+    password = properties.optional(_PASSWORD)
+    key = credentials.key_at(properties.source(trust.PROPERTIES[KEY]), password)
+    beside = trust.beside(properties, ALT_KEY) if both else None
+    return key, credentials.key_at(beside, password) if beside else None
 
 
-def _signed(certificate: Certificate, authority: Certificate) -> bool:
-    try:
-        key = authority.public_key
-        key.verify(certificate.signature, certificate.tbs, certificate.identifier)
-    except PqsecError:
-        return False
-    return True
-
-
-def _key(properties: Properties, certificate: Certificate, *, pair: bool) -> PrivateKey:
-    """The key to sign with: the certificate's, or with `pair` both of its keys."""
-    source, password = properties.source(_KEY), properties.optional(_PASSWORD)
-    key = credentials.key_at(source, password)
-    if key.public_key.spki != certificate.spki:
-        raise VerificationError(f"{source.where} is not the key of {certificate.subject_name}")
-    if not pair:
-        return key
-    beside = source.beside(f"alt.{source.path.name}") if source.path else None
-    if beside is None:
-        raise VerificationError(
-            f"there is no alternative key for {certificate.subject_name} beside {source.where}",
-            hint='put alt.key.pem there, or say peers = "stock" in pqsec.toml',
-        )
-    second = credentials.key_at(replace(source, path=beside), password)
-    known = certificate.alternative_key
-    if known is None or second.public_key.spki != known.spki:
-        raise VerificationError(f"{beside} is not the alternative key in the certificate")
-    return pair_private(key, second)
-
-
-def _trusted(properties: Properties, ca: Certificate) -> tuple[Certificate, ...]:
-    """Other identity CAs: those behind its own in the file, as in an overlap, and in a folder.
-
-    A revocation list is its own CA's: beside one, those in the file are not trusted.
-    """
-    folder = properties.folder(_TRUSTED)
-    found = credentials.certificates_in(folder) if folder else ()
-    if not properties.optional(_REVOKED):
-        found += credentials.certificates_at(properties.source(_CA))[1:]
-    return tuple(each for each in found if each.der != ca.der)
-
-
-def _list_source(properties: Properties) -> Source | None:
-    if not properties.optional(_REVOKED):
-        return None
-    if properties.optional(_TRUSTED):
-        raise UsageError(
-            "a revocation list and a folder of trusted CAs exclude each other, as in Cyclone DDS",
-            hint="the list is the identity CA's; for the others there would be none",
-        )
-    return properties.source(_REVOKED)
+def _hint(problems: list[Problem]) -> str | None:
+    missing = {(Code.KEY_MISMATCH, ALT_KEY), (Code.COUNTERSIGNER_MISSING, PERMISSIONS_ALT_CA)}
+    return _WAY_OUT if missing & {(each.code, each.subject) for each in problems} else None

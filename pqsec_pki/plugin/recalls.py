@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from pqsec_pki.certificates import verify_not_revoked
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.plugin import lists
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
@@ -34,14 +33,10 @@ class Recalls:
         VerificationError if that takes it back, or is not good.
         """
         newest = self._with_newest(local)
-        if newest.revoked is not None and newest is not local:
-            verify_not_revoked(
-                newest.certificate,
-                newest.revoked,
-                newest.authorities[0],
-                now=self._now(),
-                require_alternative=newest.policy.require_alternative,
-            )
+        if newest is not local:
+            problems = tuple(newest.anchors.identity_problems(newest.certificate, self._now()))
+            if problems:
+                raise VerificationError(*problems)
         return newest
 
     def next(self) -> int:
@@ -79,17 +74,15 @@ class Recalls:
         """`local`, or the same with a newer list that another participant of its CA has."""
         if local.revoked is None:
             return local
-        strict = local.policy.require_alternative
-        newest = self._lists.newest(
-            local.authorities[0], local.revoked, alternative=strict, now=self._now()
-        )
+        ca, strict = local.anchors.identity_ca, local.anchors.signed_twice
+        newest = self._lists.newest(ca, local.revoked, alternative=strict, now=self._now())
         if newest is local.revoked:
             return local
         self._note(
-            f"list {newest.number} of {local.authorities[0].subject_name}, which another"
+            f"list {newest.number} of {ca.subject_name}, which another"
             f" participant has, counts in place of list {local.revoked.number}"
         )
-        return replace(local, revoked=newest)
+        return local.with_list(newest)
 
     def _revoked(self) -> Iterator[int]:
         locals_ = dict(self._handles.all(Local))

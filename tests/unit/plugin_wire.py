@@ -3,11 +3,15 @@
 import os
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS
+from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import DataHolder, participant_data
-from pqsec_pki.plugin.authentication import NO_TOKEN, Result
+from pqsec_pki.plugin.access_control import AccessControl
+from pqsec_pki.plugin.authentication import NO_TOKEN, Authentication, Result
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
 from pqsec_pki.plugin.connection import Connection, House
+from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.octets import Reader, Writer
+from pqsec_pki.plugin.waiting import Waiting
 from tests.unit.keystores import NOW
 
 _KNOWN = ",".join(row.wire_name for row in KEY_AGREEMENTS)
@@ -120,3 +124,25 @@ def half_shaken(asks, answers):
     _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
     _, handle, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
     return one.call("process_handshake", token, begun)[1], handle
+
+
+def refusals(folder, now=NOW, **more):
+    """The errors, with their codes, with which the plugin refuses the enclave in `folder`.
+
+    Of validate_local_identity and validate_local_permissions both, though Cyclone DDS ends with
+    the first: so they are all that is wrong. `more` are further properties.
+    """
+    if (folder / "crl.pem").exists():
+        more = {"org.eclipse.cyclonedds.sec.auth.crl": "file:crl.pem"} | more
+    pairs, where = properties(folder, **more)
+    identity = Authentication(lambda: now, lambda _: None, NewestLists(), Waiting())
+    found = []
+    for call in (
+        lambda: identity.validate_local_identity(0, where, pairs, new_guid()),
+        lambda: AccessControl(lambda: now).validate_local_permissions(1, 0, where, pairs),
+    ):
+        try:
+            call()
+        except PqsecError as error:
+            found.append(error)
+    return tuple(found)

@@ -5,6 +5,7 @@ import pytest
 from pqsec_pki.access import Action, Question, decide
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority
+from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import (
     Criteria,
     DomainSet,
@@ -15,9 +16,11 @@ from pqsec_pki.documents import (
 )
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.plugin.credentials import Properties
-from pqsec_pki.plugin.rights import Signers, Theirs, anywhere
+from pqsec_pki.plugin.rights import anywhere, end_of
+from pqsec_pki.plugin.trust import Trust
 from pqsec_pki.smime import Signer, sign
-from tests.unit.keystores import DAY, NOW
+from tests.unit.keystores import DAY, NOW, made
+from tests.unit.plugin_wire import properties
 
 DOMAINS = DomainSet.parse("0")
 GOVERNANCE = Governance.protected(DOMAINS)
@@ -63,7 +66,8 @@ def test_permissions_end_with_who_signed_them(days, end):
         Authority.create(name, SIGNATURES.named("ml-dsa-44"), now=NOW, validity=each * DAY)
         for name, each in (("CA", 20), ("Second", days))
     ]
-    signers = Signers(*(each.certificate for each in authorities))
+    ca, second = (each.certificate for each in authorities)
+    anchors = TrustAnchors(identity_cas=(ca,), permissions_ca=ca, countersigner=second)
     grant = Grant(
         name="g",
         subject_name="CN=robot",
@@ -71,13 +75,7 @@ def test_permissions_end_with_who_signed_them(days, end):
         not_after=NOW + 10 * DAY,
         rules=(rule(ALL, allow=True),),
     )
-    rights = Theirs(
-        subject="CN=robot",
-        domain=0,
-        governance=GOVERNANCE,
-        permissions=Permissions(grants=(grant,)),
-    )
-    assert rights.end(NOW, signers) == (NOW + end * DAY).timestamp() + 1
+    assert end_of(grant, anchors) == (NOW + end * DAY).timestamp() + 1
 
 
 @pytest.mark.parametrize("kind", ["ecdsa-p256", "mldsa65+p256"])
@@ -85,15 +83,19 @@ def test_every_signature_that_is_pinned_must_be_there(tmp_path, kind):
     """C25: the file beside the CA's pins a countersigner, whatever signs first."""
     ca = Authority.create("CA", SIGNATURES.named(kind), now=NOW, validity=DAY)
     second = Authority.create("Second", SIGNATURES.named("ml-dsa-65"), now=NOW, validity=DAY)
-    (tmp_path / "permissions_ca.cert.pem").write_bytes(ca.certificate.pem)
-    where = "file:permissions_ca.cert.pem"
-    properties = Properties([("dds.sec.access.permissions_ca", where)], str(tmp_path))
+    folder = made(tmp_path / "k", "classical").root / "enclaves/talker"
+    (folder / "permissions_ca.cert.pem").unlink()
+    (folder / "permissions_ca.cert.pem").write_bytes(ca.certificate.pem)
+
+    def accepted(message):
+        anchors = Trust.of(Properties(*properties(folder)), NOW).anchors
+        return anchors.governance(message, NOW)
+
     main, counter = (Signer(each.certificate, each.key) for each in (ca, second))
     document = GOVERNANCE.to_xml()
     once = sign(document, main, now=NOW)
-    assert Signers.load(properties).document(once, NOW)
-    (tmp_path / "permissions_ca.alt.cert.pem").write_bytes(second.certificate.pem)
-    pinned = Signers.load(properties)
-    assert pinned.document(sign(document, main, countersigner=counter, now=NOW), NOW)
+    assert accepted(once)
+    (folder / "permissions_ca.alt.cert.pem").write_bytes(second.certificate.pem)
+    assert accepted(sign(document, main, countersigner=counter, now=NOW))
     with pytest.raises(VerificationError, match="there is no countersignature by CN=Second"):
-        pinned.document(once, NOW)
+        accepted(once)

@@ -6,10 +6,12 @@ import pytest
 
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority
+from pqsec_pki.credentials import NEEDED
 from pqsec_pki.handshake import DataHolder
+from pqsec_pki.problems import Code
 from pqsec_pki.smime import Require, Signer, document_in, sign, verify
 from tests.unit.keystores import DAY, NOW, made
-from tests.unit.plugin_wire import RefusedError, Shim, properties, shaken, side
+from tests.unit.plugin_wire import RefusedError, Shim, properties, refusals, shaken, side
 
 TOKEN = DataHolder("DDS:Access:Permissions:1.0")
 SIGNED = ("governance.p7s", "permissions.p7s")
@@ -46,6 +48,30 @@ def accepted(folder):
     """Whether access control takes a participant with these files."""
     pairs, where = properties(folder)
     return Shim("access_control").call("validate_local_permissions", 1, 0, where, pairs)
+
+
+def codes(folder, **more):
+    """What the plugin says is wrong with the enclave."""
+    return {code for refusal in refusals(folder, **more) for code in refusal.codes}
+
+
+def test_a_transition_enclave_without_its_countersigner_is_refused_and_its_half_signed_documents(
+    stores, enclave
+):
+    """Whether documents are signed twice is the identity CA's word, not a file's being there."""
+    folder = enclave("transition")
+    assert refusals(folder) == ()
+    (folder / "permissions_ca.alt.cert.pem").unlink()
+    assert Code.COUNTERSIGNER_MISSING in codes(folder)
+    for file in SIGNED:
+        message = (folder / file).read_bytes()
+        (folder / file).write_bytes(signed_by_one(stores["transition"], message, half=0))
+    assert codes(folder) == {Code.COUNTERSIGNER_MISSING, Code.SIGNATURE_MISSING}
+    for call in (accepted, side):
+        with pytest.raises(RefusedError, match="the countersigner is missing"):
+            call(folder)
+    (folder / "pqsec.toml").write_text('peers = "stock"')  # who says so wants less
+    assert refusals(folder) == ()
 
 
 def test_where_there_is_a_countersigner_both_signatures_are_demanded_of_own_documents(
@@ -127,10 +153,82 @@ def test_a_key_of_another_kind_is_refused_too(stores, enclave):
     folder = enclave("pq")
     key = stores["classical"].root / "enclaves/listener/key.pem"
     (folder / "key.pem").write_bytes(key.read_bytes())
-    with pytest.raises(RefusedError, match=r"key\.pem is not the key of CN=/listener"):
+    with pytest.raises(RefusedError, match=r"key\.pem: not the private key of the certificate"):
         side(folder)
 
 
 def test_the_right_keys_are_taken(enclave):
     for profile in KEYS:
         assert shaken(side(enclave(profile)), side(enclave(profile, "talker")))
+
+
+def test_every_flaw_of_an_enclave_is_told_by_its_code(stores, enclave):
+    """What is refused, and for which reason, is what all of pqsec says of those files."""
+
+    def public(profile, file):
+        return (stores[profile].root / "public" / file).read_bytes()
+
+    def put(file, content):
+        return lambda folder: (folder / file).write_bytes(content)
+
+    ca, permissions = (public("pq", f"{name}_ca.cert.pem") for name in ("identity", "permissions"))
+    stranger = made(stores["pq"].root.parent / "other", "pq").root / "public"
+    other = (stranger / "identity_ca.cert.pem").read_bytes()
+    talker = stores["pq"].root / "enclaves/talker"
+    flaws = {
+        "one key in two roles": (put("permissions_ca.cert.pem", ca), Code.ONE_KEY_TWO_ROLES),
+        "the permissions CA issues too": (
+            put("identity_ca.cert.pem", ca + permissions),
+            Code.ONE_KEY_TWO_ROLES,
+        ),
+        "a CA twice": (put("identity_ca.cert.pem", ca + ca), Code.CA_DOUBLED),
+        "another CA": (put("identity_ca.cert.pem", other), Code.BAD_SIGNATURE),
+        "two signers": (put("permissions_ca.cert.pem", permissions + other), Code.FILE_MALFORMED),
+        "a chain": (
+            put("cert.pem", (talker / "cert.pem").read_bytes() + ca),
+            Code.FILE_MALFORMED,
+        ),
+        "another's key": (put("key.pem", (talker / "key.pem").read_bytes()), Code.KEY_MISMATCH),
+        "another's permissions": (
+            put("permissions.p7s", (talker / "permissions.p7s").read_bytes()),
+            Code.NO_GRANT,
+        ),
+        "not signed": (put("governance.p7s", b"<dds/>"), Code.NOT_SIGNED),
+        "no list": (put("crl.pem", b"x"), Code.FILE_MALFORMED),
+    } | {
+        f"no {file}": (lambda folder, file=file: (folder / file).unlink(), Code.FILE_MISSING)
+        for file in (*NEEDED, "key.pem")
+    }
+    wrong = {}
+    for name, (spoil, code) in flaws.items():
+        folder = enclave("pq")
+        spoil(folder)
+        if code not in codes(folder):
+            wrong[name] = codes(folder)
+        shutil.rmtree(folder)
+    assert wrong == {}
+
+
+def test_a_ca_that_has_expired_is_told_by_either_call(enclave):
+    folder = enclave("classical")
+    found = refusals(folder, NOW + 901 * DAY)
+    assert [Code.EXPIRED in each.codes for each in found] == [True, True]
+
+
+def test_a_trusted_ca_that_is_not_good_keeps_no_participant_from_starting(stores, enclave):
+    """It is passed over; but one that signs documents here must not issue certificates too."""
+    folder, short = enclave("classical"), enclave("pq")
+    trusted = folder / "trusted"
+    trusted.mkdir()
+    name = SIGNATURES.named("ecdsa-p256")
+    ended = Authority.create("Ended", name, now=NOW - 9 * DAY, validity=DAY)
+    (trusted / "ended.pem").write_bytes(ended.certificate.pem)
+    for source in (folder, short):
+        data = (source / "identity_ca.cert.pem").read_bytes()
+        (trusted / f"{source.name}.pem").write_bytes(data)
+    more = {"dds.sec.auth.trusted_ca_dir": str(trusted)}
+    assert refusals(folder, **more) == ()
+    (trusted / "two.pem").write_bytes((folder / "permissions_ca.cert.pem").read_bytes())
+    assert codes(folder, **more) == {Code.ONE_KEY_TWO_ROLES}
+    (trusted / "two.pem").write_bytes(ended.certificate.pem * 2)
+    assert codes(folder, **more) == {Code.FILE_MALFORMED}

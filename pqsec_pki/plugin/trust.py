@@ -1,0 +1,134 @@
+"""Whom a local participant trusts: from its properties to the one value that decides."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki.certificates import Certificate, verify_authority
+from pqsec_pki.credentials import (
+    ALT_KEY,
+    CERTIFICATE,
+    GOVERNANCE,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+    REVOCATION_LIST,
+    TrustAnchors,
+)
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError
+from pqsec_pki.plugin import credentials
+from pqsec_pki.plugin.credentials import Properties, Source
+from pqsec_pki.plugin.property_names import REVOCATION_LIST as LIST_PROPERTY
+from pqsec_pki.plugin.settings import Settings
+from pqsec_pki.problems import Problem
+
+PROPERTIES: Mapping[str, str] = {
+    CERTIFICATE: "dds.sec.auth.identity_certificate",
+    KEY: "dds.sec.auth.private_key",
+    IDENTITY_CA: "dds.sec.auth.identity_ca",
+    PERMISSIONS_CA: "dds.sec.access.permissions_ca",
+    GOVERNANCE: "dds.sec.access.governance",
+    PERMISSIONS: "dds.sec.access.permissions",
+    REVOCATION_LIST: LIST_PROPERTY,
+}
+"""The names of what an enclave calls by the names of files."""
+_NEIGHBOURS: Mapping[str, str] = {ALT_KEY: KEY, PERMISSIONS_ALT_CA: PERMISSIONS_CA}
+"""What no property names, and what lies beside it."""
+_TRUSTED = "dds.sec.auth.trusted_ca_dir"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trust:
+    """What both plugins look at first: who the participant is, and whom it trusts."""
+
+    certificate: Certificate
+    settings: Settings
+    anchors: TrustAnchors
+
+    @classmethod
+    def of(cls, properties: Properties, now: datetime) -> Self:
+        """MalformedError or FileError, which name the file; UsageError for a property or a
+        setting. Nothing is verified but that CAs in a folder are good `now`."""
+        source = properties.source(PROPERTIES[CERTIFICATE])
+        certificate = credentials.certificate_at(source)
+        settings = Settings.of(certificate, source)
+        own = credentials.certificates_at(properties.source(PROPERTIES[IDENTITY_CA]))
+        signer = properties.source(PROPERTIES[PERMISSIONS_CA])
+        second, revoked = beside(properties, PERMISSIONS_ALT_CA), list_source(properties)
+        anchors = TrustAnchors(
+            identity_cas=(*own, *_others(properties, own, now)),
+            permissions_ca=credentials.certificate_at(signer),
+            countersigner=credentials.certificate_at(second) if second else None,
+            revocation_list=credentials.revocation_list_at(revoked) if revoked else None,
+            stock_peers=settings.stock_peers,
+        )
+        return cls(certificate=certificate, settings=settings, anchors=anchors)
+
+
+def list_source(properties: Properties) -> Source | None:
+    """Where its revocation list is, if it has one; UsageError beside a folder of CAs."""
+    if not properties.optional(LIST_PROPERTY):
+        return None
+    if properties.optional(_TRUSTED):
+        raise UsageError(
+            "a revocation list and a folder of trusted CAs exclude each other, as in Cyclone DDS",
+            hint="the list is the identity CA's; for the others there would be none",
+        )
+    return properties.source(LIST_PROPERTY)
+
+
+def beside(properties: Properties, file: str) -> Source | None:
+    """The alternative key or the countersigner, if it is there."""
+    source = properties.source(PROPERTIES[_NEIGHBOURS[file]])
+    path = _path_beside(source, file)
+    return replace(source, path=path) if path and source.beside(path.name) else None
+
+
+def places(properties: Properties) -> Mapping[str, str]:
+    """What `refusal` calls the files: by their paths, or the properties that they stand in."""
+    found = {
+        file: properties.source(name).where
+        for file, name in PROPERTIES.items()
+        if properties.optional(name)
+    }
+    for file, neighbour in _NEIGHBOURS.items():
+        path = _path_beside(properties.source(PROPERTIES[neighbour]), file)
+        if path:
+            found[file] = str(path)
+    return found
+
+
+def refusal(
+    problems: Iterable[Problem], where: Mapping[str, str], *, hint: str | None = None
+) -> VerificationError:
+    """Of all `problems`, each once, with its place in `where` instead of its file's name."""
+    placed = (replace(each, subject=where.get(each.subject, each.subject)) for each in problems)
+    return VerificationError(*dict.fromkeys(placed), hint=hint)
+
+
+def _path_beside(source: Source, file: str) -> Path | None:
+    """None where its neighbour is not a file, or is not named so that it can have one."""
+    if source.path is None:
+        return None
+    name = source.path.name
+    other = f"alt.{name}" if file == ALT_KEY else name.replace(".cert.pem", ".alt.cert.pem")
+    return source.path.with_name(other) if other != name else None
+
+
+def _others(
+    properties: Properties, own: tuple[Certificate, ...], now: datetime
+) -> Iterator[Certificate]:
+    """Identity CAs in a folder, each key once. One that is not good is passed over: its own
+    participants are refused then, and nobody else."""
+    folder, known = properties.folder(_TRUSTED), {each.spki for each in own}
+    for each in credentials.certificates_below(folder) if folder else ():
+        with suppress(PqsecError):
+            verify_authority(each, now=now)
+            if each.spki not in known:
+                known.add(each.spki)
+                yield each
