@@ -32,6 +32,7 @@ from pqsec_pki.credentials.names import (
 from pqsec_pki.credentials.verification import (
     VerifiedCredentials,
     VerifiedDocuments,
+    distinct,
     grant_of,
     identity_problems,
     key_problems,
@@ -60,6 +61,7 @@ __all__ = [
     "VerifiedDocuments",
     "alternative_spki",
     "certificates_in",
+    "distinct",
     "grant_of",
     "identity_problems",
     "key_problems",

@@ -5,7 +5,7 @@ private key. 9.4.3 validate_local_permissions: the permissions CA, the governanc
 permissions, the grant. Which domains the grant is for is the room `access`'s to say.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeVar
@@ -86,7 +86,7 @@ def verify_credentials(credentials: Credentials, *, now: datetime) -> VerifiedCr
         )
     )
     if found.problems or documents is None:
-        raise VerificationError(*(each.of(credentials.name) for each in _once(found.problems)))
+        raise VerificationError(*(each.of(credentials.name) for each in distinct(found.problems)))
     return VerifiedCredentials(
         name=credentials.name,
         certificate=credentials.certificate,
@@ -166,7 +166,7 @@ def grant_of(certificate: Certificate, permissions: Permissions, now: datetime) 
     raise VerificationError(Problem(words, code, PERMISSIONS))
 
 
-def _once(problems: list[Problem]) -> list[Problem]:
+def distinct(problems: Collection[Problem]) -> list[Problem]:
     """Each once, though several steps met it; a chain does not say in which file its CA is."""
     placed = {(each.code, each.message) for each in problems if each.subject}
     return [

@@ -1,6 +1,6 @@
 """Whom a local participant trusts: from its properties to the one value that decides."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -19,6 +19,7 @@ from pqsec_pki.credentials import (
     PERMISSIONS_CA,
     REVOCATION_LIST,
     TrustAnchors,
+    distinct,
 )
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.plugin import credentials
@@ -104,11 +105,12 @@ def places(properties: Properties) -> Mapping[str, str]:
 
 
 def refusal(
-    problems: Iterable[Problem], where: Mapping[str, str], *, hint: str | None = None
+    problems: Collection[Problem], where: Mapping[str, str], *, hint: str | None = None
 ) -> VerificationError:
     """Of all `problems`, each once, with its place in `where` instead of its file's name."""
-    placed = (replace(each, subject=where.get(each.subject, each.subject)) for each in problems)
-    return VerificationError(*dict.fromkeys(placed), hint=hint)
+    found = distinct(problems)
+    placed = (replace(each, subject=where.get(each.subject, each.subject)) for each in found)
+    return VerificationError(*placed, hint=hint)
 
 
 def _path_beside(source: Source, file: str) -> Path | None:

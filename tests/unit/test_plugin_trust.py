@@ -3,6 +3,9 @@
 import shutil
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority
@@ -15,6 +18,7 @@ from tests.unit.plugin_wire import RefusedError, Shim, properties, refusals, sha
 
 TOKEN = DataHolder("DDS:Access:Permissions:1.0")
 SIGNED = ("governance.p7s", "permissions.p7s")
+ALTERNATIVE = ("2.5.29.72", "2.5.29.73", "2.5.29.74")
 KEYS = {"classical": ("key.pem",), "transition": ("key.pem", "alt.key.pem"), "pq": ("key.pem",)}
 
 
@@ -232,3 +236,24 @@ def test_a_trusted_ca_that_is_not_good_keeps_no_participant_from_starting(stores
     assert codes(folder, **more) == {Code.ONE_KEY_TWO_ROLES}
     (trusted / "two.pem").write_bytes(ended.certificate.pem * 2)
     assert codes(folder, **more) == {Code.FILE_MALFORMED}
+
+
+def test_an_alternative_key_that_no_alternative_signature_vouches_for_is_refused(stores, enclave):
+    """Else a participant starts that signs with two keys, and can meet nobody."""
+    folder, authority = enclave("transition"), stores["transition"].unlock(None).identity
+    found = x509.load_der_x509_certificate(authority.certificate.der)
+    builder = x509.CertificateBuilder(
+        issuer_name=found.issuer,
+        subject_name=found.subject,
+        public_key=found.public_key(),
+        serial_number=1,
+        not_valid_before=found.not_valid_before_utc,
+        not_valid_after=found.not_valid_after_utc,
+        extensions=[each for each in found.extensions if each.oid.dotted_string not in ALTERNATIVE],
+    )
+    key = (stores["transition"].root / "private/identity_ca.key.pem").read_bytes()
+    plain = builder.sign(load_pem_private_key(key, None), hashes.SHA256())
+    (folder / "identity_ca.cert.pem").write_bytes(plain.public_bytes(Encoding.PEM))
+    assert codes(folder) == {Code.ALTERNATIVE_MISSING}
+    (folder / "pqsec.toml").write_text('peers = "stock"')
+    assert refusals(folder) == ()
