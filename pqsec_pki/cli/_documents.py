@@ -10,12 +10,8 @@ from typing import Generic, TypeAlias, TypeVar
 
 from pqsec_pki._files import exists, read
 from pqsec_pki.access import Decision
-from pqsec_pki.certificates import (
-    Certificate,
-    verify_authority,
-    verify_chain,
-    verify_not_revoked,
-)
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import TrustAnchors, only_certificate, subject_problems
 from pqsec_pki.documents import (
     DomainRule,
     Governance,
@@ -28,13 +24,11 @@ from pqsec_pki.documents import (
 )
 from pqsec_pki.errors import UsageError, VerificationError, located, shown
 from pqsec_pki.keystore import Keystore, load_certificate, regular_name
-from pqsec_pki.selfcheck import required_signatures
-from pqsec_pki.smime import Require, document_in, is_signed, lines_before_document
-from pqsec_pki.smime import verify as verify_signed
+from pqsec_pki.smime import Verified, document_in, is_signed, lines_before_document
 
 Value = TypeVar("Value", Governance, Permissions)
-Judge: TypeAlias = Callable[[bytes], bytes]
-"""The document of an S/MIME file whose signatures hold; VerificationError otherwise."""
+Check: TypeAlias = Callable[[bytes], Verified]
+"""Of an S/MIME file: what is signed in it; VerificationError if a signature does not hold."""
 
 YAML = (".yaml", ".yml")
 _ENCLAVES, _CERTIFICATE = "enclaves", "cert.pem"
@@ -89,31 +83,20 @@ def plain(text: str) -> str:
     return shown(text, limit=len(text))
 
 
-def judge_of(ca: Certificate, now: datetime) -> Judge:
-    """Believes what `ca`, a CA that is good now, signed."""
-    verify_authority(ca, now=now)
-    return lambda message: verify_signed(message, ca).document
+def signed_by(path: Path, now: datetime) -> Check:
+    """Did the permissions CA whose certificate is in the file `path` sign it?"""
+    ca = only_certificate(read(path), str(path))
+    return partial(TrustAnchors(identity_cas=(), permissions_ca=ca).verified, now=now)
 
 
-def judge_in(keystore: Keystore, now: datetime) -> Judge:
-    """Believes what the keystore's permissions CA signed as its profile promises."""
-    ca, second = keystore.permissions_ca, keystore.permissions_alt_ca
-    for each in (ca, second) if second else (ca,):
-        verify_authority(each, now=now)
-    required: Require = required_signatures(keystore.profile)
-    return lambda message: (
-        verify_signed(message, ca, alternative_ca=second, require=required).document
-    )
-
-
-def governance_in(path: Path, judge: Judge | None = None) -> Loaded[Governance]:
+def governance_in(path: Path, check: Check | None = None) -> Loaded[Governance]:
     """A governance document: XML, signed or not, or YAML."""
-    return _governance(path, read(path), judge)
+    return _governance(path, read(path), check)
 
 
-def permissions_in(path: Path, now: datetime, judge: Judge | None = None) -> Loaded[Permissions]:
+def permissions_in(path: Path, now: datetime, check: Check | None = None) -> Loaded[Permissions]:
     """A permissions document: XML, signed or not, or YAML; `1y` in it counts from `now`."""
-    return _permissions(path, read(path), now, judge)
+    return _permissions(path, read(path), now, check)
 
 
 def document_at(path: Path, now: datetime) -> Document:
@@ -140,51 +123,61 @@ def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     return keystore.root / f"{_ENCLAVES}{regular_name(name)}" / file
 
 
-def identities_in(keystore: Keystore, now: datetime) -> Callable[[str], Certificate]:
-    """A participant's certificate, if the identity CA stands for it and did not revoke it."""
-    ca, revoked = keystore.identity_ca, keystore.revocation_list
-    twice = keystore.profile.alternative_key is not None
+def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
+    """Whom its participants trust; VerificationError if they should not, now."""
+    anchors = keystore.anchors
+    problems = anchors.problems(now)
+    if problems:
+        raise VerificationError(*problems)
+    return anchors
 
-    def identity(name: str) -> Certificate:
-        path = enclave_file(keystore, name, _CERTIFICATE)
-        certificate = load_certificate(path)
-        with located(path):
-            verify_chain(certificate, ca, now=now, require_alternative=twice)
-            if revoked:
-                verify_not_revoked(certificate, revoked, ca, now=now, require_alternative=twice)
-        return certificate
 
-    return identity
+def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
+    """A participant's certificate, if an identity CA stands for it and did not revoke it."""
+    path = enclave_file(keystore, name, _CERTIFICATE)
+    certificate = load_certificate(path)
+    with located(path):
+        problems = (
+            *anchors.identity_problems(certificate, now),
+            *subject_problems(regular_name(name), certificate),
+        )
+        if problems:
+            raise VerificationError(*problems)
+    return certificate
 
 
 def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
     """A participant's own; VerificationError if a signature on them does not hold."""
-    judge = judge_in(keystore, now)
+    keystore.refuse_unknown(name)
+    anchors = anchors_of(keystore, now)
+    check = partial(anchors.verified, now=now)
     return Papers(
         who=regular_name(name),
-        subject=identities_in(keystore, now)(name).subject_name,
-        governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), judge),
-        permissions=own_permissions(keystore, name, now, judge),
+        subject=identity_of(keystore, name, anchors, now).subject_name,
+        governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), check),
+        permissions=own_permissions(keystore, name, now, check),
     )
 
 
 def own_permissions(
-    keystore: Keystore, name: str, now: datetime, judge: Judge | None
+    keystore: Keystore, name: str, now: datetime, check: Check | None
 ) -> Loaded[Permissions]:
     """A participant's."""
-    return permissions_in(enclave_file(keystore, name, _PERMISSIONS), now, judge)
+    return permissions_in(enclave_file(keystore, name, _PERMISSIONS), now, check)
 
 
-def shared_governance(keystore: Keystore, judge: Judge | None) -> Loaded[Governance]:
+def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
     """The keystore's."""
-    return governance_in(keystore.root / _ENCLAVES / _GOVERNANCE, judge)
+    return governance_in(keystore.root / _ENCLAVES / _GOVERNANCE, check)
 
 
-def own_governance(keystore: Keystore, name: str, shared: Loaded[Governance]) -> Governance:
+def own_governance(
+    keystore: Keystore, name: str, shared: Loaded[Governance], check: Check | None
+) -> Governance:
     """A participant's, which should be the one that all share."""
     path = enclave_file(keystore, name, _GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
-    return shared.value if is_shared else governance_in(path).value
+    return shared.value if is_shared else governance_in(path, check).value
 
 
 def only_subject(permissions: Loaded[Permissions]) -> str:
@@ -198,30 +191,30 @@ def only_subject(permissions: Loaded[Permissions]) -> str:
     return subjects.pop()
 
 
-def _governance(path: Path, data: bytes, judge: Judge | None = None) -> Loaded[Governance]:
-    return _loaded(path, data, judge, Governance.from_xml, governance_from_yaml)
+def _governance(path: Path, data: bytes, check: Check | None = None) -> Loaded[Governance]:
+    return _loaded(path, data, check, Governance.from_xml, governance_from_yaml)
 
 
 def _permissions(
-    path: Path, data: bytes, now: datetime, judge: Judge | None = None
+    path: Path, data: bytes, now: datetime, check: Check | None = None
 ) -> Loaded[Permissions]:
     from_yaml = partial(permissions_from_yaml, now=now)
-    return _loaded(path, data, judge, Permissions.from_xml, from_yaml)
+    return _loaded(path, data, check, Permissions.from_xml, from_yaml)
 
 
 def _loaded(
     path: Path,
     data: bytes,
-    judge: Judge | None,
+    check: Check | None,
     from_xml: Callable[[bytes], Value],
     from_yaml: Callable[[bytes], Value],
 ) -> Loaded[Value]:
     with located(path):
         if is_signed(data):
-            xml = judge(data) if judge else document_in(data)
-            verified = judge is not None
+            xml = check(data).document if check else document_in(data)
+            verified = check is not None
             return Loaded(path, from_xml(xml), True, verified, lines_before_document(data))  # noqa: FBT003 -- field
-        if judge:
+        if check:
             raise VerificationError("it is not signed")
         value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)
         return Loaded(path, value, False, False, 0)  # noqa: FBT003 -- fields

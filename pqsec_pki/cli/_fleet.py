@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import exists, is_folder, walk
@@ -12,10 +13,10 @@ from pqsec_pki.access.matrix import Member
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import (
     Document,
+    anchors_of,
     document_at,
     governance_in,
-    identities_in,
-    judge_in,
+    identity_of,
     own_governance,
     own_permissions,
     shared_governance,
@@ -60,14 +61,15 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
 
 
 def _in_keystore(keystore: Keystore, now: datetime) -> Fleet:
-    judge, identity = judge_in(keystore, now), identities_in(keystore, now)
-    governance = shared_governance(keystore, judge)
+    anchors = anchors_of(keystore, now)
+    check = partial(anchors.verified, now=now)
+    governance = shared_governance(keystore, check)
     members, refused = list[Member](), dict[str, str]()
     for name in keystore.names():
         try:
-            subject = identity(name).subject_name
-            permissions = own_permissions(keystore, name, now, judge).value
-            if own_governance(keystore, name, governance) != governance.value:
+            subject = identity_of(keystore, name, anchors, now).subject_name
+            permissions = own_permissions(keystore, name, now, check).value
+            if own_governance(keystore, name, governance, check) != governance.value:
                 raise VerificationError("it has a governance of its own, unlike the others")
         except PqsecError as error:
             _refuse_unreadable(error)

@@ -121,7 +121,7 @@ class _Kept:
         """Its own, if it has one."""
         if name not in self.names:
             return self.governance.value
-        return own_governance(self.keystore, name, self.governance)
+        return own_governance(self.keystore, name, self.governance, None)
 
 
 def _as_json(change: Change) -> dict[str, object]:

@@ -14,15 +14,14 @@ from pqsec_pki.cli._answers import Answer, Finding, findings_of
 from pqsec_pki.cli._documents import (
     Papers,
     governance_in,
-    judge_of,
     only_subject,
     papers_of,
     permissions_in,
     plain,
+    signed_by,
 )
 from pqsec_pki.documents import parse_subject, ros
 from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
-from pqsec_pki.keystore import load_certificate
 
 
 @click.command()
@@ -84,9 +83,9 @@ def _papers(asked: dict[str, Any], now: datetime) -> Papers:
 
 def _papers_in_files(asked: dict[str, Any], now: datetime) -> Papers:
     ca: Path | None = asked["permissions_ca"]
-    judge = judge_of(load_certificate(ca), now) if ca else None
-    permissions = permissions_in(asked["permissions"], now, judge)
-    governance = governance_in(asked["governance"], judge)
+    check = signed_by(ca, now) if ca else None
+    permissions = permissions_in(asked["permissions"], now, check)
+    governance = governance_in(asked["governance"], check)
     for each in (governance, permissions):
         if each.signed and not each.verified:
             _printing.note(

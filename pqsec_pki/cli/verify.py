@@ -1,18 +1,22 @@
 """pqsec verify: who signed this document?"""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from pqsec_pki._files import is_there, read
-from pqsec_pki.certificates import Certificate, verify_authority
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.credentials import (
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+    TrustAnchors,
+    only_certificate,
+)
 from pqsec_pki.documents import validate
 from pqsec_pki.errors import PqsecError, VerificationError, located
-from pqsec_pki.keystore import load_certificate
-from pqsec_pki.selfcheck import required_signatures
 from pqsec_pki.smime import Require, Verified
-from pqsec_pki.smime import verify as verify_signed
 
 
 @click.command()
@@ -30,8 +34,8 @@ from pqsec_pki.smime import verify as verify_signed
 @click.option(
     "--require",
     type=click.Choice([each.value for each in Require]),
-    help="Refuse a file without such a signature. [default: what the keystore's profile"
-    " promises; both with --alt-ca; any with --ca]",
+    help="Refuse a file without such a signature. [default: what the keystore's CAs"
+    " promise; both with --alt-ca; any with --ca]",
 )
 @_settings.command_options
 def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
@@ -42,38 +46,56 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
     stripped without a trace, so with --ca say --require both (or pq) where you expect
     one.
     """
-    # Who names a countersigner expects its signature.
-    required = Require(require or (Require.BOTH if alt_ca else Require.ANY))
     if ca is None:
         keystore = _settings.open_keystore()
-        ca = keystore.permissions_ca_path
-        required = Require(require or required_signatures(keystore.profile))
+        ca, anchors = keystore.permissions_ca_path, keystore.anchors
+        if alt_ca:
+            anchors = replace(anchors, countersigner=_certificate(alt_ca))
+        demanded = Require(require) if require else None
+    else:
+        # Who names a countersigner expects its signature.
+        demanded = Require(require) if require else None if alt_ca else Require.ANY
+        alt_ca = alt_ca or _beside(ca)
+        anchors = TrustAnchors(
+            identity_cas=(),
+            permissions_ca=_certificate(ca),
+            countersigner=_certificate(alt_ca) if alt_ca else None,
+        )
     message = read(file)
     try:
-        certificate = _current(ca)
-        alt_ca = alt_ca or _beside(ca)
-        second = _current(alt_ca) if alt_ca else None
+        _refuse_signers(anchors, {PERMISSIONS_CA: ca, PERMISSIONS_ALT_CA: alt_ca or _second(ca)})
         with located(file):
-            verified = verify_signed(message, certificate, alternative_ca=second, require=required)
+            verified = anchors.signed(message, demanded)
     except VerificationError as error:
         if _settings.settings().json:
             problems = [str(each) for each in error.problems]
             _printing.emit({"ok": False, "file": str(file), "problems": problems}, [])
         raise
-    _tell(file, verified, certificate, second)
+    _tell(file, verified, anchors)
 
 
 def _beside(ca: Path) -> Path | None:
     """The countersigner's certificate, where a keystore has it."""
-    beside = ca.with_name(ca.name.replace(".cert.pem", ".alt.cert.pem"))
+    beside = _second(ca)
     return beside if beside != ca and is_there(beside) else None
 
 
-def _current(path: Path) -> Certificate:
-    certificate = load_certificate(path)
-    with located(path):
-        verify_authority(certificate, now=_settings.now())
-    return certificate
+def _second(ca: Path) -> Path:
+    return ca.with_name(ca.name.replace(".cert.pem", ".alt.cert.pem"))
+
+
+def _certificate(path: Path) -> Certificate:
+    return only_certificate(read(path), str(path))
+
+
+def _refuse_signers(anchors: TrustAnchors, paths: dict[str, Path]) -> None:
+    """VerificationError, naming the files, if no document should be signed by these CAs."""
+    problems = [
+        replace(each, subject=str(paths.get(each.subject, each.subject)))
+        for each in anchors.signer_problems(_settings.now())
+    ]
+    if problems:
+        raise VerificationError(*problems)
 
 
 def _kind(document: bytes) -> str | None:
@@ -84,9 +106,7 @@ def _kind(document: bytes) -> str | None:
         return None
 
 
-def _tell(
-    file: Path, verified: Verified, certificate: Certificate, second: Certificate | None
-) -> None:
+def _tell(file: Path, verified: Verified, anchors: TrustAnchors) -> None:
     found = [
         {
             "algorithm": each.algorithm.name,
@@ -96,13 +116,13 @@ def _tell(
         }
         for each in verified.signatures
     ]
-    lines = [f"{file}: signed by {certificate.subject_name}"]
+    lines = [f"{file}: signed by {anchors.permissions_ca.subject_name}"]
     for each in found:
         kind = "countersignature" if each["countersignature"] else "signature"
         when = f", {each['signed_at']}" if each["signed_at"] else ""
         lines.append(f"  good {kind}: {each['algorithm']} ({each['family']}){when}")
     countersigned = any(each.countersignature for each in verified.signatures)
-    if second and not countersigned:
+    if anchors.countersigner and not countersigned:
         _printing.note("there is no countersignature: it was never made, or it was stripped")
     if verified.unchecked:
         _printing.note("a countersignature was not checked: name its certificate with --alt-ca")
@@ -110,7 +130,7 @@ def _tell(
         "ok": True,
         "file": str(file),
         "kind": _kind(verified.document),
-        "signer": certificate.subject_name,
+        "signer": anchors.permissions_ca.subject_name,
         "countersigned": countersigned,
     }
     _printing.emit(value | {"signatures": found, "unchecked": verified.unchecked}, lines)

@@ -36,6 +36,7 @@ from pqsec_pki.credentials.verification import (
     grant_of,
     identity_problems,
     key_problems,
+    subject_problems,
     verify_credentials,
     verify_documents,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "key_problems",
     "only_certificate",
     "only_list",
+    "subject_problems",
     "verify_credentials",
     "verify_documents",
 ]

@@ -56,7 +56,8 @@ class TrustAnchors:
     """The CAs of a participant by their roles, and the revocation list that counts."""
 
     identity_cas: tuple[Certificate, ...]
-    """The participant's own issuer first; behind it, in a rollover, the other one."""
+    """The participant's own issuer first; behind it, in a rollover, the other one. Empty where
+    nothing but documents is verified."""
     permissions_ca: Certificate
     countersigner: Certificate | None = None
     revocation_list: RevocationList | None = None
@@ -89,7 +90,8 @@ class TrustAnchors:
     @property
     def signed_twice(self) -> bool:
         """Whether everything is signed twice: the identity CA's certificate says so."""
-        return self.identity_ca.alternative is not None and not self.stock_peers
+        issuers = self.identity_cas[:1]
+        return not self.stock_peers and any(each.alternative is not None for each in issuers)
 
     @property
     def required(self) -> Require:
@@ -121,6 +123,10 @@ class TrustAnchors:
     def problems(self, now: datetime) -> tuple[Problem, ...]:
         """What is wrong with the CAs themselves, and with one that has two roles."""
         return (*self._role_problems, *self._authority_problems(now))
+
+    def signer_problems(self, now: datetime) -> tuple[Problem, ...]:
+        """Those of them that are about who signs documents."""
+        return tuple(each for each in self.problems(now) if each.subject != IDENTITY_CA)
 
     def identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
         """9.3.3: did a trusted CA issue `certificate`, is it in force, is it not revoked?"""
@@ -164,10 +170,25 @@ class TrustAnchors:
 
     def signatures(self, message: bytes) -> tuple[FoundSignature, ...]:
         """The signatures on S/MIME `message`, likewise."""
-        return _verified(message, self.permissions_ca, self.countersigner, self.required).signatures
+        return self.signed(message).signatures
+
+    def signed(self, message: bytes, demanded: Require | None = None) -> Verified:
+        """What S/MIME `message` holds, of whatever kind, likewise.
+
+        Where the user says which signatures are `demanded`, these count, not `required`.
+        """
+        required = demanded or self.required
+        return _verified(
+            message, self.permissions_ca, self.countersigner, required, pinned=demanded is None
+        )
+
+    def verified(self, message: bytes, now: datetime) -> Verified:
+        """The same, if CAs that are good `now` signed it."""
+        self._refuse_signers(now)
+        return self.signed(message)
 
     def _refuse_signers(self, now: datetime) -> None:
-        problems = [each for each in self.problems(now) if each.subject != IDENTITY_CA]
+        problems = self.signer_problems(now)
         if problems:
             raise VerificationError(*problems)
 
@@ -176,7 +197,7 @@ class TrustAnchors:
     ) -> SignedDocument[Value]:
         code = Code.NOT_SIGNED
         try:
-            verified = _verified(message, self.permissions_ca, self.countersigner, self.required)
+            verified = self.signed(message)
             code = Code.DOCUMENT_INVALID
             return SignedDocument(read(verified.document), verified)
         except InvalidDocumentError as error:
@@ -267,10 +288,15 @@ def _list(data: bytes) -> RevocationList:
 
 @lru_cache(maxsize=16)
 def _verified(
-    message: bytes, ca: Certificate, countersigner: Certificate | None, require: Require
+    message: bytes,
+    ca: Certificate,
+    countersigner: Certificate | None,
+    require: Require,
+    *,
+    pinned: bool,
 ) -> Verified:
     """Once for each document: all participants of a domain share one governance."""
-    return verify(message, ca, alternative_ca=countersigner, require=require, pinned=True)
+    return verify(message, ca, alternative_ca=countersigner, require=require, pinned=pinned)
 
 
 @lru_cache(maxsize=16)

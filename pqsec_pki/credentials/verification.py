@@ -101,12 +101,17 @@ def identity_problems(credentials: Credentials, now: datetime) -> Iterator[Probl
     """9.3.3, without the CA itself: the certificate, the revocation list, the keys."""
     certificate = credentials.certificate
     yield from credentials.anchors.identity_problems(certificate, now)
-    if certificate.subject_der != common_name(credentials.name):
-        words = f"the certificate is for {certificate.subject_name}"
-        yield Problem(words, Code.WRONG_SUBJECT, CERTIFICATE)
+    yield from subject_problems(credentials.name, certificate)
     if credentials.private_key is not None:
         key, second = credentials.private_key, credentials.alternative_key
         yield from key_problems(certificate, key, second)
+
+
+def subject_problems(name: str, certificate: Certificate) -> Iterator[Problem]:
+    """Is `certificate` for the participant called `name`?"""
+    if certificate.subject_der != common_name(name):
+        words = f"the certificate is for {certificate.subject_name}"
+        yield Problem(words, Code.WRONG_SUBJECT, CERTIFICATE)
 
 
 def key_problems(

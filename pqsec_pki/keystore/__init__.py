@@ -44,7 +44,7 @@ from pqsec_pki.keystore._layout import enclave_name as regular_name
 from pqsec_pki.keystore._making import Issued, PublicKeys
 from pqsec_pki.keystore.adopting import Adopted, adopt
 from pqsec_pki.keystore.auditing import audit
-from pqsec_pki.keystore.authorities import Authorities, required_signatures
+from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.compromised import key_hashes
 from pqsec_pki.keystore.foreseeing import Outlook, foresee
 from pqsec_pki.keystore.holdings import Files, Holding, Holdings, holdings
@@ -120,7 +120,6 @@ __all__ = [
     "regular_name",
     "renew",
     "renew_list",
-    "required_signatures",
     "revoke",
     "rotate",
     "signed_governance",

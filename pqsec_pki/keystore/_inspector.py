@@ -12,17 +12,16 @@ from typing import Self
 
 from pqsec_pki._files import read
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import Permissions
 from pqsec_pki.errors import KeystoreError, located, shown
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import required_signatures
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.holdings import marks_in
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, refuse_unknown
-from pqsec_pki.smime import verify
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +29,7 @@ class Inspector:
     """Knows what was issued last, and takes nothing else for a participant's own."""
 
     keystore: Keystore
-    permissions_ca: Certificate
-    permissions_alt_ca: Certificate | None
+    anchors: TrustAnchors
     certificates: dict[str, Entry]
     """Name -> the newest line."""
     revoked: frozenset[str]
@@ -50,8 +48,7 @@ class Inspector:
         """What the ledger says now, while the keystore is locked."""
         return cls(
             keystore,
-            keystore.permissions_ca,
-            keystore.permissions_alt_ca,
+            keystore.issuing_cas,
             {each.name: each for each in ledger.newest("participant")},
             frozenset(each.sha256 for each in ledger.of_kind("revocation")),
             ledger.newest_numbers("permissions"),
@@ -130,12 +127,7 @@ class Inspector:
 
     def verified(self, signed: bytes) -> bytes:
         """The document in a signed file; VerificationError if the CA did not sign it."""
-        return verify(
-            signed,
-            self.permissions_ca,
-            alternative_ca=self.permissions_alt_ca,
-            require=required_signatures(self.keystore.profile),
-        ).document
+        return self.anchors.signed(signed).document
 
 
 def _refuse_edited(path: Path, signed: bytes) -> None:

@@ -10,17 +10,16 @@ from typing import Self
 
 from pqsec_pki._files import exists, read, walk
 from pqsec_pki.algorithms import load_private_key
-from pqsec_pki.certificates import Certificate, Reason, RevocationList, verify_chain
+from pqsec_pki.certificates import Certificate, Reason, RevocationList
+from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance, Permissions
-from pqsec_pki.errors import KeystoreError, PassphraseError, PqsecError
+from pqsec_pki.errors import KeystoreError, PassphraseError, PqsecError, VerificationError
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
 from pqsec_pki.keystore._making import domains_of
-from pqsec_pki.keystore.authorities import required_signatures
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, load_revocation_list
-from pqsec_pki.smime import verify
 
 
 @dataclass(slots=True, kw_only=True)
@@ -29,9 +28,7 @@ class Survey:
 
     keystore: Keystore
     now: datetime
-    identity_ca: Certificate
-    permissions_ca: Certificate
-    permissions_alt_ca: Certificate | None
+    anchors: TrustAnchors
     domains: DomainSet
     """The governance's, once that was looked at."""
     list_file: Path | None = None
@@ -49,19 +46,27 @@ class Survey:
         return cls(
             keystore=keystore,
             now=now,
-            identity_ca=keystore.identity_ca,
-            permissions_ca=keystore.permissions_ca,
-            permissions_alt_ca=keystore.permissions_alt_ca,
+            anchors=keystore.issuing_cas,
             domains=keystore.domains,
         )
+
+    @property
+    def identity_ca(self) -> Certificate:
+        """The one that issues."""
+        return self.anchors.identity_ca
+
+    @property
+    def permissions_ca(self) -> Certificate:
+        """The one that signs documents."""
+        return self.anchors.permissions_ca
 
     def look(self) -> None:
         """At the CAs, the governance, every enclave, and their revocation list."""
         self._look_at_ca_files()
         self._authority("identity-ca", self.identity_ca)
         self._authority("permissions-ca", self.permissions_ca)
-        if self.permissions_alt_ca:
-            self._authority("permissions-ca", self.permissions_alt_ca)
+        if self.anchors.countersigner:
+            self._authority("permissions-ca", self.anchors.countersigner)
         with self._telling(f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}") as path:
             governance = Governance.from_xml(self._document("governance", "", path))
             self.domains = governance.domain_rules[0].domains
@@ -104,7 +109,9 @@ class Survey:
         _layout.enclave_name(name)
         certificate, ca = load_certificate(path), self.identity_ca
         begin = max(certificate.not_before, ca.not_before)  # that it may have ended is no matter
-        verify_chain(certificate, ca, now=begin)
+        problems = list(self.anchors.identity_problems(certificate, begin))
+        if problems:
+            raise VerificationError(*problems)
         other = self.participants.get(certificate.serial_number)
         if other:
             raise KeystoreError(f"its serial number is also that of {other}")
@@ -113,12 +120,7 @@ class Survey:
     def _document(self, kind: str, name: str, path: Path) -> bytes:
         """The document in a signed file; the permissions CA's signature holds."""
         signed = read(path)
-        verified = verify(
-            signed,
-            self.permissions_ca,
-            alternative_ca=self.permissions_alt_ca,
-            require=required_signatures(self.keystore.profile),
-        )
+        verified = self.anchors.signed(signed)
         self.entries.append(document_entry(kind, name, signed, self.now))
         return verified.document
 

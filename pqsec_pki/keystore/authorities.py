@@ -9,7 +9,6 @@ from typing import Self
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import (
-    Family,
     PrivateKey,
     Profile,
     PublicKey,
@@ -29,7 +28,7 @@ from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._draft import DraftedFolder
 from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore.participant import load_certificate
-from pqsec_pki.smime import Require, Signer, sign
+from pqsec_pki.smime import Signer, sign
 
 _KEYLESS = (
     "status, log, check, explain, who-may, diff, verify-handshake, bundle and export need no CA key"
@@ -172,15 +171,6 @@ def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authoritie
     )
     _check_pairs(authorities)
     return authorities
-
-
-def required_signatures(profile: Profile) -> Require:
-    """Which signatures a document must have under that profile."""
-    if profile.alternative_key or profile.permissions_key.family is Family.HYBRID:
-        return Require.BOTH
-    if profile.permissions_key.family is Family.PQ:
-        return Require.PQ
-    return Require.CLASSICAL
 
 
 def _certificates(authorities: Authorities) -> Iterator[tuple[str, Certificate]]:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
@@ -11,7 +11,7 @@ from typing import Self
 from pqsec_pki._files import disk_errors, exists, read, refuse_existing, write
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials import Credentials
+from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance, Kind
 from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
 from pqsec_pki.keystore import _journal, _layout
@@ -147,6 +147,26 @@ class Keystore:
         """The certificate of the permissions CA's countersigner, if the profile has one."""
         path = self.root / _layout.PUBLIC / _layout.PERMISSIONS_ALT_CA
         return load_certificate(path) if exists(path) else None
+
+    @property
+    def anchors(self) -> TrustAnchors:
+        """Whom its participants trust, and the revocation list that counts for them.
+
+        MalformedError if a file of the CAs is not what it should be.
+        """
+        public = self.root / _layout.PUBLIC
+        there = [each for each in CA_FILES if each in NEEDED or exists(public / each)]
+        anchors = TrustAnchors.of({each: read(public / each) for each in there}, folder=str(public))
+        return replace(anchors, revocation_list=self.revocation_list)
+
+    @property
+    def issuing_cas(self) -> TrustAnchors:
+        """The CAs that issue and sign here, each the first one in its file."""
+        return TrustAnchors(
+            identity_cas=(self.identity_ca,),
+            permissions_ca=self.permissions_ca,
+            countersigner=self.permissions_alt_ca,
+        )
 
     @property
     def governance(self) -> bytes:

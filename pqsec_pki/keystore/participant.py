@@ -1,12 +1,11 @@
 """A participant as it lies in its enclave: its files, and what they say."""
 
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors, exists, read, read_within
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials
+from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_list
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
 from pqsec_pki.keystore import _layout
 from pqsec_pki.problems import Code
@@ -67,14 +66,7 @@ def load_certificate(path: Path) -> Certificate:
 
 def load_revocation_list(path: Path) -> RevocationList:
     """The revocation list in PEM file `path`; errors name the file."""
-    with located(path):
-        return _revocation_list(read(path))
-
-
-@lru_cache(maxsize=8)
-def _revocation_list(data: bytes) -> RevocationList:
-    """All participants of a keystore share one, which may be long."""
-    return RevocationList.from_pem(data)
+    return only_list(read(path), str(path))
 
 
 def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[str, ...]) -> None:

@@ -3,7 +3,6 @@
 For `pqsec verify-handshake`, `pqsec demo`, and whoever wants to know before a robot does.
 """
 
-from pqsec_pki.keystore import required_signatures
 from pqsec_pki.selfcheck.meeting import Guest, Occasion, meet
 from pqsec_pki.selfcheck.report import Report, Step
 from pqsec_pki.selfcheck.stacks import PQSEC, STACKS, Stack, stack_named
@@ -17,6 +16,5 @@ __all__ = [
     "Stack",
     "Step",
     "meet",
-    "required_signatures",
     "stack_named",
 ]

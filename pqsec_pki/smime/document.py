@@ -117,8 +117,9 @@ def verify(
         raise VerificationError(str(error), code=code, hint=error.hint) from error
     problems += refused
     found = (main, *(signature for _, signature in signatures))
-    problems += _missing(found, require)
-    if pinned and alternative_ca and not signatures and not refused:
+    missing = list(_missing(found, require))
+    problems += missing
+    if pinned and alternative_ca and not (signatures or refused or missing):
         words = f"there is no countersignature by {alternative_ca.subject_name}"
         problems.append(Problem(words, Code.SIGNATURE_MISSING))
     if problems:

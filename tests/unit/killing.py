@@ -169,7 +169,7 @@ def check_whole(keystore: Keystore, name: str) -> str:
         verify(
             document,
             one.permissions_ca,
-            alternative_ca=one.permissions_alt_ca,
+            alternative_ca=one.countersigner,
             require=Require.BOTH,
         )
         for document in (one.permissions, one.governance)

@@ -35,7 +35,6 @@ from pqsec_pki.keystore import (
     rotate,
     status,
 )
-from pqsec_pki.keystore.authorities import required_signatures
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import Guest, Occasion, meet
 from pqsec_pki.smime import verify
@@ -59,8 +58,8 @@ def allowed(keystore, name):
     verified = verify(
         one.permissions,
         one.permissions_ca,
-        alternative_ca=one.permissions_alt_ca,
-        require=required_signatures(keystore.profile),
+        alternative_ca=one.countersigner,
+        require=keystore.anchors.required,
     )
     [grant] = Permissions.from_xml(verified.document).grants
     return grant.rules

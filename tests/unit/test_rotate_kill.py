@@ -21,7 +21,6 @@ from pqsec_pki.keystore import (
     audit,
     change_passphrase,
     renew_list,
-    required_signatures,
     rotate,
 )
 from pqsec_pki.lint import Severity, check
@@ -73,8 +72,8 @@ def state_of(root):
             verified = verify(
                 document,
                 one.permissions_ca,
-                alternative_ca=one.permissions_alt_ca,
-                require=required_signatures(keystore.profile),
+                alternative_ca=one.countersigner,
+                require=keystore.anchors.required,
             )
         assert verified.document
         if one.revocation_list:
