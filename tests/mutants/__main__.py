@@ -41,6 +41,8 @@ TESTS = {
 
 KILLED, SURVIVED, NO_TEST, HANGS = "killed", "survived", "run by no test", "hangs"
 SURVIVING = {SURVIVED, NO_TEST}
+FAILING = {1, 2, 4}
+"""pytest's exit codes where a test fails, and where one cannot be imported."""
 MEASURING = 1800.0
 """Seconds for one file of tests."""
 
@@ -86,15 +88,18 @@ class Run:
         if ran.code == 0:
             return SURVIVED
         # What fails without the mutant as well, when it runs alone, tells nothing of it.
-        if ran.failed and not self._passes_alone(copy, ran.failed):
-            raise RuntimeError(f"{ran.failed} fails alone, without {mutant.id}: {copy.log[-2000:]}")
+        tests = [ran.failed] if ran.failed else self.measured.running(mutant)
+        if ran.code not in FAILING or not self._pass_without(copy, tests, collect=not ran.failed):
+            raise RuntimeError(f"it was not {mutant.id} that failed {tests}: {copy.log[-4000:]}")
         return KILLED
 
-    def _passes_alone(self, copy: Copy, test: str) -> bool:
-        if test not in self._reliable:
-            ran = copy.run([test], None, self.measured.timeout([test]))
-            self._reliable[test] = ran.code == 0
-        return self._reliable[test]
+    def _pass_without(self, copy: Copy, tests: list[str], *, collect: bool) -> bool:
+        key = "\n".join(tests)
+        if key not in self._reliable:
+            options = ("--collect-only",) if collect else ()
+            ran = copy.run(tests, None, self.measured.timeout(tests), *options)
+            self._reliable[key] = ran.code == 0
+        return self._reliable[key]
 
     def _tell(self, mutant: Mutant, result: str, killer: str = "") -> None:
         self.results[mutant.id] = result

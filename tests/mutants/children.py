@@ -91,11 +91,11 @@ class Copy:
             except BaseException:  # noqa: BLE001 -- nothing of the parent's may run in the child
                 traceback.print_exc()
             finally:
-                os._exit(70)
+                os._exit(BROKEN)
 
     def ended(self) -> Ran | None:
-        """How the child ended; None while it runs."""
-        done, _ = os.waitpid(self.pid, os.WNOHANG)
+        """How the child ended; None while it runs. RuntimeError if it could not run tests."""
+        done, status = os.waitpid(self.pid, os.WNOHANG)
         if not done and time.monotonic() < self._deadline:
             return None
         with suppress(ProcessLookupError):
@@ -103,6 +103,8 @@ class Copy:
         if not done:
             os.waitpid(self.pid, 0)
         self.pid = 0
+        if done and os.waitstatus_to_exitcode(status) == BROKEN:
+            raise RuntimeError(f"no tests could be run:\n{self.log[-4000:]}")
         return Ran(**json.loads(self._answer.read_text())) if self._answer.exists() else NOT_ENDED
 
     def run(self, tests: list[str], mutant: Mutant | None, timeout: float, *options: str) -> Ran:
@@ -150,13 +152,16 @@ class Copy:
             os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
         recorder = _Recorder()
         pytest = importlib.import_module("pytest")
-        code = pytest.main(["-q", "-p", "no:cacheprovider", *options, *tests], plugins=[recorder])
+        own = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+        code = pytest.main([*own, *options, *tests], plugins=[recorder])
         sys.stdout.flush()
         answer = {"code": int(code), "failed": recorder.failed, "seconds": recorder.seconds}
         self._answer.write_text(json.dumps(answer))
         os._exit(0)
 
 
+BROKEN = 70
+"""Exit code of a child in which pytest itself failed."""
 NOT_ENDED = Ran(None, None, {})
 
 

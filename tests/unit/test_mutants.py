@@ -50,6 +50,7 @@ def toy(tmp_path):
             f"{PACKAGE}/access/door.py": DOOR,
             "tests/unit/test_access.py": tests,
             "tests/mutants/survivors.toml": "",
+            "pyproject.toml": (ROOT / "pyproject.toml").read_text(),
         }.items():
             (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / path).write_text(text)
