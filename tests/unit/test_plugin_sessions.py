@@ -106,7 +106,7 @@ def test_a_peer_that_is_revoked_within_the_handshake_gets_no_secret(keystore):
     ("spoil", "words"),
     [
         (lambda path: path.unlink(), "no such file"),
-        (lambda path: path.write_bytes(b"half a li"), "no revocation list"),
+        (lambda path: path.write_bytes(b"half a li"), "not one revocation list in PEM"),
     ],
 )
 def test_a_list_that_cannot_be_read_leaves_the_former_in_force(keystore, spoil, words):
