@@ -117,7 +117,7 @@ class Certificate:
     @property
     def handshake_keys(self) -> tuple[PublicKey, ...]:
         """The keys its holder may sign a handshake with, the stronger first."""
-        if self.alternative is None or self.alternative_key is None:
+        if self.alternative_key is None:
             return (self.public_key,)
         return (pair_public(self.public_key, self.alternative_key), self.public_key)
 

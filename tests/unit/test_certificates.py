@@ -33,7 +33,7 @@ from pqsec_pki.certificates import (
     verify_authority,
     verify_chain,
 )
-from pqsec_pki.certificates.authority import LAST_YEAR, key_identifier
+from pqsec_pki.certificates.authority import LAST_YEAR, cut, key_identifier
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
 
@@ -245,6 +245,13 @@ def test_an_expired_authority_issues_nothing(ca):
         with pytest.raises(PqsecError, match="the identity CA expired on 2036-11-18") as caught:
             issue(ca, now=now)
         assert caught.value.exit_code == 3
+
+
+def test_an_authority_whose_time_has_not_begun_issues_nothing(ca):
+    begins = ca.certificate.not_before
+    with pytest.raises(PqsecError, match="it is not in its time"):
+        cut(begins, ca.certificate, begins - DAY)
+    assert cut(begins + DAY, ca.certificate, begins) == begins + DAY
 
 
 def test_fractions_of_seconds_are_left_out():
@@ -624,6 +631,9 @@ def test_a_certificate_over_the_limit_is_refused(ca):
         Certificate.from_der(bytes(MAX_CERTIFICATE + 1))
     with pytest.raises(MalformedError, match="larger than"):
         Certificate.from_pem(ca.certificate.pem + bytes(MAX_CERTIFICATE))
+    with pytest.raises(MalformedError) as caught:
+        Certificate.from_der(bytes(MAX_CERTIFICATE))
+    assert "larger than" not in str(caught.value)
 
 
 def test_a_certificate_that_names_two_algorithms_is_refused(ca):

@@ -125,6 +125,31 @@ def with_alternative(der, ca, signer=None):
     return signed(encode(tbs), ca.key)
 
 
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ([("CN", "/talker")], "/talker"),
+        ([], None),
+        ([("O", "/talker")], None),
+        ([("O", "Robots"), ("CN", "/talker")], None),
+        ([("CN", "/talker"), ("CN", "/listener")], None),
+    ],
+)
+def test_a_request_is_named_by_a_common_name_alone(parts, expected):
+    oids = {"CN": x509.NameOID.COMMON_NAME, "O": x509.NameOID.ORGANIZATION_NAME}
+    subject = x509.Name([x509.NameAttribute(oids[part], value) for part, value in parts])
+    builder = x509.CertificateSigningRequestBuilder().subject_name(subject)
+    made = builder.sign(key("p256").handle, hashes.SHA256())
+    assert CertificateRequest.from_der(made.public_bytes(Encoding.DER)).common_name == expected
+
+
+def test_an_attribute_that_says_nothing_of_keys_may_have_two_values():
+    challenge = attribute("1.2.840.113549.1.9.2", b"\x0c\x011", b"\x0c\x012")
+    made = CertificateRequest.from_der(signed(request_info(key("p256"), [challenge]), key("p256")))
+    made.verify()
+    assert made.alternative_key is None
+
+
 @pytest.mark.parametrize("name", [row.name for row in SIGNATURES])
 def test_a_request_of_any_key_proves_possession(name):
     made = CertificateRequest.from_der(request(key(name)))
@@ -178,6 +203,12 @@ def test_two_alternative_keys_in_a_request_are_malformed():
     keys = [attribute(ALT_KEY, made("ml-dsa-65").public_key.spki) for made in (key, other_key)]
     with pytest.raises(MalformedError, match="exactly once"):
         CertificateRequest.from_der(signed(request_info(key("p256"), keys), key("p256")))
+
+
+def test_an_attribute_with_two_alternative_keys_is_malformed():
+    keys = attribute(ALT_KEY, *(made("ml-dsa-65").public_key.spki for made in (key, other_key)))
+    with pytest.raises(MalformedError, match="exactly once"):
+        CertificateRequest.from_der(signed(request_info(key("p256"), [keys]), key("p256")))
 
 
 def test_a_request_of_an_unknown_version_is_malformed():

@@ -183,3 +183,10 @@ def test_a_long_list_is_made_and_asked_in_a_moment():
     assert len(RevocationList.from_der(crl.der).revoked) == 20_000
     certificate = Certificate.from_der(participant().der)
     assert all(crl.revocation_of(certificate) is None for _ in range(20_000))
+
+
+def test_a_list_tells_nothing_of_certificates_of_another_authority():
+    crl = RevocationList.from_der(made(entry(participant().serial_number)).der)
+    assert crl.revocation_of(participant())
+    other = replace(participant(), issuer_der=authority(name="Other CA").certificate.subject_der)
+    assert crl.revocation_of(other) is None

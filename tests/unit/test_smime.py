@@ -24,10 +24,19 @@ from pqsec_pki._asn1 import (
     time_of,
 )
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, Family, digest_of, private_key_pem
-from pqsec_pki.certificates import Authority
+from pqsec_pki.certificates import Authority, common_name
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import MalformedError, VerificationError
-from pqsec_pki.smime import AmbiguousError, Require, Signer, document_in, is_signed, sign, verify
+from pqsec_pki.smime import (
+    AmbiguousError,
+    Require,
+    Signer,
+    document_in,
+    is_signed,
+    sign,
+    signers_in,
+    verify,
+)
 from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE, to_der
 from pqsec_pki.smime._mime import MAX_MESSAGE, content_of
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, make, with_unsigned
@@ -350,6 +359,16 @@ def test_a_countersignature_that_was_stripped_is_missed(lab, require):
     assert "no post-quantum signature" in problem
 
 
+def test_a_pinned_countersignature_may_not_be_missing(lab):
+    def check(message):
+        ca, counter = lab.main.certificate, lab.counter.certificate
+        return verify(message, ca, alternative_ca=counter, require=Require.ANY, pinned=True)
+
+    assert len(check(lab.countersigned()).signatures) == 2
+    with pytest.raises(VerificationError, match="there is no countersignature by"):
+        check(lab.sign())
+
+
 def test_an_altered_countersignature_is_refused_even_where_none_is_required(lab):
     message = lab.countersigned()
     der = bytearray(encode(counter_of(message)))
@@ -460,6 +479,13 @@ def test_a_signer_named_by_another_serial_number_is_refused(lab):
     assert "by another certificate" in problem
 
 
+def test_a_signer_named_by_another_issuer_is_refused(lab):
+    issuer, number = raw(common_name("Other CA")), lab.main.certificate.serial_number
+    sid = IssuerAndSerialNumber(issuer=issuer, serial_number=number)
+    [problem] = lab.problems(with_info(lab.sign(), sid=sid))
+    assert "by another certificate" in problem
+
+
 def test_two_signers_are_refused(lab):
     # As every stack was measured to do, in any order.
     message = lab.sign()
@@ -486,6 +512,15 @@ def test_a_signing_time_may_be_missing(lab):
     del attributes[SIGNING_TIME]
     [found] = lab.verify(signed_with(lab, attributes.values())).signatures
     assert found.signed_at is None
+
+
+@pytest.mark.parametrize("values", [0, 2])
+def test_a_signing_time_without_just_one_value_says_nothing(lab, values):
+    attributes = attributes_over()
+    time = attributes[SIGNING_TIME]
+    time.values = SetOf([*time.values.as_list(), raw(encode(time_of(NOW + YEAR)))][:values])
+    [listed] = signers_in(signed_with(lab, attributes.values())).signers
+    assert listed.signed_at is None
 
 
 @pytest.mark.parametrize(
@@ -583,6 +618,20 @@ def test_a_digest_weaker_than_the_key_is_refused(lab, name, digest):
     else:
         with pytest.raises(VerificationError, match=r"too weak|no longer safe"):
             verify(message, signer.certificate)
+
+
+def test_a_digest_may_have_null_for_its_parameters(lab):
+    marked = algorithm(SHA256, null=True)
+    message = signed_with(lab, attributes_over().values())
+    lab.verify(with_info(message, digest_algorithm=marked))
+
+
+def test_a_digest_with_other_parameters_is_refused(lab):
+    marked = algorithm(SHA256)
+    marked.parameters = raw(b"\x04\x00")
+    message = signed_with(lab, attributes_over().values())
+    [problem] = lab.problems(with_info(message, digest_algorithm=marked))
+    assert problem == "the digest has parameters"
 
 
 def test_an_exchanged_digest_algorithm_is_refused(lab):

@@ -20,13 +20,14 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import (
     AmbiguousError,
     Require,
     Signer,
     _canonical,
+    _openssl_reader,
     _signer_info,
     document_in,
     is_canonical,
@@ -320,3 +321,19 @@ def signed_as(content):
     """A file whose signature covers `content`, MIME header and all."""
     info = _signer_info.make(CA, content, now=NOW)
     return _canonical.file_of(content, info, [], raw(CA.certificate.der))
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        (b"Content-Type: multipart/signed", "it finds no boundary"),
+        (b"Content-Type: multipart/signed; boundary", "it finds no boundary"),
+        (b"Content-Type: multipart/signed; boundary=a; boundary=b", "it finds 2 boundaries"),
+        (b"Content-Type: text/plain\nContent-Type: text/plain", "it finds 2 content types"),
+        (b"Subject: none", "it finds no content type"),
+        (b"X: y\n" * (1 << 14), "a header is longer than 65536 bytes"),
+    ],
+)
+def test_the_model_of_openssl_says_why_it_takes_no_file(header, words):
+    with pytest.raises(MalformedError, match=words):
+        _openssl_reader.read(header + b"\n\n--a\n")
