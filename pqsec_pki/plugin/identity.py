@@ -10,7 +10,6 @@ from pqsec_pki.credentials import (
     ALT_KEY,
     CERTIFICATE,
     KEY,
-    PERMISSIONS_ALT_CA,
     TrustAnchors,
     key_problems,
 )
@@ -75,7 +74,9 @@ class Local:
             words = "it has an alternative key, and the identity CA has none"
             problems.append(Problem(words, Code.ALTERNATIVE_MISSING, CERTIFICATE))
         if problems:
-            raise trust.refusal(problems, trust.places(properties), hint=_hint(problems))
+            missing = policy.require_alternative and (second is None or not anchors.countersigner)
+            hint = _WAY_OUT if missing else None
+            raise trust.refusal(problems, trust.places(properties), hint=hint)
         return cls(
             certificate=certificate,
             key=pair_private(key, second) if second else key,
@@ -133,8 +134,3 @@ def _keys(properties: Properties, *, both: bool) -> tuple[PrivateKey, PrivateKey
     key = credentials.key_at(properties.source(trust.PROPERTIES[KEY]), password)
     beside = trust.beside(properties, ALT_KEY) if both else None
     return key, credentials.key_at(beside, password) if beside else None
-
-
-def _hint(problems: list[Problem]) -> str | None:
-    missing = {(Code.KEY_MISMATCH, ALT_KEY), (Code.COUNTERSIGNER_MISSING, PERMISSIONS_ALT_CA)}
-    return _WAY_OUT if missing & {(each.code, each.subject) for each in problems} else None

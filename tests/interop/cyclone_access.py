@@ -31,6 +31,7 @@ _OWN, _REMOTE = 1, 2
 _PARTICIPANT_DATA = ctypes.create_string_buffer(512)
 KINDS = {Action.PUBLISH: "datawriter", Action.SUBSCRIBE: "datareader"}
 _FILES = {
+    "dds.sec.auth.identity_ca": "identity_ca.cert.pem",
     "dds.sec.auth.identity_certificate": "cert.pem",
     "dds.sec.access.permissions_ca": "permissions_ca.cert.pem",
     "dds.sec.access.governance": "governance.p7s",
