@@ -132,6 +132,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
     return {
         "rule": finding.rule.id,
         "severity": finding.rule.severity.value,
+        "code": finding.code.value if finding.code else None,
         "path": str(finding.path),
         "line": finding.line,
         "message": finding.message,

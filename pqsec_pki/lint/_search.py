@@ -10,10 +10,11 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import read
+from pqsec_pki.credentials import CERTIFICATE, KEY, PERMISSIONS
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.subjects import CERTIFICATE, KEY, PERMISSIONS, SIX
+from pqsec_pki.lint.subjects import SIX
 
 MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""

@@ -6,22 +6,22 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from pqsec_pki.certificates import Certificate, name_text
-from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.lint._roles import Role, key_kind, key_of, role_of
-from pqsec_pki.lint.file import File
-from pqsec_pki.lint.subjects import (
+from pqsec_pki.credentials import (
     CERTIFICATE,
     GOVERNANCE,
     IDENTITY_CA,
     PERMISSIONS,
+    PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
-    Enclave,
-    Inventory,
+    TrustAnchors,
 )
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.lint._roles import Role, key_kind, key_of, role_of
+from pqsec_pki.lint.file import File
+from pqsec_pki.lint.subjects import Enclave, Inventory
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import Listed, ListedSigner, signers_in, verify
 
-PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
 _PSS = bytes.fromhex("06092a864886f70d01010a")
 """DER of its object identifier."""
 _BROKEN = {"1.3.14.3.2.26": "SHA-1", "1.2.840.113549.2.5": "MD5", "1.2.840.113549.2.2": "MD2"}
@@ -34,6 +34,8 @@ class Pair:
     file: File
     ca: Certificate
     alternative_ca: Certificate | None
+    anchors: TrustAnchors | None
+    """The enclave's, if the document is one's and they can be read."""
     others: tuple[tuple[str, Certificate], ...]
     """Certificates near by, with what they are: perhaps one of them signed it."""
 
@@ -100,7 +102,8 @@ def uncheckable(pair: Pair) -> str | None:
 
 def plain_problems(pair: Pair) -> Iterator[str]:
     """What is wrong with the signature that names the CA."""
-    return (str(each) for each in _problems(pair) if each.code is not Code.COUNTERSIGNATURE_BAD)
+    others = {Code.COUNTERSIGNATURE_BAD, Code.SIGNATURE_MISSING}
+    return (str(each) for each in _problems(pair) if each.code not in others)
 
 
 def counter_problems(pair: Pair) -> Iterator[str]:
@@ -115,11 +118,11 @@ def countersigners(file: File) -> tuple[ListedSigner, ...]:
 
 def _in_enclaves(inventory: Inventory) -> Iterator[Pair]:
     for enclave in inventory.enclaves:
-        ca = enclave.certificate(PERMISSIONS_CA)
+        ca, anchors = enclave.certificate(PERMISSIONS_CA), enclave.anchors
         for name in (PERMISSIONS, GOVERNANCE):
             if ca and name in enclave.files:
                 alternative = enclave.certificate(PERMISSIONS_ALT_CA)
-                yield Pair(enclave.files[name], ca, alternative, tuple(_near(enclave)))
+                yield Pair(enclave.files[name], ca, alternative, anchors, tuple(_near(enclave)))
 
 
 def _near(enclave: Enclave) -> Iterator[tuple[str, Certificate]]:
@@ -139,7 +142,7 @@ def _outside(inventory: Inventory) -> Iterator[Pair]:
     for file in inventory.files:
         if file.is_signed and file.path not in in_enclaves:
             [ca] = signers.values()
-            yield Pair(file, ca, counters[0] if counters else None, ())
+            yield Pair(file, ca, counters[0] if counters else None, None, ())
 
 
 def _is_ours(pair: Pair) -> bool:
@@ -161,7 +164,10 @@ def _problems(pair: Pair) -> tuple[Problem, ...]:
 
 def _refusal(pair: Pair) -> tuple[Problem, ...]:
     try:
-        verify(pair.file.data, pair.ca, alternative_ca=pair.alternative_ca)
+        if pair.anchors:
+            pair.anchors.signatures(pair.file.data)
+        else:
+            verify(pair.file.data, pair.ca, alternative_ca=pair.alternative_ca)
     except VerificationError as error:
         return error.problems
     return ()

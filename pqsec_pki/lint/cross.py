@@ -5,16 +5,17 @@ from collections.abc import Iterator
 from cryptography import x509
 
 from pqsec_pki.certificates import Certificate, common_name
+from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, IDENTITY_CA, KEY
 from pqsec_pki.documents import DefaultAction, Grant, parse_subject, same_subject
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import held
 from pqsec_pki.lint._roles import extension, is_signed_by, key_of
 from pqsec_pki.lint._shadows import domains_meet
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import CERTIFICATE, IDENTITY_CA, KEY, SIX, CertificateFile, Enclave
+from pqsec_pki.lint.subjects import SIX, CertificateFile, Enclave
 
 FAMILY = Family("cross-artefact")
-ALT_KEY, REQUEST = "alt.key.pem", "request.pem"
+REQUEST = "request.pem"
 ENCLAVES = "enclaves"
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
@@ -43,7 +44,7 @@ def lost(enclave: Enclave) -> Iterator[Found]:
 
 
 @FAMILY.rule(
-    "PQS303", Severity.WARNING, Enclave, "the certificate is called otherwise than the enclave",
+    "PQS303", Severity.ERROR, Enclave, "the certificate is called otherwise than the enclave",
     why="ROS 2 chooses the enclave by its folder, and peers know the participant by its"
     " certificate: logs and permissions speak of another one.",
     mend="Issue a certificate with the enclave's path as its common name (CN=/fleet/robot1).",

@@ -5,20 +5,12 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, IDENTITY_CA, PERMISSIONS, PERMISSIONS_CA
 from pqsec_pki.lint._roles import Role, role_of
 from pqsec_pki.lint.cross import ENCLAVES
 from pqsec_pki.lint.revocation import lists_of
 from pqsec_pki.lint.rule import Family, Found, Severity
-from pqsec_pki.lint.subjects import (
-    CERTIFICATE,
-    GOVERNANCE,
-    IDENTITY_CA,
-    PERMISSIONS,
-    PERMISSIONS_CA,
-    CertificateFile,
-    Enclave,
-    Inventory,
-)
+from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
 
 FAMILY = Family("cross-artefact")
 

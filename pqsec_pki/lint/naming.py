@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint._names import CUTS, parsed, repeated
 from pqsec_pki.lint.document import PermissionsFile
@@ -113,7 +114,7 @@ def same_name(inventory: Inventory) -> Iterator[Found]:
         name, spki = before.setdefault(certificate.subject_der, (enclave.name, certificate.spki))
         if spki != certificate.spki:
             message = f"{certificate.subject_name} is the subject of {name} too, with another key"
-            yield Found(message, path=enclave.files["cert.pem"].path)
+            yield Found(message, path=enclave.files[CERTIFICATE].path)
 
 
 @FAMILY.rule(

@@ -5,20 +5,13 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.algorithms import PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import ALT_KEY, GOVERNANCE, IDENTITY_CA, PERMISSIONS, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import _signatures
 from pqsec_pki.lint._roles import Role, family_of, key_kind, role_of
-from pqsec_pki.lint._signatures import PERMISSIONS_ALT_CA
-from pqsec_pki.lint.cross import ALT_KEY, has_keys_on_robot
+from pqsec_pki.lint.cross import has_keys_on_robot
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import (
-    GOVERNANCE,
-    IDENTITY_CA,
-    PERMISSIONS,
-    CertificateFile,
-    Enclave,
-    Inventory,
-)
+from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
 
 FAMILY = Family("post-quantum")
 STOCK = (Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS, Target.CONNEXT, Target.ROS2)

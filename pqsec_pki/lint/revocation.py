@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 from pqsec_pki.certificates import RevocationList
+from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import x509
 from pqsec_pki.lint._roles import key_of
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family, Found, Severity, Target
-from pqsec_pki.lint.subjects import IDENTITY_CA, Enclave, Inventory
+from pqsec_pki.lint.subjects import Enclave, Inventory
 
 FAMILY = Family("x509")
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"

@@ -27,6 +27,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pqsec_pki.problems import Code
+
 S = TypeVar("S")
 
 
@@ -58,6 +60,8 @@ class Found:
     """In the file, counted from 1."""
     path: Path | None = None
     """Where that is not the subject's own path."""
+    code: Code | None = None
+    """Of the problem with the credentials that this is, if it is one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,6 +145,8 @@ class Finding:
     path: Path
     line: int | None
     message: str
+    code: Code | None = None
+    """What an enclave's credentials are refused for, if this is why (`problems.Code`)."""
 
     def __str__(self) -> str:
         place = f"{self.path}:{self.line}" if self.line else str(self.path)

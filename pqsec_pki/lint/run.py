@@ -12,6 +12,7 @@ from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
 from pqsec_pki.lint.table import RULES
+from pqsec_pki.lint.trust import said_once
 
 COMMAND_LINE = Path("--ignore")
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
@@ -74,16 +75,14 @@ def _order(finding: Finding) -> tuple[Path, int, int, str, str]:
 
 
 def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
-    yield from _answers(
-        asked,
-        (
-            *inventory.files,
-            *inventory.documents,
-            *inventory.certificates,
-            *inventory.enclaves,
-            inventory,
-        ),
+    subjects = (
+        *inventory.files,
+        *inventory.documents,
+        *inventory.certificates,
+        *inventory.enclaves,
+        inventory,
     )
+    return said_once(_answers(asked, subjects), inventory)
 
 
 def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:
@@ -96,7 +95,8 @@ def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Find
         for rule in of_class[kind]:
             for found in rule.check(subject):
                 path = found.path or subject.path  # type: ignore[attr-defined] # all have one
-                yield Finding(rule=rule, path=path, line=found.line, message=found.message)
+                line, message, code = found.line, found.message, found.code
+                yield Finding(rule=rule, path=path, line=line, message=message, code=code)
 
 
 def _suppression_files(

@@ -44,12 +44,14 @@ def _result(finding: Finding, places: dict[str, int]) -> dict[str, Any]:
     location: dict[str, Any] = {"artifactLocation": {"uri": _uri(finding.path)}}
     if finding.line:
         location["region"] = {"startLine": finding.line}
+    code = {"properties": {"code": finding.code.value}} if finding.code else {}
     return {
         "ruleId": finding.rule.id,
         "ruleIndex": places[finding.rule.id],
         "level": _LEVELS[finding.rule.severity],
         "message": {"text": finding.message},
         "locations": [{"physicalLocation": location}],
+        **code,
     }
 
 

@@ -16,6 +16,7 @@ from pqsec_pki.algorithms import (
     SignatureAlgorithm,
 )
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import (
     CHALLENGE_SIZE,
@@ -29,7 +30,7 @@ from pqsec_pki.handshake.messages import HASH_SIZE
 from pqsec_pki.handshake.wire import GUID_SIZE, MAX_TOKEN
 from pqsec_pki.lint.rule import Family as Rules
 from pqsec_pki.lint.rule import Found, Severity, Target
-from pqsec_pki.lint.subjects import PERMISSIONS, Enclave, Inventory
+from pqsec_pki.lint.subjects import Enclave, Inventory
 
 FAMILY = Rules("size")
 FAST_DDS_LIMIT = 8192

@@ -12,14 +12,20 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import pem, unpem
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import (
+    CERTIFICATE,
+    GOVERNANCE,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+    TrustAnchors,
+)
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
 
-CERTIFICATE, KEY = "cert.pem", "key.pem"
-PERMISSIONS, GOVERNANCE = "permissions.p7s", "governance.p7s"
-IDENTITY_CA, PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem"
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 """What every stack needs of an enclave."""
 
@@ -79,6 +85,14 @@ class Enclave:
     def path(self) -> Path:
         """Where it is."""
         return self.folder
+
+    @cached_property
+    def anchors(self) -> TrustAnchors | None:
+        """The CAs in it by their roles, if they are there and can be read."""
+        try:
+            return TrustAnchors.of({name: file.data for name, file in self.files.items()})
+        except (KeyError, PqsecError):  # for KeyError: there is none of that name
+            return None
 
     def certificate(self, name: str = CERTIFICATE) -> Certificate | None:
         """The first certificate in that file, if it can be read."""

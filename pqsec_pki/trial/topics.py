@@ -8,12 +8,12 @@ from typing import Self, TypeVar
 
 from pqsec_pki._files import read
 from pqsec_pki.access import Action, Policy, Question
+from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Keystore, load_certificate
 from pqsec_pki.smime import document_in
 from pqsec_pki.vendors import Enclave
-from pqsec_pki.vendors.enclave import CERTIFICATE, GOVERNANCE, PERMISSIONS
 
 Value = TypeVar("Value")
 

@@ -7,6 +7,7 @@ from typing import Self
 
 from pqsec_pki._files import read
 from pqsec_pki.access import Action, Policy, Question
+from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from pqsec_pki.documents import (
     Governance,
     Grant,
@@ -19,7 +20,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import MalformedError, located
 from pqsec_pki.keystore import load_certificate
 from pqsec_pki.smime import document_in
-from pqsec_pki.vendors.enclave import CERTIFICATE, GOVERNANCE, PERMISSIONS, Enclave
+from pqsec_pki.vendors.enclave import Enclave
 
 _PART = "[A-Za-z_][A-Za-z0-9_]*"
 _REPLIES = [t.rpartition("/")[2] for t in ros.node_minimum("/n").publish if t.startswith("rr/")]

@@ -9,6 +9,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from pqsec_pki.credentials import ALT_KEY, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.plugin.settings import FILE as SETTINGS
 from pqsec_pki.vendors.enclave import Enclave
@@ -18,7 +19,7 @@ from pqsec_pki.vendors.ros2_check import Check
 
 RMW, CYCLONE = "RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp"
 NOTE = "ROS 2 must have its package rmw_cyclonedds_cpp, and a Cyclone DDS with security"
-EXTRA = ("alt.key.pem", "permissions_ca.alt.cert.pem", SETTINGS)
+EXTRA = (ALT_KEY, PERMISSIONS_ALT_CA, SETTINGS)
 """What the plugin reads beside the files that ROS 2 knows, where it is there."""
 _URI = "CYCLONEDDS_URI"
 _FRAGMENTS = (

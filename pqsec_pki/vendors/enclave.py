@@ -2,22 +2,31 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Self
 
 from pqsec_pki._files import exists, read
 from pqsec_pki.algorithms import Profile, is_encrypted
-from pqsec_pki.errors import KeystoreError, UsageError, located, shown
+from pqsec_pki.credentials import (
+    CERTIFICATE,
+    FILES,
+    GOVERNANCE,
+    IDENTITY_CA,
+    KEY,
+    KEYS,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+    REVOCATION_LIST,
+    Credentials,
+    verify_credentials,
+)
+from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, located, problems_of, shown
 from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors.export import PASSWORD_VARIABLE, Options
 
-IDENTITY_CA, CERTIFICATE, KEY = "identity_ca.cert.pem", "cert.pem", "key.pem"
-PERMISSIONS_CA, GOVERNANCE, PERMISSIONS = (
-    "permissions_ca.cert.pem",
-    "governance.p7s",
-    "permissions.p7s",
-)
-CRL, REQUEST = "crl.pem", "request.pem"
+REQUEST = "request.pem"
 _INSTALLED = "/etc/dds/current/enclaves"
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 """What every stack needs; ROS 2 does not say which one it misses."""
@@ -25,7 +34,7 @@ SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Enclave:
-    """The files of one participant. Nothing of them is verified here."""
+    """The files of one participant."""
 
     name: str
     """Its enclave path, such as /fleet/robot1."""
@@ -55,7 +64,7 @@ class Enclave:
         where = _absolute(at or PurePosixPath(folder))
         elsewhere = at is not None and exists(folder / REQUEST)
         _refuse_incomplete(folder, name, without={KEY} if elsewhere else set())
-        has_crl = exists(folder / CRL)
+        has_crl = exists(folder / REVOCATION_LIST)
         with located(folder / KEY):
             encrypted = not elsewhere and is_encrypted(read(folder / KEY))
         return cls(
@@ -68,6 +77,20 @@ class Enclave:
             has_large_handshake=profile.alternative_key is not None or not profile.runs_in_stock,
             at=where,
         )
+
+    def refusals(self, now: datetime) -> tuple[Problem, ...]:
+        """Why its credentials cannot be trusted at `now`, if so (room `credentials`).
+
+        A key that is locked, or on its robot, is not looked at. FileError for a file that
+        cannot be read.
+        """
+        names = [each for each in FILES if not (self.key_is_encrypted and each in KEYS)]
+        files = {each: read(self.folder / each) for each in names if exists(self.folder / each)}
+        try:
+            verify_credentials(Credentials.of(self.name, files), now=now)
+        except PqsecError as error:
+            return problems_of(error)
+        return ()
 
     def uri(self, file: str) -> str:
         """Where `file` will be, as file:///: the form of a URI that all stacks take.
@@ -90,6 +113,7 @@ def _refuse_incomplete(folder: Path, name: str, *, without: Collection[str]) -> 
     if missing:
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}",
+            code=Code.FILE_MISSING,
             hint=f"its keys are on its robot: say where, as in --at {_INSTALLED}{name}"
             if missing == [KEY] and exists(folder / REQUEST)
             else "issue the participant again, or restore what links lead to",

@@ -7,19 +7,19 @@ there is no way to write it so that it is not.
 
 import re
 
-from pqsec_pki.errors import UsageError
-from pqsec_pki.lint import Finding, Severity
-from pqsec_pki.vendors._render import render
-from pqsec_pki.vendors.enclave import (
+from pqsec_pki.credentials import (
     CERTIFICATE,
-    CRL,
     GOVERNANCE,
     IDENTITY_CA,
     KEY,
     PERMISSIONS,
     PERMISSIONS_CA,
-    Enclave,
+    REVOCATION_LIST,
 )
+from pqsec_pki.errors import UsageError
+from pqsec_pki.lint import Finding, Severity
+from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import FOLDER, Export, Options
 
 FILE = "fastdds.xml"
@@ -85,7 +85,7 @@ def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
     if enclave.key_is_encrypted:
         found[f"{_AUTH}.password"] = _password(options)
     if enclave.has_crl:
-        found[f"{_AUTH}.identity_crl"] = enclave.uri(CRL)
+        found[f"{_AUTH}.identity_crl"] = enclave.uri(REVOCATION_LIST)
     # 2.10.7, 2.14.5, 3.0.2, 3.1.1 and later; others pass over it and use DH.
     found[f"{_AUTH}.preferred_key_agreement"] = "ECDH"
     found |= {

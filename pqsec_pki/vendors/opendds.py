@@ -7,11 +7,12 @@ in: no file of its configuration can hold them. 3.13.3 was run with what is writ
 from contextlib import suppress
 
 from pqsec_pki._files import read
+from pqsec_pki.credentials import GOVERNANCE
 from pqsec_pki.documents import Governance, ProtectionKind
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.smime import document_in
 from pqsec_pki.vendors._render import render
-from pqsec_pki.vendors.enclave import GOVERNANCE, Enclave, password_note, standard_properties
+from pqsec_pki.vendors.enclave import Enclave, password_note, standard_properties
 from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 INI, HEADER = "opendds.ini", "pqsec_participant.h"

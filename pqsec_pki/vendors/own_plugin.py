@@ -10,10 +10,11 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 
+from pqsec_pki.credentials import KEY, REVOCATION_LIST
 from pqsec_pki.errors import FileError, PqsecError, VerificationError
 from pqsec_pki.lint import Finding, Severity, Target
 from pqsec_pki.plugin import LIBRARY, NAMES
-from pqsec_pki.vendors.enclave import CRL, KEY, Enclave, standard_properties
+from pqsec_pki.vendors.enclave import Enclave, standard_properties
 from pqsec_pki.vendors.export import Options
 
 PATH = "LD_LIBRARY_PATH"
@@ -84,7 +85,7 @@ def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
     here = replace(enclave, at=PurePosixPath(enclave.folder))
     found = standard_properties(here)
     if enclave.has_crl:
-        found[_CRL] = here.uri(CRL)
+        found[_CRL] = here.uri(REVOCATION_LIST)
     if options.password is not None:
         found[_PASSWORD] = options.password
     return found

@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from pqsec_pki.access import Action
+from pqsec_pki.credentials import REVOCATION_LIST
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.keystore import Keystore, regular_name
@@ -27,7 +28,7 @@ from pqsec_pki.vendors._ros2_environment import (
 )
 from pqsec_pki.vendors._ros2_needs import Needs
 from pqsec_pki.vendors._ros2_plugin import CYCLONE, RMW
-from pqsec_pki.vendors.enclave import CRL, SIX, Enclave
+from pqsec_pki.vendors.enclave import SIX, Enclave
 from pqsec_pki.vendors.export import Export, Options
 from pqsec_pki.vendors.ros2_check import Check
 
@@ -131,7 +132,9 @@ def _keystore(enclave: Enclave) -> PurePosixPath:
 
 def _copies(enclave: Enclave, options: Options) -> dict[str, Path]:
     """All of the enclave that ROS 2 reads, or the plugin, and nothing else."""
-    files = [enclave.folder / name for name in ((*SIX, CRL) if enclave.has_crl else SIX)]
+    files = [
+        enclave.folder / name for name in ((*SIX, REVOCATION_LIST) if enclave.has_crl else SIX)
+    ]
     if options.plugin:
         files += _ros2_plugin.files(enclave)
     return {f"enclaves{enclave.name}/{file.name}": file for file in files}

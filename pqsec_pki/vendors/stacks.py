@@ -8,6 +8,7 @@ from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint import Finding, Severity, Target, check
 from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import Export, Options, Version
@@ -141,8 +142,9 @@ def export(
 ) -> Export:
     """What `stack` needs to run as the participant called `name`.
 
-    VerificationError if the stack is known to refuse the credentials (`pqsec check` finds an
-    error), or our plugin does, unless `options.anyway`; UsageError if an option is not for that
+    VerificationError if the credentials cannot be trusted (room `credentials`), or the stack is
+    known to refuse them (`pqsec check` finds an error), or our plugin does, unless
+    `options.anyway`; UsageError if an option is not for that
     stack; KeystoreError if there is no such participant, FileError if our plugin is not there.
     """
     stack.refuse_unknown(options)
@@ -157,18 +159,31 @@ def export(
     for finding in report.findings:
         found.setdefault(stack.severity(finding, options), []).append(finding)
     errors, warnings = found.get(Severity.ERROR, []), found.get(Severity.WARNING, [])
-    refusal = _refusal(stack, errors) if errors else own_plugin.refusal(enclave, options, now)
+    told = {each.code for each in errors}
+    problems = [_problem(each) for each in errors]
+    problems += [each for each in enclave.refusals(now) if each.code not in told]
+    refusal: VerificationError | None = None
+    if problems:
+        refusal = VerificationError(*problems, hint=_way_out(stack, errors))
+    else:
+        refusal = own_plugin.refusal(enclave, options, now)
     if refusal and not options.anyway:
         raise refusal
-    told = map(str, refusal.problems) if refusal else ()
-    return replace(made, warnings=(*made.warnings, *told, *map(_told, warnings)))
+    refused = map(str, refusal.problems) if refusal else ()
+    return replace(made, warnings=(*made.warnings, *refused, *map(_told, warnings)))
 
 
-def _refusal(stack: Stack, errors: list[Finding]) -> VerificationError:
+def _way_out(stack: Stack, errors: list[Finding]) -> str:
+    if not errors:
+        return "`pqsec check` tells more"
     hint = errors[0].rule.mend
     if stack.loads_ours and own_plugin.is_of_others(errors[0]):
         hint += " Or run pqsec's plugin in it: --plugin."
-    return VerificationError(*map(_told, errors), hint=hint)
+    return hint
+
+
+def _problem(finding: Finding) -> Problem:
+    return Problem(_told(finding), finding.code or Code.OTHER)
 
 
 def _refuse_place(stack: Stack, options: Options) -> None:

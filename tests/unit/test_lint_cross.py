@@ -113,6 +113,44 @@ def test_a_key_in_a_token_is_not_missed(lab):
     assert lab.found() == {}
 
 
+# What the room `credentials` refuses (all of it: test_one_verdict.py)
+
+
+def of_one_key(lab):
+    """A permissions CA that is the identity CA."""
+    shutil.copy(lab / "public/identity_ca.cert.pem", lab / "public/permissions_ca.cert.pem")
+
+
+def doubled(lab):
+    """The identity CA twice, which no other rule minds."""
+    pem = lab.authorities().identity.certificate.pem
+    lab.put("public/identity_ca.cert.pem", pem + pem)
+
+
+def errors_with_codes(path):
+    findings = check([path], now=NOW).findings
+    return {(each.rule.id, each.code) for each in findings if each.code}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda lab: (lab / TALKER / "cert.pem").unlink(), {("PQS301", "file-missing")}),
+        (lambda lab: (lab / GOVERNANCE).unlink(), {("PQS302", "file-missing")}),
+        (lambda lab: lab.put(f"{TALKER}/cert.pem", b""), {("PQS318", "file-malformed")}),
+        (doubled, {("PQS319", "ca-doubled")}),
+        (of_one_key, {("PQS312", "one-key-two-roles"), ("PQS340", "wrong-signer")}),
+    ],
+)
+def test_credentials_that_cannot_be_trusted_are_an_error_that_is_told_once(lab, change, told):
+    change(lab)
+    assert errors_with_codes(lab / TALKER) == told
+
+
+def test_a_sound_enclave_has_no_code(lab):
+    assert errors_with_codes(lab.root) == set()
+
+
 def test_a_link_that_leads_nowhere_is_found(lab):
     (lab / GOVERNANCE).unlink()
     assert lab.found()["PQS302"].path.name == "governance.p7s"
@@ -161,7 +199,7 @@ def test_a_key_that_only_others_can_use_is_not_called_broken(lab):
     lab.put(f"{TALKER}/key.pem", key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     ))  # fmt: skip
-    assert set(lab.found()) == {"PQS103"}
+    assert set(lab.found()) == {"PQS103", "PQS319"}  # pqsec cannot check it
 
 
 def test_an_encrypted_key_is_nobodys_flaw(lab):
@@ -186,7 +224,12 @@ def test_a_certificate_of_an_intermediate_ca_is_found(lab):
     lab.put("public/identity_ca.cert.pem", root.certificate.pem + between)
     end = NOW + 90 * DAY
     lab.put(f"{TALKER}/cert.pem", certificate(key=own, issuer="Middle", signer=middle, end=end))
-    assert set(lab.found()) == {"PQS131", "PQS304", "PQS316"}  # that of the key is right too
+    assert set(lab.found()) == {
+        "PQS131",
+        "PQS304",
+        "PQS316",
+        "PQS319",
+    }  # that of the key is right too
     assert "PQS316" not in lab.found(Target.FASTDDS)
 
 
@@ -398,8 +441,10 @@ OTHER_FORM = {"PQS344"}
 @pytest.mark.parametrize(("rule", "make"), FORMS)
 def test_a_form_that_stacks_do_not_read_is_found(lab, rule, make):
     lab.put(P7S, make(lab))
-    # Where there is no S/MIME at all, it is told too that there is no XML.
-    assert set(lab.found()) - OTHER_FORM == {rule} | ({"PQS201"} if make in NO_SMIME else set())
+    # Where there is no S/MIME at all, it is told too that there is no XML; and what nobody here
+    # can check, nobody here trusts.
+    more = {"PQS201"} if make in NO_SMIME else {"PQS319"} if rule == "PQS338" else set()
+    assert set(lab.found()) - OTHER_FORM == {rule} | more
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,8 @@ from tests.docs.rules_page import MEASURED as ROWS
 from tests.unit.keystores import DAY, NOW
 from tests.unit.linting import YEAR, certificate, p256, usage
 
+PQSECS_OWN = "PQS319"
+"""What pqsec does not trust, though stacks may."""
 VERDICTS = {row["variant"]: row["verdicts"] for row in ROWS}
 OPTION = pkcs7.PKCS7Options
 TEXT, DETACHED = OPTION.Text, OPTION.DetachedSignature
@@ -236,7 +238,8 @@ CASES = [
 
 def has_error(folder, target):
     findings = check([folder], now=NOW, targets=[target]).findings
-    return any(each.rule.severity is Severity.ERROR for each in findings)
+    theirs = (each.rule for each in findings if each.rule.id != PQSECS_OWN)
+    return any(rule.severity is Severity.ERROR for rule in theirs)
 
 
 @pytest.mark.parametrize(("row", "variant"), CASES)

@@ -30,9 +30,11 @@ from pqsec_pki.documents import Permissions
 from pqsec_pki.enrolment import Bundle, install
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Authorities, Keystore, enclave_files
+from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import Guest, Occasion, meet
 from pqsec_pki.smime import Signer, document_in, sign
+from pqsec_pki.vendors import Options, export, stack_named
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.plugin_wire import refusals
 from tests.unit.signed_files import CONSTRUCTIONS
@@ -461,6 +463,18 @@ def the_plugin(_, keystore, now):
     """As Cyclone DDS hands it over: file by file, and not by the participant's name."""
     found = refusals(keystore.root / f"enclaves{NAME}", now)
     return {code for refusal in found for code in refusal.codes}
+
+
+@reader
+def checking(_, keystore, now):
+    report = check([keystore.root / f"enclaves{NAME}"], now=now)
+    return {each.code for each in report.findings if each.code and each.rule.severity == "error"}
+
+
+@reader
+def exporting(_, keystore, now):
+    stack = stack_named("cyclonedds")
+    return codes_of(lambda: export(stack, keystore, NAME, Options(), now=now))
 
 
 def placed(lab, files, folder):
