@@ -24,6 +24,7 @@ from pqsec_pki.trial import (
     meet,
     passage,
     plugin,
+    refuse_untrusted,
 )
 
 ROS2, PLUGGABLE = "ros2", "cyclonedds"
@@ -106,6 +107,8 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
             hint=f"name two, as in `pqsec try {stack} /talker /listener`",
         )
     keystore, now = _settings.open_keystore(), _settings.now()
+    if not given["anyway"]:
+        refuse_untrusted(keystore, names, now)
     way = _way(keystore, names, now, topic=given["topic"], domain=given["domain"])
     trial = Trial(
         installation=find(stack, given["root"]),

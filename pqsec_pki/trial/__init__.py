@@ -8,7 +8,15 @@ other, and a third one without credentials listens.
 from pqsec_pki.trial.building import BuildError, built
 from pqsec_pki.trial.installation import MACHINE, Installation, MissingStackError, find
 from pqsec_pki.trial.kits import STACKS
-from pqsec_pki.trial.meeting import STRANGER, Report, Trial, credentialed, meet, stranger
+from pqsec_pki.trial.meeting import (
+    STRANGER,
+    Report,
+    Trial,
+    credentialed,
+    meet,
+    refuse_untrusted,
+    stranger,
+)
 from pqsec_pki.trial.peer import Account, Act, Role
 from pqsec_pki.trial.plugin import AgentError, Plugin, plugin
 from pqsec_pki.trial.scene import Performance, Scene, mark, perform
@@ -39,5 +47,6 @@ __all__ = [
     "passage",
     "perform",
     "plugin",
+    "refuse_untrusted",
     "stranger",
 ]

@@ -2,11 +2,13 @@
 
 import os
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
+from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.trial.building import built, source
 from pqsec_pki.trial.findings import Finding, findings
@@ -15,7 +17,7 @@ from pqsec_pki.trial.peer import Account, Act, Role
 from pqsec_pki.trial.plugin import Plugin
 from pqsec_pki.trial.scene import Performance, Scene, mark, perform
 from pqsec_pki.trial.topics import Passage
-from pqsec_pki.vendors import Options, export, stack_named, write
+from pqsec_pki.vendors import Enclave, Options, export, stack_named, write
 
 STRANGER = "a participant without credentials"
 _IN_MEMORY = Path("/dev/shm")  # noqa: S108 -- open to all as /tmp is, and used like it
@@ -100,11 +102,21 @@ class Report:
         return self.accepted and self.stranger_heard is False
 
 
+def refuse_untrusted(keystore: Keystore, names: Iterable[str], now: datetime) -> None:
+    """VerificationError if the credentials of one of them cannot be trusted at `now`.
+
+    For who asks before a topic is looked for in their documents; `meet` refuses them too.
+    """
+    problems = [each for name in names for each in Enclave.find(keystore, name).refusals(now)]
+    if problems:
+        raise VerificationError(*problems, hint="`pqsec check` tells more; --anyway tries them")
+
+
 def meet(trial: Trial, passage: Passage) -> Report:
     """Let the two meet on this machine: a process each, and one for the stranger.
 
-    VerificationError if the stack is known to refuse the credentials (unless
-    `trial.anyway`), BuildError and FileError where the peer cannot be made.
+    VerificationError if the credentials cannot be trusted or the stack is known to refuse them
+    (unless `trial.anyway`), BuildError and FileError where the peer cannot be made.
     """
     installation = trial.installation
     with (

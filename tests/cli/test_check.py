@@ -210,3 +210,14 @@ def test_what_is_named_and_closed_is_an_error(keystore, tmp_path, closed, mode):
     done = as_plain_user(tmp_path, closed, mode, closed)
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr == f"pqsec: error: {closed}: permission denied\n"
+
+
+def test_why_credentials_are_not_trusted_is_told_as_a_code(pqsec, keystore, tmp_path):
+    keystore()
+    ca = tmp_path / "k/public/identity_ca.cert.pem"
+    ca.write_bytes(ca.read_bytes() * 2)
+    found = json.loads(pqsec("--json check k").out)["findings"]
+    assert {each["code"] for each in found if each["rule"] == "PQS319"} == {"ca-doubled"}
+    [run] = json.loads(pqsec("check k --sarif").out)["runs"]
+    results = [each for each in run["results"] if each["ruleId"] == "PQS319"]
+    assert {each["properties"]["code"] for each in results} == {"ca-doubled"}

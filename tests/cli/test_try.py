@@ -40,11 +40,8 @@ def test_a_stack_that_is_not_installed_is_named_with_its_packages(
     done.refused(3, "is not installed", hint=packages)
 
 
-@pytest.mark.parametrize("topic", ["", "--topic rt/chatter"])
-def test_an_unknown_participant_is_refused_before_anything_is_compiled(
-    pqsec, keystore, tmp_path, topic
-):
-    keystore()
+def pretended_stack(tmp_path):
+    """What looks like an installed Cyclone DDS; whatever compiles with it fails."""
     headers = tmp_path / "root/usr/include/dds"
     headers.mkdir(parents=True)
     (headers / "version.h").write_text('#define DDS_VERSION "0.10.5"\n')
@@ -53,6 +50,14 @@ def test_an_unknown_participant_is_refused_before_anything_is_compiled(
         path.parent.mkdir(exist_ok=True)
         path.write_text("#!/bin/false\n")
         path.chmod(0o755)
+
+
+@pytest.mark.parametrize("topic", ["", "--topic rt/chatter"])
+def test_an_unknown_participant_is_refused_before_anything_is_compiled(
+    pqsec, keystore, tmp_path, topic
+):
+    keystore()
+    pretended_stack(tmp_path)
     line = f"-k k try cyclonedds /talker /nobody --root root {topic}"
     pqsec(line, XDG_CACHE_HOME=str(tmp_path / "cache")).refused(3, "no participant /nobody")
     assert not (tmp_path / "cache").exists()
@@ -81,3 +86,17 @@ def test_two_are_tried_on_a_domain_that_both_may_join(pqsec, keystore):
     pqsec("-k k issue /far --domain 2 --publish a").done()
     pqsec("-k k try cyclonedds /one /two").refused(2, "on domain 1 neither of /one and /two")
     pqsec("-k k try cyclonedds /one /far").refused(1, "they share no domain: /one may join")
+
+
+@pytest.mark.parametrize("topic", ["", "--topic rt/chatter"])
+def test_credentials_that_cannot_be_trusted_are_not_tried(pqsec, keystore, tmp_path, topic):
+    keystore()
+    pretended_stack(tmp_path)
+    ca = tmp_path / "k/public/identity_ca.cert.pem"
+    ca.write_bytes(ca.read_bytes() * 2)
+    line = f"-k k try cyclonedds /talker /listener --root root {topic}"
+    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    told = "/talker: identity_ca.cert.pem: the same CA stands in it twice"
+    pqsec(line, **cache).refused(1, told, hint="pqsec check", problems=2)
+    assert not (tmp_path / "cache").exists()
+    pqsec(f"{line} --anyway", **cache).refused(3, "")

@@ -11,6 +11,7 @@ from lxml import etree
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.errors import ExistsError, FileError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.problems import Code
 from pqsec_pki.vendors import STACKS, Enclave, Export, Options, export, stack_named, write
 from pqsec_pki.vendors.cyclone_plugins import NAMES, installed_plugins
 from pqsec_pki.vendors.export import FOLDER
@@ -696,3 +697,18 @@ def test_commands_are_quoted_for_the_shell(tmp_path):
     made = sample(environment={"V": f"file://{FOLDER}/main"}, steps=(f"run {FOLDER}/main",))
     quoted = "'" + str(folder).replace("'", "'\"'\"'")
     assert made.commands(folder) == [f"export V='file://{quoted[1:]}/main'", f"run {quoted}'/main"]
+
+
+@pytest.mark.parametrize("stack", [each.name for each in STACKS])
+def test_credentials_that_cannot_be_trusted_are_exported_only_if_told_to(own, stack):
+    keystore = own()
+    ca = keystore.root / "public/identity_ca.cert.pem"
+    ca.write_bytes(ca.read_bytes() * 2)
+    # No suppression speaks for the trust decision.
+    ignored = "ignore:\n  - rule: PQS319\n    reason: we need it\n"
+    (keystore.root / "enclaves/talker/.pqsec-check.yaml").write_text(ignored)
+    with pytest.raises(VerificationError) as refusal:
+        checked(stack, keystore)
+    assert Code.CA_DOUBLED in refusal.value.codes
+    if stack != "ros2":  # which has its own reasons too
+        assert "stands in it twice" in str(checked(stack, keystore, anyway=True).warnings)
