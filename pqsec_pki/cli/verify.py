@@ -61,6 +61,7 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             permissions_ca=_certificate(ca),
             countersigner=_certificate(alt_ca) if alt_ca else None,
         )
+        _tell_of_version_1(anchors.permissions_ca, ca)
     message = read(file)
     try:
         _refuse_signers(anchors, {PERMISSIONS_CA: ca, PERMISSIONS_ALT_CA: alt_ca or _second(ca)})
@@ -86,6 +87,15 @@ def _second(ca: Path) -> Path:
 
 def _certificate(path: Path) -> Certificate:
     return only_certificate(read(path), str(path))
+
+
+def _tell_of_version_1(certificate: Certificate, path: Path) -> None:
+    """A trust anchor is a name and a key (RFC 5280 6.1.1 (d)): it need not say what it is."""
+    if certificate.version == 1:
+        _printing.note(
+            f"{path} is a certificate of version 1, which does not say whether it is a CA's:"
+            " it is trusted because you name it"
+        )
 
 
 def _refuse_signers(anchors: TrustAnchors, paths: dict[str, Path]) -> None:

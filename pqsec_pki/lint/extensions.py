@@ -29,12 +29,13 @@ _UNDERSTOOD = {
 
 @FAMILY.rule(
     "PQS120", Severity.ERROR, CertificateFile, "the identity CA is not marked as a CA",
-    why="Every stack refuses to build a chain on it.",
+    why="Every stack refuses to build a chain on it, if it is of version 3; PQS134 is about"
+    " version 1.",
     mend="Make it with basicConstraints=critical,CA:TRUE.",
     rows=("CA without any extension",), measured=_ALL,
 )  # fmt: skip
 def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Found]:
-    if file.first and role_of(file).issues and not _is_ca(file.first):
+    if file.first and role_of(file).issues and _lacks_mark(file.first):
         yield Found(f"the {role_of(file)}'s certificate is not marked as a CA (basicConstraints)")
 
 
@@ -45,7 +46,7 @@ def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Found]:
     measured="taken by " + _ALL,
 )  # fmt: skip
 def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Found]:
-    if file.first and role_of(file) is Role.PERMISSIONS_CA and not _is_ca(file.first):
+    if file.first and role_of(file) is Role.PERMISSIONS_CA and _lacks_mark(file.first):
         yield Found("the permissions CA's certificate is not marked as a CA (basicConstraints)")
 
 
@@ -221,6 +222,25 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Found]:
             yield Found(f"the {role_of(file)}'s certificate lacks authorityKeyIdentifier")
     elif _is_ca(file.first) and file.first.subject_key_identifier is None:
         yield Found(f"the {role_of(file)}'s certificate lacks subjectKeyIdentifier")
+
+
+@FAMILY.rule(
+    "PQS134", Severity.WARNING, CertificateFile, "the CA's certificate is of version 1",
+    why="It cannot say that it is a CA's. OpenSSL and Cyclone DDS 0.10.2 take one that is"
+    " self-signed, and so does pqsec: who names it as the CA trusts a name and a key (RFC 5280"
+    " 6.1.1 (d)). OpenSSL's strict check (-x509_strict) refuses it; other stacks were not"
+    " measured.",
+    mend="Make it with basicConstraints=critical,CA:TRUE, which makes version 3 of it.",
+    measured="taken by OpenSSL 3.0, 3.5; Cyclone DDS 0.10.2",
+)  # fmt: skip
+def version_1_ca(file: CertificateFile) -> Iterator[Found]:
+    if file.first and role_of(file) is not Role.PARTICIPANT and file.first.version == 1:
+        yield Found(f"the {role_of(file)}'s certificate is of version 1: it cannot say what it is")
+
+
+def _lacks_mark(certificate: Certificate) -> bool:
+    """Whether it could say that it is a CA's, and does not; version 1 cannot."""
+    return certificate.version > 1 and not _is_ca(certificate)
 
 
 def _is_ca(certificate: Certificate) -> bool:

@@ -6,11 +6,13 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from pqsec_pki.algorithms import profile_named
+from pqsec_pki.algorithms import load_private_key, profile_named
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore
 from tests.cli.conftest import NAMES
 from tests.interop.der import Der
+from tests.unit.version_1 import in_version_1
 
 GOVERNANCE = "k/enclaves/governance.p7s"
 PERMISSIONS_CA = "k/public/permissions_ca.cert.pem"
@@ -233,6 +235,21 @@ def test_a_participant_is_no_permissions_ca(pqsec, keystore):
     keystore()
     said = pqsec(f"verify {GOVERNANCE} --ca k/enclaves/talker/cert.pem")
     said.refused(1, "is not marked as a CA", problems=3)
+
+
+def test_a_ca_of_version_1_is_trusted_because_it_is_named(pqsec, keystore, tmp_path):
+    k = keystore()
+    old = in_version_1(
+        Certificate.from_pem((k / "public/permissions_ca.cert.pem").read_bytes()),
+        load_private_key((k / "private/permissions_ca.key.pem").read_bytes()),
+    )
+    (tmp_path / "old.pem").write_bytes(old.pem)
+    said = pqsec(f"verify {GOVERNANCE} --ca old.pem").done()
+    assert said.out.startswith(f"{GOVERNANCE}: signed by CN=Permissions CA\n")
+    assert said.err == (
+        "pqsec: note: old.pem is a certificate of version 1, which does not say whether it is"
+        " a CA's: it is trusted because you name it\n"
+    )
 
 
 def test_a_countersignature_by_another_does_not_count(pqsec, keystore):

@@ -36,6 +36,7 @@ from pqsec_pki.certificates import (
 from pqsec_pki.certificates.authority import LAST_YEAR, cut, key_identifier
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
+from tests.unit.version_1 import in_version_1
 
 NOW = datetime(2026, 11, 21, 12, 30, 15, tzinfo=UTC)
 DAY, YEAR = timedelta(days=1), timedelta(days=365)
@@ -444,18 +445,16 @@ def test_extended_key_usage_is_understood(ca):
 
 
 def test_a_version_1_participant_of_the_tutorials_is_taken(ca):
-    tbs = decode(TBSCertificate, issue(ca).tbs, "tbs")
-    tbs.version, tbs.extensions = 0, None
-    content = encode(tbs)
-    signed = Signed(
-        tbs=raw(content),
-        signature_algorithm=tbs.signature,
-        signature=bits(ca.key.sign(content)),
-    )
-    leaf = Certificate.from_der(encode(signed))
+    leaf = in_version_1(issue(ca), ca.key)
     assert leaf.version == 1
     assert leaf.subject_key_identifier is None
     verify_chain(leaf, ca.certificate, now=NOW)
+
+
+def test_a_version_1_ca_is_one_because_it_is_named_as_one(ca):
+    old = in_version_1(ca.certificate, ca.key)
+    verify_authority(old, now=NOW)
+    verify_chain(issue(ca), old, now=NOW)
 
 
 def test_everything_that_is_wrong_is_said(ca):

@@ -10,7 +10,8 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from pqsec_pki._asn1 import Signed, TBSCertList, bits, decode, encode, raw
-from pqsec_pki.algorithms import pem, unpem
+from pqsec_pki.algorithms import SIGNATURES, pem, unpem
+from pqsec_pki.certificates import Authority
 from pqsec_pki.lint import Target
 from tests.unit.keystores import DAY, NOW
 from tests.unit.linting import (
@@ -24,6 +25,7 @@ from tests.unit.linting import (
     p256,
     usage,
 )
+from tests.unit.version_1 import in_version_1
 
 OWN, IDENTITY, PERMISSIONS = "cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
 CRL = "public/identity_ca.crl.pem"
@@ -84,6 +86,11 @@ def garbled():
     return name, text + pem("CERTIFICATE", b"\x30\x03\x02\x01\x05")
 
 
+def old(name):
+    made = Authority.create("Some CA", SIGNATURES.named("ecdsa-p256"), now=NOW, validity=YEAR)
+    return name, in_version_1(made.certificate, made.key).pem
+
+
 def forged():
     """A CA that another one of its name signed."""
     return ca(signer=p256())
@@ -136,12 +143,14 @@ FLAWED = {
                lambda: permissions_ca(key=p521(), signer=p521()),
                lambda: ca(key=RSA_2048, signer=RSA_1024, **PSS)],
     "PQS133": [lambda: own(identifiers=False), lambda: ca(identifiers=False)],
+    "PQS134": [lambda: old(IDENTITY), lambda: old(PERMISSIONS), lambda: old("ca.cert.pem")],
 }  # fmt: skip
 # What else is told of them, rightly.
 AND_ALSO = {
     "PQS106": {"PQS101"},
     "PQS120": {"PQS122"},
     "PQS132": {"PQS104"},
+    "PQS134": {"PQS133"},
 }
 # What is one step from a flaw, and none. Measured to be taken, or harmless.
 SOUND = {

@@ -2,6 +2,7 @@
 
 import json
 import re
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
@@ -10,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
 
+from pqsec_pki.credentials import TrustAnchors, only_certificate
 from pqsec_pki.documents import Governance, Kind, Permissions, validate
-from pqsec_pki.errors import InvalidDocumentError
+from pqsec_pki.errors import InvalidDocumentError, VerificationError
 
 CORPUS = Path(__file__).parent / "corpus"
 ENTRIES = json.loads((CORPUS / "MANIFEST.json").read_text())
@@ -79,6 +81,44 @@ def test_a_valid_document_is_read_and_written_and_read_as_equal_values(entry):
     value = values.from_xml(xml_in(entry["file"]))
     assert values.from_xml(value.to_xml()) == value
     assert normative(entry["kind"]).validate(etree.fromstring(value.to_xml()))
+
+
+NOT_BY_A_CA_HERE = (
+    "_not_signed.p7s",
+    "_unknown_ca.p7s",
+    "_signed_by_chained_ca.smime",
+    "_signed_by_expired_ca.smime",
+    "_malicious.smime",
+    "test_router/governance.smime",
+    "test_router/permissions.smime",
+)
+"""Wrong on purpose, or by CAs whose certificates are not in the corpus."""
+
+
+def test_what_cas_of_other_projects_signed_is_verified():
+    """With each of the CAs named, as `pqsec verify --ca` does."""
+    cas = [only_certificate(path.read_bytes(), str(path)) for path in CORPUS.rglob("*.pem")]
+    named = [TrustAnchors(identity_cas=(), permissions_ca=each) for each in cas]
+    refused = [
+        entry["file"]
+        for entry in ENTRIES
+        if entry["signed"] and not signed_by_one((CORPUS / entry["file"]).read_bytes(), named)
+    ]
+    assert named
+    assert [file for file in refused if not file.endswith(NOT_BY_A_CA_HERE)] == []
+    assert len(refused) == 11
+
+
+def signed_by_one(message, named):
+    return any(holds(message, anchors) for anchors in named)
+
+
+def holds(message, anchors):
+    try:
+        anchors.verified(message, datetime(2026, 11, 21, tzinfo=UTC))
+    except VerificationError:
+        return False
+    return True
 
 
 # Mutants: documents one or a few steps away from valid ones.
