@@ -14,9 +14,10 @@ Nobody confirms the key: only the first protected message shows that both have t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import lru_cache
+from typing import Self
 
 from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
@@ -102,6 +103,16 @@ class ReplySent:
     def peer(self) -> Peer:
         """Who must send it. Its certificate is good; that it holds the key is not proved."""
         return self._outcome.peer
+
+    def sharing(self, permissions: bytes) -> Self:
+        """The same, with that object for the peer's permissions document.
+
+        It must equal the peer's: many states then hold one copy. ValueError if it does not.
+        """
+        if permissions != self.peer.permissions:
+            raise ValueError("the document to share is not the peer's")
+        peer = replace(self.peer, permissions=permissions)
+        return replace(self, _outcome=replace(self._outcome, peer=peer))
 
     def receive(self, final: Final) -> Done:
         """The end; VerificationError lists what is wrong with `final`.

@@ -67,7 +67,6 @@ class Authentication:
     ) -> None:
         self._now = clock
         self._handles = Handles()
-        self._answers = answers
         self._meetings = Meetings(self._handles, answers, note)
         self._recalls = Recalls(self._handles, self._meetings, lists, clock, note)
 
@@ -148,8 +147,6 @@ class Authentication:
         request, now = Request.from_holder(token), self._now()
         certificate = Peer.read(request.introduction).certificate
         self._meetings.refuse_early(identity, certificate, now)
-        document = self._answers.one_copy(certificate, request.introduction.permissions)
-        request = replace(request, introduction=replace(request.introduction, permissions=document))
         discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
         terms = local.terms(discovered, relation.announced, data)
         terms = replace(terms, own=replace(terms.own, ca=local.anchors.issuer_of(certificate)))

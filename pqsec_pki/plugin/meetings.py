@@ -119,7 +119,7 @@ class Meetings:
     ) -> int:
         """The handle of a handshake that waits for a Final, in the place of an earlier one."""
         handle, handshake = self._handshake(local, identity, peer)
-        certificate, document = state.peer.certificate, state.peer.permissions
+        certificate = state.peer.certificate
         self._rates.setdefault(identity, Rates()).count(certificate, now)
         self._forget_answer(handshake)
 
@@ -128,7 +128,8 @@ class Meetings:
             if not (handshake.asked or handshake.done):
                 self._handles.drop(handle)
 
-        handshake.answer = state
+        document = self._answers.one_copy(certificate, state.peer.permissions)
+        handshake.answer = state.sharing(document)
         handshake.number = self._answers.add(certificate, document, end)
         if self._answers.make_room():
             self._note(

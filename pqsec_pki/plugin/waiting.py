@@ -9,7 +9,7 @@ real participant's (28 kB) is in danger after some 600 forged Requests no larger
 which take an agent more than two seconds, and its Final comes within a round trip.
 
 Equal documents of one certificate are kept once: a hundred processes with one identity, as nodes of
-ROS 2 have, are no flood. A lower limit of a document's size would not do: a participant with two
+ROS 2 have, are not a flood. A lower limit of a document's size would not do: a participant with two
 thousand topics has one of 150 kB.
 
 An answer costs a key agreement and a signature, 3 to 5 ms. So each local identity answers BURST
@@ -87,12 +87,16 @@ class Waiting:
         return sum(each.held for each in self._groups.values())
 
     def one_copy(self, certificate: Certificate, document: bytes) -> bytes:
-        """`document`, or the same octets that are kept already for its holder."""
-        proved = self._proved.get(certificate)
-        if proved == document:
-            return proved
+        """`document`, or the same octets that are kept already for its holder.
+
+        Of what is to be kept, not of what came: OpenDDS's document comes with a NUL, and is kept
+        without. The group's copy goes first, because `add` counts that one.
+        """
         group = self._groups.get(certificate)
-        return group.documents.get(document, (document, 0))[0] if group else document
+        if group and document in group.documents:
+            return group.documents[document][0]
+        proved = self._proved.get(certificate)
+        return proved if proved == document else document
 
     def add(self, certificate: Certificate, document: bytes, end: Callable[[], None]) -> int:
         """The number of one more; `end` is called if it has to make room later.

@@ -48,23 +48,26 @@ class Forger:
         self.victim = victim
         self.subject = Certificate.from_pem((folder / "cert.pem").read_bytes()).subject_der
 
-    def request(self, guid, *, size):
-        """The Request, in the name of `guid`, with a document of that size."""
+    def request(self, guid, *, document):
+        """The Request, in the name of `guid`, with that document."""
         items = dict(self.heard.binary_properties)
-        items |= {"c.perm": os.urandom(size), "c.pdata": participant_data(guid)}
+        items |= {"c.perm": document, "c.pdata": participant_data(guid)}
         del items["hash_c1"]
         return DataHolder(self.heard.class_id, (), tuple(items.items()))
 
-    def send(self, *, size):
-        """Be discovered as somebody new, and begin a handshake: its handle."""
+    def send(self, *, size=0, document=None):
+        """Be discovered as somebody new, and begin a handshake: its handle.
+
+        With `document`, or a random one of `size` octets.
+        """
         shim, own, _ = self.victim
         guid = adjusted_guid(self.subject, new_guid())
         _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, own, IDENTITY, guid)
-        return self.answered(guid, peer, size=size)
+        return self.answered(guid, peer, size=size, document=document)
 
-    def answered(self, guid, peer, *, size):
+    def answered(self, guid, peer, *, size=0, document=None):
         shim, own, _ = self.victim
-        request = self.request(guid, size=size)
+        request = self.request(guid, document=document or os.urandom(size))
         data = participant_data(self.victim[2])
         return shim.call("begin_handshake_reply", request, peer, own, data)[1]
 
@@ -81,6 +84,23 @@ def test_forged_requests_hold_so_much_and_no_more_and_a_participant_is_still_ser
     assert shim.call("process_handshake", final, handle) == [Result.OK, NO_TOKEN]
     assert shaken(victim, side(enclaves["talker"]))
     assert sum("hold more than" in line for line in shim.log) == 1
+
+
+def test_documents_that_end_in_nul_hold_no_more_than_is_counted(enclaves):
+    """What is kept is the document without its NULs: that is to be one object, not what came."""
+    answers = Waiting()
+    shim = Shim("authentication", answers=answers)
+    forger = Forger(enclaves["eve"], (shim, *shim.identity(enclaves["listener"])))
+    document = os.urandom(LARGE - 1) + b"x"
+    count = 100
+    for number in range(count):
+        forger.send(document=document + bytes(1 + number % 3))
+    states = [each for each in gc.get_objects() if isinstance(each, ReplySent)]
+    kept = [each.peer.permissions for each in states if each.peer.permissions == document]
+    assert len(kept) == count
+    held = sum({id(each): len(each) for each in kept}.values())
+    assert held <= waiting.MAX_HELD
+    assert answers.held == count * COST + held
 
 
 def test_a_flood_in_one_name_on_one_connection_is_the_whole_agents(enclaves):
