@@ -116,7 +116,7 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
     yield from _validity_problems(leaf, who, now)
     # 6.1.5 (f): critical extensions that are not understood
     yield from _critical_problems(leaf, who)
-    # 4.2.1.9: a participant is no CA
+    # 4.2.1.9: a participant is not a CA
     constraints = _value(leaf, x509.BasicConstraints)
     if constraints is not None and constraints.ca:
         yield Problem(f"{who} is a CA's, not a participant's", Code.NOT_PARTICIPANT)

@@ -149,7 +149,7 @@ def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
 
 
 def _is_regular(path: Path) -> bool:
-    """Whether it is no folder, and no pipe that would never end; reading tells the rest."""
+    """Whether it is neither a folder nor a pipe that would never end; reading tells the rest."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError:

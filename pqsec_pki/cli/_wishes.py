@@ -73,7 +73,7 @@ class Wanted:
         validity: timedelta,
         **ros_names: Any,
     ) -> Self:
-        """From the options; UsageError for a ROS name that is none, or topics beside a policy."""
+        """From the options; UsageError for what is not a ROS name, or topics beside a policy."""
         publish += tuple(map(ros.topic, ros_publish))
         subscribe += tuple(map(ros.topic, ros_subscribe))
         for option, given in ros_names.items():

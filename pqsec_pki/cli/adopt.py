@@ -18,7 +18,7 @@ def adopt(folder: Path | None) -> None:
     """Make a keystore of SROS2, or one in its layout, a keystore of pqsec's, and check it.
 
     No file that is there is changed: pqsec.json and the ledger are added. What the check
-    finds is shown, and is no reason to fail.
+    finds is shown, and is not a reason to fail.
     """
     now = _settings.now()
     found = adopt_folder(folder or _settings.keystore_path(), now=now)

@@ -77,7 +77,7 @@ def run() -> None:
     from pqsec_pki.plugin import listening  # noqa: PLC0415 -- only here
     from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- likewise
 
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a host that goes is no reason to end
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a host that goes does not end it
     os.umask(0o077)
     place = _place()
     given = listening.given(os.environ, place)

@@ -31,7 +31,7 @@ def permissions() -> None:
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
 @click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
-@click.option("--dds", is_flag=True, help="They are no ROS 2 nodes: with DDS topics only.")
+@click.option("--dds", is_flag=True, help="They are not ROS 2 nodes: with DDS topics only.")
 @_policy.output_options
 @_settings.command_options
 def new(  # noqa: PLR0913 -- one for each option, by name
@@ -104,7 +104,7 @@ def _require_nodes(names: tuple[str, ...]) -> None:
         for name in names:
             ros.node_minimum(name)
     except UsageError as error:
-        hint = f"{error.hint}; or --dds, if it is no ROS 2 node"
+        hint = f"{error.hint}; or --dds, if it is not a ROS 2 node"
         raise UsageError(str(error), hint=hint) from None
 
 

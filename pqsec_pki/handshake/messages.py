@@ -143,7 +143,7 @@ class _Message:
 
     @classmethod
     def from_holder(cls, holder: DataHolder) -> Self:
-        """VerificationError, with all that is wrong, if `holder` is no such message."""
+        """VerificationError, with all that is wrong, if `holder` is not such a message."""
         found = dict(holder.binary_properties)
         problems = [
             *_class_problems(holder, cls.CLASS_ID),

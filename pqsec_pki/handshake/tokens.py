@@ -90,7 +90,7 @@ class IdentityToken(_Token):
 
 
 _NEW_KEYS = {row.token_name for row in SIGNATURES if row.family is not Family.CLASSICAL}
-"""Whoever has such a key is no stock stack."""
+"""Whoever has such a key is not a stock stack."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ def _now() -> datetime:
 
 
 def _log(line: str) -> None:
-    with suppress(OSError):  # a full disk is no reason to end
+    with suppress(OSError):  # a full disk does not end it
         status = os.fstat(sys.stderr.fileno())
         if stat.S_ISREG(status.st_mode) and status.st_size > MAX_LOG:
             _halve(sys.stderr.fileno())

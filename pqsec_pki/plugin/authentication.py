@@ -100,7 +100,7 @@ class Authentication:
         document = dict(credential.properties).get(CREDENTIAL_PROPERTY)
         if credential.class_id != CREDENTIAL or document is None:
             raise VerificationError(
-                f"a '{shown(credential.class_id)}' is no permissions credential"
+                f"a '{shown(credential.class_id)}' is not a permissions credential"
             )
         octets = document.encode(errors=_TEXT)
         self._handles.replace(identity, replace(local, permissions=octets))

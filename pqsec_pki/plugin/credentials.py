@@ -121,7 +121,7 @@ def revocation_list_at(source: Source) -> RevocationList:
 
 
 def state_of(source: Source | None) -> FileState:
-    """Which file it is, and when it was written last; empty for what is none, or gone."""
+    """Which file it is, and when it was written last; empty for what is not a file, or is gone."""
     if source is None or source.path is None:
         return ()
     try:

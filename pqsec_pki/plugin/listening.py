@@ -35,7 +35,7 @@ def given(environment: Mapping[str, str], place: Place) -> socket.socket | None:
         at, listens = listener.getsockname(), _option(listener, socket.SO_ACCEPTCONN)
         is_stream = (listener.family, listener.type) == (socket.AF_UNIX, socket.SOCK_STREAM)
     except OSError as error:
-        raise FileError(f"what systemd handed over is no socket: {error.strerror}") from error
+        raise FileError(f"what systemd handed over is not a socket: {error.strerror}") from error
     if not is_stream or not listens or at != str(place.socket):
         listener.detach()
         raise FileError(

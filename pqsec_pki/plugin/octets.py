@@ -5,7 +5,7 @@ Little-endian; strings and lists have a 32-bit count in front. A letter names ea
     h handle   n int32   s string   o octets   g GUID, 16 octets   c challenge, 32 octets
     t token, a DataHolder   p strings   d, q pairs of strings   b octet   m uint32   x int64
 
-Text that is no UTF-8 is kept by surrogates: documents travel in strings here.
+Text that is not UTF-8 is kept by surrogates: documents travel in strings here.
 """
 
 import struct

@@ -79,7 +79,7 @@ def _parsed(text: bytes) -> tuple[str, tuple[KeyAgreement, ...] | None]:
     peers, names = found.get("peers", OURS), found.get("key_agreements", [])
     if unknown or peers not in {OURS, STOCK} or not isinstance(names, list):
         raise UsageError(
-            f"{unknown[0]} is no setting" if unknown else "a setting has no such value",
+            f"{unknown[0]} is not a setting" if unknown else "a setting has no such value",
             hint=f'peers = "{OURS}" or "{STOCK}"; key_agreements = ["x25519mlkem768"]',
         )
     try:

@@ -163,6 +163,6 @@ def _boundary_lines(body: bytes, mark: bytes) -> Iterator[tuple[int, re.Match[by
     while place >= 0:
         after = place + len(mark)
         end = _BOUNDARY_END.match(body, after)
-        if end:  # else the line goes on, and is none
+        if end:  # else the line goes on, and is not a boundary
             yield place, end
         place = body.find(mark, after)

@@ -133,7 +133,7 @@ def verify(
 def document_in(message: bytes) -> bytes:
     """The document in `message`, unverified: for looking at.
 
-    MalformedError if it is none; AmbiguousError if DDS stacks would find another.
+    MalformedError if it is not S/MIME; AmbiguousError if DDS stacks would find another.
     """
     return _reading.read(message).document
 

@@ -32,7 +32,7 @@ class ListedSigner:
     identifier: bytes
     """DER AlgorithmIdentifier of the signature."""
     digest: str
-    """Name of the digest, or its dotted OID where it is none that is used here."""
+    """Name of the digest, or its dotted OID where it is not one that is used here."""
     has_attributes: bool
     """Whether attributes are signed, and the document only by its digest among them."""
     signed_at: datetime | None
@@ -49,7 +49,7 @@ class Listed:
 
 
 def signers_in(message: bytes) -> Listed:
-    """The signatures and certificates in S/MIME `message`; MalformedError if it is none."""
+    """The signatures and certificates in S/MIME `message`; MalformedError if it is not."""
     data = _cms.parse(_reading.read(message).cms)
     listed = _Lister()
     return Listed(

@@ -48,7 +48,7 @@ def near_misses(variables: Mapping[str, str]) -> Iterator[str]:
 
 
 def domain_in(variables: Mapping[str, str]) -> int | None:
-    """The domain ROS 2 joins, 0 if none is named; None for text that is no number."""
+    """The domain ROS 2 joins, 0 if none is named; None for text that is not a number."""
     text = variables.get(DOMAIN, "") or "0"
     return int(text) if re.fullmatch(r"[0-9]{1,10}", text) else None
 

@@ -64,7 +64,7 @@ def agree(one: Version, other: Version) -> bool:
 
 
 def read_plugin(path: Path) -> Plugin:
-    """The plugin at `path`. FileError if it cannot be read, MalformedError if it is no library."""
+    """The plugin at `path`; FileError if it cannot be read, MalformedError if not a library."""
     return _plugin(read_library(path))
 
 
@@ -83,7 +83,7 @@ def plugins_in(folder: Path) -> dict[str, Path]:
 def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
     """The folders below `root` that have all plugins, each with its first one.
 
-    Who may not look into a folder does not load from it; what is no library, or one for another
+    Who may not look into a folder does not load from it; what is not a library, or one for another
     processor, is not loaded.
     """
     found = {folder.resolve() for place in PLACES for folder in root.glob(place)}

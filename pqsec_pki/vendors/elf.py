@@ -78,7 +78,7 @@ def _own_machine() -> tuple[int, int] | None:
 
 
 def read_library(path: Path) -> Library:
-    """The library at `path`; FileError if it cannot be read, MalformedError if it is none."""
+    """The library at `path`; FileError if it cannot be read, MalformedError if it is not one."""
     with located(path), disk_errors(path):
         path = path.resolve()
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -34,7 +34,7 @@ def export(enclave: Enclave, options: Options) -> Export:
     """The ini file and the header."""
     if options.password is not None:
         raise UsageError(
-            "a header is no place for a passphrase",
+            "a header is not a place for a passphrase",
             hint=f"leave --password-file out, and set {PASSWORD_VARIABLE} for the process",
         )
     problem = _unprotectable(enclave, options)

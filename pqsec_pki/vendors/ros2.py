@@ -119,7 +119,7 @@ def _refuse_name(name: str) -> None:
 
 
 def _keystore(enclave: Enclave) -> PurePosixPath:
-    """Where the keystore will be; UsageError if `at` is no enclave's folder."""
+    """Where the keystore will be; UsageError if `at` is not an enclave's folder."""
     here = f"enclaves{enclave.name}"
     keystore = PurePosixPath(*enclave.at.parts[: -len(PurePosixPath(here).parts)])
     if not keystore.is_absolute() or keystore / here != enclave.at:
@@ -182,7 +182,7 @@ def _warnings(needs: Needs, domain: int | None, variables: Mapping[str, str]) ->
 def _life(needs: Needs, domain: int | None) -> Iterator[Check]:
     """Whether a participant and its nodes could live on that domain, None for no number."""
     if domain is None:
-        yield Check(what=DOMAIN, problem="is no number", mend=f"unset {DOMAIN}, or set it to 0")
+        yield Check(what=DOMAIN, problem="is not a number", mend=f"unset {DOMAIN}, or set it to 0")
         return
     refusal = needs.may(Action.JOIN, domain)
     may = ", ".join(map(str, needs.domains)) or "none"

@@ -101,6 +101,8 @@ def test_documents_that_end_in_nul_hold_no_more_than_is_counted(enclaves):
     held = sum({id(each): len(each) for each in kept}.values())
     assert held <= waiting.MAX_HELD
     assert answers.held == count * COST + held
+    with pytest.raises(ValueError, match="not the peer's"):
+        states[-1].sharing(states[-1].peer.permissions + b"\0")
 
 
 def test_a_flood_in_one_name_on_one_connection_is_the_whole_agents(enclaves):

@@ -55,7 +55,7 @@ def test_an_identity_asks_for_the_key_agreement_of_its_profile(folders, profile)
         ("peers = 'all'", "a setting has no such value"),
         ("key_agreements = 'mlkem768'", "a setting has no such value"),
         ("key_agreements = ['kyber768']", "kyber768"),
-        ("key_agreement = ['mlkem768']", "key_agreement is no setting"),
+        ("key_agreement = ['mlkem768']", "key_agreement is not a setting"),
         ("peers: stock", "not TOML"),
         ("peers = 'stock'", "takes no ml-dsa-65 key"),
     ],

@@ -294,7 +294,7 @@ def test_an_environment_that_means_what_it_says_is_not(domain, shell):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("5", "ROS_DOMAIN_ID 5: no governance rule"), ("x", "is no number")]
+    ("text", "words"), [("5", "ROS_DOMAIN_ID 5: no governance rule"), ("x", "is not a number")]
 )
 def test_a_domain_that_is_not_for_it_is_warned_of(domain, text, words):
     domain.issue()
@@ -353,7 +353,7 @@ def test_preflight_takes_a_name_without_its_slash(domain):
     [
         ("2", "ROS_DOMAIN_ID 2", "no allow_rule for domain 2"),
         ("7", "ROS_DOMAIN_ID 7", "no governance rule"),
-        ("-1", "ROS_DOMAIN_ID", "is no number"),
+        ("-1", "ROS_DOMAIN_ID", "is not a number"),
     ],
 )
 def test_preflight_asks_governance_and_permissions_about_the_domain(domain, number, what, words):

@@ -200,7 +200,7 @@ def _another_ca(lab, folder):
         (_alternative_key_of_another, "not the alternative key of the certificate"),
         (_encrypted_key, "encrypted and no passphrase"),
         (_lost_certificate, "no such file"),
-        (_unknown_setting, "peer is no setting"),
+        (_unknown_setting, "peer is not a setting"),
         (_another_ca, "was issued by"),
     ],
 )
