@@ -29,6 +29,10 @@ WARM = (
 """What tests import and no mutant touches: imported once, before the children are forked."""
 
 
+NO_KILLS = ("-k", "not killed_at")
+"""Tests that kill at every call run the same code a thousand times, in processes of their own."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ran:
     """How a run of tests ended."""
@@ -181,7 +185,7 @@ class Measured:
         """
         measured = cls()
         for file in files:
-            options = (f"--cov={PACKAGE}", "--cov-context=test", "--cov-report=")
+            options = (f"--cov={PACKAGE}", "--cov-context=test", "--cov-report=", *NO_KILLS)
             ran = copy.run([file], None, timeout, *options)
             if ran.code != 0:
                 raise RuntimeError(f"{file} fails without a mutant:\n{copy.log[-4000:]}")

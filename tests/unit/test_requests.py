@@ -237,6 +237,16 @@ def test_a_revocation_list_says_what_was_taken_back_when_and_why():
     assert RevocationList.from_pem(made.pem).der == made.der
 
 
+def test_a_revocation_list_of_a_classical_authority_does_not_do_where_two_signatures_must_be():
+    ca = authority()
+    with pytest.raises(VerificationError) as caught:
+        RevocationList.from_der(crl(ca)).verify(ca.certificate, require_alternative=True)
+    assert caught.value.lines == (
+        "the CA certificate has no alternative key",
+        "the revocation list has no alternative signature",
+    )
+
+
 def test_a_revocation_list_with_both_signatures_holds():
     ca = authority("ml-dsa-65")
     made = RevocationList.from_der(with_alternative(crl(ca), ca))

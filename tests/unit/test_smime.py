@@ -781,6 +781,7 @@ def test_ber_that_is_very_large_is_refused_before_any_work():
 def test_ber_with_very_many_parts_is_refused():
     with pytest.raises(MalformedError, match="too many parts"):
         to_der(b"\x30\x80" + b"\5\0" * (MAX_CHILDREN + 1) + b"\0\0")
+    assert to_der(b"\x30\x80" + b"\5\0" * MAX_CHILDREN + b"\0\0").count(b"\5\0") == MAX_CHILDREN
 
 
 # The MIME file
