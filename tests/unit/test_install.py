@@ -638,6 +638,7 @@ def test_killed_at_any_instant_a_request_is_answered_or_the_old_keys_are_there(p
     seen = set()
 
     def look(goal):
+        Keystore.recover(goal)
         keystore = Keystore.open(goal)
         bundle = Bundle.of(keystore, [ROBOT], now=NOW)
         [found] = verify_bundle(bundle, bundle.roles, now=NOW).verified
