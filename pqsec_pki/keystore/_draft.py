@@ -64,6 +64,8 @@ class Draft:
     """Where, and what it will show, relative to its folder."""
     removed: list[str] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
+    begins_ledger: bool = False
+    """Whether the ledger may be missing when the lines are written."""
 
     def folder(self, target: str, *, private: bool) -> DraftedFolder:
         """An empty folder that will stand at, or be merged into, `target`."""
@@ -107,7 +109,9 @@ class Draft:
         KeystoreError if that will not be possible.
         """
         if not self.entries:
-            _check_ledger(self.root)
+            # A keystore has a ledger; CAs of others, which are being adopted, do not.
+            self.begins_ledger = self.root.kind(_layout.SETTINGS) is None
+            _check_ledger(self.root, begin=self.begins_ledger)
         operator = user(os.getuid())
         self.entries += [replace(entry, operator=operator) for entry in entries]
 
@@ -126,11 +130,10 @@ class Draft:
                     )
 
 
-def _check_ledger(root: Folder) -> None:
+def _check_ledger(root: Folder, *, begin: bool) -> None:
     """Before the point of no return: the ledger can be written, and is where it should be."""
     with suppress(FileNotFoundError), root.below(_layout.PRIVATE) as private:
-        # A keystore has one; CAs of others, which are being adopted, do not.
-        _ledger.check(private, begin=root.kind(_layout.SETTINGS) is None)
+        _ledger.check(private, begin=begin)
 
 
 def refuse_detours(root: Folder, targets: Iterable[str]) -> None:

@@ -65,7 +65,10 @@ class Folder:
             return None
 
     def replace(self, name: str, data: bytes) -> None:
-        """Put `data` at `name`, for its owner only, in one rename; KeystoreError as below."""
+        """Put `data` at `name`, for its owner only, in one rename.
+
+        KeystoreError if the folder is another's, or another may write in it.
+        """
         self.refuse_outsiders()
         draft = f".{name}.{secrets.token_hex(8)}"
         try:

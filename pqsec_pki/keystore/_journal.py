@@ -123,13 +123,14 @@ def _sweep(root: Folder) -> None:
 
 @contextmanager
 def _disk_errors(root: Path) -> Iterator[None]:
-    """As `disk_errors`; of a name that is relative to a handle, the keystore is told."""
+    """As `disk_errors`; of a handle, or a name that is relative to one, the keystore is told."""
     with disk_errors(root):
         try:
             yield
         except OSError as error:
             for name in ("filename", "filename2"):
-                told = os.fsdecode(getattr(error, name) or "")
-                if not told.startswith(("/", f"{root}")):
+                told = getattr(error, name)
+                named = isinstance(told, str | bytes)
+                if not (named and os.fsdecode(told).startswith(("/", f"{root}"))):
                     setattr(error, name, None)
             raise

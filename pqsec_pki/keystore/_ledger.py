@@ -200,13 +200,14 @@ def check(private: Folder, *, begin: bool) -> None:
     Ledger(private, begin=begin).close()
 
 
-def add(private: Folder, entries: Iterable[Entry], beside: Folder) -> None:
+def add(private: Folder, entries: Iterable[Entry], beside: Folder, *, begin: bool) -> None:
     """Add lines to the ledger, all or none, by way of the folder `beside`; it may be repeated.
 
-    The ledger is begun if there is none.
+    KeystoreError if there is none, unless to `begin` one.
     """
     _ledger_file.check(private)
-    _ledger_file.settle(private, beside)
-    with Ledger(private, begin=True) as ledger:
+    if begin or private.kind(_layout.LEDGER) is not None:  # a lost one's log is left to its owner
+        _ledger_file.settle(private, beside)
+    with Ledger(private, begin=begin) as ledger:
         data = ledger.added(entries)
     _ledger_file.save(private, data, beside)

@@ -30,7 +30,7 @@ _USES_WAL, _USES_NONE = b"\x02\x02", b"\x01\x01"
 
 
 def load(private: Folder) -> bytes | None:
-    """The database; None if there is none. KeystoreError for a link, or anything but a file.
+    """The database; None if there is none. KeystoreError for a link, or anything but a database.
 
     With the lines of an earlier version that SQLite has not written into it yet.
     """
@@ -44,7 +44,11 @@ def load(private: Folder) -> bytes | None:
             hint=f"put it back from a backup, and remove {_layout.LEDGER}{_ROLLBACK}",
         )
     if wal := _read(private, _layout.LEDGER + _WAL):
-        data = _merged(data, wal)
+        try:
+            data = _merged(data, wal)
+        except sqlite3.Error as error:
+            path = f"{private.path}/{_layout.LEDGER}"
+            raise KeystoreError(f"{path}: not a ledger: {error}") from error
     if data[_VERSIONS] == _USES_WAL:
         data = data[: _VERSIONS.start] + _USES_NONE + data[_VERSIONS.stop :]
     return data

@@ -40,6 +40,8 @@ class _Moves:
     removed: list[str]
     entries: list[Entry]
     """The ledger's new lines."""
+    begins_ledger: bool
+    """Where not, a ledger that is lost is not begun anew: it would not know what was revoked."""
 
     @classmethod
     def read(cls, journal: Folder) -> "_Moves":
@@ -53,6 +55,7 @@ class _Moves:
                 [(str(place), str(target)) for place, target in moves.get("links", [])],
                 [str(place) for place in moves.get("removed", [])],
                 [_entry(each) for each in moves["entries"]],
+                moves.get("begins_ledger") is True,
             )
         except (ValueError, KeyError, TypeError, RecursionError):
             raise _unreadable(path) from None
@@ -70,6 +73,7 @@ def write(draft: Draft) -> None:
         "links": draft.links,
         "removed": draft.removed,
         "entries": [_VALUES(entry) for entry in draft.entries],
+        "begins_ledger": draft.begins_ledger,
     }
     create(_NAME, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=draft.made.handle)
 
@@ -94,7 +98,7 @@ def finish(root: Folder) -> None:
             _remove(root, place)
         if moves.entries:
             with root.below(_layout.PRIVATE) as private:
-                _ledger.add(private, moves.entries, journal)
+                _ledger.add(private, moves.entries, journal, begin=moves.begins_ledger)
         sync_filesystem(root.handle)
         _shredding.shred(journal)
     spent = f"{DRAFT}{secrets.token_hex(8)}"

@@ -14,7 +14,7 @@ import pytest
 
 from pqsec_pki import _owners
 from pqsec_pki.errors import FileError, KeystoreError, VerificationError
-from pqsec_pki.keystore import Entry, Keystore, _ledger, audit, renew, revoke, status
+from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, renew, revoke, status
 from pqsec_pki.keystore._chain import START
 from pqsec_pki.keystore._folder import Folder
 from tests.unit.keystores import DAY, NOW, add, enter, made
@@ -221,7 +221,8 @@ def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
         file.unlink()
     # By who can write it: the same, but for one thing in each line.
     with Folder.opened(keystore.root / "private") as private:
-        _ledger.add(private, [replace(each, operator="nobody") for each in entries], private)
+        others = [replace(each, operator="nobody") for each in entries]
+        _ledger.add(private, others, private, begin=True)
     audit(keystore)
     with pytest.raises(VerificationError, match="the head is not in the ledger"):
         audit(keystore, head)
@@ -343,11 +344,16 @@ def test_several_who_find_an_older_ledger_bring_it_up_to_date_once(keystore):
     audit(keystore)
 
 
-def test_a_change_that_an_older_pqsec_left_unfinished_is_finished(keystore):
+def unfinished(keystore):
+    """A change as a command leaves it that was killed after its commitment."""
     (keystore.root / ".journal").mkdir()
     line = ["2026-11-21T12:00:00+00:00", "permissions", "x.p7s", None, "0" * 64, None]
     moves = {"targets": [], "entries": [line]}
     (keystore.root / ".journal/moves.json").write_text(json.dumps(moves))
+
+
+def test_a_change_that_an_older_pqsec_left_unfinished_is_finished(keystore):
+    unfinished(keystore)
     assert Keystore.open(keystore.root, to_change=True).ledger()[-1].name == "x.p7s"
 
 
@@ -379,6 +385,15 @@ def test_a_ledger_on_a_disk_that_is_full_says_so(keystore):
     audit(keystore)
 
 
+def test_a_disk_that_refuses_a_folder_by_its_handle_says_so(keystore):
+    with (
+        (keystore.root / "pqsec.json").open("rb") as file,
+        pytest.raises(FileError, match=f"^{keystore.root}: not a directory$"),
+        _journal.hold(keystore.root),
+    ):
+        _ = Folder(file.fileno(), "").names  # an error that has the handle for a name
+
+
 def as_sqlite_leaves_it(keystore, goal, mode, *, committed):
     """The ledger as another program has it open, that changed a line: its files, copied."""
     with database(keystore) as other:
@@ -403,6 +418,47 @@ def test_lines_that_sqlite_has_not_written_into_the_ledger_yet_are_read(keystore
     add(copy, later="0")
     assert [line.number for line in copy.lines()][-3:] == [1001, 1002, 1003]
     assert not list(ledger.parent.glob("ledger.sqlite3-*"))
+
+
+@pytest.mark.parametrize("work", ["read", "change", "recover"])
+def test_a_damaged_ledger_with_a_write_ahead_log_is_no_traceback(keystore, tmp_path, work):
+    copy = as_sqlite_leaves_it(keystore, tmp_path / "copy", "WAL", committed=True)
+    ledger = copy.root / "private/ledger.sqlite3"
+    unfinished(copy)
+    ledger.write_bytes(b"damaged " * 1024)
+    before = {path: path.read_bytes() for path in ledger.parent.iterdir()}
+    works = {
+        "read": copy.open_ledger,
+        "change": lambda: add(copy, later="0"),
+        "recover": lambda: Keystore.recover(copy.root),
+    }
+    with pytest.raises(KeystoreError, match=f"{ledger}: not a ledger: file is not a database"):
+        works[work]()
+    assert {path: path.read_bytes() for path in ledger.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("left", ["nothing", "an empty file", "the write-ahead log alone"])
+def test_a_change_that_is_finished_does_not_begin_a_lost_ledger_anew(keystore, tmp_path, left):
+    """One begun anew would have forgotten every revocation."""
+    copy = as_sqlite_leaves_it(keystore, tmp_path / "copy", "WAL", committed=True)
+    ledger = copy.root / "private/ledger.sqlite3"
+    whole = {path: path.read_bytes() for path in ledger.parent.glob("ledger.*")}
+    unfinished(copy)
+    for path in whole:
+        if left != "the write-ahead log alone" or not path.name.endswith("-wal"):
+            path.unlink()
+    if left == "an empty file":
+        ledger.touch()
+    there = sorted(ledger.parent.iterdir())
+    with pytest.raises(KeystoreError, match="is missing or empty") as refused:
+        Keystore.recover(copy.root)
+    assert refused.value.hint is not None
+    assert "put it back from a backup" in refused.value.hint
+    assert sorted(ledger.parent.iterdir()) == there
+    for path, data in whole.items():  # from a backup
+        path.write_bytes(data)
+    assert Keystore.recover(copy.root)
+    assert [line.number for line in copy.lines()][-2:] == [1001, 1002]
 
 
 def test_what_another_program_was_stopped_at_is_not_read(keystore, tmp_path):
