@@ -147,7 +147,7 @@ def test_a_changed_profile_is_kept(root):
 
 def test_the_two_authorities_are_never_the_same(root):
     keystore = create(root, TRANSITION)
-    certificates = [keystore.identity_ca, keystore.permissions_ca, keystore.countersigner]
+    certificates = [keystore.identity_ca, keystore.permissions_ca, keystore.permissions_alt_ca]
     assert len({each.spki for each in certificates}) == 3
     assert len({each.subject_name for each in certificates}) == 3
 
