@@ -111,6 +111,7 @@ class InvalidDocumentError(PqsecError):
     """A governance or permissions document breaks its schema; `problems` has it all."""
 
     exit_code = 1
+    code = Code.DOCUMENT_INVALID
 
     def __init__(self, problems: Iterable[Problem], *, hint: str | None = None) -> None:
         self.problems = tuple(problems)

@@ -11,7 +11,14 @@ from typing import Generic, TypeAlias, TypeVar
 from pqsec_pki._files import exists, read
 from pqsec_pki.access import Decision
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.credentials import TrustAnchors, only_certificate, subject_problems
+from pqsec_pki.credentials import (
+    KEYS,
+    Credentials,
+    TrustAnchors,
+    only_certificate,
+    subject_problems,
+    verify_credentials,
+)
 from pqsec_pki.documents import (
     DomainRule,
     Governance,
@@ -23,7 +30,8 @@ from pqsec_pki.documents import (
     validate,
 )
 from pqsec_pki.errors import UsageError, VerificationError, located, shown
-from pqsec_pki.keystore import Keystore, load_certificate, regular_name
+from pqsec_pki.keystore import Keystore, enclave_files, load_certificate, regular_name
+from pqsec_pki.problems import Code
 from pqsec_pki.smime import Verified, document_in, is_signed, lines_before_document
 
 Value = TypeVar("Value", Governance, Permissions)
@@ -33,6 +41,8 @@ Check: TypeAlias = Callable[[bytes], Verified]
 YAML = (".yaml", ".yml")
 _ENCLAVES, _CERTIFICATE = "enclaves", "cert.pem"
 _PERMISSIONS, _GOVERNANCE = "permissions.p7s", "governance.p7s"
+_ANSWERS = {Code.NO_GRANT, Code.GRANT_EXPIRED, Code.GRANT_NOT_YET_VALID}
+"""What a question about rights is answered with, and not refused for."""
 _GRANTS = re.compile(rb"(?m)^\s*\{?\s*[\"']?grants[\"']?\s*:")
 """What permissions in YAML must have, and governance cannot."""
 _XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe|\xfe\xff")
@@ -147,16 +157,33 @@ def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datet
 
 
 def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
-    """A participant's own; VerificationError if a signature on them does not hold."""
+    """A participant's own; VerificationError if a signature on them does not hold.
+
+    They must hold twice: for the keystore, and for who has the enclave's files and no others.
+    """
     keystore.refuse_unknown(name)
     anchors = anchors_of(keystore, now)
     check = partial(anchors.verified, now=now)
-    return Papers(
+    papers = Papers(
         who=regular_name(name),
         subject=identity_of(keystore, name, anchors, now).subject_name,
         governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), check),
         permissions=own_permissions(keystore, name, now, check),
     )
+    _refuse_enclave(keystore, papers.who, now)
+    return papers
+
+
+def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
+    """VerificationError if its own stack would refuse the enclave; a grant is asked about."""
+    files = enclave_files(keystore.root, name)
+    public = {file: data for file, data in files.items() if file not in KEYS}
+    try:
+        verify_credentials(Credentials.of(name, public), now=now)
+    except VerificationError as error:
+        problems = [each for each in error.problems if each.code not in _ANSWERS]
+        if problems:
+            raise VerificationError(*problems, hint=error.hint) from error
 
 
 def own_permissions(
@@ -215,7 +242,7 @@ def _loaded(
             verified = check is not None
             return Loaded(path, from_xml(xml), True, verified, lines_before_document(data))  # noqa: FBT003 -- field
         if check:
-            raise VerificationError("it is not signed")
+            raise VerificationError("it is not signed", code=Code.NOT_SIGNED)
         value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)
         return Loaded(path, value, False, False, 0)  # noqa: FBT003 -- fields
 

@@ -141,8 +141,11 @@ class TrustAnchors:
             )
 
     def issuer_of(self, certificate: Certificate) -> Certificate:
-        """The identity CA that issued `certificate`; the first if none of them did."""
-        for each in self.identity_cas[1:]:
+        """The identity CA that issued `certificate`; the first if none of them did.
+
+        A revocation list is the first one's: beside it, the others count for nothing.
+        """
+        for each in () if self.revocation_list else self.identity_cas[1:]:
             if each.subject_der == certificate.issuer_der and each.signed(certificate):
                 return each
         return self.identity_ca

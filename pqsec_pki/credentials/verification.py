@@ -102,9 +102,8 @@ def identity_problems(credentials: Credentials, now: datetime) -> Iterator[Probl
     certificate = credentials.certificate
     yield from credentials.anchors.identity_problems(certificate, now)
     yield from subject_problems(credentials.name, certificate)
-    if credentials.private_key is not None:
-        key, second = credentials.private_key, credentials.alternative_key
-        yield from key_problems(certificate, key, second)
+    key, second = credentials.private_key, credentials.alternative_key
+    yield from key_problems(certificate, key, second, alone=key is None)
 
 
 def subject_problems(name: str, certificate: Certificate) -> Iterator[Problem]:
@@ -115,10 +114,14 @@ def subject_problems(name: str, certificate: Certificate) -> Iterator[Problem]:
 
 
 def key_problems(
-    certificate: Certificate, key: PrivateKey, second: PrivateKey | None, *, alone: bool = False
+    certificate: Certificate,
+    key: PrivateKey | None,
+    second: PrivateKey | None,
+    *,
+    alone: bool = False,
 ) -> Iterator[Problem]:
     """Are these the keys of `certificate`? With `alone`, the second need not be there."""
-    if key.public_key.spki != certificate.spki:
+    if key is not None and key.public_key.spki != certificate.spki:
         yield Problem("not the private key of the certificate", Code.KEY_MISMATCH, KEY)
     known = alternative_spki(certificate)
     if second is None and known is not None and not alone:

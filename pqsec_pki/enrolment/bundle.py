@@ -53,16 +53,10 @@ class Bundle:
         if not regular:
             raise UsageError("a bundle is for at least one participant")
         enclaves = {
-            name: _verified(name, enclave_files(keystore.root, name), now) for name in regular
+            name: _verified(name, enclave_files(keystore.root, name), now, keys=keys)
+            for name in regular
         }
-        left_out = () if keys else KEYS
-        return cls(
-            now.replace(microsecond=0),
-            {
-                name: {each: data for each, data in files.items() if each not in left_out}
-                for name, files in enclaves.items()
-            },
-        )
+        return cls(now.replace(microsecond=0), enclaves)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -152,15 +146,18 @@ def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False)
     write(goal, data, private=private, force=force)
 
 
-def _verified(name: str, files: Mapping[str, bytes], now: datetime) -> dict[str, bytes]:
-    keys = {file: data for file, data in files.items() if file in KEYS}
+def _verified(
+    name: str, files: Mapping[str, bytes], now: datetime, *, keys: bool
+) -> dict[str, bytes]:
+    """The files, written again; with the private `keys`, which must be the certificate's."""
+    private = {file: data for file, data in files.items() if file in KEYS} if keys else {}
+    public = {file: data for file, data in files.items() if file not in KEYS}
     try:
-        credentials = Credentials.of(name, files)
-    except PassphraseError:  # then nobody can see here whose key it is; its robot does
-        credentials = Credentials.of(
-            name, {file: files[file] for file in files if file not in keys}
-        )
-    return {**verify_credentials(credentials, now=now).files, **keys}
+        credentials = Credentials.of(name, {**public, **private})
+    except PassphraseError as error:
+        error.hint = "no robot could open it: decrypt it, or let the robot make its own keys"
+        raise
+    return {**verify_credentials(credentials, now=now).files, **private}
 
 
 def _check_complete(name: str, files: Mapping[str, bytes]) -> None:

@@ -1,6 +1,7 @@
 """Installing a bundle on its robot, and going back: all of it or nothing."""
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -76,9 +77,11 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
         already = before is not None and before.enclaves == wanted
-        place.trust(_raised(state, found.credentials, trusted))
-        if not already:
-            place.put(wanted, now)
+        believed = _raised(state, found.credentials, trusted)
+        if already:
+            place.trust(believed)
+        else:
+            place.put(wanted, believed, now)
         place.tidy(keys)  # also what a killed installation left
         return _told(found, place, already=already)
 
@@ -102,7 +105,12 @@ def rollback(root: Path, *, older: bool = False) -> InstalledSet:
         if state and not older:
             _refuse_rollback(earlier, state)
         else:
-            place.trust(_raised(state, (), pins_in(_installed(earlier))))
+            seen = _installed(earlier)
+            pins = pins_in(seen)
+            if state is None:
+                with suppress(PqsecError):  # what cannot be read has shown nothing
+                    seen += _installed(current)
+            place.trust(_raised(state, seen, pins))
         place.point_to(current.previous)
         return earlier
 

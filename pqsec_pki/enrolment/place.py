@@ -99,12 +99,12 @@ class Place:
 
     def trust(self, state: TrustState) -> None:
         """Write down what is believed here, in one step."""
-        data = state.to_json()
-        if self.trust_state == state:
+        data, path = state.to_json(), self.root / TRUST
+        if os.path.lexists(path) and read(path) == data:
             return
         draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
         create(draft, data, mode=PRIVATE_MODE)
-        draft.rename(self.root / TRUST)
+        draft.rename(path)
         sync_folder(self.root)
 
     def set_named(self, name: str) -> InstalledSet:
@@ -133,10 +133,15 @@ class Place:
         """Where the keys for `name` wait for their certificate."""
         return self.root / REQUESTS / flat_name(name)
 
-    def put(self, enclaves: Enclaves, now: datetime) -> None:
-        """Make a set of these files and let it be the current one; all of it or nothing."""
+    def put(self, enclaves: Enclaves, state: TrustState, now: datetime) -> None:
+        """Make a set of these files and let it be the current one; all of it or nothing.
+
+        What is believed is written down once the set is whole, and before it is current: who is
+        killed between believes no less than what he runs with.
+        """
         before = self.current
         draft = self._draft(enclaves, before.path.name if before else None, now)
+        self.trust(state)
         name = str(max(self._sets(), default=0) + 1)
         draft.rename(self.root / SETS / name)
         self.point_to(name)

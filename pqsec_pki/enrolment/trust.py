@@ -157,7 +157,10 @@ class TrustState:
                     issued=_times(marks["issued"]),
                 ),
             )
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (
+            *(ValueError, KeyError, TypeError),
+            *(AttributeError, OverflowError, RecursionError),
+        ) as error:
             raise KeystoreError(f"cannot be read: {shown(str(error))}") from error
 
     def to_json(self) -> bytes:

@@ -20,7 +20,7 @@ from pqsec_pki.credentials import (
     verify_credentials,
 )
 from pqsec_pki.enrolment.bundle import Bundle
-from pqsec_pki.enrolment.trust import Pins, pin_problems
+from pqsec_pki.enrolment.trust import Pins, pin_problems, pins_in
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code
 
@@ -41,19 +41,21 @@ class VerifiedBundle:
 def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundle:
     """What is in `bundle`, if everything in it holds at `now`; its keys aside.
 
-    The bundle's CAs must be those of `pins`, each in its role, and no others, so that none
-    can be left out either. VerificationError lists everything that is wrong, MalformedError
+    The CAs of each enclave must be those of `pins`, each in its role, and no others, so that
+    none can be left out either. VerificationError lists everything that is wrong, MalformedError
     tells of a file that cannot be read.
     """
-    problems = list(pin_problems(bundle.roles, pins))
-    if problems:
-        raise VerificationError(
-            *problems, hint="`pqsec ca show --pins`, where the CAs are, prints the fingerprints"
-        )
     found = tuple(
         Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
         for name, files in bundle.enclaves.items()
     )
+    problems = [
+        problem.of(each.name) for each in found for problem in pin_problems(pins_in([each]), pins)
+    ]
+    if problems:
+        raise VerificationError(
+            *problems, hint="`pqsec ca show --pins`, where the CAs are, prints the fingerprints"
+        )
     verified = []
     for each in found:
         try:

@@ -829,3 +829,45 @@ def test_a_folder_that_cannot_be_written_is_told(place, robot):
         put(robot.parent / "file")
     assert os.path.lexists(place / "file")
     assert replace(put(robot), already=True).already
+
+
+def test_each_enclave_of_a_bundle_has_all_the_cas_that_are_trusted(keystore, place):
+    """Not one the first set of them and another the second."""
+    other = made(place / "other", "transition", names=("/leg",))
+    one, two = (
+        Bundle.of(each, [name], now=NOW) for each, name in ((keystore, "/arm"), (other, "/leg"))
+    )
+    pins = {file: one.roles[file] | two.roles[file] for file in one.roles}
+    mixed = Bundle(NOW, {**one.enclaves, **two.enclaves})
+    (place / "1.bundle").write_bytes(mixed.to_bytes())
+    with pytest.raises(VerificationError) as caught:
+        put(place / "robot", "1", pins, now=NOW)
+    assert caught.value.codes == {Code.CA_MISSING}
+
+
+def test_what_is_believed_does_not_change_where_the_disk_refuses_the_set(
+    robot, bundles, monkeypatch
+):
+    put(robot)
+    before = snapshot(robot)
+
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "no space left on device")
+
+    monkeypatch.setattr(Place, "_draft", refuse)
+    with pytest.raises(FileError):
+        put(robot, "2")
+    assert snapshot(robot) == before
+
+
+def test_a_damaged_trust_state_can_be_done_without_if_that_is_said(robot, bundles):
+    put(robot)
+    put(robot, "2")
+    (robot / "trust.json").write_text("{")
+    rollback(robot, older=True)
+    assert installed(robot) == fingerprint(bundles[1])
+    with pytest.raises(VerificationError, match="older than one installed before"):
+        put(robot, "1")  # the newest was seen all the same
+    (robot / "trust.json").write_text('{"format": 1, "pins": {}, "marks": {"lists": {"x": 1e999}}}')
+    put(robot, "1", bundles[1].roles, older=True)
+    assert installed(robot) == fingerprint(bundles[1])

@@ -14,6 +14,7 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
+from pqsec_pki.cli._documents import papers_of
 from pqsec_pki.credentials import (
     CERTIFICATE,
     FILES,
@@ -258,6 +259,13 @@ def with_an_identity_ca_of_the_same_name(lab):
     return {IDENTITY_CA: lab.strangers[IDENTITY_CA]}
 
 
+@row(Code.BAD_SIGNATURE)
+def with_a_list_of_the_other_of_two_identity_cas(lab):
+    """It says nothing of what our CA issued, which so could not be revoked."""
+    both = lab.strangers[IDENTITY_CA] + lab.files[IDENTITY_CA]
+    return {IDENTITY_CA: both, REVOCATION_LIST: lab.list(lab.theirs.identity)}
+
+
 @row(Code.ALTERNATIVE_MISSING)
 def with_a_certificate_that_is_signed_once(lab):
     identity = lab.own.identity
@@ -477,6 +485,12 @@ def exporting(_, keystore, now):
     return codes_of(lambda: export(stack, keystore, NAME, Options(), now=now))
 
 
+@reader
+def the_questions(_, keystore, now):
+    """explain, and what asks like it; a file that is not there is the reader's own error."""
+    return codes_of(lambda: papers_of(keystore, NAME, now))
+
+
 def placed(lab, files, folder):
     """A copy of the keystore in which the enclave has these files."""
     root = folder / "keystore"
@@ -491,8 +505,18 @@ def placed(lab, files, folder):
 
 
 NAMELESS = "with certificate and keys of another participant"
-CANNOT_TELL = {"the plugin": {NAMELESS}}
-"""By reader, the rows that it has no way to judge: no stack tells its plugin an enclave's name."""
+CANNOT_TELL = {
+    # No stack tells its plugin an enclave's name.
+    "the plugin": {NAMELESS},
+    # Whether a grant covers it is what they answer; and no question needs a private key.
+    "the questions": {
+        "with permissions of another participant",
+        "with a grant that has ended",
+        "with a grant that has not begun",
+        "with the key of another participant",
+    },
+}
+"""By reader, the rows that it has no way to judge."""
 
 
 @pytest.mark.slow
