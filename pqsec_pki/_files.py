@@ -106,6 +106,11 @@ def is_folder(path: Path) -> bool:
     return os.path.isdir(path)  # noqa: PTH112 -- see above
 
 
+def resolved(path: Path) -> Path:
+    """`path` without links; Path.resolve raises RuntimeError where one leads to itself."""
+    return Path(os.path.realpath(path))
+
+
 def exists(path: Path | str, *, follow: bool = True) -> bool:
     """Whether something is at `path`, or where it leads; FileError if the system will not say.
 

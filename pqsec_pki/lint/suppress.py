@@ -141,7 +141,7 @@ def _day(item: Item) -> date:
 def _below(path: Path, folder: Path) -> str | None:
     """The path from the folder on, as it is named or else where links lead; None outside."""
     with suppress(OSError):
-        for found, root in ((path, folder), (path.resolve(), folder.resolve())):
+        for found, root in ((path, folder), (_files.resolved(path), _files.resolved(folder))):
             if found.is_relative_to(root) and ".." not in found.relative_to(root).parts:
                 return found.relative_to(root).as_posix()
     return None

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from pqsec_pki._files import resolved
 from pqsec_pki.errors import PqsecError, shown
 from pqsec_pki.vendors.elf import Library, read_library, release_in, runs_here
 from pqsec_pki.vendors.export import Version
@@ -86,7 +87,7 @@ def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
     Who may not look into a folder does not load from it; what is not a library, or one for another
     processor, is not loaded.
     """
-    found = {folder.resolve() for place in PLACES for folder in root.glob(place)}
+    found = {resolved(folder) for place in PLACES for folder in root.glob(place)}
     for folder in sorted(found):
         with suppress(PqsecError, OSError):
             libraries = [read_library(path) for path in plugins_in(folder).values()]

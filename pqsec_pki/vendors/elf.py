@@ -17,7 +17,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Self
 
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import disk_errors, resolved
 from pqsec_pki.errors import MalformedError, PqsecError, located
 from pqsec_pki.vendors.export import Version
 
@@ -80,7 +80,7 @@ def _own_machine() -> tuple[int, int] | None:
 def read_library(path: Path) -> Library:
     """The library at `path`; FileError if it cannot be read, MalformedError if it is not one."""
     with located(path), disk_errors(path):
-        path = path.resolve()
+        path = resolved(path)
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
             if not S_ISREG(os.fstat(handle).st_mode):

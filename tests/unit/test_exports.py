@@ -288,6 +288,7 @@ def test_plugins_are_found_where_distributions_put_them(library, tmp_path):
     assert installed_plugins(tmp_path) is None  # nothing loads an empty file
     library.cyclone(folder, "0.10.2", "libddsc.so.0debian")
     assert installed_plugins(tmp_path) == folder
+    (folder.parent / "libddsc-that-leads-to-itself").symlink_to("libddsc-that-leads-to-itself")
     (tmp_path / "usr/lib/here").symlink_to(folder)  # the same folder is no second one
     assert installed_plugins(tmp_path) == folder
     library.cyclone(tmp_path / "usr/local/lib", "11.0.1", "libddsc.so.11")
