@@ -41,7 +41,7 @@ COMMANDS = {
         "Write a bundle: all that one robot needs of the keystore, in one file.",
     ),
     "install": ("install", "Check a bundle, and let it be what this robot runs with."),
-    "rollback": ("install", "Go back to what was installed before the last bundle."),
+    "rollback": ("install", "Go back to what was installed before the last bundle, once."),
     "sign-request": (
         "sign_request",
         "Have requests signed by CAs on a machine without a network.",
