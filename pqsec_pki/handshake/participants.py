@@ -108,12 +108,12 @@ class Peer:
     def read(cls, introduction: Introduction) -> Self:
         """VerificationError if certificate, its keys, or c.pdata cannot be read."""
         with _read(Code.C9):
-            found = Certificate.from_pem(introduction.certificate)
+            # OpenDDS sends the file and a NUL, and the permissions likewise.
+            found = Certificate.from_pem(introduction.certificate.rstrip(b"\0"))
             certificate = _known.setdefault(found.der, found)
             keys = certificate.handshake_keys
         with _read(Code.C11):
             guid = participant_guid(introduction.participant_data)
-        # OpenDDS sends the file and a NUL.
         permissions = introduction.permissions.rstrip(b"\0")
         return cls(certificate=certificate, guid=guid, permissions=permissions, keys=keys)
 

@@ -65,8 +65,8 @@ _TOLD: Mapping[Code, Iterable[str]] = {
     why="pqsec decides in one place whether a participant's credentials hold, in the order of"
     " DDS-Security 1.1 (9.3.3, 9.4.3), and nothing takes them where it says no: not `pqsec"
     " export`, `try`, `verify-handshake`, `bundle` or `install`. Stock stacks may be less strict.",
-    mend="Issue the participant again (`pqsec issue NAME --force`), or put back the files that it"
-    " was issued with.",
+    mend="Put back the files that it was issued with; or `pqsec issue` it with --force and all"
+    " that it may do.",
 )  # fmt: skip
 def cannot_be_trusted(enclave: Enclave) -> Iterator[Found]:
     for problem in _problems(enclave):

@@ -25,6 +25,8 @@ JUSTIFIED = {
     "say anew what it may do: pqsec issue --force, with topics or a --policy": SAYS_WHAT,
     "`pqsec issue` it with --force and all that it may do; with --csr, if its key is on the"
     " robot": SAYS_WHAT,
+    "Put back the files that it was issued with; or `pqsec issue` it with --force and all"
+    " that it may do.": SAYS_WHAT,
     "put it back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
     "put that back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
