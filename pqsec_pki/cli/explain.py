@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki.access import READINGS, Action, Decision, Question
+from pqsec_pki.access.everywhere import is_known
 from pqsec_pki.access.matrix import Member, topics_named
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._answers import Answer, Finding, findings_of
@@ -139,10 +140,10 @@ def _tag(text: str) -> tuple[str, str]:
 
 
 def _tell_of_slips(papers: Papers, topic: str) -> None:
-    """Of a topic that none of its rules names, and that looks like one, or like many."""
+    """Of a topic that none of its rules names or covers, and that looks like one, or like many."""
     who = Member(name=papers.who, subject=papers.subject, permissions=papers.permissions.value)
     named = topics_named([who])
-    if topic in named:
+    if topic in named or is_known(topic, named):
         return
     if instead := meant(topic, named):
         _printing.note(f"no rule of {plain(papers.who)} names {plain(topic)}; {instead}")

@@ -134,17 +134,10 @@ def _ros_topic(name: str) -> str:
 
 
 def _unknown(fleet: Fleet, wanted: tuple[str, ...]) -> dict[str, str]:
-    """The topics and patterns that no rule names, each with what may be meant.
-
-    Of those that some pattern covers all the same, only such as look like another.
-    """
+    """The topics and patterns that no rule names or covers, each with what may be meant."""
     named = topics_named(fleet.members) if wanted else ()
-    found = {topic: meant(topic, named) for topic in wanted if topic not in named}
-    return {
-        topic: instead
-        for topic, instead in found.items()
-        if not is_known(topic, named) or (instead and not _PATTERN.search(topic))
-    }
+    unknown = (topic for topic in wanted if topic not in named and not is_known(topic, named))
+    return {topic: meant(topic, named) for topic in unknown}
 
 
 # Printing

@@ -454,7 +454,7 @@ def test_a_default_that_allows_shows_beside_what_a_pattern_lists(pqsec, put):
     [
         ("rt/chater", "no rule names rt/chater; did you mean 'rt/chatter'?"),
         ("/chatter", "did you mean 'rt/chatter'?"),
-        ("rt/sca", "no rule names rt/sca; did you mean 'rt/scan'"),
+        ("tr/scan", "no rule names tr/scan; did you mean 'rt/scan'"),
         ("zzz", "no rule names zzz\n"),
         ("zz*", "no rule names zz*\n"),
     ],
@@ -464,6 +464,16 @@ def test_a_topic_that_no_rule_names_is_told_with_what_may_be_meant(pqsec, apart,
     assert words in said.err
     assert list(said.json["unknown_topics"]) == [topic]
     assert pqsec("-k k who-may --topic rt/chatter").done().err == ""
+
+
+def test_a_topic_that_a_pattern_covers_is_not_told_as_a_slip(pqsec, apart):
+    pqsec("-k k issue /arm --domain 0 --publish 'rt/arm/*'").done()
+    asked = ("rt/arm/left", "rt/sca", "rt/arm/l*")
+    for topic in asked:
+        said = pqsec("-k k who-may --json --topic", topic).done()
+        assert (topic, said.err, said.json["unknown_topics"]) == (topic, "", {})
+    said = pqsec("-k k explain --participant /arm --subscribe rt/arm/left")
+    assert (said.code, said.err) == (1, "")
 
 
 def test_a_participant_whose_documents_do_not_hold_is_left_out(pqsec, keystore):
