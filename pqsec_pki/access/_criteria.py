@@ -21,7 +21,7 @@ def standard_partitions(case: Case, criteria: Criteria, rule: Rule) -> bool:
         return True
     patterns, compare = criteria.partitions or _DEFAULT, within if rule.allow else meets
     among = (
-        compare(each, patterns, case.steps) if is_wildcard(each) else _named(case, patterns, each)
+        compare(each, patterns, case.budget) if is_wildcard(each) else _named(case, patterns, each)
         for each in case.question.partitions or _DEFAULT
     )
     return all(among) if rule.allow else any(among)

@@ -30,8 +30,8 @@ _UNSURE = re.compile(r"[\[\\].*", re.DOTALL)
 
 
 @dataclass(slots=True)
-class Steps:
-    """How many are left for a question."""
+class Budget:
+    """How many steps are left for a question."""
 
     left: int = MAX_STEPS
 
@@ -48,30 +48,30 @@ class Steps:
         return not self.spent
 
 
-def within(expression: str, patterns: Iterable[str], steps: Steps) -> bool:
+def within(expression: str, patterns: Iterable[str], budget: Budget) -> bool:
     """Whether each name that the expression covers is covered by one of the patterns.
 
     False in doubt. Subsets of the places of all patterns are walked through, one for each
-    way in which a name that the expression covers can be read: `steps` bounds their number,
+    way in which a name that the expression covers can be read: `budget` bounds their number,
     and with it the memory.
     """
-    if steps.spent:
+    if budget.spent:
         return False
     wanted = _of_endpoint(expression)
     near = [each for each in map(compiled, patterns) if each.length <= LONGEST]
-    near = [each for each in near if _meet(wanted, each, steps)]
-    return _all_covered(wanted, near, steps)
+    near = [each for each in near if _meet(wanted, each, budget)]
+    return _all_covered(wanted, near, budget)
 
 
-def meets(expression: str, patterns: Iterable[str], steps: Steps) -> bool:
+def meets(expression: str, patterns: Iterable[str], budget: Budget) -> bool:
     """Whether a name is covered by the expression and by one of the patterns.
 
     True in doubt. It takes a step or a few for each place of the expression and each pattern.
     """
-    if steps.spent:
+    if budget.spent:
         return True
     wanted = _of_endpoint(expression)
-    return any(_meet(wanted, each, steps) for each in map(compiled, patterns))
+    return any(_meet(wanted, each, budget) for each in map(compiled, patterns))
 
 
 def said(expression: str) -> str:
@@ -84,13 +84,13 @@ def _of_endpoint(expression: str) -> Compiled:
     return read(_UNSURE.sub("*", expression))  # and not kept: a peer may send any number
 
 
-def _meet(one: Compiled, other: Compiled, steps: Steps) -> bool:
+def _meet(one: Compiled, other: Compiled, budget: Budget) -> bool:
     """Whether a name is covered by both: the places of the other, for each place of the one."""
     if other.characters.get(0):
         return False  # it asks for a character of which there is none
     kinds, reached = one.kinds, 1
     for place in range(one.length + 1):
-        if not steps.take(other.length * len(other.characters)):
+        if not budget.take(other.length * len(other.characters)):
             return True
         if one.stars >> place & 1:
             reached |= (2 << other.length) - (reached & -reached)  # the lowest, and all above
@@ -115,10 +115,10 @@ def _union(patterns: Iterable[Compiled]) -> tuple[Compiled, int, int]:
     return Compiled(length, stars, characters), start, ends
 
 
-def _all_covered(wanted: Compiled, patterns: Iterable[Compiled], steps: Steps) -> bool:
+def _all_covered(wanted: Compiled, patterns: Iterable[Compiled], budget: Budget) -> bool:
     """Whether no name leads `wanted` to its end, and none of the patterns."""
     union, start, ends = _union(patterns)
-    kinds, choices = [*wanted.kinds, 0], _choices(wanted, union, steps)
+    kinds, choices = [*wanted.kinds, 0], _choices(wanted, union, budget)
     todo = [(0, start)]
     seen = set(todo)
     for place, reached in todo:  # grows: breadth first, as a name that is missing is often short
@@ -127,24 +127,24 @@ def _all_covered(wanted: Compiled, patterns: Iterable[Compiled], steps: Steps) -
         if reached & ends & union.stars:
             continue  # whatever follows is covered
         for octets, leading in choices:
-            if not steps.take(union.length):
+            if not budget.take(union.length):
                 return False
             after = (reached & union.stars) | (reached & leading) << 1
             found = [(place, after)] if wanted.stars >> place & 1 else []
             found += [(place + 1, after)] if octets & kinds[place] else []
             todo += (each for each in found if each not in seen)
             seen.update(found)
-    return not steps.spent
+    return not budget.spent
 
 
-def _choices(wanted: Compiled, union: Compiled, steps: Steps) -> list[tuple[int, int]]:
+def _choices(wanted: Compiled, union: Compiled, budget: Budget) -> list[tuple[int, int]]:
     """The sets of octets that nothing tells apart, and the places that each leads on from."""
     parts = [ANY]
     for kind in {*wanted.characters, *union.characters}:
-        if steps.take(0):
+        if budget.take(0):
             parts = [part for each in parts for part in (each & kind, each & ~kind) if part]
     return [
         (part, union.leading(part))
         for part in parts
-        if steps.take(union.length * len(union.characters))
+        if budget.take(union.length * len(union.characters))
     ]

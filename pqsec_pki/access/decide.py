@@ -61,7 +61,7 @@ class Policy:
             return no(f"no grant is for {question.subject}")
         case = Case(question=question, reading=self.reading, domain_rules=rules, grant=grant)
         decision = replace(_checked(case, by), protection=_protection(case))
-        if case.steps.spent and not decision.allowed:
+        if case.budget.spent and not decision.allowed:
             return replace(decision, reason=f"{_DOUBT}: {decision.reason}")
         return decision
 

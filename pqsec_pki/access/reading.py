@@ -6,7 +6,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import TypeAlias
 
-from pqsec_pki.access._expressions import Steps
+from pqsec_pki.access._expressions import Budget
 from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access._subjects import IsFor
 from pqsec_pki.access.decision import Decision
@@ -80,8 +80,8 @@ class Case:
     """Those that name the domain; the first governs."""
     grant: Grant
     """The subject's."""
-    steps: Steps = field(default_factory=Steps)
-    """What is left of them for comparing partitions."""
+    budget: Budget = field(default_factory=Budget)
+    """Steps that are left for comparing partitions."""
 
     @property
     def topic_rules(self) -> Iterator[TopicRule]:

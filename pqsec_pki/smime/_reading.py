@@ -25,7 +25,7 @@ class AmbiguousError(MalformedError):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ParsedMessage:
     """What all readers find in a signed file."""
 
     content: bytes
@@ -49,7 +49,7 @@ class Reading:
         return self._message.lines_before + header.count(b"\n") + 2
 
 
-def read(message: bytes) -> Reading:
+def read(message: bytes) -> ParsedMessage:
     """What is in S/MIME `message`.
 
     MalformedError if it is not one multipart/signed; AmbiguousError if OpenSSL finds other
@@ -61,7 +61,7 @@ def read(message: bytes) -> Reading:
     other = _of_openssl(_openssl_reader.read, message)
     if other.content != own.content or other.signature.rstrip() != own.signature.rstrip():
         raise AmbiguousError(_difference(own, other))
-    return Reading(own.content, own.cms, own)
+    return ParsedMessage(own.content, own.cms, own)
 
 
 def _of_openssl(reader: Callable[[bytes], Found], data: bytes) -> Found:

@@ -9,7 +9,6 @@ from datetime import datetime
 
 from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
-    Attribute,
     CMSAlgorithmProtection,
     IssuerAndSerialNumber,
     Oid,
@@ -166,16 +165,3 @@ def _attribute_problems(
     )
     if protection is not None and protection != encode(repeated):
         yield Problem("the signature's algorithms were exchanged", Code.SIGNATURE_BAD)
-
-
-def with_unsigned(info: SignerInfo, attributes: list[Attribute]) -> SignerInfo:
-    """`info` with those unsigned attributes."""
-    return SignerInfo(
-        version=info.version,
-        sid=info.sid,
-        digest_algorithm=info.digest_algorithm,
-        signed_attributes=info.signed_attributes,
-        signature_algorithm=info.signature_algorithm,
-        signature=info.signature,
-        unsigned_attributes=attributes,
-    )

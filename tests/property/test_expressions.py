@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pqsec_pki.access import _patterns as patterns
-from pqsec_pki.access._expressions import Steps, meets, within
+from pqsec_pki.access._expressions import Budget, meets, within
 
 NAMES = tuple("".join(each) for size in range(7) for each in product("abc", repeat=size))
 """Of three letters patterns name two: the third stands for all others."""
@@ -36,19 +36,19 @@ def of_all(rules, names):
 @settings(max_examples=1000, deadline=None)
 @given(PLAIN, RULES)
 def test_an_expression_lies_within_others_as_all_its_names_do(expression, rules):
-    steps = Steps()
-    assert within(expression, rules, steps) is (covered(expression, NAMES) <= of_all(rules, NAMES))
-    assert not steps.spent
+    budget = Budget()
+    assert within(expression, rules, budget) is (covered(expression, NAMES) <= of_all(rules, NAMES))
+    assert not budget.spent
 
 
 @settings(max_examples=1000, deadline=None)
 @given(PLAIN, RULES)
 def test_an_expression_meets_others_as_one_of_its_names_does(expression, rules):
-    steps = Steps()
-    assert meets(expression, rules, steps) is bool(
+    budget = Budget()
+    assert meets(expression, rules, budget) is bool(
         covered(expression, NAMES) & of_all(rules, NAMES)
     )
-    assert not steps.spent
+    assert not budget.spent
 
 
 @settings(max_examples=1000, deadline=None)
@@ -56,7 +56,7 @@ def test_an_expression_meets_others_as_one_of_its_names_does(expression, rules):
 def test_a_bracket_is_never_less_than_any_stack_takes_it_for(expression, rules):
     """Nor less than the name that it is to a stack without brackets."""
     found = of_all(rules, ODD_NAMES)
-    is_within, is_met = within(expression, rules, Steps()), meets(expression, rules, Steps())
+    is_within, is_met = within(expression, rules, Budget()), meets(expression, rules, Budget())
     for covers in READINGS:
         stands_for = covered(expression, ODD_NAMES, covers)
         assert not is_within or stands_for <= found
@@ -73,6 +73,6 @@ HOSTILE = st.lists(st.sampled_from("*?[]!ab\\-"), max_size=60).map("".join)
 @given(HOSTILE, st.lists(HOSTILE, max_size=8))
 def test_whatever_is_asked_the_steps_are_bounded(expression, rules):
     for compare in (within, meets):
-        steps = Steps()
-        assert compare(expression, rules, steps) in {True, False}
-        assert steps.left > -100
+        budget = Budget()
+        assert compare(expression, rules, budget) in {True, False}
+        assert budget.left > -100

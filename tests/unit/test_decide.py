@@ -20,7 +20,7 @@ from pqsec_pki.access import (
     reading_named,
 )
 from pqsec_pki.access import _patterns as patterns
-from pqsec_pki.access._expressions import Steps, meets, within
+from pqsec_pki.access._expressions import Budget, meets, within
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -236,11 +236,11 @@ def test_what_takes_too_many_steps_to_compare_is_denied_in_doubt():
 
 
 def test_wherever_the_steps_end_nothing_is_allowed_that_is_not():
-    rules, steps, most = ["a?*", "[!a]*", ""], Steps(), Steps().left
-    assert within("*", [*rules, "a"], steps)
-    for left in range(most - steps.left):
-        assert not within("*", rules, Steps(left))
-        spent = Steps(left)
+    rules, budget, most = ["a?*", "[!a]*", ""], Budget(), Budget().left
+    assert within("*", [*rules, "a"], budget)
+    for left in range(most - budget.left):
+        assert not within("*", rules, Budget(left))
+        spent = Budget(left)
         assert within("*", [*rules, "a"], spent) is not spent.spent
 
 
@@ -249,16 +249,16 @@ def test_nothing_is_compared_when_no_step_is_left():
         raise AssertionError("asked for")
         yield
 
-    spent = Steps(-1)
+    spent = Budget(-1)
     assert (within("*", patterns(), spent), meets("*", patterns(), spent)) == (False, True)
 
 
 @pytest.mark.parametrize("compare", [within, meets])
 def test_hostile_expressions_share_the_steps_of_one_question(compare):
-    steps, rules = Steps(), [f"{each}{'*?[!b]' * 40}" for each in "abcdefgh"]
+    budget, rules = Budget(), [f"{each}{'*?[!b]' * 40}" for each in "abcdefgh"]
     for _ in range(1000):
-        compare("*?" * 128, rules, steps)
-    assert -10 < steps.left < 0
+        compare("*?" * 128, rules, budget)
+    assert -10 < budget.left < 0
 
 
 @pytest.mark.parametrize(
