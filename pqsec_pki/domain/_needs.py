@@ -37,12 +37,12 @@ class Needs:
         if held is None and self.keystore and self.keystore.has(member.name):
             yield Blocked(
                 member.name,
-                "has a certificate that the ledger does not know",
+                "has files that the ledger does not know",
                 "move its folder out of enclaves/",
             )
         elif held is not None and held.revoked:
             yield Blocked(member.name, "was revoked")
-        elif anew := self._why_anew(held):
+        elif anew := self._why_anew(member.name, held):
             yield self._issuing(member, held, *anew)
         elif held is not None:
             answer = None
@@ -59,12 +59,13 @@ class Needs:
         if why := self._why_renew(member, held):
             yield Step(Action.RENEW, member.name, why)
 
-    def _why_anew(self, held: Holding | None) -> tuple[Action, str] | None:
+    def _why_anew(self, name: str, held: Holding | None) -> tuple[Action, str] | None:
         """Why it needs a certificate that no renewal gives, if it does."""
         if held is None:
             return Action.ISSUE, "new"
         if held.files is Files.GONE:
-            return Action.ISSUE, "its certificate is gone"
+            all_gone = not (self.keystore and self.keystore.has(name))
+            return Action.ISSUE if all_gone else Action.REPLACE, "its certificate is gone"
         faults = {
             "its certificate is not the one issued last": held.files is Files.OTHER_CERTIFICATE,
             "its certificate is of a CA that made way for another": held.stranded,

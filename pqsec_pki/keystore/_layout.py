@@ -44,6 +44,9 @@ CA_LIST, LIST = "identity_ca.crl.pem", credentials.REVOCATION_LIST
 PERMISSIONS_XML, PERMISSIONS = "permissions.xml", credentials.PERMISSIONS
 GOVERNANCE_XML, GOVERNANCE = "governance.xml", credentials.GOVERNANCE
 
+OWN = (CERTIFICATE, *KEYS, PERMISSIONS, REQUEST)
+"""What no other participant has: where one of them lies, there is a participant."""
+
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")
 """Endings of files in enclave folders: a folder of that name could hide one."""
@@ -70,6 +73,15 @@ def enclave_name(text: str) -> str:
 def enclave_folder(name: str) -> str:
     """The folder of the enclave `name`, relative to the keystore."""
     return f"{ENCLAVES}{name}"
+
+
+def is_there(root: Path, name: str) -> bool:
+    """Whether the keystore at `root` has anything of the enclave `name`, lost as the rest may be.
+
+    FileError if the system will not say.
+    """
+    folder = f"{root}/{enclave_folder(name)}"
+    return any(exists(f"{folder}/{each}", follow=False) for each in OWN)
 
 
 def document_folder(root: Path, kind: str, path: Path) -> str | None:

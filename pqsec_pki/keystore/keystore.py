@@ -218,9 +218,8 @@ class Keystore:
         return _layout.names_in(self.root)
 
     def has(self, name: str) -> bool:
-        """Whether there is a participant called `name`."""
-        folder = _layout.enclave_folder(_layout.enclave_name(name))
-        return exists(f"{self.root}/{folder}/{_layout.CERTIFICATE}", follow=False)
+        """Whether there is anything of a participant called `name`, with or without the rest."""
+        return _layout.is_there(self.root, _layout.enclave_name(name))
 
     def has_key(self, name: str) -> bool:
         """Whether the private key of the participant called `name` lies here."""
@@ -228,7 +227,7 @@ class Keystore:
         return exists(f"{self.root}/{folder}/{_layout.KEY}", follow=False)
 
     def refuse_unknown(self, name: str) -> None:
-        """KeystoreError if there is no participant called `name`."""
+        """KeystoreError if there is no participant called `name`, or it has no certificate."""
         refuse_unknown(self.root, _layout.enclave_name(name))
 
     def participant(self, name: str, passphrase: bytes | None = None) -> Credentials:

@@ -42,20 +42,26 @@ def _files(root: Path, name: str, needed: tuple[str, ...]) -> dict[str, bytes]:
 
 
 def refuse_unknown(root: Path, name: str) -> None:
-    """KeystoreError if the keystore at `root` has nothing of a participant called `name`."""
-    with disk_errors(root):
-        try:
-            (root / _layout.enclave_folder(name) / _layout.CERTIFICATE).lstat()
-        except (FileNotFoundError, NotADirectoryError):
-            instead = ""
-            with suppress(FileError):  # that this one is not there is known all the same
-                instead = meant(name, _layout.names_in(root))
-            way = f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are"
-            raise KeystoreError(
-                f"there is no participant {name} in {root}",
-                code=Code.FILE_MISSING,
-                hint=f"{instead} If not, {way}" if instead else way,
-            ) from None
+    """KeystoreError if the keystore at `root` has no certificate of a participant `name`."""
+    folder = root / _layout.enclave_folder(name)
+    if exists(folder / _layout.CERTIFICATE, follow=False):
+        return
+    if _layout.is_there(root, name):
+        raise KeystoreError(
+            f"{folder} lacks {_layout.CERTIFICATE}",
+            code=Code.FILE_MISSING,
+            hint=f"restore it from a backup; or make all anew, its keys and permissions too:"
+            f" pqsec issue {name} --force ...",
+        )
+    instead = ""
+    with suppress(FileError):  # that this one is not there is known all the same
+        instead = meant(name, _layout.names_in(root))
+    way = f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are"
+    raise KeystoreError(
+        f"there is no participant {name} in {root}",
+        code=Code.FILE_MISSING,
+        hint=f"{instead} If not, {way}" if instead else way,
+    )
 
 
 def load_certificate(path: Path) -> Certificate:

@@ -514,6 +514,16 @@ def test_an_unknown_participant_is_named_with_the_way_to_make_it(pqsec, keystore
     said.refused(3, f"there is no participant {name} in k", hint=f"pqsec issue {name}")
 
 
+@pytest.mark.parametrize("line", ["verify-handshake /talker /listener", "renew /listener"])
+def test_a_participant_without_its_certificate_is_not_taken_for_an_unknown_one(
+    pqsec, keystore, line
+):
+    (keystore() / "enclaves/listener/cert.pem").unlink()
+    said = pqsec(f"-k k {line}")
+    said.refused(3, "k/enclaves/listener lacks cert.pem", hint="restore it from a backup")
+    assert "no participant" not in said.err
+
+
 @pytest.mark.parametrize("name", ["/../talker", "/", "", "/talker/cert.pem"])
 def test_a_name_that_can_be_none_is_a_usage_error(pqsec, keystore, name):
     keystore()

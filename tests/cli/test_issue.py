@@ -311,6 +311,22 @@ def test_what_was_issued_is_not_issued_again(pqsec, keystore):
     assert snapshot(k) == before
 
 
+@pytest.mark.parametrize("lost", [("cert.pem",), ("cert.pem", "key.pem")])
+def test_what_lost_its_certificate_is_not_issued_again_without_force(pqsec, keystore, lost):
+    """Its key and its permissions would be lost too."""
+    k = keystore()
+    for file in lost:
+        (k / "enclaves/listener" / file).unlink()
+    before = snapshot(k)
+    pqsec("-k k issue /listener").refused(3, "already issued: /listener", hint="--force")
+    assert snapshot(k) == before
+    pqsec(f"-k k issue /listener/arm {TOPIC}").done()
+    (k / "enclaves/empty/arm").mkdir(parents=True)
+    pqsec(f"-k k issue /empty {TOPIC}").done()
+    pqsec(f"-k k issue /listener {TOPIC} --force").done()
+    pqsec("-k k verify-handshake /talker /listener").done()
+
+
 @pytest.mark.parametrize("profile", ["classical", "transition"])
 def test_force_replaces_keys_certificate_and_permissions(pqsec, keystore, profile):
     k = keystore(profile)

@@ -241,7 +241,7 @@ def swap(path):
     ("file", "what", "step"),
     [
         ("cert.pem", drop, (Action.ISSUE, "its certificate is gone")),
-        ("cert.pem", os.unlink, (Action.ISSUE, "its certificate is gone")),
+        ("cert.pem", os.unlink, (Action.REPLACE, "its certificate is gone")),
         ("cert.pem", damage, (Action.REPLACE, "its certificate is not the one issued last")),
         ("cert.pem", swap, (Action.REPLACE, "its certificate is not the one issued last")),
         ("permissions.p7s", os.unlink, (Action.PERMIT, "its permissions are not the ones signed")),

@@ -42,7 +42,7 @@ def nothing(scene):
 @pytest.mark.parametrize(
     ("what", "days", "action"),
     [
-        (drop_certificate, 0, Action.ISSUE),
+        (drop_certificate, 0, Action.REPLACE),
         (spoil_certificate, 0, Action.REPLACE),
         (another_role, 0, Action.PERMIT),
         (one_more, 0, Action.ISSUE),

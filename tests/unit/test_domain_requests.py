@@ -361,7 +361,7 @@ def test_a_key_that_was_revoked_as_compromised_is_seen_in_its_next_certificate(f
 def test_a_folder_that_the_ledger_does_not_know_keeps_nobody_else_from_it(fleet):
     shutil.copytree(fleet.root / "enclaves/made", fleet.root / "enclaves/copy", symlinks=True)
     fleet.change("name: /made", "name: [/made, /copy, /new]")
-    assert fleet.blocked() == {"/copy": "has a certificate that the ledger does not know"}
+    assert fleet.blocked() == {"/copy": "has files that the ledger does not know"}
     fleet.apply()
     assert "/new" in fleet.keystore.names()
     shutil.rmtree(fleet.root / "enclaves/copy")

@@ -618,7 +618,7 @@ def test_settings_that_break_the_profiles_promise_are_refused(root):
         Keystore.open(root)
 
 
-@pytest.mark.parametrize("missing", sorted(SIX_FILES - {"cert.pem"}))
+@pytest.mark.parametrize("missing", sorted(SIX_FILES))
 def test_a_participant_that_lacks_a_file_is_refused_by_its_name(keystore, root, missing):
     issue_to(keystore, "/talker")
     (root / "enclaves/talker" / missing).unlink()

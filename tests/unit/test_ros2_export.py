@@ -194,9 +194,7 @@ def test_a_name_that_ros_does_not_take_is_refused(domain, name):
 @pytest.mark.parametrize("file", SIX)
 def test_a_missing_file_is_named(domain, file):
     (domain.issue() / file).unlink()
-    # Without its certificate there is no participant.
-    words = f"lacks {file}" if file != "cert.pem" else "no participant /talker"
-    with pytest.raises(KeystoreError, match=words):
+    with pytest.raises(KeystoreError, match=f"lacks {file}"):
         domain.export()
 
 
