@@ -29,7 +29,7 @@ from tests.mutants.children import Copy, Measured, Ran, warm
 from tests.mutants.conditions import ROOMS, Mutant, mutants
 
 TESTS = {
-    "credentials": ("selfcheck", "plugin_trust", "enrolment", "install", "credentials*"),
+    "credentials": ("one_verdict", "selfcheck", "plugin_trust", "enrolment", "install"),
     "smime": ("smime", "smime_readers"),
     "certificates": ("certificates", "requests", "revocation_lists", "der_cutting"),
     "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
