@@ -91,7 +91,7 @@ def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now
         raise VerificationError(
             f"{applicant.name} may not join domain {domain}: {decision.reason}",
             code=code,
-            hint="add the domain to enclaves/governance.xml and run `pqsec sign-governance`"
+            hint="the governance and the permissions must name the domain"
             if code is Code.NO_DOMAIN_RULE
             else f"`pqsec explain --participant {applicant.name} --join` tells where it may",
         )

@@ -1,6 +1,7 @@
 """Two participants of a keystore meet, in memory, as two DDS processes would."""
 
 import os
+import shlex
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -11,6 +12,7 @@ from pqsec_pki.credentials import Credentials
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
 from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.course import Course
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
 from pqsec_pki.selfcheck.encounter import Encounter, Side
@@ -88,8 +90,23 @@ def vetted(occasion: Occasion, seated: Seated, steps: Steps) -> None:
         detail.append(check_identity(participant, profile, now))
         stack.check_identity(participant.certificate, participant.identity_ca)
     with steps.step(f"documents of {participant.name}") as detail:
-        detail.append(check_documents(participant, domain, now))
+        try:
+            detail.append(check_documents(participant, domain, now))
+        except VerificationError as error:
+            if Code.NO_DOMAIN_RULE in error.codes:
+                error.hint = _to_add_domain(occasion.keystore)
+            raise
         stack.check_documents_ca(participant.permissions_ca)
+
+
+def _to_add_domain(keystore: Keystore) -> str:
+    """How its governance is made to name one more domain, for a hint."""
+    folder = shlex.quote(str(keystore.root))
+    document = shlex.quote(str(keystore.root / "enclaves/governance.xml"))
+    return (
+        f"add the domain to {document} and run `pqsec -k {folder} sign-governance {document}"
+        " --force`; the permissions must name the domain too"
+    )
 
 
 @dataclass(slots=True)

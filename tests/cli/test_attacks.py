@@ -71,7 +71,7 @@ def test_where_two_do_not_meet_attacks_prove_nothing(pqsec, keystore):
     told = pqsec(f"{LINE} --domain 5 --attack all")
     assert told.code == 1
     assert "attacks prove nothing; documents of /talker failed" in told.out
-    assert "hint: add the domain to enclaves/governance.xml" in told.out
+    assert "hint: add the domain to k/enclaves/governance.xml" in told.out
 
 
 def test_a_stock_stack_cannot_be_attacked(pqsec, keystore):

@@ -23,7 +23,10 @@ from tests.cli.conftest import NAMES, PARTICIPANTS
 from tests.cli.test_verify import stripped
 
 LINE = "-k k verify-handshake /talker /listener"
-ADD_THE_DOMAIN = "add the domain to enclaves/governance.xml and run `pqsec sign-governance`"
+ADD_THE_DOMAIN = (
+    "add the domain to k/enclaves/governance.xml and run `pqsec -k k sign-governance"
+    " k/enclaves/governance.xml --force`; the permissions must name the domain too"
+)
 KEYS = {
     "ok",
     "initiator",
@@ -360,6 +363,21 @@ def test_another_domain_than_both_are_for_is_refused(fails, keystore):
     words = "may not join domain 7: no governance rule names domain 7"
     step = fails("documents of /talker", words, line=f"{LINE} --domain 7")
     assert step["hint"] == ADD_THE_DOMAIN
+
+
+def test_the_command_that_adds_a_domain_to_governance_works_as_it_is_told(
+    pqsec, fails, keystore, tmp_path
+):
+    keystore()
+    words = "may not join domain 7: no governance rule names domain 7"
+    hint = fails("documents of /talker", words, line=f"{LINE} --domain 7")["hint"]
+    governance = tmp_path / "k/enclaves/governance.xml"
+    text = governance.read_text()
+    governance.write_text(text.replace("<id>0</id>", "<id>0</id><id>7</id>"))
+    assert governance.read_text() != text
+    pqsec(hint.split("`")[1].removeprefix("pqsec ")).done()
+    step = fails("documents of /talker", "may not join domain 7", line=f"{LINE} --domain 7")
+    assert "no governance rule" not in step["detail"]
 
 
 @pytest.mark.parametrize("domain", ["-1", "231", "x", ""])
