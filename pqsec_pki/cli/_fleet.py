@@ -51,12 +51,11 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
 
     UsageError if it is not clear which governance counts, FileError if there is nobody.
     """
-    if not paths:
-        paths = (_settings.keystore_path(),)
-    if len(paths) == 1 and exists(paths[0] / _SETTINGS):
+    root = paths[0] if paths else _settings.keystore_path()
+    if not paths or (len(paths) == 1 and exists(root / _SETTINGS)):
         if governance:
             raise UsageError("--governance is for files; a keystore has its own")
-        return _in_keystore(Keystore.open(paths[0]), now)
+        return _in_keystore(Keystore.open(root), now)
     return _in_files(paths, governance, now)
 
 

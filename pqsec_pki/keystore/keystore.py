@@ -90,9 +90,11 @@ class Keystore:
         with disk_errors(path):
             there = path.is_file()
         if not there:
+            way = "make one with `pqsec ca init`, or name another with -k"
+            if _parts_in(root):
+                way = f"restore {_layout.SETTINGS} from a backup, or `pqsec adopt {root}`"
             raise KeystoreError(
-                f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}",
-                hint="make one with `pqsec ca init`, or name another with -k",
+                f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}", hint=way
             )
         if to_change:
             _journal.check(root)
@@ -118,10 +120,7 @@ class Keystore:
     @staticmethod
     def refuse_occupied(root: Path) -> None:
         """ExistsError if anything of a keystore is in the folder `root` already."""
-        parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
-        with disk_errors(root):
-            taken = [name for name in parts if (root / name).exists()]
-        if taken:
+        if taken := _parts_in(root):
             raise ExistsError(
                 f"{root} already has {', '.join(taken)}",
                 hint="CA keys are never overwritten: choose another folder",
@@ -282,6 +281,13 @@ class Keystore:
             root.below(_layout.PRIVATE) as private,
         ):
             return Ledger(private)
+
+
+def _parts_in(root: Path) -> list[str]:
+    """What of a keystore is in the folder `root`; `ca init` makes none over it."""
+    parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
+    with disk_errors(root):
+        return [name for name in parts if (root / name).exists()]
 
 
 def settings_file(profile: Profile, domains: DomainSet) -> bytes:

@@ -502,6 +502,22 @@ def test_a_folder_of_documents_is_asked_too(pqsec, tmp_path, keystore):
     pqsec("who-may k/enclaves/broken.xml").refused(1, "broken.xml")
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["-k k who-may", "-k k explain --participant /talker --join", "diff k k"],
+)
+def test_a_keystore_without_its_settings_gets_no_unverified_answer(pqsec, keystore, line):
+    (keystore() / "pqsec.json").unlink()
+    words = "k is not a pqsec keystore: it has no pqsec.json"
+    pqsec(line).refused(3, words, hint="restore pqsec.json from a backup")
+
+
+def test_a_folder_that_the_environment_names_gets_no_unverified_answer(pqsec, keystore):
+    (keystore() / "pqsec.json").unlink()
+    pqsec("who-may", PQSEC_KEYSTORE="k").refused(3, "not a pqsec keystore", hint="pqsec adopt k")
+    pqsec("who-may", PQSEC_KEYSTORE="no").refused(3, "not a pqsec keystore", hint="pqsec ca init")
+
+
 def test_what_cannot_be_read_in_a_folder_does_not_hold_who_may_up(pqsec, policy, tmp_path):
     os.mkfifo(tmp_path / "endless.xml")
     (tmp_path / "folder.yaml").mkdir()
