@@ -115,7 +115,7 @@ QUESTIONS = {
     "-k k log --verify": "private",
     "-k k needs-renewal": "private",
     "-k k plan domain.yaml": "private",
-    "-k k sign-governance g.xml": "k",  # whose keystore it is comes first
+    "-k k sign-governance g.xml": "k: it belongs to root" if ROOT else "private",
 }
 
 

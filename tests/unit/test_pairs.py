@@ -199,7 +199,7 @@ def test_the_certificate_of_another_fails_all_pairs_of_its_participant(three):
     take(three, "cert.pem", "/a", "/b")
     cause, name = alone_at_fault(three)
     assert (cause.step, name) == ("identity of NAME", "/b")
-    assert "cert.pem of NAME is for CN=/a" in cause.words
+    assert "cert.pem: the certificate is for CN=/a" in cause.words
 
 
 def test_the_permissions_of_another_fail_all_pairs_of_its_participant(three):
