@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import exists, is_folder, walk
+from pqsec_pki.access import Action, Question, Reading
 from pqsec_pki.access.matrix import Member
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import (
@@ -29,8 +30,10 @@ from pqsec_pki.errors import (
     PqsecError,
     UsageError,
     VerificationError,
+    located,
 )
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.problems import Code, Problem
 
 _SETTINGS = "pqsec.json"
 _SIGNED_FIRST = (".p7s", ".xml", ".yaml", ".yml")
@@ -46,8 +49,12 @@ class Fleet:
     """Who is left out, and why: no stack would believe its documents."""
 
 
-def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) -> Fleet:
+def fleet_of(
+    paths: tuple[Path, ...], governance: Path | None, now: datetime, reading: Reading
+) -> Fleet:
     """Of a keystore, of files, or of folders of files; without any, of the user's keystore.
+
+    Of a keystore, who has no grant by `reading` is left out.
 
     UsageError if it is not clear which governance counts, FileError if there is nobody.
     """
@@ -55,27 +62,38 @@ def fleet_of(paths: tuple[Path, ...], governance: Path | None, now: datetime) ->
     if not paths or (len(paths) == 1 and exists(root / _SETTINGS)):
         if governance:
             raise UsageError("--governance is for files; a keystore has its own")
-        return _in_keystore(Keystore.open(root), now)
+        return _in_keystore(Keystore.open(root), now, reading)
     return _in_files(paths, governance, now)
 
 
-def _in_keystore(keystore: Keystore, now: datetime) -> Fleet:
+def _in_keystore(keystore: Keystore, now: datetime, reading: Reading) -> Fleet:
     anchors = anchors_of(keystore, now)
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
     members, refused = list[Member](), dict[str, str]()
-    for name in keystore.names():
+    for name in (*keystore.names(), *keystore.incomplete()):
         try:
             subject = identity_of(keystore, name, anchors, now).subject_name
-            permissions = own_permissions(keystore, name, now, check).value
+            own = own_permissions(keystore, name, now, check)
+            with located(own.path):
+                _refuse_ungranted(own.value, subject, now, reading)
             if own_governance(keystore, name, governance, check) != governance.value:
                 raise VerificationError("it has a governance of its own, unlike the others")
         except PqsecError as error:
             _refuse_unreadable(error)
             refused[name] = str(error)
         else:
-            members.append(Member(name=name, subject=subject, permissions=permissions))
+            members.append(Member(name=name, subject=subject, permissions=own.value))
     return Fleet(governance.value, members, refused)
+
+
+def _refuse_ungranted(
+    permissions: Permissions, subject: str, now: datetime, reading: Reading
+) -> None:
+    """VerificationError if none of the grants is the subject's."""
+    question = Question(subject=subject, domain=0, action=Action.JOIN, now=now)
+    if reading.grant_for(permissions, question) is None:
+        raise VerificationError(Problem(f"nothing in them is granted to {subject}", Code.NO_GRANT))
 
 
 def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> Fleet:

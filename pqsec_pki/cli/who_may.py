@@ -99,7 +99,8 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     all domains.
     """
     now = _settings.now()
-    fleet = fleet_of(paths, governance, now)
+    reading = reading_named(stack)
+    fleet = fleet_of(paths, governance, now, reading)
     for name, reason in fleet.refused.items():
         _printing.note(f"{plain(name)} is left out: {plain(reason)}")
     wanted = (*topics, *map(_ros_topic, ros_topics))
@@ -108,7 +109,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     near = _unknown(fleet, wanted)
     for topic, instead in near.items():
         _printing.note(f"no rule names {plain(topic)}{'; ' if instead else ''}{instead}")
-    rows = _rows(fleet, wanted, _Question(domain, now, reading_named(stack)))
+    rows = _rows(fleet, wanted, _Question(domain, now, reading))
     form = "json" if _settings.settings().json else form
     _settings.settings().json = form == "json"
     value = _as_json(fleet, rows, domain, stack) | {"unknown_topics": near}

@@ -112,6 +112,21 @@ def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
     return {link: up + target for link, target in shared.items()}
 
 
+def incomplete_in(root: Path) -> list[str]:
+    """The enclaves under `root` that hold something of a participant and no certificate, sorted.
+
+    FileError if one of the folders cannot be looked into.
+    """
+    enclaves = root / ENCLAVES
+    whole = set(names_in(root))
+    there = {
+        "/" + folder.relative_to(enclaves).as_posix()
+        for folder, names in walk(enclaves)
+        if folder != enclaves and not set(OWN).isdisjoint(names)
+    }
+    return sorted(there - whole)
+
+
 def names_in(root: Path) -> list[str]:
     """The enclaves under `root` that hold a certificate, sorted.
 

@@ -216,6 +216,10 @@ class Keystore:
         """The participants' names, sorted; FileError if a folder cannot be looked into."""
         return _layout.names_in(self.root)
 
+    def incomplete(self) -> list[str]:
+        """Who has files of its own and no certificate, sorted; FileError as from `names`."""
+        return _layout.incomplete_in(self.root)
+
     def has(self, name: str) -> bool:
         """Whether there is anything of a participant called `name`, with or without the rest."""
         return _layout.is_there(self.root, _layout.enclave_name(name))

@@ -485,6 +485,37 @@ def test_a_participant_whose_documents_do_not_hold_is_left_out(pqsec, keystore):
     assert "note: /talker is left out" in said.err
 
 
+@pytest.mark.parametrize(
+    ("file", "source", "words"),
+    [
+        ("cert.pem", None, "k/enclaves/talker lacks cert.pem"),
+        ("permissions.p7s", "listener", "nothing in them is granted to CN=/talker"),
+    ],
+)
+def test_no_participant_is_left_out_in_silence(pqsec, keystore, file, source, words):
+    enclaves = keystore() / "enclaves"
+    (enclaves / "talker" / file).unlink()
+    if source:
+        shutil.copy(enclaves / source / file, enclaves / "talker")
+    said = pqsec("-k k who-may --json").done()
+    assert said.json["participants"] == ["/listener"]
+    assert words in said.json["left_out"]["/talker"]
+    assert "note: /talker is left out: k/enclaves/talker" in said.err
+
+
+def test_who_has_only_a_grant_that_a_stack_takes_for_its_own_is_asked_of_that_stack(
+    pqsec, keystore
+):
+    """Cyclone DDS lets CN=/talker use what is granted to CN=/talker/arm."""
+    enclaves = keystore() / "enclaves"
+    pqsec("-k k issue /talker/arm --publish rt/arm").done()
+    shutil.copy(enclaves / "talker/arm/permissions.p7s", enclaves / "talker")
+    said = pqsec("-k k who-may --json").done()
+    assert "granted to CN=/talker" in said.json["left_out"]["/talker"]
+    taken = pqsec("-k k who-may --topic rt/arm --as cyclonedds --json").done().json
+    assert (taken["left_out"], taken["topics"][0]["publish"]) == ({}, ["/talker", "/talker/arm"])
+
+
 def test_a_domain_that_governance_does_not_name_is_noted(pqsec, keystore):
     keystore()
     said = pqsec("-k k who-may --domain 9 --json").done()
