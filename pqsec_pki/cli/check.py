@@ -1,6 +1,7 @@
 """pqsec check: what is wrong or risky in a keystore, a folder or files."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,14 +95,26 @@ def check(  # noqa: PLR0913 -- one for each option
         _printing.emit(None, [json.dumps(to_sarif(report), indent=2)], verbatim=True)
     else:
         _printing.emit(report_value(report, strict=strict), report_lines(report))
-    if not report.is_clean(strict=strict):
-        click.get_current_context().exit(1)
+    if code := _exit_code(report, strict=strict):
+        click.get_current_context().exit(code)
 
 
 def _suppression(text: str) -> Suppression:
     suppression = from_option(text)
     suppression.rule = rule_named(suppression.rule).id
     return suppression
+
+
+def _exit_code(report: Report, *, strict: bool) -> int:
+    """1 for a no, which what could not be read would not change; else 3 if there was such."""
+    unread = report.unread
+    left = set(map(id, unread))
+    known = replace(
+        report, findings=tuple(each for each in report.findings if id(each) not in left)
+    )
+    if not known.is_clean(strict=strict):
+        return 1
+    return 3 if unread else 0
 
 
 def report_lines(report: Report) -> list[str]:
@@ -111,21 +124,28 @@ def report_lines(report: Report) -> list[str]:
         for severity in Severity
         if (number := report.count(severity))
     ]
-    checked = f"{_printing.counted(len(report.inventory.files), 'file')} checked"
+    checked = f"{_printing.counted(_read(report), 'file')} checked"
     ignored = [f"{len(report.ignored)} ignored"] if report.ignored else []
     summary = f"{checked}: {', '.join([*(counts or ['nothing to complain of']), *ignored])}"
+    if unread := len(report.unread):
+        summary += f"; incomplete: {unread} could not be read"
     return [*map(str, report.findings), summary]
 
 
 def report_value(report: Report, *, strict: bool) -> dict[str, Any]:
     """The report for --json."""
     return {
-        "ok": report.is_clean(strict=strict),
-        "files": len(report.inventory.files),
+        "ok": not _exit_code(report, strict=strict),
+        "incomplete": bool(report.unread),
+        "files": _read(report),
         "counts": {severity.value: report.count(severity) for severity in Severity},
         "findings": [_finding(each) for each in report.findings],
         "ignored": [_finding(each) | {"reason": reason} for each, reason in report.ignored],
     }
+
+
+def _read(report: Report) -> int:
+    return sum(not file.unreadable for file in report.inventory.files)
 
 
 def _finding(finding: Finding) -> dict[str, Any]:

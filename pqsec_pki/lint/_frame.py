@@ -8,11 +8,13 @@ from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import SuppressionFile
 
 FAMILY = Family("frame")
+UNREAD = "PQS001"
 
 
 @FAMILY.rule(
-    "PQS001", Severity.WARNING, File, "a file could not be read",
-    why="What cannot be read is not checked, and may be wrong.",
+    UNREAD, Severity.WARNING, File, "a file could not be read",
+    why="What cannot be read is not checked, and may be wrong. The check is incomplete, unless"
+    " that is a keystore's private/, which is closed to others.",
     mend="Run the check as the owner of the files, or leave the file out.",
 )  # fmt: skip
 def unreadable(file: File) -> Iterator[Found]:

@@ -1,5 +1,6 @@
 """Every file below some paths is found and read once, whatever links lead to it."""
 
+import errno
 import os
 import re
 import stat
@@ -27,6 +28,8 @@ ENCLAVES = "enclaves"
 _OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
 _DRAFT = re.compile(r"\.draft-[0-9a-f]{16}")
 _TWO_OF_SIX = 2
+_NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
+"""Of a link: there is nothing where it leads. Other errors hide what there is."""
 
 
 @dataclass(slots=True)
@@ -126,23 +129,33 @@ class Search:
                 self._unlisted(error)
 
     def _link(self, link: Path) -> None:
+        """Take what it leads to; where nobody may look at that, the link is unreadable."""
+        key = None
         try:
             found = link.stat()
-        except OSError:
-            found = None
-        is_file = found is not None and stat.S_ISREG(found.st_mode)
-        if found and is_file:
-            self._file(link, found)
+        except OSError as error:
+            if error.errno not in _NOWHERE:
+                key = self._closed(link, (error.strerror or str(error)).lower())
+        else:
+            if stat.S_ISREG(found.st_mode):
+                self._file(link, found)
+                key = (found.st_dev, found.st_ino)
         if link.parent in self.enclaves:
-            key = (found.st_dev, found.st_ino) if found and is_file else None
             self.enclaves[link.parent][link.name] = key
+
+    def _closed(self, link: Path, reason: str) -> tuple[int, int] | None:
+        try:
+            found = link.lstat()
+        except OSError:  # gone meanwhile
+            return None
+        key = (found.st_dev, found.st_ino)
+        self._keep(key, File(link, b"", 0, self.now, reason))  # a link's own mode says nothing
+        return key
 
     def _file(self, path: Path, found: os.stat_result) -> None:
         key = (found.st_dev, found.st_ino)
         if key in self.files:
             return
-        if len(self.files) >= MAX_FILES:
-            raise FileError(f"more than {MAX_FILES} files to check", hint="name a smaller folder")
         data, reason = b"", None
         try:
             data = read(path)
@@ -153,7 +166,12 @@ class Search:
         self.size += len(data)
         if self.size > MAX_BYTES:
             raise FileError(f"more than {MAX_BYTES} bytes to check", hint="name a smaller folder")
-        self.files[key] = File(path, data, found.st_mode, self.now, reason)
+        self._keep(key, File(path, data, found.st_mode, self.now, reason))
+
+    def _keep(self, key: tuple[int, int], file: File) -> None:
+        if len(self.files) >= MAX_FILES:
+            raise FileError(f"more than {MAX_FILES} files to check", hint="name a smaller folder")
+        self.files[key] = file
 
 
 def _is_past(folder: Path) -> bool:

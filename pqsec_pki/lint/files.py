@@ -15,7 +15,7 @@ FAMILY = Family("files")
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _KEY_NAME = re.compile(r"[\w.-]+\.(pem|key)", re.ASCII)
 _CA_KEY = re.compile(r"(identity_|permissions_)?ca\.(alt\.)?key\.pem")
-_PRIVATE, _PUBLIC = "private", "public"
+PRIVATE, _PUBLIC = "private", "public"
 
 
 @FAMILY.rule(
@@ -35,7 +35,7 @@ def readable_key(file: File) -> Iterator[Found]:
 )  # fmt: skip
 def open_private_folder(inventory: Inventory) -> Iterator[Found]:
     for folder, mode in inventory.folders.items():
-        if folder.name == _PRIVATE and mode & _OTHERS:
+        if folder.name == PRIVATE and mode & _OTHERS:
             yield Found(f"a folder with mode {stat.S_IMODE(mode):04o}; 0700 is right", path=folder)
 
 

@@ -117,7 +117,8 @@ def counter_does_not_hold(inventory: Inventory) -> Iterator[Found]:
     mend=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
 )  # fmt: skip
 def no_countersigner(enclave: Enclave) -> Iterator[Found]:
-    if enclave.certificate(PERMISSIONS_ALT_CA):
+    file = enclave.files.get(PERMISSIONS_ALT_CA)
+    if enclave.certificate(PERMISSIONS_ALT_CA) or (file and file.unreadable):
         return
     files = (enclave.files.get(name) for name in (PERMISSIONS, GOVERNANCE))
     if any(file and _signatures.countersigners(file) for file in files):

@@ -1,13 +1,16 @@
 """Ask every rule about every subject; set aside what somebody has given a reason for."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 
+from pqsec_pki.lint._frame import UNREAD
+from pqsec_pki.lint._search import ENCLAVES
 from pqsec_pki.lint.collect import take_inventory
+from pqsec_pki.lint.files import PRIVATE
 from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
@@ -36,6 +39,16 @@ class Report:
         """Whether there is no error; with `strict`, no warning either."""
         warnings = self.count(Severity.WARNING) if strict else 0
         return not self.count(Severity.ERROR) and not warnings
+
+    @property
+    def unread(self) -> tuple[Finding, ...]:
+        """Of what was to be checked and could not be read: if any, the check is incomplete.
+
+        Without a keystore's folder of CA keys, which is rightly closed to others.
+        """
+        found = [each for each in self.findings if each.rule.id == UNREAD]
+        known = {*self.inventory.folders, *(file.path for file in self.inventory.files)}
+        return tuple(each for each in found if not _is_of_ca_keys(each.path, known))
 
 
 def check(
@@ -67,6 +80,12 @@ def check(
     return Report(
         findings=tuple(sorted(kept, key=_order)), ignored=tuple(ignored), inventory=inventory
     )
+
+
+def _is_of_ca_keys(path: Path, known: Container[Path]) -> bool:
+    """Whether it is the folder private/ beside a folder enclaves/, or in it."""
+    folders = (each for each in (path, *path.parents) if each.name == PRIVATE)
+    return any(each.parent / ENCLAVES in known for each in folders)
 
 
 def _order(finding: Finding) -> tuple[Path, int, int, str, str]:

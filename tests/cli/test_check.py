@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 
@@ -15,6 +16,7 @@ GOVERNANCE = "k/enclaves/governance.xml"
 PLAIN_USER = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
 """Root reads everything, until it gives up the capability."""
 OPEN_KEYS = "--ignore 'PQS707=CA keys of tests and demos are not encrypted'"
+OPEN_KEYS_OPTION = shlex.split(OPEN_KEYS)
 
 
 @pytest.fixture
@@ -200,6 +202,63 @@ def test_what_is_closed_to_the_user_is_told_and_not_checked(keystore, tmp_path, 
     assert done.stderr == ""
     findings = json.loads(done.stdout)["findings"]
     assert {each["path"] for each in findings if each["rule"] == "PQS001"} == told
+
+
+@pytest.mark.parametrize("path", ["k", "k/enclaves/talker"])
+def test_a_link_to_what_is_closed_is_not_told_as_leading_nowhere(keystore, tmp_path, path):
+    keystore("transition")
+    done = as_plain_user(tmp_path, "k/public", 0, path, "--json")
+    findings = json.loads(done.stdout)["findings"]
+    unread = {each["path"] for each in findings if each["rule"] == "PQS001"}
+    assert {each["rule"] for each in findings} <= {"PQS001", "PQS707"}
+    links = ("identity_ca.cert.pem", "permissions_ca.cert.pem", "permissions_ca.alt.cert.pem")
+    assert {f"k/enclaves/talker/{name}" for name in links} <= unread
+
+
+def test_a_link_to_what_is_not_there_leads_nowhere_still(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "k/public/identity_ca.cert.pem").unlink()
+    found = json.loads(pqsec("--json check k").out)["findings"]
+    told = {each["path"] for each in found if each["rule"] == "PQS302"}
+    assert "k/enclaves/talker/identity_ca.cert.pem" in told
+
+
+def test_a_check_that_could_not_read_everything_does_not_pass_for_clean(keystore, tmp_path):
+    keystore()
+    for closed in ("k/enclaves", "k/enclaves/talker", "k/enclaves/talker/key.pem", "k/public"):
+        done = as_plain_user(tmp_path, closed, 0, "k", *OPEN_KEYS_OPTION)
+        last = done.stdout.splitlines()[-1]
+        assert (closed, done.returncode) == (closed, 3)
+        assert "incomplete: " in last
+        value = json.loads(as_plain_user(tmp_path, closed, 0, "k", "--json").stdout)
+        assert (value["ok"], value["incomplete"]) == (False, True)
+
+
+def test_the_closed_folder_of_the_ca_keys_leaves_a_check_complete(keystore, tmp_path):
+    keystore()
+    done = as_plain_user(tmp_path, "k/private", 0, "k", "--json")
+    value = json.loads(done.stdout)
+    assert (done.returncode, value["ok"], value["incomplete"]) == (0, True, False)
+    assert [each["path"] for each in value["findings"] if each["rule"] == "PQS001"] == ["k/private"]
+    (tmp_path / "private").mkdir()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "k/enclaves/talker/permissions.xml").rename(tmp_path / "other/permissions.xml")
+    (tmp_path / "private").rename(tmp_path / "other/private")
+    assert as_plain_user(tmp_path, "other/private", 0, "other").returncode == 3
+
+
+def test_an_error_is_a_no_whatever_else_could_not_be_read(flawed, tmp_path):
+    flawed("<id>0</id>", "<id>x</id>")
+    done = as_plain_user(tmp_path, "k/enclaves/listener", 0, "k")
+    assert done.returncode == 1
+    assert "incomplete: " in done.stdout.splitlines()[-1]
+
+
+def test_what_may_stay_unread_for_a_reason_leaves_a_check_complete(keystore, tmp_path):
+    keystore()
+    options = ("--ignore", "PQS001=keys are their owners'")
+    done = as_plain_user(tmp_path, "k/enclaves/talker/key.pem", 0, "k", "--json", *options)
+    assert (done.returncode, json.loads(done.stdout)["incomplete"]) == (0, False)
 
 
 @pytest.mark.parametrize(
