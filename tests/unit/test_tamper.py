@@ -67,7 +67,7 @@ MESSAGES = ["request", "reply", "final"]
 TABLE = """
                first    middle   last     dropped  doubled  emptied  longer   shorter  swapped
 request
-c.id           pem      chain    hash     missing  twice    pem      hash     hash     subject
+c.id           pem      chain    pem      missing  twice    pem      hash     hash     subject
 c.perm         hash     hash     hash     missing  twice    hash     hash     hash     hash
 c.pdata        no-guid  guid     hash     missing  twice    no-guid  hash     hash     subject
 c.dsign_algo   key      key      key      missing  twice    key      key      hash     half
@@ -76,7 +76,7 @@ hash_c1        changed  changed  changed  agreed   twice    size     size     si
 dh1            dh1      dh1      dh1      missing  twice    public   public   public   later
 challenge1     echoed   echoed   echoed   missing  twice    size     size     size     echoed
 reply
-c.id           pem      chain    hash     missing  twice    pem      hash     hash     subject
+c.id           pem      chain    pem      missing  twice    pem      hash     hash     subject
 c.perm         hash     hash     hash     missing  twice    hash     hash     hash     hash
 c.pdata        no-guid  guid     hash     missing  twice    no-guid  hash     hash     subject
 c.dsign_algo   key      key      key      missing  twice    key      key      hash     half
@@ -104,7 +104,7 @@ FATES = {
     "twice": ("{message} read", "'{name}' is there 2 times"),
     "size": ("{message} read", "{name} has [0-9]+ bytes, not 32"),
     # and where it is taken.
-    "pem": ("{message} taken", "introduction: no certificate in PEM"),
+    "pem": ("{message} taken", "introduction: (no certificate in|certificate: broken) PEM"),
     "chain": ("{message} taken", "introduction: |not signed by this CA|was issued by"),
     "no-guid": ("{message} taken", "introduction: c.pdata: no participant GUID"),
     "guid": ("{message} taken", "in c.pdata is not the one that was discovered"),
