@@ -80,11 +80,14 @@ def stay_though_revoked(scene: Scene) -> Iterator[Attempt]:
 
 
 def under_a_stand_in(scene: Scene) -> tuple[Authority, Scene]:
-    """A CA like the genuine one, whose key is not here, and the two certified by it."""
+    """A CA like the genuine one, whose key is not here, and the two certified by it.
+
+    It has revoked nobody, and the genuine one's list is not its own.
+    """
     now = scene.encounter.now
     ca = vouching_for_itself(scene.encounter.initiator.participant.identity_ca, now)
     one, other = (
-        showing(_certified_by(ca, now, side, side), ca=ca.certificate)
+        showing(_certified_by(ca, now, side, side), ca=ca.certificate, revocation_list=None)
         for side in scene.encounter.sides
     )
     return ca, replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
@@ -159,7 +162,7 @@ def break_the_ca(scene: Scene) -> Iterator[Attempt]:
 
 
 def _where_all_trust(ca: Certificate, scene: Scene) -> Scene:
-    one, other = (showing(side, ca=ca) for side in scene.encounter.sides)
+    one, other = (showing(side, ca=ca, revocation_list=None) for side in scene.encounter.sides)
     return replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
 
 

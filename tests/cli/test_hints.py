@@ -29,6 +29,10 @@ JUSTIFIED = {
     " that it may do.": SAYS_WHAT,
     "put it back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
     "put that back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
+    "restore it from a backup; or make all anew, its keys and permissions too: pqsec issue *"
+    " --force ...": SAYS_WHAT,
+    "add the domain to * and run `pqsec -k * sign-governance * --force`; the permissions must"
+    " name the domain too": "it signs what the user edits, in place of what was signed before",
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
 WORDS = ("all that it", "all that", "--ros-node", "plugin install")
