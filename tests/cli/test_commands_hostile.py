@@ -256,6 +256,8 @@ def found_in(result, *, unchanged: bool) -> Iterator[str]:
         yield f"an odd line: {result.err}"
     if not (result.out + result.err).replace("\n", "").isprintable():
         yield "what a terminal would obey"
+    if "; incomplete: " in result.out:  # a check tells what it found, and that it is not all
+        return
     if result.code in {2, 3}:
         if result.out:
             yield f"a result beside an error: {result.out[:80]}"

@@ -478,7 +478,7 @@ def test_opendds_reads_the_passphrase_in_the_program(own):
     made = unchecked("opendds", keystore)
     assert 'std::getenv("PQSEC_KEY_PASSWORD")' in made.files["pqsec_participant.h"]
     assert "a wrong one" in str(made.notes)  # it makes a participant all the same
-    with pytest.raises(UsageError, match="no place for a passphrase"):
+    with pytest.raises(UsageError, match="not a place for a passphrase"):
         unchecked("opendds", keystore, password="open sesame")
 
 
