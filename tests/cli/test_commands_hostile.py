@@ -256,12 +256,11 @@ def found_in(result, *, unchanged: bool) -> Iterator[str]:
         yield f"an odd line: {result.err}"
     if not (result.out + result.err).replace("\n", "").isprintable():
         yield "what a terminal would obey"
-    if "; incomplete: " in result.out:  # a check tells what it found, and that it is not all
-        return
     if result.code in {2, 3}:
-        if result.out:
+        incomplete = "; incomplete: " in result.out  # a check tells what it found, and that
+        if result.out and not incomplete:
             yield f"a result beside an error: {result.out[:80]}"
-        if "pqsec: error: " not in result.err:
+        if "pqsec: error: " not in result.err and not incomplete:
             yield "no error is told"
         if not (unchanged or any(words in result.err for words in DONE)):
             yield "the keystore is another"
