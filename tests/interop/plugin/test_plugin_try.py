@@ -92,7 +92,7 @@ REFUSED = {
     "expired": (Case("", profile="pq", alter=let_the_sender_expire), (), "expired on"),
     "altered": (Case("", profile="pq", alter=alter_the_permissions), (), "changed after it was"),
     **{f"unasked, stock {who}": (Case("", profile="transition"), (who,), said)
-       for who, said in ((SENDER, "the peer asks for 'ECDH"), (RECEIVER, "does not say that it knows"))},
+       for who, said in ((SENDER, "the peer asks for 'ECDH"), (RECEIVER, "not say that it knows"))},
 }  # fmt: skip
 """Circumstances, who runs Cyclone DDS's own plugin, and what is said."""
 
