@@ -1,9 +1,9 @@
 """Whether an enclave's credentials can be trusted: decided here, and nowhere else.
 
-From the bytes of an enclave's files (`Credentials`) and the CAs among them, each with its
-role (`TrustAnchors`), to what was verified (`VerifiedCredentials`): identity, governance and
-permissions, in the order of DDS-Security 1.1, 9.3.3 and 9.4.3. No file, socket or clock: who
-asks brings the bytes and the time.
+`Credentials` are the bytes of an enclave's files, read; `TrustAnchors` are the CAs among them,
+each with its role; `verify_credentials` gives `VerifiedCredentials`: identity, governance and
+permissions, verified in the order of DDS-Security 1.1, 9.3.3 and 9.4.3. The room opens no file or
+socket and has no clock: the caller supplies the bytes and the time.
 """
 
 from pqsec_pki.credentials.anchors import (

@@ -77,11 +77,11 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
         already = before is not None and before.enclaves == wanted
-        believed = _raised(state, found.credentials, trusted)
+        newer = _raised(state, found.credentials, trusted)
         if already:
-            place.trust(believed)
+            place.trust(newer)
         else:
-            place.put(wanted, believed, now)
+            place.put(wanted, newer, now)
         place.tidy(keys)  # also what a killed installation left
         return _told(found, place, already=already)
 
@@ -130,7 +130,7 @@ def _opened(data: bytes, root: Path) -> bytes:
 
 
 def _trust_state(place: Place, before: InstalledSet | None, *, needed: bool) -> TrustState | None:
-    """What is believed here: as written down, or, where an older pqsec installed, as it shows.
+    """The trust state here: as saved, or, where an older pqsec installed, from what is installed.
 
     None where nothing is, or, unless it is `needed`, where it cannot be read.
     """
@@ -158,7 +158,7 @@ def _raised(
 def _pins(
     state: TrustState | None, pins: Pins | None, bundle: Bundle, *, trust_first: bool
 ) -> Pins:
-    """Which CAs are believed in, and as what."""
+    """Which CAs are trusted, and with which role."""
     if pins:
         return pins
     if state:

@@ -90,7 +90,7 @@ class Place:
 
     @property
     def trust_state(self) -> TrustState | None:
-        """What is believed here, if that was written down; KeystoreError if it is damaged."""
+        """The trust state that was saved here, if any; KeystoreError if it is damaged."""
         path = self.root / TRUST
         if not os.path.lexists(path):
             return None
@@ -98,7 +98,7 @@ class Place:
             return TrustState.from_json(read(path))
 
     def trust(self, state: TrustState) -> None:
-        """Write down what is believed here, in one step."""
+        """Save the trust state, in one step."""
         data, path = state.to_json(), self.root / TRUST
         if os.path.lexists(path) and read(path) == data:
             return
@@ -136,8 +136,8 @@ class Place:
     def put(self, enclaves: Enclaves, state: TrustState, now: datetime) -> None:
         """Make a set of these files and let it be the current one; all of it or nothing.
 
-        What is believed is written down once the set is whole, and before it is current: who is
-        killed between believes no less than what he runs with.
+        The trust state is saved once the set is whole and before it becomes current, so that a
+        kill between the two leaves marks that are no lower than what is installed.
         """
         before = self.current
         draft = self._draft(enclaves, before.path.name if before else None, now)

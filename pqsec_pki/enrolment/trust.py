@@ -1,8 +1,8 @@
-"""What a robot believes and has seen, whatever it runs with: it outlives each set.
+"""The trust state of a robot: what stays when one set of credentials replaces another.
 
-Pins: the CAs that it trusts, each with its role. Marks: how new the newest of everything was
-that was ever installed here, so that no older bundle brings back old rights, or lets a revoked
-peer in again, not even after a rollback. Marks never go down.
+Pins are the CAs that the robot trusts, each with its role. Marks are the newest revocation list
+number, signing times and certificates that were ever installed here. They never go down, so that
+no older bundle restores withdrawn rights or admits a revoked peer, not even after a rollback.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
 """Is a bundle what its robot should run with? Asked before anything is replaced.
 
-What is believed without proof is the fingerprints of the CAs' certificates, each with its
-role; all else is the room `credentials`'s to say.
+Only the fingerprints of the CAs' certificates, each with its role, are trusted without proof;
+the room `credentials` decides about everything else.
 """
 
 from collections.abc import Iterable, Mapping
