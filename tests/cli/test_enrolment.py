@@ -3,6 +3,7 @@
 import json
 import shutil
 import stat
+import time
 
 import pytest
 from cryptography import x509
@@ -197,6 +198,7 @@ def test_the_way_back(pqsec, asked, tmp_path):
     pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
     first = (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes()
     pqsec("rollback --dir r").refused(3, "keeps nothing from before")
+    time.sleep(1.01)  # certificates and signatures know whole seconds
     pqsec(f"-k k renew {ROBOT}").done()
     pqsec(f"-k k bundle {ROBOT} --force").done()
     pqsec("install fleet+robot1.bundle --dir r").done()

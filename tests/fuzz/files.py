@@ -114,7 +114,7 @@ def signature():
 
 
 def with_signature(der):
-    return BASE64.sub(lambda _: base64.b64encode(der) + b"\n\n", signed())
+    return BASE64.sub(lambda _: base64.encodebytes(der) + b"\n", signed())
 
 
 def take_signed(data):

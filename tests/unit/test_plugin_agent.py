@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -67,7 +67,8 @@ def connected(place, octets=b""):
     link = socket.socket(socket.AF_UNIX)
     link.settimeout(PATIENCE)
     link.connect(str(place.socket))
-    link.sendall(octets)
+    with suppress(BrokenPipeError):  # who is refused may be told so before it has asked
+        link.sendall(octets)
     return link
 
 
