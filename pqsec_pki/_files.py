@@ -73,7 +73,7 @@ def _all_of(file: BinaryIO, path: Path, limit: int) -> bytes:
     data = _begin(file)
     data += file.read(limit + 1 - len(data))
     if len(data) > limit:
-        raise FileError(f"{path}: larger than {limit} bytes, so not what is expected here")
+        raise FileError(f"larger than {limit} bytes, so not what is expected here", where=path)
     return data
 
 
@@ -244,6 +244,4 @@ def _refused(path: Path | str, error: OSError | ValueError) -> FileError:
     kind = FileError
     if isinstance(error, OSError):
         kind = _KINDS.get(error.errno or 0, FileError)
-    refusal = kind((reason or str(error)).lower())
-    refusal.where = str(path)
-    return refusal
+    return kind((reason or str(error)).lower(), where=path)

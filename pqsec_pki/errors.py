@@ -35,21 +35,37 @@ class PqsecError(Exception):
     """The work could not be done.
 
     `hint` is the way out, one sentence. `where` names the file (or message) at fault;
-    the layer that knows it sets it with `located`.
+    the layer that knows it says it, or sets it with `located`. `words` are all but that.
     """
 
     exit_code = 3
     code = Code.OTHER
 
-    def __init__(self, message: str, *, code: Code | None = None, hint: str | None = None) -> None:
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: Code | None = None,
+        hint: str | None = None,
+        where: object = None,
+    ) -> None:
         super().__init__(message)
         self.hint = hint
         if code is not None:
             self.code = code
-        self.where: str | None = None
+        self.where = None if where is None else str(where)
 
     def __str__(self) -> str:
-        return self._placed(super().__str__())
+        return self._placed(self.words)
+
+    @property
+    def words(self) -> str:
+        """The message without `where`."""
+        return super().__str__()
+
+    def words_at(self, where: object) -> str:
+        """The message for a text that says `where` already; any other place stays in it."""
+        return self.words if self.where == str(where) else str(self)
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -172,6 +188,6 @@ def located(where: object) -> Iterator[None]:
     try:
         yield
     except PqsecError as error:
-        if error.where is None and not str(error).startswith(f"{where}: "):
+        if error.where is None:
             error.where = str(where)
         raise

@@ -21,6 +21,8 @@ class Code(StrEnum):
     """Not what its name says, or there are several in it where one is due."""
     DOCUMENT_INVALID = "document-invalid"
     """Signed, but its XML breaks the schema."""
+    ELEMENT_MISPLACED = "element-misplaced"
+    """An element of a document where its schema has another one, or none."""
     READERS_DISAGREE = "readers-disagree"
     """Stacks could read another document in this file than the one that was verified."""
 

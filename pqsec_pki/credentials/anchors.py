@@ -265,7 +265,7 @@ def only_certificate(data: bytes, where: str) -> Certificate:
     """The only certificate in PEM `data`; MalformedError if there are several, or none."""
     found = certificates_in(data, where)
     if len(found) > 1:
-        raise MalformedError(f"{where}: {len(found)} certificates, not one")
+        raise MalformedError(f"{len(found)} certificates, not one", where=where)
     return found[0]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._assets import asset
 from pqsec_pki.documents._xml import parse, problem
 from pqsec_pki.errors import InvalidDocumentError, shown
-from pqsec_pki.problems import Problem
+from pqsec_pki.problems import Code, Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element, _LogEntry
@@ -41,10 +41,12 @@ _TYPES = {
 }
 
 # What libxml2 says (xmlschemas.c) -> what it means.
-_WORDING = (
+_MISPLACED = (
     (r"This element is not expected\. Expected is (?:one of )?\( (?P<right>.*) \)\.",
      "is not expected here; expected: {right}"),
     (r"This element is not expected\.", "is not expected here"),
+)  # fmt: skip
+_OTHERS = (
     (r"Missing child element\(s\)\. Expected is (?:one of )?\( (?P<right>.*) \)\.",
      "is not complete; expected next: {right}"),
     (r"\[facet 'enumeration'\] The value '(?P<wrong>.*)' is not .* the set \{(?P<right>.*)\}\.",
@@ -59,7 +61,11 @@ _WORDING = (
     (r"No matching global declaration available for the validation root\.",
      "is not the root element <dds>, which has no namespace"),
 )  # fmt: skip
-_RULES = tuple((re.compile(pattern, re.DOTALL), words) for pattern, words in _WORDING)
+_RULES = tuple(
+    (re.compile(pattern, re.DOTALL), words, code)
+    for code, rows in ((Code.ELEMENT_MISPLACED, _MISPLACED), (Code.OTHER, _OTHERS))
+    for pattern, words in rows
+)
 _PLACE = re.compile(r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: ")
 
 
@@ -115,19 +121,19 @@ def _problems(log: "Iterable[_LogEntry]") -> Iterator[Problem]:
     entries = iter(log)
     for entry in islice(entries, MAX_PROBLEMS):
         found = _PLACE.match(entry.message)
-        message = entry.message[found.end() :] if found else entry.message
-        yield Problem(
-            _plain(message), line=entry.line, element=shown(found["name"]) if found else None
-        )
+        message, code = _plain(entry.message[found.end() :] if found else entry.message)
+        element = shown(found["name"]) if found else None
+        yield Problem(message, code, line=entry.line, element=element)
     if rest := sum(1 for _ in entries):
         yield Problem(f"and {rest} more")
 
 
-def _plain(message: str) -> str:
-    for pattern, words in _RULES:
+def _plain(message: str) -> tuple[str, Code]:
+    for pattern, words, code in _RULES:
         if found := pattern.fullmatch(message):
-            return words.format_map({k: _term(v) for k, v in found.groupdict().items()})
-    return shown(message, limit=200)
+            terms = {name: _term(term) for name, term in found.groupdict().items()}
+            return words.format_map(terms), code
+    return shown(message, limit=200), Code.OTHER
 
 
 def _term(term: str) -> str:

@@ -68,6 +68,11 @@ def resolve(name: str, node: str) -> str:
     return _checked(f"{namespace}/{name}")
 
 
+def fault(name: str) -> str | None:
+    """Why ROS 2 does not take the full `name`; None if it does."""
+    return next((reason for pattern, reason in _FAULTS if pattern.search(name)), None)
+
+
 def topic(name: str) -> str:
     """The DDS topic of a ROS topic."""
     return f"rt{_checked(name)}"
@@ -182,9 +187,8 @@ def _joined(parts: Iterable[Endpoints]) -> Endpoints:
 
 
 def _checked(name: str) -> str:
-    for pattern, reason in _FAULTS:
-        if pattern.search(name):
-            raise UsageError(
-                f"{name!r} is no full ROS 2 name: {reason}", hint="write it in full, as /chatter"
-            )
+    if reason := fault(name):
+        raise UsageError(
+            f"{name!r} is no full ROS 2 name: {reason}", hint="write it in full, as /chatter"
+        )
     return name

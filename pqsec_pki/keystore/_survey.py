@@ -153,7 +153,7 @@ class Survey:
         try:
             yield path
         except PqsecError as error:
-            self.refused[place] = str(error).removeprefix(f"{path}: ")
+            self.refused[place] = error.words_at(path)
 
 
 def _check_key(path: Path, ca: Certificate) -> None:

@@ -195,9 +195,10 @@ def read_ca_key(path: Path) -> bytes:
         return read(path)
     except MissingError:
         raise KeystoreError(
-            f"{path}: the CA's private key is not here",
+            "the CA's private key is not here",
             hint="put it back there for as long as this takes; or, if it is kept on a machine"
             f" without a network, have requests signed there: `pqsec sign-request`. {_KEYLESS}",
+            where=path,
         ) from None
     except FileError as error:
         error.hint = error.hint or f"who may not read {path.parent} cannot sign. {_KEYLESS}"

@@ -101,11 +101,11 @@ class Keystore:
         try:
             settings = json.loads(read(path))
             if settings["format"] != FORMAT:
-                raise KeystoreError(f"{path}: made by another version of pqsec")
+                raise KeystoreError("made by another version of pqsec", where=path)
             profile = Profile.from_names(settings["algorithms"])
             return cls(root, profile, DomainSet.parse(settings["domains"]), to_change)
         except (*_NOT_SETTINGS, MalformedError, UsageError) as error:
-            raise KeystoreError(f"{path}: not settings of pqsec ({error})") from error
+            raise KeystoreError(f"not settings of pqsec ({error})", where=path) from error
 
     @staticmethod
     def recover(root: Path) -> bool:

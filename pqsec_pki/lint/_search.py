@@ -53,11 +53,11 @@ class Search:
             found = path.stat()
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
-            raise FileError(f"{path}: {(reason or str(error)).lower()}") from error
+            raise FileError((reason or str(error)).lower(), where=path) from error
         self.named.add(path)
         if not stat.S_ISDIR(found.st_mode):
             if not stat.S_ISREG(found.st_mode):
-                raise FileError(f"{path}: not a file")
+                raise FileError("not a file", where=path)
             self._file(path, found)
             return
         if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
@@ -75,7 +75,7 @@ class Search:
         try:
             self.keystore = Keystore.open(root)
         except PqsecError as error:
-            self._unread(path, str(error).removeprefix(f"{path}: "))
+            self._unread(path, error.words_at(path))
 
     def _unread(self, path: Path, reason: str) -> None:
         """It is there, and could not be looked into; its rule tells.
@@ -84,7 +84,7 @@ class Search:
         the user named was to be checked: FileError.
         """
         if path in self.named:
-            raise FileError(f"{path}: {reason}")
+            raise FileError(reason, where=path)
         try:
             found = path.stat()
         except PermissionError:
@@ -160,7 +160,7 @@ class Search:
         try:
             data = read(path)
         except PqsecError as error:
-            reason = str(error).removeprefix(f"{path}: ")
+            reason = error.words_at(path)
             if path in self.named:
                 raise
         self.size += len(data)

@@ -101,7 +101,7 @@ def read_suppressions(path: Path) -> tuple[tuple[Suppression, ...], tuple[Found,
     except InvalidDocumentError as error:
         broken = [Found(each.message, each.line) for each in error.problems]
     except PqsecError as error:
-        broken = [Found(f"cannot be read: {str(error).removeprefix(f'{path}: ')}")]
+        broken = [Found(f"cannot be read: {error.words_at(path)}")]
     return tuple(entries), tuple(broken)
 
 

@@ -18,6 +18,7 @@ from pqsec_pki.lint.xml_values import (
     payload_origin,
     spaces,
 )
+from pqsec_pki.problems import Code
 
 FAMILY = Family("documents")
 
@@ -54,8 +55,8 @@ def breaks_schema(document: Document) -> Iterator[Found]:
     told = {found.line for check in _EXPLAINED for found in check(document)}
     misplaced = any(out_of_order(document)) or any(missing_element(document))
     for problem in document.problems:
-        in_order = not (misplaced and problem.message.startswith("is not expected here"))
-        if in_order and document.line(problem.line) not in told:
+        is_told = misplaced and problem.code is Code.ELEMENT_MISPLACED
+        if not is_told and document.line(problem.line) not in told:
             element = f"<{problem.element}>: " if problem.element else ""
             yield document.at(problem.line, f"{element}{problem.message}")
 

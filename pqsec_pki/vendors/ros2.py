@@ -109,13 +109,11 @@ def preflight(
 
 def _refuse_name(name: str) -> None:
     """UsageError for one that ROS 2 does not take for an enclave; topics have the same rules."""
-    try:
-        ros.topic(name)
-    except UsageError as error:
+    if reason := ros.fault(name):
         raise UsageError(
-            f"ROS 2 takes no enclave called {name}: {str(error).rpartition(': ')[2]}",
+            f"ROS 2 takes no enclave called {name}: {reason}",
             hint="issue it under a name of letters, digits and _, such as /fleet/robot_1",
-        ) from error
+        )
 
 
 def _keystore(enclave: Enclave) -> PurePosixPath:

@@ -143,6 +143,16 @@ def test_an_error_says_where_once():
     assert [each.message for each in caught.value.problems] == ["one", "two"]
 
 
+def test_who_names_the_place_tells_the_words_without_it(tmp_path):
+    path = tmp_path / "file"
+    write(path, b"12345")
+    with pytest.raises(FileError, match="larger than 4") as caught, located(path):
+        read(path, limit=4)
+    error = caught.value
+    assert str(error) == f"{path}: {error.words}"
+    assert (error.words_at(path), error.words_at(tmp_path)) == (error.words, str(error))
+
+
 def test_only_our_errors_are_given_a_place():
     with pytest.raises(RuntimeError) as caught, located("here"):
         raise RuntimeError("bug")

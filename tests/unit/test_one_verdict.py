@@ -555,6 +555,7 @@ def test_the_table_has_every_code_of_an_enclave():
     """At least 40 rows, and one for each way in which credentials can be wrong."""
     elsewhere = {
         Code.OTHER,
+        Code.ELEMENT_MISPLACED,
         Code.KEY_USAGE,
         Code.CRITICAL_EXTENSION,
         Code.NOT_SELF_SIGNED,

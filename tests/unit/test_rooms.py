@@ -81,6 +81,27 @@ def broken_rules(place: str, source: str) -> Iterator[str]:
                 yield f"{name} is not for {place}"
 
 
+# Ways to ask a text what it says. (`partition` cuts, and inspection/_key.py cuts what could quote.)
+_PARSING = {"startswith", "endswith", "removeprefix", "removesuffix", "rpartition", "split"}
+
+
+def parsed_messages(source: str) -> Iterator[str]:
+    """Where the words of an error, called so, or of a Problem are taken apart."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            asked = ast.unparse(node.func.value)
+            told = asked == "str(error)" or asked.endswith((".message", ".words"))
+            if told and node.func.attr in _PARSING:
+                yield ast.unparse(node)
+
+
+def test_no_message_is_parsed_back():
+    found = {str(path): list(parsed_messages(path.read_text())) for path in ROOT.rglob("*.py")}
+    assert {name: calls for name, calls in found.items() if calls} == {}
+    assert list(parsed_messages("str(error).removeprefix(f'{path}: ')"))
+    assert list(parsed_messages("problem.message.startswith('is not expected here')"))
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_room_imports_only_what_the_map_allows(room):
     assert room in MAY_IMPORT, "a new room: say on the map what it may import"
