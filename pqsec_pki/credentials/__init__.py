@@ -6,13 +6,9 @@ permissions, verified in the order of DDS-Security 1.1, 9.3.3 and 9.4.3. The roo
 socket and has no clock: the caller supplies the bytes and the time.
 """
 
-from pqsec_pki.credentials.anchors import (
-    SignedDocument,
-    TrustAnchors,
-    certificates_in,
-    only_certificate,
-    only_list,
-)
+from pqsec_pki.credentials._pem_files import certificates_in, only_certificate, only_list
+from pqsec_pki.credentials._signed_documents import SignedDocument
+from pqsec_pki.credentials.anchors import TrustAnchors
 from pqsec_pki.credentials.enclave import Credentials, alternative_spki
 from pqsec_pki.credentials.names import (
     ALT_KEY,

@@ -3,17 +3,25 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from itertools import combinations
-from typing import Generic, Self, TypeVar
+from typing import Self
 
-from pqsec_pki.algorithms import Family, unpem
+from pqsec_pki.algorithms import Family
 from pqsec_pki.certificates import (
     Certificate,
     RevocationList,
     verify_authority,
     verify_chain,
     verify_not_revoked,
+)
+from pqsec_pki.credentials._pem_files import certificates_in, only_certificate, only_list
+from pqsec_pki.credentials._signed_documents import (
+    SignedDocument,
+    Value,
+    governance_in,
+    permissions_in,
+    verified_by,
 )
 from pqsec_pki.credentials.names import (
     GOVERNANCE,
@@ -26,29 +34,12 @@ from pqsec_pki.credentials.names import (
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import (
     InvalidDocumentError,
-    MalformedError,
     PqsecError,
     VerificationError,
-    located,
     problems_of,
 )
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.smime import FoundSignature, Require, Verified, verify
-
-Value = TypeVar("Value", Governance, Permissions)
-
-
-@dataclass(frozen=True, slots=True)
-class SignedDocument(Generic[Value]):
-    """A document whose signatures hold, by those who must sign it."""
-
-    value: Value
-    verified: Verified
-
-    @property
-    def signed_at(self) -> datetime | None:
-        """When its signer says that it was signed; None where the signer does not say."""
-        return self.verified.signatures[0].signed_at
+from pqsec_pki.smime import FoundSignature, Require, Verified
 
 
 @dataclass(frozen=True, kw_only=True)  # no slots: what is worked out once is kept
@@ -165,11 +156,11 @@ class TrustAnchors:
 
     def signed_governance(self, message: bytes) -> SignedDocument[Governance]:
         """The governance, if those signed it who must; whether they are good is not looked at."""
-        return self._document(message, GOVERNANCE, _governance)
+        return self._document(message, GOVERNANCE, governance_in)
 
     def signed_permissions(self, message: bytes) -> SignedDocument[Permissions]:
         """The permissions, likewise."""
-        return self._document(message, PERMISSIONS, _permissions)
+        return self._document(message, PERMISSIONS, permissions_in)
 
     def signatures(self, message: bytes) -> tuple[FoundSignature, ...]:
         """The signatures on S/MIME `message`, likewise."""
@@ -181,7 +172,7 @@ class TrustAnchors:
         Where the user says which signatures are `demanded`, these count, not `required`.
         """
         required = demanded or self.required
-        return _verified(
+        return verified_by(
             message, self.permissions_ca, self.countersigner, required, pinned=demanded is None
         )
 
@@ -248,68 +239,6 @@ def _family(certificate: Certificate) -> Family | None:
         return certificate.public_key.algorithm.family
     except PqsecError:
         return None
-
-
-def certificates_in(data: bytes, where: str) -> tuple[Certificate, ...]:
-    """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
-    with located(where):
-        blocks = unpem(data, "certificate")
-        if not blocks or len(blocks) != data.count(b"-----BEGIN"):
-            raise MalformedError("not certificates in PEM, and nothing else")
-        if any(label != "CERTIFICATE" for label, _ in blocks):
-            raise MalformedError("not certificates alone")
-        return tuple(_certificate(der) for _, der in blocks)
-
-
-def only_certificate(data: bytes, where: str) -> Certificate:
-    """The only certificate in PEM `data`; MalformedError if there are several, or none."""
-    found = certificates_in(data, where)
-    if len(found) > 1:
-        raise MalformedError(f"{len(found)} certificates, not one", where=where)
-    return found[0]
-
-
-def only_list(data: bytes, where: str) -> RevocationList:
-    """The only revocation list in PEM `data`; MalformedError if there is not one."""
-    with located(where):
-        if data.count(b"-----BEGIN") != 1:
-            raise MalformedError("not one revocation list in PEM")
-        return _list(data)
-
-
-@lru_cache(maxsize=64)
-def _certificate(der: bytes) -> Certificate:
-    """Read once, though all participants of a domain name the same CAs."""
-    return Certificate.from_der(der)
-
-
-@lru_cache(maxsize=8)
-def _list(data: bytes) -> RevocationList:
-    """All participants of a domain share one, which may be long."""
-    return RevocationList.from_pem(data)
-
-
-@lru_cache(maxsize=16)
-def _verified(
-    message: bytes,
-    ca: Certificate,
-    countersigner: Certificate | None,
-    require: Require,
-    *,
-    pinned: bool,
-) -> Verified:
-    """Once for each document: all participants of a domain share one governance."""
-    return verify(message, ca, alternative_ca=countersigner, require=require, pinned=pinned)
-
-
-@lru_cache(maxsize=16)
-def _governance(document: bytes) -> Governance:
-    return Governance.from_xml(document)
-
-
-@lru_cache(maxsize=16)
-def _permissions(document: bytes) -> Permissions:
-    return Permissions.from_xml(document)
 
 
 def _keys_of(certificates: tuple[Certificate, ...]) -> set[bytes]:

@@ -6,7 +6,8 @@ from typing import Self
 
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials.anchors import TrustAnchors, only_certificate
+from pqsec_pki.credentials._pem_files import only_certificate
+from pqsec_pki.credentials.anchors import TrustAnchors
 from pqsec_pki.credentials.names import (
     ALT_KEY,
     CERTIFICATE,

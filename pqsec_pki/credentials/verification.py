@@ -13,7 +13,8 @@ from typing import TypeVar
 from pqsec_pki.access import SPEC, Action, Question
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, common_name
-from pqsec_pki.credentials.anchors import SignedDocument, TrustAnchors
+from pqsec_pki.credentials._signed_documents import SignedDocument
+from pqsec_pki.credentials.anchors import TrustAnchors
 from pqsec_pki.credentials.enclave import Credentials, alternative_spki
 from pqsec_pki.credentials.names import (
     ALT_KEY,

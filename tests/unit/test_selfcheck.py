@@ -8,7 +8,7 @@ import pytest
 
 from pqsec_pki.algorithms import SIGNATURES, private_key_pem, profile_named
 from pqsec_pki.certificates import Authority
-from pqsec_pki.credentials import anchors
+from pqsec_pki.credentials import _signed_documents as signed
 from pqsec_pki.documents import DomainSet, Governance, Permissions
 from pqsec_pki.keystore import Keystore, Wish, issue
 from pqsec_pki.keystore.issuing import permissions_for
@@ -169,9 +169,9 @@ def test_each_document_is_verified_once_per_reader(made, monkeypatch):
 
         return count
 
-    for check in (anchors._verified, anchors._governance, anchors._permissions):
+    for check in (signed.verified_by, signed.governance_in, signed.permissions_in):
         check.cache_clear()
-    monkeypatch.setattr(anchors, "verify", counted("signatures", anchors.verify))
+    monkeypatch.setattr(signed, "verify", counted("signatures", signed.verify))
     for kind in (Governance, Permissions):
         monkeypatch.setattr(kind, "from_xml", counted("schemas", kind.from_xml))
     occasion = Occasion(keystore=keystore, domain=0, now=NOW)

@@ -1,0 +1,50 @@
+"""The certificates and the revocation list in PEM files, without doubt about which are meant.
+
+Who decides on trust takes no first one of several: another reader could take the last. What was
+read is kept, because all participants of a domain have the same CAs and the same list.
+"""
+
+from functools import lru_cache
+
+from pqsec_pki.algorithms import unpem
+from pqsec_pki.certificates import Certificate, RevocationList
+from pqsec_pki.errors import MalformedError, located
+
+
+def certificates_in(data: bytes, where: str) -> tuple[Certificate, ...]:
+    """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
+    with located(where):
+        blocks = unpem(data, "certificate")
+        if not blocks or len(blocks) != data.count(b"-----BEGIN"):
+            raise MalformedError("not certificates in PEM, and nothing else")
+        if any(label != "CERTIFICATE" for label, _ in blocks):
+            raise MalformedError("not certificates alone")
+        return tuple(_certificate(der) for _, der in blocks)
+
+
+def only_certificate(data: bytes, where: str) -> Certificate:
+    """The only certificate in PEM `data`; MalformedError if there are several, or none."""
+    found = certificates_in(data, where)
+    if len(found) > 1:
+        raise MalformedError(f"{len(found)} certificates, not one", where=where)
+    return found[0]
+
+
+def only_list(data: bytes, where: str) -> RevocationList:
+    """The only revocation list in PEM `data`; MalformedError if there is not one."""
+    with located(where):
+        if data.count(b"-----BEGIN") != 1:
+            raise MalformedError("not one revocation list in PEM")
+        return _list(data)
+
+
+@lru_cache(maxsize=64)
+def _certificate(der: bytes) -> Certificate:
+    """Read once, though all participants of a domain name the same CAs."""
+    return Certificate.from_der(der)
+
+
+@lru_cache(maxsize=8)
+def _list(data: bytes) -> RevocationList:
+    """All participants of a domain share one, which may be long."""
+    return RevocationList.from_pem(data)
