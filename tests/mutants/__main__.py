@@ -29,13 +29,20 @@ from tests.mutants.children import Copy, Measured, Ran, warm
 from tests.mutants.conditions import ROOMS, Mutant, mutants
 
 TESTS = {
-    "credentials": ("one_verdict", "selfcheck", "plugin_trust", "enrolment", "install"),
+    "credentials": (
+        "trust_anchors",
+        "one_verdict",
+        "selfcheck",
+        "plugin_trust",
+        "enrolment",
+        "install",
+    ),
     "smime": ("smime", "smime_readers"),
     "certificates": ("certificates", "requests", "revocation_lists", "der_cutting"),
     "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
     "enrolment": ("archive", "hostile_archives", "offline_ca", "enrolment", "install", "sharing"),
     "plugin": ("plugin_*",),
-    "access": ("access", "decide", "matrix_access", "diff", "sharing", "plugin_rights"),
+    "access": ("access", "decide", "matrix_*", "everywhere", "diff", "sharing", "plugin_rights"),
 }
 """For each room the files of tests in tests/unit, test_*.py, that are there for it."""
 

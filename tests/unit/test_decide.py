@@ -462,6 +462,27 @@ CASES = {
         {"governed": Governance.protected(HERE)},
         "spec cyclonedds fastdds",
     ),
+    "everything is closed but joining": (
+        [allow(*criteria("a"))],
+        {
+            "governed": Governance(
+                domain_rules=tuple(
+                    replace(rule, enable_join_access_control=False)
+                    for rule in Governance.protected(HERE).domain_rules
+                )
+            )
+        },
+        "spec cyclonedds fastdds opendds",
+    ),
+    "a deny_rule without partitions": ([deny(*criteria("a")), allow(*criteria("a"))], {}, ""),
+    "both denied, the one in a partition that is not asked about": (
+        [
+            deny(*criteria("a", partitions=("P",)), subscribe=criteria("a")),
+            allow(*criteria("a")),
+        ],
+        {},
+        "spec",
+    ),
     "a domain that governance does not name": (
         [allow(*criteria("a"), domains=ELSEWHERE)],
         {"action": JOIN, "domain": 5},

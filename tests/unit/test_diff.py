@@ -360,6 +360,28 @@ def test_of_many_exceptions_a_few_are_named():
     assert len(topics.but) == 9
 
 
+def test_of_sets_of_partitions_that_are_taken_together_the_largest_is_said():
+    old = document(deny("a", partitions=tuple("PQR")), allow("a", partitions=tuple("RP")))
+    [words] = told(permissions_diff(old, document(allow("a", partitions=tuple("PQR")))))
+    assert words.endswith("in partition 'P' or partition 'Q' or partition 'R', alone or together")
+
+
+def test_partitions_may_be_taken_together_where_one_of_the_two_defaults_allows():
+    new = document(deny("a", partitions=("Q",)), default=DefaultAction.ALLOW)
+    assert (
+        "granted: publish 'a'; topics that no rule names, such as 'x', on every domain in the"
+        " default partition or partitions that no rule names, such as 'x', alone or together"
+        " whatever its data tags"
+    ) in told(permissions_diff(document(deny("a")), new))
+
+
+def test_a_pattern_that_reaches_beyond_another_is_not_its_exception():
+    new = document(deny("*b"), allow("a*"))
+    assert told(permissions_diff(document(NOTHING), new))[1:] == [
+        "granted: publish some of 'a*', such as 'a', on domain 0"
+    ]
+
+
 @pytest.mark.parametrize("count", [200, 2000])
 def test_a_policy_of_a_namespace_for_each_robot_is_told_whole(count):
     old = document(*(allow(f"rt/robot{number}/*") for number in range(count)))

@@ -1,0 +1,118 @@
+"""The CAs by their roles: who must be good, which list counts, and who signs what."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from pqsec_pki.algorithms import SIGNATURES
+from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
+from pqsec_pki.credentials import IDENTITY_CA, PERMISSIONS_CA, TrustAnchors
+from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.problems import Code
+from pqsec_pki.smime import Require, Signer, sign
+
+NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
+DAY = timedelta(days=1)
+DOCUMENT = Governance.protected(DomainSet.of(0)).to_xml()
+
+
+def authority(name, kind="ecdsa-p256", *, days=100):
+    return Authority.create(name, SIGNATURES.named(kind), now=NOW, validity=days * DAY)
+
+
+def issued(ca, name="/talker"):
+    key = SIGNATURES.named("ecdsa-p256").generate().public_key
+    return ca.issue(name, key, now=NOW, validity=DAY)
+
+
+@pytest.fixture(scope="module")
+def identity():
+    return authority("Identity CA", days=10)
+
+
+@pytest.fixture(scope="module")
+def permissions():
+    return authority("Permissions CA", days=20)
+
+
+def anchors(permissions, *identities, **more):
+    found = tuple(each.certificate for each in identities)
+    return TrustAnchors(identity_cas=found, permissions_ca=permissions.certificate, **more)
+
+
+def signed(ca, countersigner=None):
+    both = [Signer(each.certificate, each.key) for each in (ca, countersigner) if each]
+    return sign(DOCUMENT, both[0], countersigner=(*both, None)[1], now=NOW)
+
+
+@pytest.mark.parametrize("read", ["governance", "verified"])
+def test_who_signs_must_be_good_now_and_the_identity_ca_need_not(identity, permissions, read):
+    trusted, message = anchors(permissions, identity), signed(permissions)
+    accepted = getattr(trusted, read)
+
+    assert accepted(message, NOW)
+    assert [each.subject for each in trusted.problems(NOW + 15 * DAY)] == [IDENTITY_CA]
+    assert accepted(message, NOW + 15 * DAY)
+    with pytest.raises(VerificationError) as refusal:
+        accepted(message, NOW + 25 * DAY)
+    [problem] = refusal.value.problems
+    assert problem.subject == PERMISSIONS_CA
+    assert trusted.signed_governance(message)  # where nobody asks when
+
+
+def test_in_an_overlap_each_identity_ca_vouches_for_those_it_issued(identity, permissions):
+    new = authority("New Identity CA")
+    trusted = anchors(permissions, identity, new)
+
+    for ca in (identity, new):
+        certificate = issued(ca)
+        assert trusted.issuer_of(certificate) == ca.certificate
+        assert list(trusted.identity_problems(certificate, NOW)) == []
+    stranger = issued(authority("New Identity CA"))
+    assert trusted.issuer_of(stranger) == identity.certificate
+    [problem, *_] = trusted.identity_problems(stranger, NOW)
+    assert problem.code is Code.WRONG_ISSUER
+
+
+def test_two_identity_cas_of_one_name_each_vouch_for_their_own(identity, permissions):
+    namesake = authority("Identity CA")
+    trusted = anchors(permissions, identity, namesake)
+
+    for ca in (identity, namesake):
+        assert list(trusted.identity_problems(issued(ca), NOW)) == []
+
+
+def test_beside_a_revocation_list_only_its_issuer_counts(identity, permissions):
+    new, peer = authority("New Identity CA"), issued(identity)
+    revoked = [RevokedCertificate(peer.serial_number, NOW, None)]
+    lists = [
+        revocation_list(identity, each, number=1, now=NOW, validity=DAY) for each in ([], revoked)
+    ]
+    trusted, strict = (anchors(permissions, identity, new, revocation_list=each) for each in lists)
+
+    assert list(trusted.identity_problems(peer, NOW)) == []
+    assert [each.code for each in strict.identity_problems(peer, NOW)] == [Code.REVOKED]
+    assert list(trusted.identity_problems(issued(new), NOW))
+
+
+def test_what_a_document_must_be_signed_with(identity, permissions):
+    quantum, hybrid = authority("PQ", "ml-dsa-44"), authority("Hybrid", "mldsa65+p256")
+    twice = Authority.create(
+        "Twice",
+        SIGNATURES.named("ecdsa-p256"),
+        alternative=SIGNATURES.named("ml-dsa-44"),
+        now=NOW,
+        validity=DAY,
+    )
+
+    assert anchors(permissions, identity).required is Require.CLASSICAL
+    assert anchors(permissions).required is Require.CLASSICAL
+    assert anchors(quantum, identity).required is Require.PQ
+    assert anchors(hybrid, identity).required is Require.BOTH
+    assert (
+        anchors(permissions, identity, countersigner=quantum.certificate).required is Require.BOTH
+    )
+    assert anchors(permissions, twice).required is Require.BOTH
+    assert anchors(permissions, identity, twice).required is Require.CLASSICAL  # the first says
+    assert anchors(permissions, twice, stock_peers=True).required is Require.CLASSICAL
