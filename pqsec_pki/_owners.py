@@ -19,7 +19,7 @@ def outsider(found: os.stat_result, *, roots: bool = False, sticky: bool = False
     a folder in which nobody may replace what is another's is good too, such as /tmp.
     """
     if found.st_uid != os.geteuid() and not (roots and found.st_uid == 0):
-        return f"it belongs to {user(found.st_uid)}"
+        return f"it belongs to another user ({user(found.st_uid)})"
     if stat.S_ISLNK(found.st_mode) or (sticky and found.st_mode & stat.S_ISVTX):
         return ""  # the mode of a link says nothing
     if found.st_mode & stat.S_IWOTH:

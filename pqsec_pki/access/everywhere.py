@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 -- for those who ask
+from pqsec_pki.access._domains import domains_said as domains_said  # noqa: PLC0414 -- likewise
 from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._patterns import posix
@@ -33,9 +34,14 @@ class Placed:
         return bool(self.row.publishers or self.row.subscribers)
 
 
-def domains_apart(governance: Governance, every: Iterable[Permissions]) -> tuple[DomainRange, ...]:
-    """All domains, in stretches that none of the documents tells apart, as any stack reads them."""
-    sets = {rule.domains for rule in governance.domain_rules}
+def domains_apart(
+    governance: Governance, every: Iterable[Permissions], *more: DomainSet
+) -> tuple[DomainRange, ...]:
+    """All domains, in stretches that none of the documents tells apart, as any stack reads them.
+
+    Nor does one of the sets that are `more`.
+    """
+    sets = {*more, *(rule.domains for rule in governance.domain_rules)}
     sets |= {rule.domains for each in every for grant in each.grants for rule in grant.rules}
     # Some stacks read a range without an end as its first domain alone.
     firsts = {DomainSet(parts=(part.first,)) for each in sets for part in _endless(each)}
@@ -50,9 +56,13 @@ def domains_named(governance: Governance, permissions: Permissions) -> tuple[Dom
     return tuple(each for each in every if any(each.first in one for one in sets)) or every[:1]
 
 
-def domains_governed(governance: Governance) -> DomainSet:
-    """Those that the governance names."""
-    return DomainSet(parts=tuple(p for rule in governance.domain_rules for p in rule.domains.parts))
+def domains_ungoverned(governance: Governance, domains: DomainSet) -> list[DomainRange]:
+    """Those of `domains` that the governance does not name, in stretches."""
+    return [
+        each
+        for each in stretches([domains, *(rule.domains for rule in governance.domain_rules)])
+        if each.first in domains and governance.rule_for(each.first) is None
+    ]
 
 
 def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
@@ -60,18 +70,27 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     members: Sequence[Member],
     topics: Iterable[str],
     *,
+    domains: DomainSet | None = None,
     now: datetime,
     reading: Reading = SPEC,
     asked: Mapping[str, str | None],
 ) -> tuple[Placed, ...]:
     """For each topic a row for each way in which it may be used, and the domains of that.
 
-    Domains on which nobody may use it are left out; if there are no others it has one row,
-    of the domains that the governance names. `asked` has a topic for each pattern.
+    Only `domains` that the governance names, or all of those. Domains on which nobody may use
+    it are left out; if there are no others it has one row, of all that were asked. Where
+    none was, there are no rows. `asked` has a topic for each pattern.
     """
+    every = (each.permissions for each in members)
+    apart = domains_apart(governance, every, *(() if domains is None else (domains,)))
+    governed = tuple(each for each in apart if governance.rule_for(each.first))
+    if domains is not None:
+        apart = governed = tuple(each for each in governed if each.first in domains)
+    if not governed:
+        return ()
     wanted = tuple(dict.fromkeys(topics))
     found: dict[str, dict[Row, list[DomainRange]]] = {topic: {} for topic in wanted}
-    for stretch in domains_apart(governance, (each.permissions for each in members)):
+    for stretch in apart:
         here = [each for each in members if _joins(governance, each, stretch.first, now, reading)]
         rows = who_may(
             governance, here, wanted, domain=stretch.first, now=now, reading=reading, asked=asked
@@ -84,7 +103,7 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
         placed += (Placed(row=row, domains=domain_set(where)) for row, where in rows_of_it.items())
         if not rows_of_it:
             nobody = Row(topic=topic, asked=asked.get(topic, topic), publishers=(), subscribers=())
-            placed.append(Placed(row=nobody, domains=domains_governed(governance)))
+            placed.append(Placed(row=nobody, domains=domain_set(governed)))
     return tuple(placed)
 
 

@@ -1,5 +1,7 @@
 """pqsec explain: may this participant do that, and why?"""
 
+import re
+import shlex
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -23,6 +25,8 @@ from pqsec_pki.cli._documents import (
 )
 from pqsec_pki.documents import parse_subject, ros
 from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
+
+_PATTERN = re.compile(r"[*?\[\]]")
 
 
 @click.command()
@@ -54,17 +58,26 @@ def explain(stack: str | None, **asked: Any) -> int:
     the keystore is believed only what the CAs have signed.
     """
     now = _settings.now()
+    action, topic = _wanted(asked)
     try:
         papers = _papers(asked, now)
     except VerificationError as error:
         if _settings.settings().json:
             _printing.emit({"allowed": False, "problems": list(error.lines)}, [])
         raise
-    asked_of = _question(asked, papers.subject, now)
+    asked_of = Question(
+        subject=papers.subject,
+        domain=asked["domain"] or 0,
+        action=action,
+        now=now,
+        topic=topic,
+        partitions=asked["partitions"],
+        data_tags=tuple(map(_tag, asked["tags"])),
+    )
     found = list(findings_of(papers, asked_of, stack, everywhere=asked["domain"] is None))
     _tell(papers, found)
-    if not found[0].allowed and asked_of.topic:
-        _tell_of_slips(papers, asked_of.topic)
+    if not found[0].allowed and topic:
+        _tell_of_slips(papers, action, topic)
     return 0 if found[0].allowed else 1
 
 
@@ -76,7 +89,7 @@ def _papers(asked: dict[str, Any], now: datetime) -> Papers:
         return papers_of(_settings.open_keystore(), name, now)
     if not all(asked[each] for each in files):
         raise UsageError(
-            "nobody is asked about",
+            "no participant is named",
             hint="say --participant NAME, or --governance FILE and --permissions FILE",
         )
     return _papers_in_files(asked, now)
@@ -104,32 +117,30 @@ def _subject(text: str) -> str:
     return text
 
 
-def _question(asked: dict[str, Any], subject: str, now: datetime) -> Question:
-    wanted: list[tuple[Action, str | None]] = [
-        (action, asked[action]) for action in Action if asked[action] and action != Action.JOIN
+def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
+    """What is asked: an action, and the DDS topic; UsageError if that is not one question."""
+    wanted = [
+        (action, prefix, name)
+        for action in Action
+        for prefix in ("", "ros_")
+        if (name := asked.get(f"{prefix}{action}"))
     ]
-    wanted += [
-        (action, ros.topic(asked[f"ros_{action}"]))
-        for action in (Action.PUBLISH, Action.SUBSCRIBE)
-        if asked[f"ros_{action}"]
-    ]
-    if asked["join"]:
-        wanted.append((Action.JOIN, None))
     if len(wanted) != 1:
         raise UsageError(
-            f"{len(wanted) or 'no'} questions were asked, and one is answered",
-            hint="ask --publish TOPIC, --subscribe TOPIC, --relay TOPIC or --join",
+            "ask exactly one question",
+            hint="say --publish TOPIC, --subscribe TOPIC, --relay TOPIC, --ros-publish TOPIC,"
+            " --ros-subscribe TOPIC or --join",
         )
-    action, topic = wanted[0]
-    return Question(
-        subject=subject,
-        domain=asked["domain"] or 0,
-        action=action,
-        now=now,
-        topic=topic,
-        partitions=asked["partitions"],
-        data_tags=tuple(map(_tag, asked["tags"])),
-    )
+    action, prefix, name = wanted[0]
+    if action is Action.JOIN:
+        return action, None
+    if _PATTERN.search(name):
+        instead = f"--{'ros-' if prefix else ''}topic {shlex.quote(plain(name))}"
+        raise UsageError(
+            f"{plain(name)} is a pattern, and explain takes the name of one topic",
+            hint=f"`pqsec who-may {instead}` lists what it matches, and who may",
+        )
+    return action, ros.topic(name) if prefix else name
 
 
 def _tag(text: str) -> tuple[str, str]:
@@ -139,19 +150,24 @@ def _tag(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _tell_of_slips(papers: Papers, topic: str) -> None:
-    """Of a topic that none of its rules names or covers, and that looks like one, or like many."""
+def _tell_of_slips(papers: Papers, action: Action, topic: str) -> None:
+    """Of a topic that none of its rules names or covers, and that looks like another name."""
     who = Member(name=papers.who, subject=papers.subject, permissions=papers.permissions.value)
     named = topics_named([who])
     if topic in named or is_known(topic, named):
         return
-    if instead := meant(topic, named):
+    if action is not Action.RELAY and (instead := _ros_topic(topic)):
+        _printing.note(f"{topic} is the ROS 2 name of {instead}; ask with --ros-{action} {topic}")
+    elif instead := meant(topic, named):
         _printing.note(f"no rule of {plain(papers.who)} names {plain(topic)}; {instead}")
-    elif any(each in topic for each in "*?["):
-        _printing.note(
-            "that was asked as the name of one topic; `pqsec who-may --topic` lists all that a"
-            " pattern matches"
-        )
+
+
+def _ros_topic(name: str) -> str:
+    """The DDS topic of what is a ROS 2 name; nothing for what is not."""
+    try:
+        return ros.topic(name)
+    except UsageError:
+        return ""
 
 
 # Printing

@@ -102,7 +102,7 @@ def _everybody(wanted: Wanted) -> tuple[str, ...]:
     """Whom the policy is about; UsageError if there is none."""
     if not wanted.policy:
         raise UsageError(
-            "whom to issue is not said", hint="name them, or a --policy, or a request: --csr FILE"
+            "name at least one participant", hint="or a --policy, or a request: --csr FILE"
         )
     return wanted.everybody
 

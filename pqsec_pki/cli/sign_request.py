@@ -105,7 +105,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
         _show(asked)
         return
     if output is None:
-        raise UsageError("where the answer goes is not said", hint="-o FILE, or only --show")
+        raise UsageError("say where to write the answer", hint="-o FILE, or only --show")
     if not force:
         _files.refuse_existing(output)
     authorities = _passphrases.unlock(keystore, passphrase_file)

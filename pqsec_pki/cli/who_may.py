@@ -11,12 +11,13 @@ import click
 from pqsec_pki.access import READINGS, Reading, reading_named
 from pqsec_pki.access.everywhere import (
     Placed,
+    domains_said,
+    domains_ungoverned,
     is_known,
     topics_asked,
     who_may_anywhere,
 )
 from pqsec_pki.access.matrix import Row, topics_named
-from pqsec_pki.access.matrix import who_may as ask
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.cli._fleet import Fleet, fleet_of
@@ -34,7 +35,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
 class _Question:
     """Where, when, and as who reads the documents."""
 
-    domain: int | None
+    domains: DomainSet | None
     now: datetime
     reading: Reading
 
@@ -42,16 +43,20 @@ class _Question:
         self, fleet: Fleet, topics: tuple[str, ...], asked: dict[str, str | None]
     ) -> list[Placed]:
         """On all domains, if none is named."""
-        what = (fleet.governance, fleet.members, topics)
-        if self.domain is None:
-            return list(who_may_anywhere(*what, now=self.now, reading=self.reading, asked=asked))
-        if fleet.governance.rule_for(self.domain) is None:
+        if self.domains and (ungoverned := domains_ungoverned(fleet.governance, self.domains)):
             _printing.note(
-                f"the governance does not name domain {self.domain}: nobody can join there"
+                f"the governance does not name {domains_said(ungoverned)}: nobody can join there"
             )
-        here = DomainSet(parts=(self.domain,))
-        rows = ask(*what, domain=self.domain, now=self.now, reading=self.reading, asked=asked)
-        return [Placed(row=row, domains=here) for row in rows]
+        found = who_may_anywhere(
+            fleet.governance,
+            fleet.members,
+            topics,
+            domains=self.domains,
+            now=self.now,
+            reading=self.reading,
+            asked=asked,
+        )
+        return list(found)
 
 
 @click.command("who-may")
@@ -65,7 +70,9 @@ class _Question:
 @click.option(
     "--ros-topic", "ros_topics", multiple=True, help="Only this ROS 2 topic: /chatter, or /cmd*."
 )
-@click.option("--domain", type=click.IntRange(0), help="On this DDS domain.  [default: on all]")
+@click.option(
+    "--domain", "domains", help="On these DDS domains: 0, or 0-3, or 0,5.  [default: on all]"
+)
 @click.option("--governance", type=_settings.FILE, help="With PATHs: the governance document.")
 @click.option(
     "--as",
@@ -87,7 +94,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     paths: tuple[Path, ...],
     topics: tuple[str, ...],
     ros_topics: tuple[str, ...],
-    domain: int | None,
+    domains: str | None,
     governance: Path | None,
     stack: str,
     form: str,
@@ -99,6 +106,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     all domains.
     """
     now = _settings.now()
+    where = None if domains is None else DomainSet.parse(domains)
     reading = reading_named(stack)
     fleet = fleet_of(paths, governance, now, reading)
     for name, reason in fleet.refused.items():
@@ -109,10 +117,10 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     near = _unknown(fleet, wanted)
     for topic, instead in near.items():
         _printing.note(f"no rule names {plain(topic)}{'; ' if instead else ''}{instead}")
-    rows = _rows(fleet, wanted, _Question(domain, now, reading))
+    rows = _rows(fleet, wanted, _Question(where, now, reading))
     form = "json" if _settings.settings().json else form
     _settings.settings().json = form == "json"
-    value = _as_json(fleet, rows, domain, stack) | {"unknown_topics": near}
+    value = _as_json(fleet, rows, where, stack) | {"unknown_topics": near}
     _printing.emit(value, _FORMS[form](rows, len(fleet.members)))
 
 
@@ -145,10 +153,10 @@ def _unknown(fleet: Fleet, wanted: tuple[str, ...]) -> dict[str, str]:
 
 
 def _as_json(
-    fleet: Fleet, rows: Sequence[Placed], domain: int | None, stack: str
+    fleet: Fleet, rows: Sequence[Placed], domains: DomainSet | None, stack: str
 ) -> dict[str, object]:
     return {
-        "domain": domain,
+        "domains": None if domains is None else str(domains),
         "as": stack,
         "participants": [member.name for member in fleet.members],
         "left_out": fleet.refused,

@@ -263,7 +263,7 @@ def _refuse_outsiders(root: Path) -> None:
         above = path != real
         if who := outsider(found, roots=above, sticky=above):
             raise KeystoreError(
-                f"{path}: {who}, and so could choose what this robot runs with",
+                f"{path}: {who}; who may write there could change what this robot runs with",
                 hint=f"{way_out(found, str(path))}; or choose another --dir",
             )
 

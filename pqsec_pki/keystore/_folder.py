@@ -97,7 +97,7 @@ class Folder:
 def refuse_outsiders(found: os.stat_result, path: str) -> None:
     """KeystoreError if what was found at `path` is another's, or another may write there."""
     if who := outsider(found):
-        words = f"{path}: {who}, and so could choose what is done"
+        words = f"{path}: {who}; who may write there could change what pqsec does"
         raise KeystoreError(words, hint=way_out(found, path))
 
 

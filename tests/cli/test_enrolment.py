@@ -82,7 +82,7 @@ def test_several_requests_have_a_bundle_each(pqsec, asked, tmp_path):
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [
-        ("issue", 2, "whom to issue is not said"),
+        ("issue", 2, "name at least one participant"),
         ("issue /x --allow-name '/*'", 2, "are for requests"),
         ("issue /x --bundles out", 2, "are for requests"),
         (f"issue --csr r/{CSR}", 2, "may not choose its own name"),
@@ -273,7 +273,7 @@ def test_what_is_asked_for_shows_before_it_is_signed(pqsec, asked, tmp_path):
     [
         ("sign-request export nowhere -o x", 3, "no such file"),
         (f"sign-request export r/{CSR} r/{CSR} -o x", 2, "two requests have one name"),
-        ("-k k sign-request sign asked", 2, "where the answer goes is not said"),
+        ("-k k sign-request sign asked", 2, "say where to write the answer"),
         ("-k k sign-request sign asked -o x --sha256 00", 1, "its SHA-256 is"),
         ("-k k sign-request sign asked -o x --allow-name '/arm/*'", 1, "none of those"),
         (f"-k k sign-request sign r/{CSR} -o x", 3, "not an archive of pqsec"),

@@ -231,7 +231,8 @@ def test_a_grant_that_ends_soon_is_a_hazard_away_from_utc(pqsec, put, days, told
 def test_names_cannot_break_the_output(pqsec, put):
     put("g", Governance.protected(ZERO))
     put("p", permissions(rule("a\x85b")))
-    said = pqsec(FILES, "--publish", "a\x1b[31m").out
+    said = pqsec(FILES, "--publish", "a\x1bc").out
+    assert "a\\u001bc" in said
     assert "\x1b" not in said
 
 
@@ -324,14 +325,14 @@ def test_signed_files_are_unverified_unless_a_ca_is_named(pqsec, keystore):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        (f"{FILES}", "no questions"),
-        (f"{FILES} --join --publish a", "2 questions"),
+        (f"{FILES}", "ask exactly one question"),
+        (f"{FILES} --join --publish a", "ask exactly one question"),
         (f"{FILES} --publish a --tag x", "not a data tag"),
         (f"{FILES} --publish a --subject nobody", "--subject: 'nobody' is no subject name"),
         (f"{FILES} --ros-publish chatter", "no full ROS 2 name"),
         (f"{FILES} --publish a --participant /x", "goes without files"),
-        ("explain --governance g.xml --publish a", "nobody is asked about"),
-        ("explain --publish a", "nobody is asked about"),
+        ("explain --governance g.xml --publish a", "no participant is named"),
+        ("explain --publish a", "no participant is named"),
         ("explain --participant /x --publish a", "no keystore"),
         (f"{FILES} --publish a --domain -1", "--domain"),
         (f"{FILES} --publish a --as rti", "--as"),
@@ -339,6 +340,26 @@ def test_signed_files_are_unverified_unless_a_ca_is_named(pqsec, keystore):
 )
 def test_a_question_that_makes_no_sense_is_refused(pqsec, policy, line, words):
     pqsec(line).refused(2, words)
+
+
+def test_a_pattern_is_not_taken_for_the_name_of_a_topic(pqsec, policy):
+    """`--publish 'rt/*'` was answered with YES, since a rule has just that text."""
+    wrong = []
+    for option, pattern, instead in (
+        ("--publish", "rt/*", "--topic 'rt/*'"),
+        ("--subscribe", "chatte?", "--topic 'chatte?'"),
+        ("--relay", "[c]hatter", "--topic '[c]hatter'"),
+        ("--publish", "chatter]", "--topic 'chatter]'"),
+        ("--publish", "it's*", """--topic 'it'"'"'s*'"""),
+        ("--ros-publish", "/chat*", "--ros-topic '/chat*'"),
+        ("--ros-subscribe", "/*", "--ros-topic '/*'"),
+    ):
+        said = pqsec(FILES, option, pattern)
+        words = f"{pattern} is a pattern, and explain takes the name of one topic"
+        way_out = f"`pqsec who-may {instead}` lists what it matches"
+        if said.code != 2 or said.out or words not in said.err or way_out not in said.err:
+            wrong.append((option, pattern, said))
+    assert wrong == []
 
 
 def test_of_several_subjects_one_is_asked(pqsec, put):
@@ -427,6 +448,19 @@ def test_all_domains_are_asked_unless_one_is_named(pqsec, apart):
         assert [line.replace("|", "").split()[1] for line in lines[-2:]] == ["1", "2"]
     labels, _ = graph(pqsec("-k k who-may --topic rt/cmd_vel --format dot").done().out)
     assert {"rt/cmd_vel (domain 1)", "rt/cmd_vel (domain 2)"} <= set(labels.values())
+
+
+def test_several_domains_may_be_asked(pqsec, apart):
+    assert matrix(pqsec, "--domain 0,2-3 --topic rt/c*") == {
+        ("rt/chatter", "0"): (["/listener", "/talker"],) * 2,
+        ("rt/cmd_vel", "2"): ([], ["/two"]),
+    }
+    assert matrix(pqsec, "--domain 2-9 --topic rt/chatter") == {("rt/chatter", "2-3"): ([], [])}
+    said = pqsec("-k k who-may --domain 3-9 --json").done()
+    assert "does not name domains 4-9: nobody can join there" in said.err
+    assert said.json["domains"] == "3-9"
+    pqsec("-k k who-may --domain 3-").refused(2, "domain")
+    pqsec("-k k who-may --domain x").refused(2, "domain")
 
 
 def test_a_pattern_lists_the_topics_and_patterns_that_it_matches(pqsec, apart):
@@ -519,8 +553,10 @@ def test_who_has_only_a_grant_that_a_stack_takes_for_its_own_is_asked_of_that_st
 def test_a_domain_that_governance_does_not_name_is_noted(pqsec, keystore):
     keystore()
     said = pqsec("-k k who-may --domain 9 --json").done()
-    assert "does not name domain 9" in said.err
-    assert said.json["topics"][0]["publish"] == []
+    assert "does not name domain 9: nobody can join there" in said.err
+    assert said.json["topics"] == []
+    for form in ("table", "md"):
+        assert "rt/" not in pqsec(f"-k k who-may --domain 9 --format {form}").done().out
 
 
 def test_a_folder_of_documents_is_asked_too(pqsec, tmp_path, keystore):
@@ -833,7 +869,9 @@ def test_an_unknown_command_may_be_another(pqsec, line, instead):
     ("topic", "words"),
     [
         ("rt/chater", "no rule of /talker names rt/chater; did you mean 'rt/chatter'?"),
-        ("q*", "asked as the name of one topic"),
+        ("/chatter", "/chatter is the ROS 2 name of rt/chatter; ask with --ros-publish /chatter"),
+        ("/some/other", "ask with --ros-publish /some/other"),
+        ("/not a name", ""),
         ("other", ""),
     ],
 )
@@ -843,3 +881,10 @@ def test_explain_tells_of_a_topic_that_looks_like_a_slip(pqsec, keystore, topic,
     assert said.code == 1
     assert words in said.err
     assert bool(said.err) is bool(words)
+
+
+def test_a_ros_name_that_is_asked_as_a_dds_topic_is_told_the_option(pqsec, keystore):
+    keystore()
+    asked = "-k k explain --participant /talker"
+    assert "--ros-subscribe /odom" in pqsec(f"{asked} --subscribe /odom").err
+    assert pqsec(f"{asked} --relay /odom").err == ""  # of ROS names none can be relayed

@@ -119,7 +119,7 @@ QUESTIONS = {
     "-k k log --verify": "private",
     "-k k needs-renewal": "private",
     "-k k plan domain.yaml": "private",
-    "-k k sign-governance g.xml": "k: it belongs to root" if ROOT else "private",
+    "-k k sign-governance g.xml": "k: it belongs to another user (root)" if ROOT else "private",
 }
 
 

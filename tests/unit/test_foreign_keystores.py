@@ -253,7 +253,9 @@ def other_group():
 def test_the_superuser_changes_nothing_in_a_keystore_of_another_user(root, where):
     interrupted(root)
     os.chown(root / where, NOBODY, NOBODY)
-    with pytest.raises(KeystoreError, match=r"it belongs to \w+, and so could choose") as refused:
+    with pytest.raises(
+        KeystoreError, match=r"it belongs to another user \(nobody\); who may write there could"
+    ) as refused:
         Keystore.recover(root)
     assert "sudo -u nobody pqsec" in refused.value.hint
     assert (root / ".journal").exists()
