@@ -15,7 +15,9 @@ def certificates_in(data: bytes, where: str) -> tuple[Certificate, ...]:
     """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
     with located(where):
         blocks = unpem(data, "certificate")
-        if not blocks or len(blocks) != data.count(b"-----BEGIN"):
+        if not blocks:
+            raise MalformedError("no certificate in PEM")
+        if len(blocks) != data.count(b"-----BEGIN"):
             raise MalformedError("not certificates in PEM, and nothing else")
         if any(label != "CERTIFICATE" for label, _ in blocks):
             raise MalformedError("not certificates alone")

@@ -27,7 +27,7 @@ from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._draft import Draft
 from pqsec_pki.keystore._survey import Survey
 from pqsec_pki.keystore.keystore import Keystore, settings_file
-from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.keystore.participant import load_certificate, load_first_certificate
 
 _FOLDERS = (_layout.PUBLIC, _layout.PRIVATE, _layout.ENCLAVES)
 _NEEDED = (
@@ -115,8 +115,8 @@ def _profile(root: Path) -> Profile | None:
     """
     public = root / _layout.PUBLIC
     try:
-        identity = load_certificate(public / _layout.IDENTITY_CA)
-        permissions = load_certificate(public / _layout.PERMISSIONS_CA)
+        identity = load_first_certificate(public / _layout.IDENTITY_CA)
+        permissions = load_first_certificate(public / _layout.PERMISSIONS_CA)
     except MalformedError as error:
         error.hint = error.hint or "`openssl x509 -inform DER` makes PEM of DER"
         raise

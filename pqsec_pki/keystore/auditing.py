@@ -11,7 +11,6 @@ from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import START, Entry, Line, problems
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import trusted_last
-from pqsec_pki.keystore.participant import load_certificate
 
 
 def audit(keystore: Keystore, head: str | None = None) -> tuple[int, str]:
@@ -49,7 +48,7 @@ def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
             if not exists(path):
                 continue
             try:
-                hashes = _hashes(path, kind)
+                hashes = _hashes(path)
             except FileError:
                 raise  # what cannot be read is not known to be wrong
             except PqsecError as error:
@@ -81,14 +80,12 @@ def _is_file(line: Entry, path: Path) -> bool:
     return hashlib.sha256(read(path)).hexdigest() == line.sha256
 
 
-def _hashes(path: Path, kind: str) -> list[str]:
+def _hashes(path: Path) -> list[str]:
     """As the ledger has them: of a certificate's DER, of any other file.
 
-    Of a CA's file all: Fast DDS trusts whatever stands in it.
+    Of all certificates in it: Fast DDS trusts whatever stands in a CA's file.
     """
-    if kind.endswith("-ca"):
+    if path.name.endswith(_layout.CERTIFICATE):
         with located(path):
             return [each.fingerprint for each in Certificate.all_from_pem(read(path))]
-    if path.name.endswith(_layout.CERTIFICATE):
-        return [load_certificate(path).fingerprint]
     return [hashlib.sha256(read(path)).hexdigest()]

@@ -27,7 +27,7 @@ from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._draft import DraftedFolder
 from pqsec_pki.keystore._entries import certificate_entry
-from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import Signer, sign
 
 _KEYLESS = (
@@ -128,7 +128,7 @@ class Authorities:
         To be asked while the keystore is locked.
         """
         for name, certificate in _certificates(self):
-            if load_certificate(root / _layout.PUBLIC / name).der != certificate.der:
+            if load_first_certificate(root / _layout.PUBLIC / name).der != certificate.der:
                 raise KeystoreError(
                     f"{certificate.subject_name} has made way for another CA meanwhile",
                     hint="run the command again",
@@ -157,14 +157,16 @@ def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authoritie
     counter_key = keys.get(_layout.PERMISSIONS_ALT_KEY)
     authorities = Authorities(
         identity=Authority(
-            load_certificate(public / _layout.IDENTITY_CA),
+            load_first_certificate(public / _layout.IDENTITY_CA),
             keys[_layout.IDENTITY_KEY],
             keys.get(_layout.IDENTITY_ALT_KEY),
         ),
         permissions=Authority(
-            load_certificate(public / _layout.PERMISSIONS_CA), keys[_layout.PERMISSIONS_KEY]
+            load_first_certificate(public / _layout.PERMISSIONS_CA), keys[_layout.PERMISSIONS_KEY]
         ),
-        countersigner=Authority(load_certificate(public / _layout.PERMISSIONS_ALT_CA), counter_key)
+        countersigner=Authority(
+            load_first_certificate(public / _layout.PERMISSIONS_ALT_CA), counter_key
+        )
         if counter_key
         else None,
         embed_certificate=profile.runs_in_stock,

@@ -18,7 +18,7 @@ from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.keystore.participant import load_first_certificate
 
 KEYS = "keys"
 """The detail of a line that holds the hashes, with a blank between two."""
@@ -89,6 +89,6 @@ def _hashes(root: Path, line: Entry) -> list[str]:
     if KEYS not in told:
         path = root / _layout.enclave_folder(line.name) / _layout.CERTIFICATE
         with suppress(PqsecError):
-            certificate = load_certificate(path)
+            certificate = load_first_certificate(path)
             told = keys_detail(certificate) if certificate.fingerprint == line.sha256 else {}
     return str(told.get(KEYS, "")).split()

@@ -21,7 +21,7 @@ from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
 from pqsec_pki.keystore.participant import (
-    load_certificate,
+    load_first_certificate,
     load_participant,
     load_revocation_list,
     refuse_unknown,
@@ -129,7 +129,7 @@ class Keystore:
     @property
     def identity_ca(self) -> Certificate:
         """The identity CA's certificate."""
-        return load_certificate(self.root / _layout.PUBLIC / _layout.IDENTITY_CA)
+        return load_first_certificate(self.root / _layout.PUBLIC / _layout.IDENTITY_CA)
 
     @property
     def permissions_ca_path(self) -> Path:
@@ -139,13 +139,13 @@ class Keystore:
     @property
     def permissions_ca(self) -> Certificate:
         """The permissions CA's certificate."""
-        return load_certificate(self.permissions_ca_path)
+        return load_first_certificate(self.permissions_ca_path)
 
     @property
     def permissions_alt_ca(self) -> Certificate | None:
         """The certificate of the permissions CA's countersigner, if the profile has one."""
         path = self.root / _layout.PUBLIC / _layout.PERMISSIONS_ALT_CA
-        return load_certificate(path) if exists(path) else None
+        return load_first_certificate(path) if exists(path) else None
 
     @property
     def anchors(self) -> TrustAnchors:

@@ -52,7 +52,7 @@ class Overlap:
         """The keystore's; None if it has one identity CA.
 
         Of several certificates that are not what the ledger says last, or says the end of,
-        only the first counts: others put them there. Errors as of `load_certificate`, and
+        only the first counts: others put them there. Errors as of `load_first_certificate`, and
         KeystoreError for a damaged ledger.
         """
         path = keystore.root / _layout.PUBLIC / _layout.IDENTITY_CA

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pqsec_pki._files import disk_errors, exists, read, read_within
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_list
+from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_certificate, only_list
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
 from pqsec_pki.keystore import _layout
 from pqsec_pki.problems import Code
@@ -65,7 +65,12 @@ def refuse_unknown(root: Path, name: str) -> None:
 
 
 def load_certificate(path: Path) -> Certificate:
-    """The certificate in PEM file `path`; errors name the file."""
+    """The only certificate in PEM file `path`; errors name the file."""
+    return only_certificate(read(path), str(path))
+
+
+def load_first_certificate(path: Path) -> Certificate:
+    """The first one, for who then compares it, or the CA that issues: others trust all there."""
     with located(path):
         return Certificate.from_pem(read(path))
 

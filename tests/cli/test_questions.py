@@ -285,6 +285,14 @@ def test_the_certificate_of_another_domain_is_not_believed(pqsec, keystore):
     pqsec("-k k explain --participant /talker --join").refused(1, "cert.pem")
 
 
+def test_a_certificate_with_another_behind_it_is_not_believed(pqsec, keystore):
+    k = keystore()
+    path, other = (k / f"enclaves/{name}/cert.pem" for name in ("talker", "listener"))
+    path.write_bytes(path.read_bytes() + other.read_bytes())
+    refused = pqsec("-k k explain --participant /talker --join")
+    refused.refused(3, "cert.pem", "2 certificates, not one")
+
+
 def test_who_was_revoked_may_do_nothing(pqsec, keystore):
     keystore()
     asked = "-k k explain --participant /talker --publish rt/chatter"

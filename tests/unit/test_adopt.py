@@ -356,6 +356,15 @@ def test_several_certificates_in_a_cas_file_are_told(sros2, tmp_path):
         audit(done.keystore)
 
 
+def test_a_participant_with_several_certificates_is_not_adopted_for_the_first(sros2):
+    path = sros2.root / "enclaves/talker/cert.pem"
+    second = sros2.root / "enclaves/fleet/robot1/cert.pem"
+    path.write_bytes(path.read_bytes() + second.read_bytes())
+    done = adopt(sros2.root, now=NOW)
+    assert done.refused == {"enclaves/talker/cert.pem": "2 certificates, not one"}
+    assert done.participants == ["/fleet/robot1"]
+
+
 def test_a_key_that_is_not_the_cas_is_told(sros2, tmp_path):
     key = SROS2(tmp_path / "other").root / "private/ca.key.pem"
     (sros2.root / "private/ca.key.pem").write_bytes(key.read_bytes())

@@ -228,6 +228,14 @@ def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
         audit(keystore, head)
 
 
+def test_a_second_certificate_behind_a_participants_own_shows(keystore, tmp_path):
+    path = keystore.root / "enclaves/talker/cert.pem"
+    other = made(tmp_path / "other", "classical").root / "enclaves/talker/cert.pem"
+    path.write_bytes(path.read_bytes() + other.read_bytes())
+    with pytest.raises(VerificationError, match=r"talker/cert\.pem is in no line of the ledger"):
+        audit(keystore)
+
+
 @pytest.mark.parametrize("file", ["cert.pem", "permissions.p7s"])
 def test_what_was_never_issued_here_shows(keystore, tmp_path, file):
     other = made(tmp_path / "other", "classical")

@@ -83,7 +83,7 @@ def test_nobody_waits_for_a_pipe_in_the_place_of_a_file(folders, tmp_path, name)
     [
         ("dds.sec.auth.private_key", "", "is not configured"),
         ("dds.sec.auth.private_key", "pkcs11:token", "neither file: and a path nor data:,"),
-        ("dds.sec.auth.identity_ca", "data:,x", "not certificates in PEM"),
+        ("dds.sec.auth.identity_ca", "data:,x", "no certificate in PEM"),
         ("dds.sec.auth.identity_certificate", "file:nowhere.pem", "no such file"),
         ("dds.sec.auth.trusted_ca_dir", "nowhere", "no such file"),
         ("dds.sec.auth.trusted_ca_dir", "\0", "null"),
