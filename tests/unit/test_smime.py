@@ -764,6 +764,11 @@ def test_broken_ber_is_refused(ber, words):
         to_der(bytes.fromhex(ber))
 
 
+def test_a_length_in_more_octets_than_it_takes_is_read():
+    assert to_der(bytes.fromhex("308100")) == bytes.fromhex("3000")
+    assert to_der(bytes.fromhex("0482000161")) == bytes.fromhex("040161")
+
+
 def test_ber_that_nests_without_end_is_refused():
     assert to_der(b"\x30\x80" * MAX_DEPTH + b"\0\0" * MAX_DEPTH)
     for depth in (MAX_DEPTH + 2, 100_000):
@@ -861,6 +866,20 @@ def test_a_file_that_was_tampered_with_is_refused(lab, flaw):
     assert altered != message
     with pytest.raises(VerificationError):
         lab.verify(altered)
+
+
+def test_a_signature_part_without_a_header_is_told_as_that(lab):
+    altered = MIME_FLAWS["no header on the signature"](lab.sign())
+    with pytest.raises(VerificationError, match="signature part of the document has no header"):
+        lab.verify(altered)
+
+
+def test_a_signer_whose_name_cannot_be_read_is_not_listed(lab):
+    issuer = raw(bytes.fromhex("300d310b300906035504060c02ff00"))  # UTF8String FF 00
+    number = lab.main.certificate.serial_number
+    sid = IssuerAndSerialNumber(issuer=issuer, serial_number=number)
+    with pytest.raises(MalformedError, match="the signer's name cannot be read"):
+        signers_in(with_info(lab.sign(), sid=sid))
 
 
 @pytest.mark.parametrize("rest", [b"x", b"-", b"---", b" x", b"-- x"])

@@ -331,6 +331,7 @@ def signed_as(content):
         (b"Content-Type: multipart/signed; boundary=a; boundary=b", "it finds 2 boundaries"),
         (b"Content-Type: text/plain\nContent-Type: text/plain", "it finds 2 content types"),
         (b"Subject: none", "it finds no content type"),
+        (b"Content-Type:", "it finds no content type"),
         (b"X: y\n" * (1 << 14), "a header is longer than 65536 bytes"),
     ],
 )
