@@ -12,7 +12,11 @@ from pqsec_pki._files import exists, read
 from pqsec_pki.access import Decision
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
+    CERTIFICATE,
+    ENCLAVES,
+    GOVERNANCE,
     KEYS,
+    PERMISSIONS,
     Credentials,
     TrustAnchors,
     only_certificate,
@@ -39,8 +43,6 @@ Check: TypeAlias = Callable[[bytes], Verified]
 """Of an S/MIME file: what is signed in it; VerificationError if a signature does not hold."""
 
 YAML = (".yaml", ".yml")
-_ENCLAVES, _CERTIFICATE = "enclaves", "cert.pem"
-_PERMISSIONS, _GOVERNANCE = "permissions.p7s", "governance.p7s"
 _ANSWERS = {Code.NO_GRANT, Code.GRANT_EXPIRED, Code.GRANT_NOT_YET_VALID}
 """What a question about rights is answered with, and not refused for."""
 _GRANTS = re.compile(rb"(?m)^\s*\{?\s*[\"']?grants[\"']?\s*:")
@@ -130,7 +132,7 @@ def kind_of(document: Document) -> Kind:
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     """That file of a participant; KeystoreError if there is no such participant."""
     keystore.refuse_unknown(name)
-    return keystore.root / f"{_ENCLAVES}{regular_name(name)}" / file
+    return keystore.root / f"{ENCLAVES}{regular_name(name)}" / file
 
 
 def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
@@ -144,7 +146,7 @@ def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
 
 def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
     """A participant's certificate, if an identity CA stands for it and did not revoke it."""
-    path = enclave_file(keystore, name, _CERTIFICATE)
+    path = enclave_file(keystore, name, CERTIFICATE)
     certificate = load_certificate(path)
     with located(path):
         problems = (
@@ -167,7 +169,7 @@ def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
     papers = Papers(
         who=regular_name(name),
         subject=identity_of(keystore, name, anchors, now).subject_name,
-        governance=governance_in(enclave_file(keystore, name, _GOVERNANCE), check),
+        governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
         permissions=own_permissions(keystore, name, now, check),
     )
     _refuse_enclave(keystore, papers.who, now)
@@ -190,19 +192,19 @@ def own_permissions(
     keystore: Keystore, name: str, now: datetime, check: Check | None
 ) -> Loaded[Permissions]:
     """A participant's."""
-    return permissions_in(enclave_file(keystore, name, _PERMISSIONS), now, check)
+    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check)
 
 
 def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
     """The keystore's."""
-    return governance_in(keystore.root / _ENCLAVES / _GOVERNANCE, check)
+    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check)
 
 
 def own_governance(
     keystore: Keystore, name: str, shared: Loaded[Governance], check: Check | None
 ) -> Governance:
     """A participant's, which should be the one that all share."""
-    path = enclave_file(keystore, name, _GOVERNANCE)
+    path = enclave_file(keystore, name, GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
     return shared.value if is_shared else governance_in(path, check).value
 

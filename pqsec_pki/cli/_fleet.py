@@ -32,10 +32,9 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import SETTINGS, Keystore
 from pqsec_pki.problems import Code, Problem
 
-_SETTINGS = "pqsec.json"
 _SIGNED_FIRST = (".p7s", ".xml", ".yaml", ".yml")
 
 
@@ -59,7 +58,7 @@ def fleet_of(
     UsageError if it is not clear which governance counts, FileError if there is nobody.
     """
     root = paths[0] if paths else _settings.keystore_path()
-    if not paths or (len(paths) == 1 and exists(root / _SETTINGS)):
+    if not paths or (len(paths) == 1 and exists(root / SETTINGS)):
         if governance:
             raise UsageError("--governance is for files; a keystore has its own")
         return _in_keystore(Keystore.open(root), now, reading)

@@ -137,9 +137,9 @@ def _switch_foreseen(order: Order) -> Iterator[str]:
     outlook = foresee(order.keystore, order.terms, now=_settings.now(), within_overlap=True)
     yield f"issue by {overlap.other.subject_name} from now on"
     if outlook.keeping:
-        yield f"certify {_whom(outlook.keeping)} again, with the same keys"
+        yield f"certify {whom(outlook.keeping)} again, with the same keys"
     if outlook.rekeyed:
-        yield f"issue {_whom(outlook.rekeyed)} anew, with new keys"
+        yield f"issue {whom(outlook.rekeyed)} anew, with new keys"
     yield f"keep the old CA in {outlook.archive}" if not outlook.destroy else "destroy the old key"
     yield f"have all trust {overlap.issuing.subject_name} still"
 
@@ -150,7 +150,7 @@ def _switch(order: Order) -> Iterator[str]:
     done = switch_overlap(
         order.keystore, order.terms, kept=kept, passphrase=secret, now=_settings.now()
     )
-    yield f"generation {done.generation}: identity CA, {_whom(done.issued)} anew"
+    yield f"generation {done.generation}: identity CA, {whom(done.issued)} anew"
     yield f"{kept.identity.certificate.subject_name} is trusted still"
 
 
@@ -176,7 +176,8 @@ def _cancel(order: Order) -> Iterator[str]:
     yield f"{overlap.other.subject_name} is trusted no more, and its key destroyed"
 
 
-def _whom(participants: Sized) -> str:
+def whom(participants: Sized) -> str:
+    """1 participant, 2 participants."""
     return _printing.counted(len(participants), "participant")
 
 

@@ -166,7 +166,7 @@ def _show_pins(keystore: Keystore) -> None:
     overlap = Overlap.of(keystore)
     cas = [("identity", keystore.identity_ca), ("permissions", keystore.permissions_ca)]
     cas += [("identity", overlap.other)] if overlap else []
-    cas += [("countersigner", each) for each in [keystore.permissions_alt_ca] if each]
+    cas += [("countersigner", each) for each in [keystore.countersigner] if each]
     pins = [f"{role}:{each.fingerprint}" for role, each in cas]
     _printing.emit({"pins": pins}, [f"--ca-fingerprint {each}" for each in pins])
 
@@ -176,8 +176,8 @@ def _show(keystore: Keystore) -> None:
         ("identity CA", keystore.identity_ca),
         ("permissions CA", keystore.permissions_ca),
     ]
-    if keystore.permissions_alt_ca:
-        cas.append(("countersigner", keystore.permissions_alt_ca))
+    if keystore.countersigner:
+        cas.append(("countersigner", keystore.countersigner))
     if overlap := Overlap.of(keystore):
         cas.append(("trusted too", overlap.other))
     names = keystore.names()

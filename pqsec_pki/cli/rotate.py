@@ -1,6 +1,6 @@
 """pqsec ca rotate: a new generation of CAs, and what that means, told before."""
 
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.cli import _passphrases, _printing, _settings
-from pqsec_pki.cli._overlap import Order, Step, run
+from pqsec_pki.cli._overlap import Order, Step, run, whom
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import CA_VALIDITY, Keystore, Outlook, Rollover, Scope, foresee
 from pqsec_pki.keystore import rotate as rotate_keystore
@@ -127,7 +127,7 @@ def _apply(
         "new_list": done.new_list,
         "archive": str(done.archive),
     }
-    count = _whom(done.issued)
+    count = whom(done.issued)
     keys = "certificates only, the keys are destroyed" if terms.destroy else "for their owner only"
     lines = [
         f"generation {done.generation}: {_CAS[terms.scope]}, {count} issued anew",
@@ -192,9 +192,9 @@ def _steps(outlook: Outlook) -> Iterator[str]:
     if outlook.scope is not Scope.IDENTITY:
         yield f"make a permissions CA ({after.permissions_key.name}{second})"
     if outlook.keeping:
-        yield f"certify {_whom(outlook.keeping)} again, with the same keys"
+        yield f"certify {whom(outlook.keeping)} again, with the same keys"
     if outlook.rekeyed:
-        yield f"issue {_whom(outlook.rekeyed)} anew, with new keys"
+        yield f"issue {whom(outlook.rekeyed)} anew, with new keys"
     permissions = _printing.counted(outlook.participants, "permissions document")
     yield f"sign the governance and {permissions} anew"
     if outlook.new_list:
@@ -235,7 +235,3 @@ def _breaks(outlook: Outlook) -> Iterator[str]:
             "Until it is done, one key is both CAs: any participant's key can sign permissions"
             " that some stacks take (CVE-2023-24010)."
         )
-
-
-def _whom(participants: Sized) -> str:
-    return _printing.counted(len(participants), "participant")

@@ -14,6 +14,7 @@ from pqsec_pki.credentials.names import (
     ALT_KEY,
     CA_FILES,
     CERTIFICATE,
+    ENCLAVES,
     FILES,
     GOVERNANCE,
     IDENTITY_CA,
@@ -23,6 +24,7 @@ from pqsec_pki.credentials.names import (
     PERMISSIONS,
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
+    REQUEST,
     REVOCATION_LIST,
 )
 from pqsec_pki.credentials.verification import (
@@ -41,6 +43,7 @@ __all__ = [
     "ALT_KEY",
     "CA_FILES",
     "CERTIFICATE",
+    "ENCLAVES",
     "FILES",
     "GOVERNANCE",
     "IDENTITY_CA",
@@ -50,6 +53,7 @@ __all__ = [
     "PERMISSIONS",
     "PERMISSIONS_ALT_CA",
     "PERMISSIONS_CA",
+    "REQUEST",
     "REVOCATION_LIST",
     "Credentials",
     "SignedDocument",

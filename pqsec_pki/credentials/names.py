@@ -6,6 +6,10 @@ PERMISSIONS_ALT_CA = "permissions_ca.alt.cert.pem"
 """The countersigner's certificate, where documents are signed twice."""
 PERMISSIONS, GOVERNANCE = "permissions.p7s", "governance.p7s"
 REVOCATION_LIST = "crl.pem"
+REQUEST = "request.pem"
+"""Beside its certificate, where a participant's keys are on its robot alone; no stack reads it."""
+ENCLAVES = "enclaves"
+"""The folder that enclaves lie in, by their paths."""
 
 KEYS = (KEY, ALT_KEY)
 """The private ones; 0600 wherever they lie."""

@@ -16,6 +16,7 @@ from typing import Self
 from pqsec_pki._files import disk_errors, write
 from pqsec_pki.credentials import (
     CA_FILES,
+    ENCLAVES,
     FILES,
     KEYS,
     NEEDED,
@@ -29,7 +30,6 @@ from pqsec_pki.keystore import Keystore, enclave_files, regular_name
 from pqsec_pki.problems import Code
 
 KIND = "bundle"
-ENCLAVES = "enclaves"
 
 
 @dataclass(frozen=True)  # no slots: what is worked out once is kept

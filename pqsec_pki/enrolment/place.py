@@ -32,8 +32,8 @@ from pqsec_pki._files import (
     walk,
 )
 from pqsec_pki._owners import outsider, way_out
-from pqsec_pki.credentials import CERTIFICATE, FILES, KEY, KEYS
-from pqsec_pki.enrolment.bundle import ENCLAVES, flat_name
+from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
+from pqsec_pki.enrolment.bundle import flat_name
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, located
 

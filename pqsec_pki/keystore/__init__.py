@@ -40,6 +40,7 @@ Questions:
 """
 
 from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore._layout import SETTINGS
 from pqsec_pki.keystore._layout import enclave_name as regular_name
 from pqsec_pki.keystore._making import Issued, PublicKeys
 from pqsec_pki.keystore.adopting import Adopted, adopt
@@ -76,6 +77,7 @@ from pqsec_pki.keystore.status import Standing, State, Status, Term, status
 __all__ = [
     "CA_VALIDITY",
     "LIST_VALIDITY",
+    "SETTINGS",
     "Adopted",
     "Authorities",
     "Begun",

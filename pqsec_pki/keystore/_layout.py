@@ -19,7 +19,7 @@ from pqsec_pki._files import exists, walk
 from pqsec_pki.errors import UsageError, shown
 
 SETTINGS = "pqsec.json"
-PUBLIC, PRIVATE, ENCLAVES = "public", "private", "enclaves"
+PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
 GENERATIONS = f"{PRIVATE}/generations"
 """CAs that made way for others, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
@@ -37,7 +37,7 @@ NEXT_KEY, NEXT_ALT_KEY = "next_identity_ca.key.pem", "next_identity_ca.alt.key.p
 """Of the identity CA that will issue, once an overlap has begun and until it is switched."""
 PERMISSIONS_KEY, PERMISSIONS_ALT_KEY = "permissions_ca.key.pem", "permissions_ca.alt.key.pem"
 
-REQUEST = "request.pem"
+REQUEST = credentials.REQUEST
 """The request that the certificate answers, if its keys were made elsewhere."""
 CA_LIST, LIST = "identity_ca.crl.pem", credentials.REVOCATION_LIST
 """The identity CA's revocation list, and the link to it in each enclave, once there is one."""

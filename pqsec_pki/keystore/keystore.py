@@ -142,7 +142,7 @@ class Keystore:
         return load_first_certificate(self.permissions_ca_path)
 
     @property
-    def permissions_alt_ca(self) -> Certificate | None:
+    def countersigner(self) -> Certificate | None:
         """The certificate of the permissions CA's countersigner, if the profile has one."""
         path = self.root / _layout.PUBLIC / _layout.PERMISSIONS_ALT_CA
         return load_first_certificate(path) if exists(path) else None
@@ -164,7 +164,7 @@ class Keystore:
         return TrustAnchors(
             identity_cas=(self.identity_ca,),
             permissions_ca=self.permissions_ca,
-            countersigner=self.permissions_alt_ca,
+            countersigner=self.countersigner,
         )
 
     @property

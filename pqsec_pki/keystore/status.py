@@ -136,7 +136,7 @@ def status(
 
 def _authorities(keystore: Keystore, now: datetime, due: timedelta | None) -> Iterator[Term]:
     """The CAs that are in use, by their certificates; also one that is trusted beside."""
-    signers = (keystore.permissions_ca, keystore.permissions_alt_ca)
+    signers = (keystore.permissions_ca, keystore.countersigner)
     overlap = Overlap.of(keystore)
     kinds = ("identity-ca", "permissions-ca", "countersigner", "trusted-too")
     others = (*signers, overlap.other if overlap else None)

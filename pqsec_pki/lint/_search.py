@@ -11,9 +11,9 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import read
-from pqsec_pki.credentials import CERTIFICATE, KEY, PERMISSIONS
+from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, KEY, PERMISSIONS
 from pqsec_pki.errors import FileError, PqsecError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import SETTINGS, Keystore
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.subjects import SIX
 
@@ -21,8 +21,7 @@ MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""
 MAX_BYTES = 1 << 30
 """In all files together, which are kept: that keystore has 0.2 GB."""
-SETTINGS, JOURNAL = "pqsec.json", ".journal"
-ENCLAVES = "enclaves"
+JOURNAL = ".journal"
 
 # In a folder only files with such a name are read, backup copies (key.pem~) with them.
 _OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)

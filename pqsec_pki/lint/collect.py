@@ -5,8 +5,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki.credentials import ENCLAVES
 from pqsec_pki.errors import FileError
-from pqsec_pki.lint._search import ENCLAVES, Search
+from pqsec_pki.lint._search import Search
 from pqsec_pki.lint.document import Document, document_of
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory

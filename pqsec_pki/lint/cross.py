@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from cryptography import x509
 
 from pqsec_pki.certificates import Certificate, common_name
-from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, IDENTITY_CA, KEY
+from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY, REQUEST
 from pqsec_pki.documents import DefaultAction, Grant, parse_subject, same_subject
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import held
@@ -15,8 +15,6 @@ from pqsec_pki.lint.rule import Family, Found, Severity, Target
 from pqsec_pki.lint.subjects import SIX, CertificateFile, Enclave
 
 FAMILY = Family("cross-artefact")
-REQUEST = "request.pem"
-ENCLAVES = "enclaves"
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 

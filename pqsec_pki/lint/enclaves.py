@@ -5,9 +5,15 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, IDENTITY_CA, PERMISSIONS, PERMISSIONS_CA
+from pqsec_pki.credentials import (
+    CERTIFICATE,
+    ENCLAVES,
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+)
 from pqsec_pki.lint._roles import Role, role_of
-from pqsec_pki.lint.cross import ENCLAVES
 from pqsec_pki.lint.revocation import lists_of
 from pqsec_pki.lint.rule import Family, Found, Severity
 from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory

@@ -7,8 +7,8 @@ from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 
+from pqsec_pki.credentials import ENCLAVES
 from pqsec_pki.lint._frame import UNREAD
-from pqsec_pki.lint._search import ENCLAVES
 from pqsec_pki.lint.collect import take_inventory
 from pqsec_pki.lint.files import PRIVATE
 from pqsec_pki.lint.rule import Finding, Rule, Severity, Target

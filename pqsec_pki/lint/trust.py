@@ -9,9 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from pqsec_pki.algorithms import is_encrypted
-from pqsec_pki.credentials import FILES, KEYS, Credentials, verify_credentials
+from pqsec_pki.credentials import ENCLAVES, FILES, KEYS, Credentials, verify_credentials
 from pqsec_pki.errors import PqsecError, problems_of
-from pqsec_pki.lint.cross import ENCLAVES
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family, Finding, Found, Severity
 from pqsec_pki.lint.subjects import Enclave, Inventory

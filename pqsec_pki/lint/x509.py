@@ -4,12 +4,12 @@ Measured with each kind as identity CA, permissions CA and participant in Cyclon
 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
 """
 
-import re
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 
 from pqsec_pki.algorithms import Family, is_encrypted
 from pqsec_pki.certificates.authority import LAST_YEAR
+from pqsec_pki.credentials import KEYS
 from pqsec_pki.lint import _roles
 from pqsec_pki.lint._roles import Role, role_of
 from pqsec_pki.lint.file import File
@@ -22,7 +22,6 @@ SOON = timedelta(days=30)
 WEAKEST_RSA = 2048
 """Bits: the least of DDS-Security 1.1 and of NIST SP 800-131A."""
 
-_KEY = re.compile(r"(alt\.)?key\.pem")
 _CYCLONE = {"ecdsa-p256", "rsa-2048"}
 _LET_IN = {"brainpoolP256r1", "secp256k1"}
 _NOWHERE = {"ed25519", "ed448", "dsa", _roles.UNREADABLE}
@@ -212,7 +211,7 @@ def ends_too_late(file: CertificateFile) -> Iterator[Found]:
     measured="source of rmw_dds_common (security.cpp)",
 )  # fmt: skip
 def encrypted_for_ros(file: File) -> Iterator[Found]:
-    if file.is_private_key and _KEY.fullmatch(file.path.name) and is_encrypted(file.data):
+    if file.is_private_key and file.path.name in KEYS and is_encrypted(file.data):
         yield Found("the participant's private key is encrypted, and ROS 2 cannot open it")
 
 

@@ -17,6 +17,7 @@ from pqsec_pki.credentials import (
     KEYS,
     PERMISSIONS,
     PERMISSIONS_CA,
+    REQUEST,
     REVOCATION_LIST,
     Credentials,
     verify_credentials,
@@ -26,7 +27,6 @@ from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors.export import PASSWORD_VARIABLE, Options
 
-REQUEST = "request.pem"
 _INSTALLED = "/etc/dds/current/enclaves"
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 """What every stack needs; ROS 2 does not say which one it misses."""

@@ -134,7 +134,7 @@ def test_a_keystore_of_every_profile_issues_whole_participants(root, profile):
     assert issued.not_after == keystore.participant("talker").certificate.not_after
     for ca in (keystore.identity_ca, keystore.permissions_ca):
         verify_authority(ca, now=NOW)
-    assert (keystore.permissions_alt_ca is None) == (profile.alternative_key is None)
+    assert (keystore.countersigner is None) == (profile.alternative_key is None)
 
 
 def test_a_changed_profile_is_kept(root):
@@ -147,7 +147,7 @@ def test_a_changed_profile_is_kept(root):
 
 def test_the_two_authorities_are_never_the_same(root):
     keystore = create(root, TRANSITION)
-    certificates = [keystore.identity_ca, keystore.permissions_ca, keystore.permissions_alt_ca]
+    certificates = [keystore.identity_ca, keystore.permissions_ca, keystore.countersigner]
     assert len({each.spki for each in certificates}) == 3
     assert len({each.subject_name for each in certificates}) == 3
 
