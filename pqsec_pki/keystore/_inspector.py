@@ -117,7 +117,7 @@ class Inspector:
         signed = self.signed_permissions(name, folder)
         with located(folder / _layout.PERMISSIONS):
             document = self.verified(signed)
-            _refuse_edited(folder / _layout.PERMISSIONS_XML, document)
+            self._refuse_edited(folder / _layout.PERMISSIONS_XML, document)
             return Permissions.from_xml(document)
 
     def mark(self, name: str, folder: Path) -> str:
@@ -129,14 +129,14 @@ class Inspector:
         """The document in a signed file; VerificationError if the CA did not sign it."""
         return self.anchors.signed(signed).document
 
-
-def _refuse_edited(path: Path, signed: bytes) -> None:
-    """What somebody wrote into permissions.xml and did not sign yet is not overwritten."""
-    if path.exists() and read(path) not in (signed, signed.replace(b"\r\n", b"\n")):
-        raise KeystoreError(
-            f"{path} is not what permissions.p7s says",
-            hint="`pqsec sign-permissions` signs it; or remove it, and it is made anew",
-        )
+    def _refuse_edited(self, path: Path, signed: bytes) -> None:
+        """What somebody wrote into permissions.xml and did not sign yet is not overwritten."""
+        if path.exists() and read(path) not in (signed, signed.replace(b"\r\n", b"\n")):
+            raise KeystoreError(
+                f"{path} is not what permissions.p7s says",
+                hint=f"`pqsec -k {self.keystore.root} sign-permissions {path} --force` signs what"
+                f" it says now; or remove {path}, and it is made anew from what was signed",
+            )
 
 
 def _stale(path: Path, name: str, what: str) -> KeystoreError:

@@ -1,5 +1,6 @@
 """A participant as it lies in its enclave: its files, and what they say."""
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -94,10 +95,15 @@ def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[
             code=Code.FILE_MISSING,
         )
     if missing:
-        lost = [str((folder / each).readlink()) for each in missing if each in links]
+        lost = [_shown_by(folder / each) for each in missing if each in links]
         hint = f"restore {', '.join(lost)}, which all participants share" if lost else None
         if _layout.PERMISSIONS in missing:
             hint = hint or f"put it back, or say what it may do: pqsec issue {name} --force ..."
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}", hint=hint, code=Code.FILE_MISSING
         )
+
+
+def _shown_by(link: Path) -> str:
+    """What the link should show, as a path from where the user is."""
+    return os.path.normpath(link.parent / link.readlink())

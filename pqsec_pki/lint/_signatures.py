@@ -1,6 +1,7 @@
 """Signed documents with the CA that should have signed them; what speaks against each."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -111,9 +112,20 @@ def counter_problems(pair: Pair) -> Iterator[str]:
     return (str(each) for each in _problems(pair) if each.code is Code.COUNTERSIGNATURE_BAD)
 
 
-def countersigners(file: File) -> tuple[ListedSigner, ...]:
-    """Who signed the signature."""
-    return tuple(each for signer in signers(file) for each in signer.countersigners)
+def countersigners(file: File, ca: Certificate | None = None) -> tuple[ListedSigner, ...]:
+    """Who signed the signature; of a `ca`, only who signed one that says that it is by that."""
+    signed = (each for each in signers(file) if ca is None or is_by(each, ca))
+    return tuple(each for signer in signed for each in signer.countersigners)
+
+
+def embedded(file: File) -> Iterator[Certificate]:
+    """The certificates that came along, of those who are said to have signed."""
+    found = listed(file)
+    for der in found.certificates if found else ():
+        with suppress(PqsecError):
+            certificate = Certificate.from_der(der)
+            if any(is_by(signer, certificate) for signer in signers(file)):
+                yield certificate
 
 
 def _in_enclaves(inventory: Inventory) -> Iterator[Pair]:

@@ -5,7 +5,14 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.algorithms import PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.credentials import ALT_KEY, GOVERNANCE, IDENTITY_CA, PERMISSIONS, PERMISSIONS_ALT_CA
+from pqsec_pki.credentials import (
+    ALT_KEY,
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+)
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import _signatures
 from pqsec_pki.lint._roles import Role, family_of, key_kind, role_of
@@ -121,7 +128,8 @@ def no_countersigner(enclave: Enclave) -> Iterator[Found]:
     if enclave.certificate(PERMISSIONS_ALT_CA) or (file and file.unreadable):
         return
     files = (enclave.files.get(name) for name in (PERMISSIONS, GOVERNANCE))
-    if any(file and _signatures.countersigners(file) for file in files):
+    ca = enclave.certificate(PERMISSIONS_CA)
+    if any(file and _signatures.countersigners(file, ca) for file in files):
         yield Found(f"documents are countersigned, and {PERMISSIONS_ALT_CA} is not there")
     elif _alternative_key(enclave.certificate(IDENTITY_CA)):
         yield Found(f"the identity CA has an alternative key, and {PERMISSIONS_ALT_CA} is missing")

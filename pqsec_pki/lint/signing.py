@@ -157,8 +157,7 @@ def of_another_signer(inventory: Inventory) -> Iterator[Found]:
     for pair in _signatures.pairs(inventory):
         signers = _signatures.signers(pair.file)
         if signers and not any(_signatures.is_by(signer, pair.ca) for signer in signers):
-            who = _who(pair) or signers[0].issuer or "another key"
-            yield Found(f"signed by {who}, not by {pair.ca.subject_name}", path=pair.file.path)
+            yield Found(_by_another(pair), path=pair.file.path)
 
 
 @FAMILY.rule(
@@ -231,21 +230,30 @@ def _form(file: File) -> str | None:
     return "a signature in DER" if file.data[:1] == b"\x30" else None
 
 
-def _who(pair: Pair) -> str | None:
+def _by_another(pair: Pair) -> str:
+    """Who signed in place of the permissions CA, as far as the document and the enclave tell."""
+    name, signers = pair.ca.subject_name, _signatures.signers(pair.file)
+    if who := _known(pair):
+        return f"signed by {who}, not by {name}"
+    if all(signer.issuer != name_text(pair.ca.subject) for signer in signers):
+        return f"signed by {signers[0].issuer or 'another key'}, not by {name}"
+    certificate = next(_signatures.embedded(pair.file), None)
+    if certificate is None:
+        words = f"signed with a certificate whose issuer is called {name}"
+        return f"{words}: another CA of that name, or a delegate"
+    if certificate.is_self_issued:
+        return f"signed by another CA that is called {name} too, not by this one"
+    return f"signed by a certificate that {name} issued, not by {name}"
+
+
+def _known(pair: Pair) -> str | None:
     """The signer, if it is among the certificates that the enclave knows."""
     signers = _signatures.signers(pair.file)
     known: list[tuple[str, Certificate]] = [
         (f"{role}, {certificate.subject_name}", certificate) for role, certificate in pair.others
     ]
     named = (who for who, each in known for one in signers if _signatures.is_by(one, each))
-    return next(named, None) or _issued(pair)
-
-
-def _issued(pair: Pair) -> str | None:
-    for signer in _signatures.signers(pair.file):
-        if signer.issuer == name_text(pair.ca.subject):
-            return f"a certificate that {pair.ca.subject_name} issued"
-    return None
+    return next(named, None)
 
 
 def _lines(text: bytes) -> list[bytes]:

@@ -109,6 +109,8 @@ def split(message: bytes) -> SignedMessage:
     """`message` taken apart; MalformedError if it is not one S/MIME multipart/signed."""
     if len(message) > MAX_MESSAGE:
         raise MalformedError(f"larger than {MAX_MESSAGE} bytes, so no signed document")
+    if not message:
+        raise MalformedError("the file is empty", hint="restore it, or sign the XML again")
     whole = _canonical(message)
     header, found, body = whole.partition(b"\r\n\r\n")
     unfolded = re.sub(rb"\r\n[ \t]+", b" ", header)

@@ -495,7 +495,7 @@ def test_a_certificate_that_leads_nowhere_is_named(fails, keystore):
 def test_a_lost_ca_certificate_is_missed_behind_its_link(fails, keystore):
     (keystore() / "public/identity_ca.cert.pem").unlink()
     step = fails("files of /talker", "k/enclaves/talker lacks identity_ca.cert.pem")
-    shared = "../../public/identity_ca.cert.pem"
+    shared = "k/public/identity_ca.cert.pem"
     assert step["hint"] == f"restore {shared}, which all participants share"
 
 

@@ -33,6 +33,8 @@ JUSTIFIED = {
     " --force ...": SAYS_WHAT,
     "add the domain to * and run `pqsec -k * sign-governance * --force`; the permissions must"
     " name the domain too": "it signs what the user edits, in place of what was signed before",
+    "`pqsec -k * sign-permissions * --force` signs what it says now; or remove *, and it is made"
+    " anew from what was signed": "it signs what the user edited, and the hint names the file",
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
 WORDS = ("all that it", "all that", "--ros-node", "plugin install")

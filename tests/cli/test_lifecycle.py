@@ -132,6 +132,19 @@ def test_renew_all_leaves_out_who_is_revoked_or_gone(pqsec, k):
     pqsec("-k k renew /third").refused(3, "no participant /third")
 
 
+def test_the_way_out_of_edited_permissions_names_the_file_and_works(pqsec, k):
+    path = k / "enclaves/talker/permissions.xml"
+    edited = path.read_text().replace("rt/chatter", "rt/gossip")
+    path.write_text(edited)
+    said = pqsec("-k k renew /talker").refused(3, f"{path.relative_to(k.parent)} is not what")
+    sign = "pqsec -k k sign-permissions k/enclaves/talker/permissions.xml --force"
+    assert f"`{sign}` signs what it says now" in said.err
+    assert "or remove k/enclaves/talker/permissions.xml" in said.err
+    pqsec(sign.removeprefix("pqsec ")).done()
+    pqsec("-k k renew /talker").done()
+    assert "rt/gossip" in path.read_text()
+
+
 @pytest.mark.parametrize(
     ("option", "kept"), [("--keep-key", True), ("--rekey", False), ("", False)]
 )
@@ -250,3 +263,10 @@ def test_log_verify_answers_by_its_exit_code(pqsec, k):
     pqsec("-k k log --verify").refused(1, "line 2 was altered")
     bad = pqsec("-k k log --verify --json")
     assert (bad.code, json.loads(bad.out)["ok"]) == (1, False)
+
+
+def test_a_file_that_all_share_and_that_is_lost_is_named_from_where_the_user_is(pqsec, k):
+    """The way out named what the link holds: restore ../governance.p7s."""
+    (k / "enclaves/governance.p7s").unlink()
+    hint = "restore k/enclaves/governance.p7s, which all participants share"
+    pqsec("-k k bundle /talker -o talker.bundle").refused(3, "lacks governance.p7s", hint=hint)

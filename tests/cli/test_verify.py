@@ -358,6 +358,13 @@ def test_what_is_no_signed_file_is_refused_by_name(pqsec, keystore, tmp_path, co
     pqsec("-k k verify file").refused(1, "file: ")
 
 
+def test_an_empty_file_is_told_as_empty(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "file").touch()
+    said = pqsec("-k k verify file").refused(1, "file: the file is empty")
+    assert "S/MIME" not in said.err
+
+
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
 def test_a_file_that_was_cut_is_refused(pqsec, keystore, tmp_path, share):
     keystore("transition")

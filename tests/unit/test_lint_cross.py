@@ -596,6 +596,21 @@ def test_another_signer_than_the_permissions_ca_is_found(lab, signer, words):
     assert found["PQS340"].message.startswith(words)
 
 
+def test_another_ca_of_the_same_name_is_told_as_that(lab):
+    """It was told as `signed by a certificate that X issued, not by X`."""
+    ecdsa = SIGNATURES.named("ecdsa-p256")
+    other = Authority.create("Test Permissions CA", ecdsa, now=NOW, validity=9 * DAY)
+    signer = Signer(other.certificate, other.key)
+    text = "signed by another CA that is called CN=Test Permissions CA too, not by this one"
+    lab.put(P7S, sign(xml_of(lab), signer, now=NOW))
+    assert {key: each.message for key, each in lab.found().items()} == {"PQS340": text}
+    bare = sign(xml_of(lab), signer, now=NOW, embed_certificate=False)
+    lab.put(P7S, bare)
+    found = lab.found()["PQS340"].message
+    words = "signed with a certificate whose issuer is called CN=Test Permissions CA"
+    assert found == f"{words}: another CA of that name, or a delegate"
+
+
 def test_governance_by_another_signer_is_told_once(lab):
     text = document_in((lab / GOVERNANCE).read_bytes())
     lab.put(GOVERNANCE, sign(text, by_identity_ca(lab), now=NOW))

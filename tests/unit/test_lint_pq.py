@@ -112,6 +112,13 @@ def test_a_countersigner_that_is_not_there_is_found(lab):
     assert set(lab.found()) == {"PQS607", "PQS319"}  # so a signature cannot be checked
 
 
+def test_a_foreign_document_that_is_countersigned_asks_for_no_countersigner(tmp_path):
+    """PQS607 blamed a classical keystore for a document that its permissions CA did not sign."""
+    home, away = Lab(tmp_path / "home", "classical"), Lab(tmp_path / "away", "transition")
+    home.put(P7S, (away / P7S).read_bytes())
+    assert set(home.found()) == {"PQS340"}
+
+
 def test_a_countersigner_that_was_taken_away_with_its_signatures_is_found(lab):
     lab.put(P7S, signed(lab, None))
     lab.put(f"{TALKER}/governance.p7s", signed(lab, None))

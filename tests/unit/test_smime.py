@@ -792,10 +792,12 @@ def test_ber_with_very_many_parts_is_refused():
 
 
 def test_a_document_that_is_not_signed_is_refused_with_the_way_out(lab):
-    for text in (DOCUMENT, b"", b"\n\n", b"Content-Type: text/plain\n\nhello"):
+    for text in (DOCUMENT, b"\n\n", b"Content-Type: text/plain\n\nhello"):
         with pytest.raises(VerificationError, match="not an S/MIME signed document") as caught:
             lab.verify(text)
         assert "pqsec sign" in caught.value.hint
+    with pytest.raises(VerificationError, match="the file is empty"):
+        lab.verify(b"")
 
 
 def test_an_opaque_signature_is_refused(lab):
