@@ -30,8 +30,8 @@ _CACHED = 1 << 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Voice:
-    """A participant, and the documents that it goes by."""
+class ParticipantDocuments:
+    """A participant's subject, with its two documents."""
 
     subject: str
     governance: Governance
@@ -74,7 +74,7 @@ class Voice:
 
 
 def topics_between(
-    publisher: Voice, subscriber: Voice, *, domain: int, now: datetime
+    publisher: ParticipantDocuments, subscriber: ParticipantDocuments, *, domain: int, now: datetime
 ) -> tuple[str, ...]:
     """What the one may publish and the other may subscribe to, by the standard.
 
@@ -111,21 +111,28 @@ class _End:
     judges: tuple[tuple[Side, Policy], ...]
 
     @classmethod
-    def of(cls, voice: Voice, peer: Voice, action: Action, domain: int, now: datetime) -> Self:
+    def of(
+        cls,
+        own: ParticipantDocuments,
+        peer: ParticipantDocuments,
+        action: Action,
+        domain: int,
+        now: datetime,
+    ) -> Self:
         """The default partition and no data tags come first."""
-        criteria = voice.criteria(action, domain)
+        criteria = own.criteria(action, domain)
         names = (sample(name) for each in criteria for name in each.partitions)
         return cls(
-            subject=voice.subject,
+            subject=own.subject,
             action=action,
             domain=domain,
             now=now,
-            topics=voice.topics(action, domain),
+            topics=own.topics(action, domain),
             partitions=tuple(dict.fromkeys([(), *((name,) for name in names if name)])),
             tags=tuple(dict.fromkeys([(), *(each.data_tags for each in criteria)])),
             judges=(
-                (Side.OWN, Policy(voice.governance, voice.permissions)),
-                (Side.PEER, Policy(peer.governance, voice.permissions)),
+                (Side.OWN, Policy(own.governance, own.permissions)),
+                (Side.PEER, Policy(peer.governance, own.permissions)),
             ),
         )
 

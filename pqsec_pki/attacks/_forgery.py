@@ -98,7 +98,7 @@ def list_of(authority: Authority, taken_back: Certificate, now: datetime) -> Rev
 
 
 def without_alternative_signature(genuine: Certificate, broken: PrivateKey) -> Certificate:
-    """The certificate with one signature less; the other, by the CA's plain key, made anew."""
+    """The certificate with one signature less; the other, by the CA's plain key, made again."""
     tbs = _without_alternative_signature(genuine)
     return _assembled(tbs, tbs.signature, broken.sign(encode(tbs)))
 

@@ -80,7 +80,7 @@ def _zone_hazard(grant: Grant | None, question: Question) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class DomainsAnswer:
     """What is answered alike on some domains; `question` is of the first."""
 
     question: Question
@@ -111,19 +111,19 @@ class Finding:
         return answers, self.joins, self.answer.decision.protection
 
 
-def findings_of(
+def answers_by_domain(
     papers: Papers, question: Question, stack: str | None, *, everywhere: bool
-) -> list[Finding]:
+) -> list[DomainsAnswer]:
     """What is allowed first; on all domains that the documents name, or that of the question.
 
     As `stack` reads the documents, or by the standard and by all others.
     """
     if not everywhere:
-        return [_finding(papers, question, stack, DomainSet(parts=(question.domain,)))]
-    found: dict[object, list[tuple[DomainRange, Finding]]] = {}
+        return [_answered(papers, question, stack, DomainSet(parts=(question.domain,)))]
+    found: dict[object, list[tuple[DomainRange, DomainsAnswer]]] = {}
     for stretch in domains_named(papers.governance.value, papers.permissions.value):
         here = replace(question, domain=stretch.first)
-        each = _finding(papers, here, stack, DomainSet(parts=(stretch,)))
+        each = _answered(papers, here, stack, DomainSet(parts=(stretch,)))
         found.setdefault(each.likeness(papers), []).append((stretch, each))
     merged = [
         replace(alike[0][1], domains=domain_set([stretch for stretch, _ in alike]))
@@ -132,11 +132,13 @@ def findings_of(
     return sorted(merged, key=lambda each: (not each.allowed, not each.joins))
 
 
-def _finding(papers: Papers, question: Question, stack: str | None, domains: DomainSet) -> Finding:
+def _answered(
+    papers: Papers, question: Question, stack: str | None, domains: DomainSet
+) -> DomainsAnswer:
     reading = reading_named(stack) if stack else SPEC
     others = [] if stack else [each for each in READINGS if each is not SPEC]
     join = replace(question, action=Action.JOIN, topic=None)
-    return Finding(
+    return DomainsAnswer(
         question=question,
         answer=answer_of(papers, question, reading),
         others=[answer_of(papers, question, each) for each in others],

@@ -19,7 +19,7 @@ MATRIX = 20
 """Participants that a matrix has room for."""
 LISTED = 20
 """Participants with one fault that are named; --json names all."""
-_SILENT = "met"
+_MET = "met"
 _CELLS = {True: "ok", False: "FAIL", None: "-"}
 
 Item = TypeVar("Item")
@@ -74,10 +74,10 @@ class _Account:
             self.cells[column, row] = self._cell(outcome, column)
 
     def _cell(self, outcome: Outcome, sender: str) -> str:
-        """How they meet, and whether the other may hear what `sender` says."""
+        """How they meet, and whether the other may subscribe to what `sender` publishes."""
         talks = outcome.result.talks if outcome.ok and outcome.result else ()
-        mute = any(each.sender == sender and not each.topics for each in talks)
-        return _SILENT if mute else _CELLS[outcome.ok]
+        no_topic = any(each.sender == sender and not each.topics for each in talks)
+        return _MET if no_topic else _CELLS[outcome.ok]
 
     @property
     def totals(self) -> dict[str, float]:
@@ -89,7 +89,7 @@ class _Account:
             "ok": tally.met,
             "failed": tally.failed,
             "no_common_domain": tally.apart,
-            "no_common_topic": tally.silent,
+            "no_common_topic": tally.no_common_topic,
             "seconds": round(self.seconds, 3),
             "handshakes": tally.tried,
             "handshakes_per_second": round(tally.tried / self.seconds, 1),
@@ -214,8 +214,8 @@ def _matrix(account: _Account) -> Iterator[str]:
         for number, name in zip(numbers, names, strict=True)
     ]
     yield from _printing.table(("", "", *numbers), rows)
-    if _SILENT in account.cells.values():
-        yield f"{_SILENT}: they meet, but the column may not subscribe to what the row may publish"
+    if _MET in account.cells.values():
+        yield f"{_MET}: they meet, but the column may not subscribe to what the row may publish"
     if stacks != (PQSEC.name, PQSEC.name):
         row, column = (stack_named(name).title for name in stacks)
         yield f"a row behaves as {row}, a column as {column}"

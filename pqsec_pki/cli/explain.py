@@ -13,7 +13,7 @@ from pqsec_pki.access import READINGS, Action, Decision, Question
 from pqsec_pki.access.everywhere import is_known
 from pqsec_pki.access.matrix import Member, topics_named
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.cli._answers import Answer, Finding, findings_of
+from pqsec_pki.cli._answers import Answer, DomainsAnswer, answers_by_domain
 from pqsec_pki.cli._documents import (
     Papers,
     governance_in,
@@ -74,7 +74,7 @@ def explain(stack: str | None, **asked: Any) -> int:
         partitions=asked["partitions"],
         data_tags=tuple(map(_tag, asked["tags"])),
     )
-    found = list(findings_of(papers, asked_of, stack, everywhere=asked["domain"] is None))
+    found = list(answers_by_domain(papers, asked_of, stack, everywhere=asked["domain"] is None))
     _tell(papers, found)
     if not found[0].allowed and topic:
         _tell_of_slips(papers, action, topic)
@@ -173,7 +173,7 @@ def _ros_topic(name: str) -> str:
 # Printing
 
 
-def _tell(papers: Papers, found: list[Finding]) -> None:
+def _tell(papers: Papers, found: list[DomainsAnswer]) -> None:
     question = found[0].question
     value = {
         "participant": papers.who,
@@ -190,7 +190,7 @@ def _tell(papers: Papers, found: list[Finding]) -> None:
     _printing.emit(value, [line for each in found for line in _lines(papers, each)])
 
 
-def _finding_json(papers: Papers, finding: Finding) -> dict[str, Any]:
+def _finding_json(papers: Papers, finding: DomainsAnswer) -> dict[str, Any]:
     answer = finding.answer
     return {
         "domain": finding.question.domain,
@@ -222,7 +222,7 @@ def _protection(decision: Decision) -> list[str]:
     return list(decision.protection.words) if decision.protection and decision.allowed else []
 
 
-def _lines(papers: Papers, finding: Finding) -> Iterator[str]:
+def _lines(papers: Papers, finding: DomainsAnswer) -> Iterator[str]:
     question, answer, others = finding.question, finding.answer, finding.others
     what = "join" if question.topic is None else f"{question.action} {plain(question.topic)}"
     title = f"{plain(papers.who)}: {what}, {finding.where}"

@@ -19,7 +19,7 @@ MATRIX_ROUNDS = 5
 _COUPLE = 2
 _TOLD = 6
 """Topics, and domains, in a line."""
-_SILENT = "They share no topic: neither may subscribe to anything that the other may publish."
+_NO_TOPIC = "They share no topic: neither may subscribe to anything that the other may publish."
 _MEETING = {"--domain", "--kem", "--as"}
 _TAKES = {
     "two participants": _MEETING,
@@ -256,7 +256,7 @@ def _talk_lines(report: Report) -> Iterator[str]:
         topics = _shortened(talk.topics) if talk.topics else "no topic"
         yield f"{talk.sender} to {talk.receiver}: {topics}"
     if not any(talk.topics for talk in report.talks):
-        yield _SILENT
+        yield _NO_TOPIC
 
 
 def _shortened(names: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ _NEVER = datetime.max.replace(tzinfo=UTC)
 _ELSEWHERE = "has its key elsewhere"
 _OTHER_KEY = "its request is for another key"
 _IF_MEANT = "if it is really the robot that asks: --new-keys"
-_ASK_ANEW = "have it ask anew (`pqsec request`), and name the file as its `request`"
+_ASK_AGAIN = "have it ask anew (`pqsec request`), and name the file as its `request`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +42,8 @@ class Needs:
             )
         elif held is not None and held.revoked:
             yield Blocked(member.name, "was revoked")
-        elif anew := self._why_anew(member.name, held):
-            yield self._issuing(member, held, *anew)
+        elif again := self._why_again(member.name, held):
+            yield self._issuing(member, held, *again)
         elif held is not None:
             answer = None
             if asks_for_other_keys(member, held.keys):
@@ -59,7 +59,7 @@ class Needs:
         if why := self._why_renew(member, held):
             yield Step(Action.RENEW, member.name, why)
 
-    def _why_anew(self, name: str, held: Holding | None) -> tuple[Action, str] | None:
+    def _why_again(self, name: str, held: Holding | None) -> tuple[Action, str] | None:
         """Why it needs a certificate that no renewal gives, if it does."""
         if held is None:
             return Action.ISSUE, "new"
@@ -81,7 +81,7 @@ class Needs:
         if member.request:
             return self._answering(member, held, action, why)
         if held and self._key_is_elsewhere(member.name, held):
-            return Blocked(member.name, f"{_ELSEWHERE}, and {why}", _ASK_ANEW)
+            return Blocked(member.name, f"{_ELSEWHERE}, and {why}", _ASK_AGAIN)
         return Step(action, member.name, why)
 
     def _answering(
@@ -93,10 +93,10 @@ class Needs:
         try:
             keys = hashes_in(admitted(member, self.profile))
         except PqsecError as error:
-            return Blocked(name, f"asks for what it cannot have: {error}", _ASK_ANEW)
+            return Blocked(name, f"asks for what it cannot have: {error}", _ASK_AGAIN)
         same = held is None or keys == held.keys
         if held and held.compromised and same:
-            return Blocked(name, f"{_ELSEWHERE}, and {why}", _ASK_ANEW)
+            return Blocked(name, f"{_ELSEWHERE}, and {why}", _ASK_AGAIN)
         if not (same or self.new_keys):
             why = _OTHER_KEY if why == _OTHER_KEY else f"{_OTHER_KEY}, and {why}"
             return Blocked(name, f"stays as it is: {why}", _IF_MEANT)

@@ -11,7 +11,7 @@ from pathlib import Path
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.certificates import Reason
 from pqsec_pki.domain.desired import Desired
-from pqsec_pki.domain.plan import plan as plan_anew
+from pqsec_pki.domain.plan import plan as plan_again
 from pqsec_pki.domain.requests import wish_of
 from pqsec_pki.domain.steps import Action, Plan, Step
 from pqsec_pki.errors import (
@@ -146,7 +146,7 @@ class _Worker:
         """Another command was at work since: what is left of the plan?"""
         self._authorities.refuse_outdated(self._keystore.root)
         prune = any(action is Action.REVOKE for action, _ in self._wanted)
-        found = plan_anew(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
+        found = plan_again(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
         self._wanted &= {(step.action, step.name) for step in found.steps} | {(Action.MAKE, "")}
 
     def tell_failures(self) -> None:

@@ -26,7 +26,7 @@ from pqsec_pki.keystore import Wish
 
 EDITION = 1
 """Of what roles mean. Counted up when the same words come to mean other rules, so that the
-permissions made of them are signed anew."""
+permissions made of them are signed again."""
 
 _ALWAYS = (datetime(1970, 1, 1, tzinfo=UTC), datetime(2261, 1, 1, tzinfo=UTC))
 """Permissions end with the certificate; a grant of a role sets no other limit."""

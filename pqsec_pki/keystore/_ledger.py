@@ -168,7 +168,7 @@ class Ledger:
                 _table.make(self._database)
 
     def _lost(self) -> KeystoreError:
-        """One begun anew would not know what was revoked."""
+        """One begun again would not know what was revoked."""
         return KeystoreError(
             f"{self._path} is missing or empty: what was issued and revoked is known from it alone",
             hint="put it back from a backup; without one, see docs/keystore.md, Backups",

@@ -41,7 +41,7 @@ class _Moves:
     entries: list[Entry]
     """The ledger's new lines."""
     begins_ledger: bool
-    """Where not, a ledger that is lost is not begun anew: it would not know what was revoked."""
+    """Where not, a ledger that is lost is not begun again: it would not know what was revoked."""
 
     @classmethod
     def read(cls, journal: Folder) -> "_Moves":

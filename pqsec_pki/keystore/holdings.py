@@ -114,7 +114,7 @@ def marks_in(ledger: Ledger) -> dict[str, str]:
 def _newest(ledger: Ledger) -> Iterator[tuple[Newest, str, str]]:
     """Of each participant its newest line, its mark, and the SHA-256 of its permissions.
 
-    Permissions that were signed anew for the same certificate have a mark of their own.
+    Permissions that were signed again for the same certificate have a mark of their own.
     """
     documents = ledger.newest_marked("permissions")
     document = next(documents, None)

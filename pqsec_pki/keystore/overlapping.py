@@ -1,7 +1,7 @@
 """Beginning and ending an overlap, in which participants trust two identity CAs.
 
 begin:   a new CA is made and trusted by all, behind the one that issues;
-switch:  the new one issues, and everybody is issued anew; the old one is still trusted;
+switch:  the new one issues, and everybody is issued again; the old one is still trusted;
 finish:  the new one alone is trusted.
 
 Each is one change. Between two of them every robot gets its new files, and those that have
@@ -75,7 +75,7 @@ def switch_overlap(
     passphrase: bytes | None,
     now: datetime,
 ) -> Rotated:
-    """The new identity CA issues from now on, and all anew; the old one stays trusted.
+    """The new identity CA issues from now on, also to all who are there; the old one stays trusted.
 
     KeystoreError if no overlap has begun, PassphraseError if `passphrase` is not the new
     CA's; else as `rotate`.

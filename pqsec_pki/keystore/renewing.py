@@ -36,7 +36,7 @@ class Renewal:
     validity: timedelta | None = None
     """From now on; None for as long as the old certificate was issued for."""
     due: timedelta | None = None
-    """A revocation list that ends within this time is made anew; None as in `status`."""
+    """A revocation list that ends within this time is made again; None as in `status`."""
     compromised_keys: bool = False
     """Whether keys that were revoked as compromised may be kept."""
 
@@ -51,7 +51,7 @@ def renew(
 ) -> list[Issued]:
     """Give every participant in `names` a new certificate and new permissions, or none.
 
-    A revocation list that is due is made anew with them. KeystoreError for a participant
+    A revocation list that is due is made again with them. KeystoreError for a participant
     that is not there, was revoked, or has files that are not the newest ones issued to
     it; VerificationError for permissions that the CA did not sign.
     """
@@ -75,7 +75,7 @@ def renew(
 
 @dataclass(frozen=True, slots=True)
 class Renewer:
-    """Makes a participant anew, from what the inspector lets pass."""
+    """Issues a participant again, from what the inspector lets pass."""
 
     maker: Maker
     inspector: Inspector

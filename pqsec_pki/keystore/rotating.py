@@ -1,4 +1,4 @@
-"""A new generation of CAs: everybody is issued anew, every document signed anew, in one change.
+"""A new generation of CAs: everybody is issued again, every document signed again, in one change.
 
 The CAs that go need not be unlocked, unless one of the two stays: what they signed is
 checked with their certificates. They are kept in private/generations/, or destroyed.
@@ -52,13 +52,13 @@ def rotate(  # noqa: PLR0913 -- what follows, by what, and when, all by name
     now: datetime,
     successor: Authority | None = None,
 ) -> Rotated:
-    """New CAs, and with them every participant and document anew; all of it or nothing.
+    """New CAs, every participant and document again from them; all of it or nothing.
 
     `kept` are the keystore's CAs, needed where one of them stays. The new keys are
     encrypted under `passphrase`. `successor` is the identity CA that an overlap began with
     (`overlapping.py`): it issues from now on, and the old one stays trusted. KeystoreError
     for a participant whose files are not the newest that the ledger knows, or whose keys
-    cannot be made anew here, and during an overlap without its successor; VerificationError
+    cannot be made again here, and during an overlap without its successor; VerificationError
     for documents that the old permissions CA did not sign; UsageError for another profile
     while one CA stays.
     """

@@ -50,7 +50,7 @@ class Remote:
 class Handshake:
     """Where a handshake stands. A message that is refused leaves it there.
 
-    A new Request, ours or the peer's, begins it anew; until that is finished too, what was
+    A new Request, ours or the peer's, begins it again; until that is finished too, what was
     finished before counts: anybody may send a Request.
     """
 

@@ -38,7 +38,7 @@ class Notes:
             self._log(f"{self._who}: what it has to say more this minute is only counted")
 
     def finish(self) -> None:
-        """Tell what was left out, and begin anew."""
+        """Tell what was left out, and begin again."""
         if self._left_out:
             since = f"{self._since:%H:%M:%S}"
             self._log(f"{self._who}: {self._left_out} lines like these were left out since {since}")

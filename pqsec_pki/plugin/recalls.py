@@ -44,7 +44,7 @@ class Recalls:
 
         Then PqsecError of a list that cannot be taken.
         """
-        refusal = self._read_anew()
+        refusal = self._read_again()
         self._told.intersection_update(handle for handle, _ in self._handles.all(object))
         for handle in self._revoked():
             if handle not in self._told:
@@ -54,7 +54,7 @@ class Recalls:
             raise refusal
         return 0
 
-    def _read_anew(self) -> PqsecError | None:
+    def _read_again(self) -> PqsecError | None:
         """The lists whose files have changed, for further handshakes too."""
         refusal = None
         for handle, local in self._handles.all(Local):

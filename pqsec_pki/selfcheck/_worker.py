@@ -10,13 +10,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from pqsec_pki.access.sharing import Voice
+from pqsec_pki.access.sharing import ParticipantDocuments
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck.meeting import Meeting, Occasion, Seated, fetched, vetted
 from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, Talk
-from pqsec_pki.selfcheck.shared_domains import domains_of, talks_between, voice_of
+from pqsec_pki.selfcheck.shared_domains import documents_of, domains_of, talks_between
 from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
 
 
@@ -70,7 +70,7 @@ class Result(NamedTuple):
     """What each may publish and the other subscribe to, once they have met."""
 
     @property
-    def is_silent(self) -> bool:
+    def shares_no_topic(self) -> bool:
         """Whether they have met, and share no topic."""
         return self.failed is None and not any(each.topics for each in self.talks)
 
@@ -82,7 +82,7 @@ class Worker:
     gathering: Gathering
     occasion: Occasion
     _read: dict[str, Credentials] = field(default_factory=dict)
-    _voices: dict[str, Voice] = field(default_factory=dict)
+    _documents: dict[str, ParticipantDocuments] = field(default_factory=dict)
 
     @classmethod
     def of(cls, gathering: Gathering) -> "Worker":
@@ -127,9 +127,9 @@ class Worker:
     def _talks(self, pair: Pair) -> tuple[Talk, ...]:
         names = pair.first.name, pair.second.name
         for name in names:
-            if name not in self._voices:
-                self._voices[name] = voice_of(self._read[name])
-        one, other = ((name, self._voices[name]) for name in names)
+            if name not in self._documents:
+                self._documents[name] = documents_of(self._read[name])
+        one, other = ((name, self._documents[name]) for name in names)
         return talks_between(one, other, pair.domain, self.gathering.now)
 
     def _seated(self, seat: Seat, steps: Steps) -> Seated:

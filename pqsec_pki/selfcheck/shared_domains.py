@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from pqsec_pki.access import may_join
-from pqsec_pki.access.sharing import Voice, topics_between
+from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
@@ -83,7 +83,7 @@ def meet_on(
         return report
     keystore = occasion.keystore
     names = tuple(regular_name(guest.name) for guest in (first, second))
-    one, other = ((name, voice_of(keystore.participant(name))) for name in names)
+    one, other = ((name, documents_of(keystore.participant(name))) for name in names)
     return replace(report, talks=talks_between(one, other, occasion.domain, occasion.now))
 
 
@@ -100,9 +100,9 @@ def _apart(occasion: Occasion, joinable: JoinableDomains, guests: Sequence[Guest
     return meeting.report()
 
 
-def voice_of(participant: Credentials) -> Voice:
-    """What it may say and hear by its documents, as they lie there; MalformedError, or others."""
-    return Voice(
+def documents_of(participant: Credentials) -> ParticipantDocuments:
+    """Its subject and documents, as they lie there; MalformedError, or others."""
+    return ParticipantDocuments(
         subject=participant.certificate.subject_name,
         governance=Governance.from_xml(document_in(participant.governance)),
         permissions=Permissions.from_xml(document_in(participant.permissions)),
@@ -112,25 +112,28 @@ def voice_of(participant: Credentials) -> Voice:
 def domains_of(participant: Credentials, now: datetime) -> tuple[frozenset[int], set[int]]:
     """Those it may join, and those that its governance names. Nothing is verified here."""
     try:
-        voice = voice_of(participant)
-        named = {each for rule in voice.governance.domain_rules for each in rule.domains.ids()}
+        own = documents_of(participant)
+        named = {each for rule in own.governance.domain_rules for each in rule.domains.ids()}
         return frozenset(
             domain
             for domain in named
-            if may_join(voice.governance, voice.permissions, voice.subject, domain, now).allowed
+            if may_join(own.governance, own.permissions, own.subject, domain, now).allowed
         ), named
     except PqsecError:
         return frozenset(), set()
 
 
 def talks_between(
-    one: tuple[str, Voice], other: tuple[str, Voice], domain: int, now: datetime
+    one: tuple[str, ParticipantDocuments],
+    other: tuple[str, ParticipantDocuments],
+    domain: int,
+    now: datetime,
 ) -> tuple[Talk, Talk]:
     """What each of two, by name, may publish and the other subscribe to."""
-    (first, voice), (second, answer) = one, other
+    (first, its), (second, others) = one, other
     return (
-        Talk(first, second, topics_between(voice, answer, domain=domain, now=now)),
-        Talk(second, first, topics_between(answer, voice, domain=domain, now=now)),
+        Talk(first, second, topics_between(its, others, domain=domain, now=now)),
+        Talk(second, first, topics_between(others, its, domain=domain, now=now)),
     )
 
 

@@ -31,7 +31,7 @@ class Tally:
     failed: int = 0
     apart: int = 0
     """Pairs that share no domain."""
-    silent: int = 0
+    no_common_topic: int = 0
     """Pairs that met, and share no topic."""
     tried: int = 0
     """Pairs whose handshake was run: both are sound each by itself."""
@@ -48,7 +48,9 @@ class Tally:
         self.met += outcome.ok is True
         self.failed += outcome.ok is False
         self.apart += outcome.ok is None
-        self.silent += bool(outcome.ok and outcome.result and outcome.result.is_silent)
+        self.no_common_topic += bool(
+            outcome.ok and outcome.result and outcome.result.shares_no_topic
+        )
         self.tried += outcome.result is not None
         if (result := outcome.result) and result.failed:
             roles = {result.initiator: "the initiator", result.replier: "the replier"}

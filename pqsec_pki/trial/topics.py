@@ -38,7 +38,7 @@ def passage(keystore: Keystore, names: tuple[str, str], domain: int, now: dateti
     A topic that goes one way only comes before those that both may publish, as all nodes of
     ROS 2 may some. UsageError if there is none.
     """
-    first, second = (_Voice.of(keystore, name, domain, now) for name in names)
+    first, second = (_Participant.of(keystore, name, domain, now) for name in names)
     ways = [
         (receiver.may(Action.PUBLISH, topic), sender.name, receiver.name, topic)
         for sender, receiver in ((first, second), (second, first))
@@ -56,7 +56,7 @@ def passage(keystore: Keystore, names: tuple[str, str], domain: int, now: dateti
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Voice:
+class _Participant:
     """One participant, and what its documents let it do. Its stack will verify them."""
 
     name: str

@@ -5,17 +5,17 @@ from datetime import UTC, datetime
 
 import pytest
 
-from pqsec_pki.access.sharing import Voice, topics_between
+from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet
 from tests.unit.test_diff import STRICT, allow, deny, document, topic_rule, with_rule
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 
 
-def voice(name, *rules, governance=STRICT, **more):
+def documents(name, *rules, governance=STRICT, **more):
     subject = f"CN={name}"
     permissions = document(*rules, subject=subject, **more)
-    return Voice(subject=subject, governance=governance, permissions=permissions)
+    return ParticipantDocuments(subject=subject, governance=governance, permissions=permissions)
 
 
 def hears(*topics, **more):
@@ -66,24 +66,24 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_they_share(case):
     said, heard, found = CASES[case]
-    assert shared(voice("/talker", *said), voice("/listener", *heard)) == found
+    assert shared(documents("/talker", *said), documents("/listener", *heard)) == found
 
 
 def test_what_governance_or_a_default_opens_is_shared():
     opened = with_rule(topics=(topic_rule("open", enable_read_access_control=False),))
-    one = voice("/talker", says("open"), governance=opened)
-    other = voice("/listener", hears("x"), governance=opened)
+    one = documents("/talker", says("open"), governance=opened)
+    other = documents("/listener", hears("x"), governance=opened)
     assert shared(one, other) == ("open",)
     assert shared(other, one) == ()
-    free = voice("/free", default=DefaultAction.ALLOW)
-    assert shared(free, voice("/listener", hears("a", "b*"))) == ("a", "b")
+    free = documents("/free", default=DefaultAction.ALLOW)
+    assert shared(free, documents("/listener", hears("a", "b*"))) == ("a", "b")
 
 
 def test_both_governances_count():
     """Each stack judges its own endpoint and the peer's, by the governance that it has."""
     opened = with_rule(topics=(topic_rule("*", enable_write_access_control=False),))
-    hearing = voice("/listener", hears("a"))
-    assert shared(voice("/talker", says("b"), governance=opened), hearing) == ()
+    hearing = documents("/listener", hears("a"))
+    assert shared(documents("/talker", says("b"), governance=opened), hearing) == ()
     assert shared(
-        voice("/talker", says("b"), governance=opened), replace(hearing, governance=opened)
+        documents("/talker", says("b"), governance=opened), replace(hearing, governance=opened)
     )

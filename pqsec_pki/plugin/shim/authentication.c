@@ -19,7 +19,7 @@ struct plugin {
 /* A refusal is a failed validation. */
 static int validation(int result) { return result < 0 ? VALIDATION_FAILED : result; }
 
-/* The watch calls it: who is taken back by a revocation list that the agent has read anew. */
+/* The watch calls it: who is taken back by a revocation list that the agent has read again. */
 static void find_revoked(const void *plugin)
 {
   struct plugin *self = (struct plugin *)(uintptr_t)plugin;
