@@ -1,25 +1,21 @@
-"""The attacker on the way changes messages: their fields, their order, their size."""
+"""The attacker on the way changes what is in a message: its fields, or what is encrypted."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from functools import partial
 
 from pqsec_pki.attacks._relays import (
     Edit,
     adding,
     editing,
-    enveloped,
     on,
     preceding,
     putting,
-    retold,
 )
 from pqsec_pki.attacks._scene import Attempt, Scene
 from pqsec_pki.attacks.attack import CERTIFICATE, COVERED, DOCUMENT, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import (
-    DataHolder,
     Final,
-    GenericMessage,
     KeyMaterial,
     Reply,
     Request,
@@ -27,7 +23,7 @@ from pqsec_pki.handshake import (
     token_message,
 )
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
+from pqsec_pki.selfcheck.report import HANDSHAKE, MESSAGE
 
 _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
     "request": Request,
@@ -78,85 +74,6 @@ def _with_less(place: float, value: bytes) -> bytes:
     at = int(place * (len(value) - 1))
     byte = value[at]
     return value[:at] + bytes([byte & byte - 1 if byte else 1]) + value[at + 1 :]
-
-
-# Whole messages
-
-
-_MISLABELED: Mapping[str, Callable[[GenericMessage], GenericMessage]] = {
-    "to another address": lambda it: replace(it, destination_participant=it.source),
-    "as another kind of message": lambda it: replace(it, class_id="dds.sec.auth_other"),
-    "as another version": lambda it: replace(it, tokens=(_as_version_9(it.tokens[0]),)),
-    "twice in one": lambda it: replace(it, tokens=it.tokens * 2),
-}
-
-
-def mislabel(scene: Scene) -> Iterator[Attempt]:
-    """Right tokens in a wrong message."""
-    for message in (AUTH_REQUEST, *HANDSHAKE):
-        for what, edit in _MISLABELED.items():
-            yield scene.between(f"the {message} {what}", enveloped(message, edit))
-
-
-def _as_version_9(token: DataHolder) -> DataHolder:
-    return replace(token, class_id=token.class_id.replace(":1.0", ":9.0"))
-
-
-def reorder(scene: Scene) -> Iterator[Attempt]:
-    """Another message than is due, which has all that is looked for in the one that is."""
-    for due in HANDSHAKE:
-        for other in HANDSHAKE:
-            if other != due:
-                relay = retold(due, partial(_as, scene.token(other)))
-                yield scene.between(f"a {other} where a {due} is due", relay)
-
-
-def _as(other: DataHolder, due: DataHolder) -> DataHolder:
-    known = dict(due.binary_properties)
-    more = tuple(pair for pair in other.binary_properties if pair[0] not in known)
-    return replace(other, binary_properties=due.binary_properties + more)
-
-
-_PADDING = bytes(64)
-
-
-def truncate(scene: Scene) -> Iterator[Attempt]:
-    """Messages that end too early, but behind all that is looked for."""
-    for message in (AUTH_REQUEST, *HANDSHAKE):
-        for what, size in _CUTS.items():
-            padding = adding(message, ("x", _PADDING))
-            cut = on(message, partial(_without_end, size))
-            yield scene.between(f"{what} of the {message}", padding, cut)
-
-
-_CUTS: Mapping[str, int] = {
-    "a byte too few": 1,
-    "half of the last field too few": len(_PADDING) // 2,
-    "the last field too few": len(_PADDING),
-    "the last field and its length too few": len(_PADDING) + 4,
-}
-
-
-def _without_end(size: int, data: bytes) -> bytes:
-    return data[:-size]
-
-
-def oversize(scene: Scene) -> Iterator[Attempt]:
-    """What would cost memory or time before anybody is authenticated."""
-    many = [(f"x{at}", b"") for at in range(10_000)]
-    for message in HANDSHAKE:
-        relay = adding(message, ("x", bytes(1 << 20)))
-        yield scene.between(f"a field of 1 MiB in the {message}", relay)
-        yield scene.between(f"10,000 fields in the {message}", adding(message, *many))
-        claimed = on(message, _with_length)
-        last = adding(message, ("x", _PADDING))
-        yield scene.between(f"a length of 4 GiB in the {message}", last, claimed)
-
-
-def _with_length(sample: bytes) -> bytes:
-    """What the last field begins with is its length."""
-    end = len(_PADDING)
-    return sample[: -end - 4] + b"\xff" * 4 + sample[-end:]
 
 
 # Protected messages
@@ -287,37 +204,5 @@ ATTACKS = (
         refused_at=("reply", "final", "authenticated"),
         checks=(Code.C7,),
         act=smuggle_fields,
-    ),
-    Attack(
-        name="mislabel",
-        attacker=Attacker.ON_THE_WAY,
-        title="readdresses a message, or says it is of another kind or version",
-        refused_at=("auth", "reply", "final", "authenticated"),
-        checks=(Code.C2, Code.C3),
-        act=mislabel,
-    ),
-    Attack(
-        name="reorder",
-        attacker=Attacker.ON_THE_WAY,
-        title="delivers a message where another one is due",
-        refused_at=("reply", "final", "authenticated"),
-        checks=(Code.C3,),
-        act=reorder,
-    ),
-    Attack(
-        name="truncate",
-        attacker=Attacker.ON_THE_WAY,
-        title="cuts messages short",
-        refused_at=("auth", "reply", "final", "authenticated"),
-        checks=(Code.C1,),
-        act=truncate,
-    ),
-    Attack(
-        name="oversize",
-        attacker=Attacker.ON_THE_WAY,
-        title="sends messages of 1 MiB, of 10,000 fields, or that claim 4 GiB, to exhaust memory",
-        refused_at=("reply", "final", "authenticated"),
-        checks=(Code.C1,),
-        act=oversize,
     ),
 )

@@ -4,12 +4,21 @@ For `pqsec verify-handshake --attack`: what is done to two participants of a key
 would meet, with their own credentials, and where it has to fail.
 """
 
-from pqsec_pki.attacks import _between, _impostors, _insiders, _meddling, _replays, _tampering
+from pqsec_pki.attacks import (
+    _between,
+    _impostors,
+    _insiders,
+    _meddling,
+    _misdelivery,
+    _replays,
+    _tampering,
+)
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UnknownAlgorithmError
 
 ATTACKS: tuple[Attack, ...] = (
     *_tampering.ATTACKS,
+    *_misdelivery.ATTACKS,
     *_meddling.ATTACKS,
     *_replays.ATTACKS,
     *_impostors.ATTACKS,

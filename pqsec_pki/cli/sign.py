@@ -17,6 +17,7 @@ from pqsec_pki.documents import (
     permissions_from_yaml,
 )
 from pqsec_pki.errors import FileError, InvalidDocumentError, MalformedError, located
+from pqsec_pki.keystore import sign_document
 from pqsec_pki.problems import Problem
 
 
@@ -88,7 +89,8 @@ def _sign(  # noqa: PLR0913 -- one for each option
     if not force:  # told before anyone types a passphrase
         refuse_existing(goal)
     keystore = _settings.open_keystore(to_change=True)
-    signed = keystore.sign_document(
+    signed = sign_document(
+        keystore,
         kind,
         document,
         goal,

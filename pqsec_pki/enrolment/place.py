@@ -9,7 +9,6 @@ bundle.key.pem      what sealed bundles are opened with, where it was made
 A set never changes once it is there. The one before the current is kept.
 """
 
-import fcntl
 import json
 import os
 import re
@@ -31,8 +30,8 @@ from pqsec_pki._files import (
     sync_folder,
     walk,
 )
-from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
+from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
 from pqsec_pki.enrolment.bundle import flat_name
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, located
@@ -40,12 +39,8 @@ from pqsec_pki.errors import KeystoreError, located
 CURRENT, SETS, REQUESTS = "current", "sets", "requests"
 RECORD = "installed.json"
 TRUST = "trust.json"
-DRAFT = ".draft-"
 FORMAT = 1
-_PRIVATE_FOLDER = 0o700
 _NUMBER = re.compile("[1-9][0-9]{0,8}")
-_DRAFTED = re.compile(r"(\.draft-|\.bundle\.(key|pub)\.pem\.)[0-9a-f]{16}")
-"""What a killed process leaves; the folder may have files of others."""
 
 Enclaves = Mapping[str, Mapping[str, bytes]]
 """Files by name, by the name of their participant."""
@@ -201,17 +196,17 @@ def changing(root: Path) -> Iterator[Place]:
     what is there, or put another folder in its place.
     """
     with disk_errors(root):
-        _refuse_outsiders(root)
+        refuse_outsiders(root)
         new = not root.exists()
         make_private(root)
         try:
-            with _locked(root):
-                _sweep(root)
+            with locked(root):
+                sweep(root)
                 try:
                     yield Place(root)
                 except BaseException:
                     with suppress(OSError):  # then the next one sweeps
-                        _sweep(root)
+                        sweep(root)
                     raise
         except BaseException:
             if new:
@@ -220,65 +215,11 @@ def changing(root: Path) -> Iterator[Place]:
             raise
 
 
-def make_private(folder: Path) -> None:
-    """`folder` and what is missing above it, for their owner only; one that is there stays."""
-    for each in (*reversed(folder.parents), folder):
-        if not each.is_dir():
-            each.mkdir(mode=_PRIVATE_FOLDER)
-            each.chmod(_PRIVATE_FOLDER)
-
-
 def _set_name(text: str | None) -> str | None:
     """What a record says came before; ValueError if no set could be called so."""
     if text is not None and not _NUMBER.fullmatch(text):
         raise ValueError(f"a set called {text!r}")
     return text
-
-
-@contextmanager
-def _locked(root: Path) -> Iterator[None]:
-    handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError:
-        raise KeystoreError(f"{root}: another pqsec command is at work here") from None
-    finally:
-        os.close(handle)
-
-
-def _refuse_outsiders(root: Path) -> None:
-    """As sshd's StrictModes: the folder is the caller's alone, and those above theirs or root's.
-
-    Who may write in a folder above can rename this one, and put a link or a folder of their
-    own in its place; in a sticky one such as /tmp they cannot. Links on the way count too.
-    So what follows may go by paths.
-    """
-    given, real = root.absolute(), Path(os.path.realpath(root))
-    for path in dict.fromkeys((*given.parents, given, *real.parents, real)):
-        try:
-            found = path.lstat()
-        except FileNotFoundError:
-            continue
-        above = path != real
-        if who := outsider(found, roots=above, sticky=above):
-            raise KeystoreError(
-                f"{path}: {who}; who may write there could change what this robot runs with",
-                hint=f"{way_out(found, str(path))}; or choose another --dir",
-            )
-
-
-def _sweep(root: Path) -> None:
-    """Drafts of sets and requests, of the link, and of the key that opens bundles."""
-    for leftover in filter(_is_draft, root.iterdir()):
-        if leftover.is_symlink() or leftover.is_file():
-            leftover.unlink()
-        else:
-            shutil.rmtree(leftover)
-
-
-def _is_draft(path: Path) -> bool:
-    return _DRAFTED.fullmatch(path.name) is not None
 
 
 def _files_in(folder: Path) -> dict[str, bytes]:

@@ -15,7 +15,8 @@ from pqsec_pki._files import (
 from pqsec_pki.algorithms import Profile, SealingPrivateKey, private_key_pem
 from pqsec_pki.certificates import CertificateRequest, certificate_request
 from pqsec_pki.credentials import ALT_KEY, KEY
-from pqsec_pki.enrolment.place import DRAFT, Place, changing, make_private
+from pqsec_pki.enrolment._own_folder import DRAFT, make_private
+from pqsec_pki.enrolment.place import Place, changing
 from pqsec_pki.enrolment.sealed import fingerprint
 from pqsec_pki.keystore import regular_name
 

@@ -5,6 +5,7 @@ the folder as it is.
 
 What there is:
     _layout       where each file lies
+    _settings     pqsec.json, read and written
     participant   one participant, its files and what they say
     authorities   the CAs, with their private keys
     keystore      the folder, made and opened
@@ -71,7 +72,7 @@ from pqsec_pki.keystore.renewing import Renewal, renew
 from pqsec_pki.keystore.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
 from pqsec_pki.keystore.rollover import CA_VALIDITY, Rollover, Scope
 from pqsec_pki.keystore.rotating import Rotated, rotate
-from pqsec_pki.keystore.signing import govern, permit, signed_governance
+from pqsec_pki.keystore.signing import govern, permit, sign_document, signed_governance
 from pqsec_pki.keystore.status import Standing, State, Status, Term, status
 
 __all__ = [
@@ -124,6 +125,7 @@ __all__ = [
     "renew_list",
     "revoke",
     "rotate",
+    "sign_document",
     "signed_governance",
     "status",
     "switch_overlap",

@@ -16,8 +16,9 @@ from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._inspector import Inspector
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._making import Issued, Maker
+from pqsec_pki.keystore._settings import settings_file
 from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.keystore import Keystore, settings_file
+from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap, Phase, trust_entry
 from pqsec_pki.keystore.renewing import Renewal, Renewer
 from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher

@@ -25,8 +25,9 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._draft import Draft
+from pqsec_pki.keystore._settings import settings_file
 from pqsec_pki.keystore._survey import Survey
-from pqsec_pki.keystore.keystore import Keystore, settings_file
+from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, load_first_certificate
 
 _FOLDERS = (_layout.PUBLIC, _layout.PRIVATE, _layout.ENCLAVES)

@@ -1,6 +1,5 @@
 """A keystore: made once, opened by every command after."""
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -8,13 +7,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
-from pqsec_pki._files import disk_errors, exists, read, refuse_existing, write
+from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
-from pqsec_pki.documents import DomainSet, Governance, Kind
-from pqsec_pki.errors import ExistsError, KeystoreError, MalformedError, UsageError
-from pqsec_pki.keystore import _journal, _layout
+from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.errors import ExistsError, KeystoreError
+from pqsec_pki.keystore import _journal, _layout, _settings
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._folder import Folder
@@ -26,9 +25,6 @@ from pqsec_pki.keystore.participant import (
     load_revocation_list,
     refuse_unknown,
 )
-
-FORMAT = 1
-_NOT_SETTINGS = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +67,7 @@ class Keystore:
             enclaves.public(_layout.GOVERNANCE_XML, governance)
             enclaves.public(_layout.GOVERNANCE, signed)
             settings = draft.folder(".", private=False)
-            settings.public(_layout.SETTINGS, settings_file(profile, domains))
+            settings.public(_layout.SETTINGS, _settings.settings_file(profile, domains))
             draft.record(*authorities.entries(now), document_entry("governance", "", signed, now))
         return cls(root, profile, domains, to_change=True)
 
@@ -98,14 +94,8 @@ class Keystore:
             )
         if to_change:
             _journal.check(root)
-        try:
-            settings = json.loads(read(path))
-            if settings["format"] != FORMAT:
-                raise KeystoreError("made by another version of pqsec", where=path)
-            profile = Profile.from_names(settings["algorithms"])
-            return cls(root, profile, DomainSet.parse(settings["domains"]), to_change)
-        except (*_NOT_SETTINGS, MalformedError, UsageError) as error:
-            raise KeystoreError(f"not settings of pqsec ({error})", where=path) from error
+        profile, domains = _settings.read_settings(path)
+        return cls(root, profile, domains, to_change)
 
     @staticmethod
     def recover(root: Path) -> bool:
@@ -237,37 +227,6 @@ class Keystore:
         """The participant called `name`; KeystoreError if there is none."""
         return load_participant(self.root, _layout.enclave_name(name), passphrase)
 
-    def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by name
-        self,
-        kind: Kind,
-        document: bytes,
-        goal: Path,
-        authorities: Authorities,
-        *,
-        now: datetime,
-        embed_certificate: bool = False,
-        force: bool = False,
-    ) -> bytes:
-        """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
-
-        Over a document of this keystore, its XML changes in the same step. ExistsError if
-        something is at `goal`, unless `force`; then nothing is entered.
-        """
-        signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
-        with _journal.change(self.root) as draft:
-            authorities.refuse_outdated(self.root)
-            draft.record(document_entry(kind.value, str(goal), signed, now))
-            place = _layout.document_folder(self.root, kind.value, goal)
-            if place is None:
-                write(goal, signed, force=force)
-            else:
-                if not force:
-                    refuse_existing(goal)
-                folder = draft.folder(place, private=False)
-                folder.public(goal.with_suffix(".xml").name, document)
-                folder.public(goal.name, signed)
-        return signed
-
     def ledger(self) -> list[Entry]:
         """Everything that was ever issued or taken back here, oldest first."""
         return [line.entry for line in self.lines()]
@@ -292,9 +251,3 @@ def _parts_in(root: Path) -> list[str]:
     parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
     with disk_errors(root):
         return [name for name in parts if (root / name).exists()]
-
-
-def settings_file(profile: Profile, domains: DomainSet) -> bytes:
-    """What pqsec.json holds."""
-    settings = {"format": FORMAT, "algorithms": profile.to_names(), "domains": str(domains)}
-    return json.dumps(settings, indent=2).encode() + b"\n"

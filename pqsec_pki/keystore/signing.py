@@ -1,4 +1,4 @@
-"""New documents for what is there: permissions for a certificate, and the governance.
+"""New documents for what is there: permissions for a certificate, the governance, any other.
 
 Keys and certificates stay as they are. The new document takes the place of the old in one
 change with its line in the ledger.
@@ -7,10 +7,11 @@ change with its line in the ledger.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from pathlib import Path
 
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
-from pqsec_pki.documents import Governance
+from pqsec_pki.documents import Governance, Kind
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._draft import DraftedFolder
@@ -61,6 +62,38 @@ def govern(
         enclaves.public(_layout.GOVERNANCE_XML, document)
         enclaves.public(_layout.GOVERNANCE, signed)
         draft.record(_marked(document_entry("governance", "", signed, now), mark))
+
+
+def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by name
+    keystore: Keystore,
+    kind: Kind,
+    document: bytes,
+    goal: Path,
+    authorities: Authorities,
+    *,
+    now: datetime,
+    embed_certificate: bool = False,
+    force: bool = False,
+) -> bytes:
+    """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
+
+    Over a document of the keystore, its XML changes in the same step. ExistsError if
+    something is at `goal`, unless `force`; then nothing is entered.
+    """
+    signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
+    with _journal.change(keystore.root) as draft:
+        authorities.refuse_outdated(keystore.root)
+        draft.record(document_entry(kind.value, str(goal), signed, now))
+        place = _layout.document_folder(keystore.root, kind.value, goal)
+        if place is None:
+            write(goal, signed, force=force)
+        else:
+            if not force:
+                refuse_existing(goal)
+            folder = draft.folder(place, private=False)
+            folder.public(goal.with_suffix(".xml").name, document)
+            folder.public(goal.name, signed)
+    return signed
 
 
 def signed_governance(keystore: Keystore) -> Governance:

@@ -25,6 +25,7 @@ from pqsec_pki.keystore import (
     issue,
     renew,
     revoke,
+    sign_document,
 )
 from pqsec_pki.smime import document_in
 from tests.unit.domains import DAY, NAMES, NOW, Scene, damage
@@ -285,7 +286,7 @@ def test_permissions_that_were_signed_by_hand_are_replaced_renewed_or_not(scene)
     path = scene.file_of("/r1", "permissions.p7s")
     xml = Permissions.from_xml(document_in(path.read_bytes())).to_xml().replace(b"rt/cmd", b"*")
     scene.file_of("/r1", "permissions.xml").write_bytes(xml)
-    keystore.sign_document(Kind.PERMISSIONS, xml, path, keystore.unlock(None), now=NOW, force=True)
+    sign_document(keystore, Kind.PERMISSIONS, xml, path, keystore.unlock(None), now=NOW, force=True)
     assert scene.steps() == [(Action.PERMIT, "/r1")]
     renew(keystore, keystore.unlock(None), ["/r1"], now=NOW)
     assert scene.allowed("/r1")[1] == ["*"]

@@ -34,6 +34,7 @@ from pqsec_pki.keystore import (
     issue,
     load_certificate,
     revoke,
+    sign_document,
 )
 from pqsec_pki.smime import Require, verify
 from tests.unit.killing import fork
@@ -221,7 +222,7 @@ def signed_governance(keystore, goal, **options):
     xml = Governance.protected(DomainSet.of(0)).to_xml()
     unlocked = keystore.unlock(None)
     given = {"now": NOW} | options
-    return keystore.sign_document(Kind.GOVERNANCE, xml, goal, unlocked, **given)
+    return sign_document(keystore, Kind.GOVERNANCE, xml, goal, unlocked, **given)
 
 
 def test_a_signed_document_is_entered_in_the_ledger(keystore, tmp_path):

@@ -25,6 +25,7 @@ from pqsec_pki.keystore import (
     load_certificate,
     renew,
     renew_list,
+    sign_document,
     status,
 )
 from pqsec_pki.selfcheck import Guest, Occasion, meet
@@ -60,7 +61,7 @@ def put_permissions(keystore, *grants, now=NOW):
     goal = folder(keystore) / "permissions.p7s"
     (folder(keystore) / "permissions.xml").write_bytes(document)
     authorities = keystore.unlock(None)
-    keystore.sign_document(Kind.PERMISSIONS, document, goal, authorities, now=now, force=True)
+    sign_document(keystore, Kind.PERMISSIONS, document, goal, authorities, now=now, force=True)
 
 
 # What is made

@@ -33,6 +33,7 @@ from pqsec_pki.keystore import (
     renew,
     revoke,
     rotate,
+    sign_document,
     status,
 )
 from pqsec_pki.lint import Severity, check
@@ -137,7 +138,7 @@ def test_a_governance_that_was_changed_is_signed_as_it_was(keystore):
     path = keystore.root / "enclaves/governance.p7s"
     xml = (keystore.root / "enclaves/governance.xml").read_bytes().replace(b"ENCRYPT", b"SIGN")
     authorities = keystore.unlock(None)
-    keystore.sign_document(Kind.GOVERNANCE, xml, path, authorities, now=NOW, force=True)
+    sign_document(keystore, Kind.GOVERNANCE, xml, path, authorities, now=NOW, force=True)
     new = rotated(keystore).keystore
     assert b"SIGN" in verify(new.governance, new.permissions_ca).document
     assert verify(new.governance, new.permissions_ca).document.split() == xml.split()
@@ -496,7 +497,7 @@ def test_who_unlocked_the_cas_before_cannot_issue_after(keystore):
     for work in (
         lambda: renew(new, old, ["/talker"], now=LATER),
         lambda: revoke(new, old, ["/talker"], now=LATER),
-        lambda: new.sign_document(Kind.GOVERNANCE, b"", new.root / "x.p7s", old, now=LATER),
+        lambda: sign_document(new, Kind.GOVERNANCE, b"", new.root / "x.p7s", old, now=LATER),
     ):
         with pytest.raises(KeystoreError, match="has made way for another CA meanwhile"):
             work()
