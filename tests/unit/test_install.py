@@ -720,7 +720,7 @@ def test_a_file_that_went_missing_is_put_back_by_the_same_bundle(robot, bundles)
     ("file", "content", "words"),
     [
         ("governance.p7s", None, r"sets/1: /fleet/robot1 lacks governance\.p7s"),
-        ("permissions_ca.cert.pem", b"x", r"permissions_ca\.cert\.pem: not certificates"),
+        ("permissions_ca.cert.pem", b"x", r"permissions_ca\.cert\.pem: no certificate"),
     ],
 )
 def test_what_is_installed_and_damaged_is_not_blamed_on_the_bundle(
