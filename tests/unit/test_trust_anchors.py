@@ -1,16 +1,26 @@
 """The CAs by their roles: who must be good, which list counts, and who signs what."""
 
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
-from pqsec_pki.credentials import IDENTITY_CA, PERMISSIONS_CA, TrustAnchors
+from pqsec_pki.credentials import (
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS_CA,
+    Credentials,
+    TrustAnchors,
+    certificates_in,
+)
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import KeystoreError, MalformedError, VerificationError
+from pqsec_pki.keystore import enclave_files
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import Require, Signer, sign
+from tests.unit.keystores import made
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -98,13 +108,7 @@ def test_beside_a_revocation_list_only_its_issuer_counts(identity, permissions):
 
 def test_what_a_document_must_be_signed_with(identity, permissions):
     quantum, hybrid = authority("PQ", "ml-dsa-44"), authority("Hybrid", "mldsa65+p256")
-    twice = Authority.create(
-        "Twice",
-        SIGNATURES.named("ecdsa-p256"),
-        alternative=SIGNATURES.named("ml-dsa-44"),
-        now=NOW,
-        validity=DAY,
-    )
+    both = twice(SIGNATURES.named("ml-dsa-44"))
 
     assert anchors(permissions, identity).required is Require.CLASSICAL
     assert anchors(permissions).required is Require.CLASSICAL
@@ -113,6 +117,52 @@ def test_what_a_document_must_be_signed_with(identity, permissions):
     assert (
         anchors(permissions, identity, countersigner=quantum.certificate).required is Require.BOTH
     )
-    assert anchors(permissions, twice).required is Require.BOTH
-    assert anchors(permissions, identity, twice).required is Require.CLASSICAL  # the first says
-    assert anchors(permissions, twice, stock_peers=True).required is Require.CLASSICAL
+    assert anchors(permissions, both).required is Require.BOTH
+    assert anchors(permissions, identity, both).required is Require.CLASSICAL  # the first says
+    assert anchors(permissions, both, stock_peers=True).required is Require.CLASSICAL
+
+
+def test_a_certificate_of_a_cut_file_is_not_taken():
+    pem = authority("CA").certificate.pem
+    assert len(certificates_in(pem + pem, "ca.pem")) == 2
+    for broken in (b"", pem + b"-----BEGIN CERTIFICATE-----\n", pem + pem[:-30]):
+        with pytest.raises(MalformedError, match=r"ca\.pem"):
+            certificates_in(broken, "ca.pem")
+
+
+def twice(second):
+    """An identity CA whose alternative key is of that kind, or is that key itself."""
+    return Authority.create(
+        "Twice", SIGNATURES.named("ecdsa-p256"), alternative=second, now=NOW, validity=DAY
+    )
+
+
+def test_a_ca_of_two_kinds_in_one_key_needs_no_countersigner(permissions):
+    both = twice(SIGNATURES.named("ml-dsa-44"))
+
+    assert anchors(authority("Hybrid", "mldsa65+p256"), both).problems(NOW) == ()
+    [problem] = anchors(permissions, both).problems(NOW)
+    assert problem.code is Code.COUNTERSIGNER_MISSING
+
+
+def test_an_alternative_key_may_not_have_another_role(permissions):
+    quantum = authority("PQ", "ml-dsa-44")
+
+    @dataclass
+    class SameKey:
+        def generate(self):
+            return quantum.key
+
+    trusted = anchors(permissions, twice(SameKey()), countersigner=quantum.certificate)
+    [problem] = trusted.problems(NOW)
+    assert problem.code is Code.ONE_KEY_TWO_ROLES
+
+
+def test_credentials_of_a_robot_have_no_key_here(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    files = enclave_files(keystore.root, "/talker")
+    credentials = Credentials.of("/talker", {k: v for k, v in files.items() if k != KEY})
+
+    assert Credentials.of("/talker", files).key
+    with pytest.raises(KeystoreError, match="not here but on its robot"):
+        _ = credentials.key
