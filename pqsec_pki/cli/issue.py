@@ -9,9 +9,10 @@ import click
 from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
 from pqsec_pki.cli._wishes import Wanted, wish_options
+from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.enrolment import Bundle
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.keystore import Issued, Keystore, Wish
 from pqsec_pki.keystore import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -75,7 +76,8 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     wishes = wanted.wishes(tuple(asked) or names, domain_set)
     wishes = [_bundles.with_keys(wish, asked) for wish in wishes]
     goals = _bundles.goals(asked, folder, force=force)
-    governance = Governance.from_xml(document_in(keystore.governance))
+    with located(_governance(keystore)):
+        governance = Governance.from_xml(document_in(keystore.governance))
     recipient = _bundles.recipient(seal_for)
     authorities = _passphrases.unlock(keystore, passphrase_file)
     issued = issue_participants(
@@ -88,6 +90,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         compromised_keys=compromised_keys,
     )
     _warn(governance, wishes)
+    tell_of_governance(keystore)
     for name, goal in goals.items():
         _answer(keystore, name, goal, recipient, force=force)
     tell(keystore, issued, goals)
@@ -127,6 +130,23 @@ def _warn(governance: Governance, wishes: list[Wish]) -> None:
             f"the governance does not name domain {', '.join(map(str, ungoverned))}: nobody can"
             " join there until you add it and run `pqsec sign-governance`"
         )
+
+
+def tell_of_governance(keystore: Keystore) -> None:
+    """Of a governance with which none of its participants would start, once for all of them."""
+    path = _governance(keystore)
+    try:
+        keystore.anchors.signed(keystore.governance)
+    except PqsecError as error:
+        _printing.note(
+            f"{path}: the permissions CA did not sign it as it is ({error}), and no participant"
+            " starts with it: put back what was signed, or look through governance.xml and"
+            f" `pqsec -k {keystore.root} sign-governance {path.with_suffix('.xml')} --force`"
+        )
+
+
+def _governance(keystore: Keystore) -> Path:
+    return keystore.root / ENCLAVES / GOVERNANCE
 
 
 def tell(

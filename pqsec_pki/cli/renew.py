@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
-from pqsec_pki.cli.issue import tell
+from pqsec_pki.cli.issue import tell, tell_of_governance
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Renewal, State, Status
 from pqsec_pki.keystore import renew as renew_participants
@@ -67,6 +67,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     renewed = renew_participants(keystore, authorities, chosen, terms, now=now)
     if standing.list_is_due:
         _printing.note("the revocation list was due and is made anew: give it to every robot")
+    tell_of_governance(keystore)
     tell(keystore, renewed)
 
 

@@ -77,3 +77,17 @@ def not_understood(file: SuppressionFile) -> Iterator[Found]:
 def cut_off(inventory: Inventory) -> Iterator[Found]:
     if inventory.cut_off:
         yield Found("a change of the keystore was not finished", path=inventory.cut_off)
+
+
+@FAMILY.rule(
+    "PQS007", Severity.WARNING, Inventory, "a keystore lacks a part of what pqsec put there",
+    why="Without pqsec.json, or without private/ and its ledger, it is looked at like any folder:"
+    " against no profile, and without what was issued and revoked there. Nobody can issue, renew"
+    " or revoke in it either.",
+    mend="Restore what is missing from a backup. A copy for robots needs none of it: copy their"
+    " enclaves (cp -rL), or use `pqsec bundle`.",
+)  # fmt: skip
+def lacks(inventory: Inventory) -> Iterator[Found]:
+    for root, lost in inventory.lost.items():
+        words = f"a keystore of pqsec's that lacks {', '.join(lost)}"
+        yield Found(f"{words}: what that tells was not checked", path=root)

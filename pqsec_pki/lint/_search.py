@@ -21,7 +21,7 @@ MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""
 MAX_BYTES = 1 << 30
 """In all files together, which are kept: that keystore has 0.2 GB."""
-JOURNAL = ".journal"
+JOURNAL, LEDGER = ".journal", "private/ledger.sqlite3"
 
 # In a folder only files with such a name are read, backup copies (key.pem~) with them.
 _OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
@@ -45,6 +45,8 @@ class Search:
     """Bytes read."""
     keystore: Keystore | None = None
     cut_off: Path | None = None
+    lost: dict[Path, tuple[str, ...]] = field(default_factory=dict)
+    """Of each keystore of pqsec's that was named, what it lacks."""
 
     def add(self, path: Path) -> None:
         """A file, or a folder with all in it."""
@@ -61,6 +63,8 @@ class Search:
             return
         if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
             self._settings(path)
+        if lost := _lost(path):
+            self.lost[path] = lost
         links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
         for link in links:  # after all files, which so have their own paths
             self._link(link)
@@ -171,6 +175,26 @@ class Search:
         if len(self.files) >= MAX_FILES:
             raise FileError(f"more than {MAX_FILES} files to check", hint="name a smaller folder")
         self.files[key] = file
+
+
+def _lost(root: Path) -> tuple[str, ...]:
+    """What is not there of a keystore of pqsec's; nothing of other folders.
+
+    It is known by its settings or its ledger: a keystore of SROS2's and a robot's copy have
+    neither. What is in a closed folder is not taken for lost.
+    """
+    gone = tuple(each for each in (SETTINGS, "private", LEDGER) if _is_gone(root / each))
+    if _is_gone(root / "public") or _is_gone(root / ENCLAVES) or {SETTINGS, LEDGER} <= {*gone}:
+        return ()
+    return gone
+
+
+def _is_gone(path: Path) -> bool:
+    try:
+        path.lstat()
+    except OSError as error:
+        return error.errno in _NOWHERE
+    return False
 
 
 def _is_past(folder: Path) -> bool:

@@ -44,6 +44,7 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
         enclaves=tuple(_enclaves(search, subjects)),
         keystore=search.keystore,
         cut_off=search.cut_off,
+        lost=search.lost,
         now=now,
     )
 

@@ -131,3 +131,5 @@ class Inventory:
     now: datetime = field(repr=False)
     cut_off: Path | None = None
     """A change of that keystore that a command began and did not finish."""
+    lost: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
+    """What keystores of pqsec's lack, of those that the user named."""

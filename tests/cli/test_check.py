@@ -3,6 +3,7 @@
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 
@@ -280,3 +281,27 @@ def test_why_credentials_are_not_trusted_is_told_as_a_code(pqsec, keystore, tmp_
     [run] = json.loads(pqsec("check k --sarif").out)["runs"]
     results = [each for each in run["results"] if each["ruleId"] == "PQS319"]
     assert {each["properties"]["code"] for each in results} == {"ca-doubled"}
+
+
+def test_a_keystore_that_lost_its_settings_or_its_ledger_is_told_as_that(pqsec, keystore, tmp_path):
+    """Without pqsec.json the check went on as if nothing were missing."""
+    k = keystore()
+
+    def told(*lost):
+        shutil.copytree(k, tmp_path / "k2", symlinks=True)
+        for each in lost:
+            path = tmp_path / "k2" / each
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        findings = pqsec("check k2 --json").json["findings"]
+        shutil.rmtree(tmp_path / "k2")
+        return [(each["path"], each["message"]) for each in findings if each["rule"] == "PQS007"]
+
+    words = "a keystore of pqsec's that lacks {}: what that tells was not checked"
+    ledger = "private/ledger.sqlite3"
+    assert told() == []
+    assert told("pqsec.json") == [("k2", words.format("pqsec.json"))]
+    assert told(ledger) == [("k2", words.format(ledger))]
+    assert told("private") == [("k2", words.format(f"private, {ledger}"))]
+    # A robot's copy, and a keystore of SROS2's, which has private/ and neither of the others.
+    assert told("pqsec.json", "private") == []
+    assert told("pqsec.json", ledger) == []

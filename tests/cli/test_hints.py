@@ -35,6 +35,9 @@ JUSTIFIED = {
     " name the domain too": "it signs what the user edits, in place of what was signed before",
     "`pqsec -k * sign-permissions * --force` signs what it says now; or remove *, and it is made"
     " anew from what was signed": "it signs what the user edited, and the hint names the file",
+    "*: the permissions CA did not sign it as it is (*), and no participant starts with it: put"
+    " back what was signed, or look through governance.xml and `pqsec -k * sign-governance *"
+    " --force`": "it replaces a governance that nobody takes, and says to look first",
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
 WORDS = ("all that it", "all that", "--ros-node", "plugin install")

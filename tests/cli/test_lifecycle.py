@@ -270,3 +270,35 @@ def test_a_file_that_all_share_and_that_is_lost_is_named_from_where_the_user_is(
     (k / "enclaves/governance.p7s").unlink()
     hint = "restore k/enclaves/governance.p7s, which all participants share"
     pqsec("-k k bundle /talker -o talker.bundle").refused(3, "lacks governance.p7s", hint=hint)
+
+
+def test_renew_and_issue_tell_of_a_governance_that_the_permissions_ca_did_not_sign(
+    pqsec, k, keystore
+):
+    """Both exited with 0 beside a forged governance, and said nothing; nobody would start."""
+    lines = ("renew /talker", "issue /new --publish a", "renew --all")
+    assert [pqsec(f"-k k {line}").done().err for line in lines] == ["", "", ""]
+    governance = k / "enclaves/governance.p7s"
+    signed = governance.read_bytes()
+    foreign = keystore(name="other", label="another") / "enclaves/governance.p7s"
+    faults = {
+        "foreign": foreign.read_bytes(),
+        "changed": signed.replace(b">ENCRYPT<", b">NONE<"),
+    }
+    wrong = []
+    for fault, data in faults.items():
+        governance.write_bytes(data)
+        for line in ("renew /talker", "issue /talker --force --publish a", "renew --all"):
+            said = pqsec(f"-k k {line}")
+            notes = [each for each in said.err.splitlines() if "governance.p7s" in each]
+            told = [each for each in notes if "the permissions CA did not sign it as it is" in each]
+            if said.code or len(notes) != 1 or not told or "sign-governance" not in notes[0]:
+                wrong.append((fault, line, said))
+    assert wrong == []
+    governance.write_bytes((k / "enclaves/governance.xml").read_bytes())
+    assert "k/enclaves/governance.p7s: the permissions" in pqsec("-k k renew /talker").done().err
+    refused = pqsec("-k k issue /talker --force --publish a").refused(3, "not an S/MIME signed")
+    assert "k/enclaves/governance.p7s" in refused.err
+    [way_out] = [each for each in told[0].split("`") if each.startswith("pqsec -k k sign-gov")]
+    pqsec(way_out.removeprefix("pqsec ")).done()
+    assert pqsec("-k k renew /talker").done().err == ""
