@@ -155,13 +155,19 @@ def test_a_stronger_key_than_the_profile_promises_is_not_complained_of(tmp_path)
     assert lab.found() == {}
 
 
+def foreign(lab):
+    """As if pqsec had not made it."""
+    (lab / "pqsec.json").unlink()
+    (lab / "private/ledger.sqlite3").unlink()
+
+
 def test_classical_keys_that_nobody_chose_are_told(tmp_path):
     lab = Lab(tmp_path, "classical")
     assert "PQS610" not in lab.found()
-    (lab / "pqsec.json").unlink()
+    foreign(lab)
     assert set(lab.found()) == {"PQS610"}
 
 
 def test_the_transition_profile_is_no_classical_one(lab):
-    (lab / "pqsec.json").unlink()
+    foreign(lab)
     assert lab.found() == {}
