@@ -1,6 +1,6 @@
 """The CAs by their roles: who must be good, which list counts, and who signs what."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -8,12 +8,15 @@ import pytest
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
 from pqsec_pki.credentials import (
+    ALT_KEY,
     IDENTITY_CA,
     KEY,
     PERMISSIONS_CA,
     Credentials,
     TrustAnchors,
     certificates_in,
+    identity_problems,
+    verify_documents,
 )
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import KeystoreError, MalformedError, VerificationError
@@ -166,3 +169,36 @@ def test_credentials_of_a_robot_have_no_key_here(tmp_path):
     assert Credentials.of("/talker", files).key
     with pytest.raises(KeystoreError, match="not here but on its robot"):
         _ = credentials.key
+
+
+def test_an_alternative_key_is_missed_where_the_first_one_is_here(tmp_path):
+    files = enclave_files(made(tmp_path / "k", "transition").root, "/talker")
+
+    def problems(*left_out):
+        kept = {name: data for name, data in files.items() if name not in left_out}
+        return list(identity_problems(Credentials.of("/talker", kept), NOW))
+
+    assert problems() == problems(KEY, ALT_KEY) == []
+    [missed] = problems(ALT_KEY)
+    assert (missed.code, missed.subject) == (Code.KEY_MISMATCH, ALT_KEY)
+
+
+def test_documents_of_cas_that_cannot_be_trusted_are_refused_though_their_signatures_hold(tmp_path):
+    """The plugin asks about a peer's documents alone, without its identity."""
+    keystore = made(tmp_path / "k", "classical")
+    credentials = Credentials.of("/talker", enclave_files(keystore.root, "/talker"))
+
+    def verified(anchors):
+        return verify_documents(
+            credentials.certificate,
+            anchors,
+            governance=credentials.governance,
+            permissions=credentials.permissions,
+            now=NOW,
+        )
+
+    own = credentials.anchors
+    assert verified(own).grant.subject_name == "CN=/talker"
+    with pytest.raises(VerificationError) as refusal:
+        verified(replace(own, identity_cas=(own.permissions_ca,)))
+    assert [each.code for each in refusal.value.problems] == [Code.ONE_KEY_TWO_ROLES]
