@@ -403,7 +403,7 @@ def digest(root):
 
 
 def unsigned(keystore):
-    (keystore.root / "enclaves/governance.p7s").write_bytes(b"")
+    (keystore.root / "enclaves/governance.p7s").write_bytes(b"not signed")
 
 
 def of_before(keystore):
