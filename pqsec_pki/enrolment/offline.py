@@ -15,7 +15,7 @@ from typing import Self
 from pqsec_pki._files import is_there, read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
-from pqsec_pki.credentials import CERTIFICATE, certificates_in
+from pqsec_pki.credentials import CERTIFICATE, only_certificate
 from pqsec_pki.documents import Permissions
 from pqsec_pki.enrolment.admission import admit
 from pqsec_pki.enrolment.archive import MAX_ARCHIVE
@@ -205,7 +205,7 @@ def _bundles_in(parcel: Parcel, names: Sequence[str]) -> Iterator[tuple[str, Bun
 
 def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:
     with located(name):
-        certificate = certificates_in(bundle.enclaves[name][CERTIFICATE], CERTIFICATE)[0]
+        certificate = only_certificate(bundle.enclaves[name][CERTIFICATE], CERTIFICATE)
         kept = certificate.alternative.spki if certificate.alternative else None
         asked = request.alternative.spki if request.alternative else None
     return (certificate.spki, kept) == (request.spki, asked)
