@@ -513,6 +513,15 @@ def test_the_final_of_another_session_is_refused(meeting):
         awaiting.receive(final)
 
 
+def test_a_state_shares_its_peers_permissions_and_no_others(meeting):
+    _, awaiting = meeting.reply(meeting.request()[0])
+    same = bytes(bytearray(awaiting.peer.permissions))
+
+    assert awaiting.sharing(same).peer.permissions is same
+    with pytest.raises(ValueError, match="not the peer's"):
+        awaiting.sharing(same + b"x")
+
+
 def test_a_replayed_request_gets_no_further_than_its_reply(meeting):
     request, waiting = meeting.request()
     first, _ = meeting.reply(request)

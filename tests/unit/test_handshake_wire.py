@@ -2,9 +2,11 @@
 
 import hashlib
 import struct
+from dataclasses import replace
 
 import pytest
 
+from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, Family
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.handshake import (
     ByteOrder,
@@ -238,6 +240,22 @@ def test_an_identity_token_comes_back_and_any_property_may_be_absent():
         "dds.ca.algo",
     ]
     assert IdentityToken.from_holder(holder) == token
+
+
+def test_a_token_tells_which_requests_its_sender_can_take():
+    ecdh, mlkem, other = (
+        KEY_AGREEMENTS.named(name) for name in ("ecdh-p256", "ml-kem-768", "ml-kem-1024")
+    )
+    stock = IdentityToken("/CN=a", "EC-prime256v1", None, "RSA-2048")
+    announced = replace(stock, agreements=f"{ecdh.wire_name},{mlkem.wire_name}")
+
+    assert [stock.knows(each) for each in (ecdh, mlkem, other)] == [True, False, False]
+    assert [announced.knows(each) for each in (ecdh, mlkem, other)] == [True, True, False]
+    quantum = replace(stock, algorithm=SIGNATURES.named("ml-dsa-65").token_name)
+    assert [quantum.knows(each) for each in (ecdh, mlkem)] == [True, True]
+    for row in SIGNATURES:
+        known = replace(stock, algorithm=row.token_name).knows(mlkem)
+        assert known == (row.family is not Family.CLASSICAL), row.name
 
 
 def test_the_empty_permissions_token_of_cyclone_is_read():
