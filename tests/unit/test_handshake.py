@@ -35,6 +35,7 @@ from pqsec_pki.handshake import (
     token_message,
     unprotect_submessage,
 )
+from pqsec_pki.problems import Code
 
 DAY = timedelta(days=1)
 ENTITY = b"\0\0\1\xc1"
@@ -361,8 +362,9 @@ def test_a_property_that_is_there_twice_is_refused(meeting):
     holder = meeting.request()[0].to_holder()
     for item in holder.binary_properties:
         twice = DataHolder(holder.class_id, (), (*holder.binary_properties, item))
-        with pytest.raises(VerificationError, match="2 times"):
+        with pytest.raises(VerificationError, match="2 times") as refusal:
             Request.from_holder(twice)
+        assert [each.code for each in refusal.value.problems] == [Code.C5]
 
 
 def test_an_unknown_property_is_ignored_but_not_one_that_hashes_may_cover(meeting):

@@ -242,6 +242,13 @@ def test_an_identity_token_comes_back_and_any_property_may_be_absent():
     assert IdentityToken.from_holder(holder) == token
 
 
+def test_a_sample_that_ends_in_its_header_is_told_from_one_that_ends_behind_it():
+    with pytest.raises(MalformedError, match="not CDR: unknown encapsulation"):
+        GenericMessage.decode(b"\0\1\0")
+    with pytest.raises(MalformedError, match=r"^(?!not CDR)"):
+        GenericMessage.decode(b"\0\1\0\0")
+
+
 def test_a_token_tells_which_requests_its_sender_can_take():
     ecdh, mlkem, other = (
         KEY_AGREEMENTS.named(name) for name in ("ecdh-p256", "ml-kem-768", "ml-kem-1024")
