@@ -210,6 +210,8 @@ class Measured:
         first, last = mutant.lines
         lines = self.tests.get(mutant.path, {})
         found = {test for line in range(first, last + 1) for test in lines.get(line, ())}
+        if not found and any(line in lines for line in range(first, last + 1)):
+            found = set(self.seconds)  # it runs when the module is imported
         seconds: dict[str, float] = {}
         for test in found:
             file = test.partition("::")[0]
