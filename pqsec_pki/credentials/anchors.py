@@ -131,6 +131,17 @@ class TrustAnchors:
                 )
             )
 
+    def own_identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
+        """The same for a participant's own, which the first CA must have issued.
+
+        No signature covers in which order the CAs stand in a file, and stacks that read one
+        certificate of it read the first.
+        """
+        yield from self.identity_problems(certificate, now)
+        if self.issuer_of(certificate) is not self.identity_ca:
+            words = "the first CA in it did not issue the certificate, but one behind it"
+            yield Problem(words, Code.WRONG_ISSUER, IDENTITY_CA)
+
     def issuer_of(self, certificate: Certificate) -> Certificate:
         """The identity CA that issued `certificate`; the first if none of them did.
 

@@ -101,7 +101,7 @@ def verify_credentials(credentials: Credentials, *, now: datetime) -> VerifiedCr
 def identity_problems(credentials: Credentials, now: datetime) -> Iterator[Problem]:
     """9.3.3, without the CA itself: the certificate, the revocation list, the keys."""
     certificate = credentials.certificate
-    yield from credentials.anchors.identity_problems(certificate, now)
+    yield from credentials.anchors.own_identity_problems(certificate, now)
     yield from subject_problems(credentials.name, certificate)
     key, second = credentials.private_key, credentials.alternative_key
     yield from key_problems(certificate, key, second, alone=key is None)

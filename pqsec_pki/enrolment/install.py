@@ -70,14 +70,14 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         state = _trust_state(place, before, needed=not (pins and older))
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         found = _verified(bundle, trusted, now)
-        if state and not older:
-            _refuse_older(found.credentials, state)
+        newer = _raised(state, found.credentials, trusted)
+        if not older:
+            _refuse_older(found.credentials, newer)
         keys = {each.name: _keys(each, bundle, place) for each in found.verified}
         others = {} if alone else _others(before, bundle, found)
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
         already = before is not None and before.enclaves == wanted
-        newer = _raised(state, found.credentials, trusted)
         if already:
             place.trust(newer)
         else:
@@ -184,7 +184,10 @@ def _verified(bundle: Bundle, pins: Pins, now: datetime) -> VerifiedBundle:
 
 
 def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> None:
-    """Nobody gets old rights back, or revoked peers in again, by sending an old bundle."""
+    """Nobody gets old rights back, or revoked peers in again, by sending an old bundle.
+
+    Nor by what is older in one enclave of a new bundle: `state` is that after its installation.
+    """
     problems = [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
         raise VerificationError(*dict.fromkeys(problems), hint="if that is meant: --older")

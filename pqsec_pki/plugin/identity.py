@@ -68,7 +68,7 @@ class Local:
         certificate, anchors = trusted.certificate, trusted.anchors
         policy = trusted.settings.policy(certificate)
         key, second = _keys(properties, both=policy.require_alternative)
-        problems = [*anchors.problems(now), *anchors.identity_problems(certificate, now)]
+        problems = [*anchors.problems(now), *anchors.own_identity_problems(certificate, now)]
         problems += key_problems(certificate, key, second, alone=anchors.stock_peers)
         if policy.require_alternative and not anchors.signed_twice:
             words = "it has an alternative key, and the identity CA has none"

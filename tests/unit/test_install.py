@@ -348,6 +348,27 @@ def test_the_list_goes_with_the_first_bundle_of_an_overlap_and_with_no_other(pla
     assert not list((robot / "current").rglob("crl.pem"))
 
 
+def test_the_list_of_one_participant_in_a_bundle_cannot_be_left_out_of_another(place):
+    """Nothing signs a bundle: who carries it could leave the list with one of two."""
+    keystore = made(place / "k", "classical", names=("/arm", "/leg", "/tail"))
+    revoke(Keystore.open(keystore.root), keystore.unlock(None), ["/leg"], now=NOW)
+    before = Bundle.of(keystore, ["/arm", "/tail"], now=NOW)
+    fresh = made_again(keystore, ["/arm", "/tail"])
+    older = before.enclaves["/tail"]["crl.pem"]
+    for number, (list_, words) in enumerate(((None, "is missing"), (older, "is older"))):
+        mixed = with_files(fresh, "/tail", crl_pem=list_)
+        (place / f"{number}.bundle").write_bytes(mixed.to_bytes())
+        with pytest.raises(VerificationError, match=f"/tail: crl.pem: the revocation list {words}"):
+            put(place / "robot", str(number), mixed.roles)
+        assert not (place / "robot").exists()
+
+
+def made_again(keystore, names):
+    """Their bundle with a newer revocation list."""
+    renew_list(Keystore.open(keystore.root), keystore.unlock(None), now=NOW + DAY / 2)
+    return Bundle.of(keystore, names, now=NOW)
+
+
 def test_new_cas_count_their_revocation_lists_from_one(place):
     keystore = made(place / "k", "classical", names=("/arm", "/leg"))
     answered(keystore, asked_of(keystore, place / "robot"))

@@ -260,6 +260,12 @@ def with_an_identity_ca_of_the_same_name(lab):
     return {IDENTITY_CA: lab.strangers[IDENTITY_CA]}
 
 
+@row(Code.WRONG_ISSUER)
+def with_its_identity_ca_behind_the_other_of_an_overlap(lab):
+    """No signature covers the order; stacks that read one certificate read the first."""
+    return {IDENTITY_CA: lab.strangers[IDENTITY_CA] + lab.files[IDENTITY_CA]}
+
+
 @row(Code.BAD_SIGNATURE)
 def with_a_list_of_the_other_of_two_identity_cas(lab):
     """It says nothing of what our CA issued, which so could not be revoked."""
