@@ -40,7 +40,15 @@ TESTS = {
     "smime": ("smime", "smime_readers"),
     "certificates": ("certificates", "requests", "revocation_lists", "der_cutting"),
     "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
-    "enrolment": ("archive", "hostile_archives", "offline_ca", "enrolment", "install", "sharing"),
+    "enrolment": (
+        "archive",
+        "hostile_archives",
+        "offline_ca",
+        "enrolment",
+        "install",
+        "sharing",
+        "domain_requests",
+    ),
     "plugin": ("plugin_*",),
     "access": ("access", "decide", "matrix_*", "everywhere", "diff", "sharing", "plugin_rights"),
 }

@@ -88,6 +88,7 @@ def test_more_files_than_the_limit_are_refused(monkeypatch):
 
 
 def test_a_little_that_unpacks_to_too_much_is_refused():
+    assert archive.unpack(gzip.compress(bytes(archive.MAX_CONTENT), mtime=0)) == {}
     bomb = gzip.compress(bytes(archive.MAX_CONTENT + 1), mtime=0)
     assert len(bomb) < 100_000
     with pytest.raises(MalformedError, match="of more than"):
@@ -95,6 +96,8 @@ def test_a_little_that_unpacks_to_too_much_is_refused():
 
 
 def test_an_archive_over_the_limit_is_not_looked_at():
+    with pytest.raises(MalformedError, match="no plain gzip header"):
+        archive.unpack(bytes(archive.MAX_ARCHIVE))
     with pytest.raises(MalformedError, match="larger than"):
         archive.unpack(bytes(archive.MAX_ARCHIVE + 1))
 

@@ -36,6 +36,7 @@ from pqsec_pki.enrolment import (
     seal,
     verify_bundle,
 )
+from pqsec_pki.enrolment.admission import NAMELESS
 from pqsec_pki.enrolment.parcel import Parcel
 from pqsec_pki.errors import (
     ExistsError,
@@ -167,6 +168,13 @@ def test_requests_are_answered_once_each_and_all():
         admit([asked, signed_request()], PROFILES[0], names=[ROBOT])
     with pytest.raises(VerificationError, match="no request is for /other"):
         admit([asked], PROFILES[0], names=[ROBOT, "/other"])
+
+
+def test_requests_without_a_name_are_each_told_and_not_taken_for_one_name_twice():
+    with pytest.raises(VerificationError) as caught:
+        admit([signed_request("Fleet Robot"), signed_request("x y")], PROFILES[0], names=[ROBOT])
+    assert [line.partition(": ")[2] for line in caught.value.lines[:2]] == [NAMELESS] * 2
+    assert caught.value.lines[2:] == (f"no request is for {ROBOT}",)
 
 
 @pytest.mark.parametrize("profile", PROFILES, ids=lambda each: each.name)
@@ -374,8 +382,11 @@ def test_a_bit_that_flips_in_a_sealed_bundle_is_seen():
         bad[place] ^= 1 << place % 8
         with pytest.raises(VerificationError):
             open_sealed(bytes(bad), key)
-    for cut in (0, 22, 54, 60, len(data) - 1):
-        with pytest.raises(PqsecError):
+    for cut in (0, 22, 53):
+        with pytest.raises(MalformedError, match="cut short"):
+            open_sealed(data[:cut], key)
+    for cut in (54, 60, len(data) - 1):
+        with pytest.raises(VerificationError, match="another key, or altered"):
             open_sealed(data[:cut], key)
 
 

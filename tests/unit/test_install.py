@@ -327,6 +327,19 @@ def test_an_older_revocation_list_does_not_come_with_another_participant(place):
         put(place / "robot", "1")
 
 
+def test_an_older_revocation_list_does_not_let_who_was_revoked_since_in_again(place):
+    keystore = made(place / "k", "classical", names=("/arm", "/leg"))
+    answered(keystore, asked_of(keystore, place / "robot"))
+    for number, name in enumerate(("/leg", "/arm"), start=1):
+        revoke(Keystore.open(keystore.root), keystore.unlock(None), [name], now=NOW)
+        bundle = Bundle.of(keystore, [ROBOT], now=NOW)
+        (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
+    put(place / "robot", "2")
+    with pytest.raises(VerificationError, match="the revocation list is older than one") as caught:
+        put(place / "robot", "1")
+    assert caught.value.codes == {Code.OLDER}
+
+
 def test_the_list_goes_with_the_first_bundle_of_an_overlap_and_with_no_other(place):
     keystore = made(place / "k", "classical", names=("/arm",))
     answered(keystore, asked_of(keystore, place / "robot"))
@@ -515,6 +528,16 @@ def test_several_enclaves_with_their_keys_are_one_set(keystore, place):
     (place / "2.bundle").write_bytes(mixed.to_bytes())
     with pytest.raises(VerificationError, match="/arm: no private key here"):
         put(place / "robot", "2")
+
+
+def test_a_second_sealing_key_takes_neither_half_of_the_first_away_unless_told(place):
+    make_sealing_key(place / "robot")
+    before = snapshot(place / "robot")
+    with pytest.raises(ExistsError, match=r"bundle\.key\.pem exists"):
+        make_sealing_key(place / "robot")
+    assert snapshot(place / "robot") == before
+    make_sealing_key(place / "robot", force=True)
+    assert all(before[each] != data for each, data in snapshot(place / "robot").items())
 
 
 def test_a_sealed_bundle_needs_the_robots_key(keystore, place):
@@ -726,6 +749,16 @@ def test_nothing_to_go_back_to_is_told(place):
     with pytest.raises(KeystoreError, match="nothing is installed"):
         rollback(place / "robot")
     assert list(place.iterdir()) == []
+
+
+def test_a_way_back_that_somebody_removed_is_told_as_none(robot):
+    put(robot)
+    put(robot, "2")
+    shutil.rmtree(robot / "sets/1")
+    before = snapshot(robot)
+    with pytest.raises(KeystoreError, match="keeps nothing from before"):
+        rollback(robot, older=True)
+    assert snapshot(robot) == before
 
 
 def test_a_file_that_went_missing_is_put_back_by_the_same_bundle(robot, bundles):
