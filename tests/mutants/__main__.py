@@ -4,7 +4,8 @@ Breaks one condition at a time (`conditions.py`) and runs the tests that run it:
 must fail. A mutant that survives fails this job, unless `survivors.toml` has its id with the
 reason why no test can or need tell; a listed one that is killed is told, to be taken out.
 
-Which tests run a condition is measured first, by coverage, on the files of tests in TESTS.
+Which tests run a condition is measured first, by coverage, on the files of tests in TESTS; what
+none of them runs itself is tried with those that start Python.
 Tests of kills, properties and fuzzing are not among them: they run the same code a thousand
 times, and what only they find is not named by any test. Nor are those of other implementations.
 
@@ -195,7 +196,7 @@ def measured(copy: Copy, files: list[str], kept: Path | None) -> Measured:
             path: {int(line): tests for line, tests in found.items()}
             for path, found in read["tests"].items()
         }
-        return Measured(read["seconds"], lines)
+        return Measured(read["seconds"], lines, read["starting"])
     result = Measured.by(copy, files, MEASURING)
     if kept:
         kept.write_text(json.dumps(asdict(result)))

@@ -1,7 +1,8 @@
 """Tests in child processes of one warm process, each on a copy of the checkout.
 
 The checkout is never edited. A copy's module is replaced by the mutant's, in the file, so that
-programs which a test starts run the mutant as well.
+programs which a test starts run the mutant as well: with Python's -I too, which no PYTHONPATH
+reaches, since a copy has an interpreter of its own.
 """
 
 import gc
@@ -11,10 +12,12 @@ import os
 import shutil
 import signal
 import sys
+import sysconfig
 import time
 import traceback
+import venv
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from coverage import CoverageData
@@ -43,6 +46,8 @@ class Ran:
     """The first test that failed."""
     seconds: dict[str, float]
     """Of each test that ran."""
+    starting: list[str]
+    """Tests that start Python."""
 
 
 class _Recorder:
@@ -51,6 +56,12 @@ class _Recorder:
     def __init__(self) -> None:
         self.failed: str | None = None
         self.seconds: dict[str, float] = {}
+        self.starting: set[str] = set()
+        sys.addaudithook(self._heard)
+
+    def _heard(self, event: str, arguments: tuple) -> None:
+        if event == "subprocess.Popen" and sys.executable in str(arguments[1]):
+            self.starting.add(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
 
     def pytest_runtest_logreport(self, report) -> None:
         self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
@@ -79,7 +90,13 @@ class Copy:
                 )
             elif (root / name).exists():
                 shutil.copy2(root / name, folder / name)
-        return cls(root, folder)
+        copy = cls(root, folder)
+        venv.create(folder / "venv", symlinks=True)
+        [packages] = (folder / "venv/lib").glob("python*/site-packages")
+        # In a folder that is named in a file, other such files are not read: not the checkout's.
+        paths = dict.fromkeys([str(folder), *map(sysconfig.get_path, ("purelib", "platlib"))])
+        (packages / "copy.pth").write_text("\n".join(paths))
+        return copy
 
     def start(self, tests: list[str], mutant: Mutant | None, timeout: float, *options: str) -> None:
         """Start a child that runs those tests with that mutant, for so many seconds at most."""
@@ -145,6 +162,7 @@ class Copy:
         for number in (1, 2):
             os.dup2(log, number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        sys.executable = str(self.folder / "venv/bin/python")
         root = str(self.root.resolve())
         sys.path[:] = [str(self.folder), *(each for each in sys.path if each not in {"", root})]
         os.environ["PYTHONPATH"] = str(self.folder)
@@ -160,14 +178,15 @@ class Copy:
         own = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
         code = pytest.main([*own, *options, *tests], plugins=[recorder])
         sys.stdout.flush()
-        answer = {"code": int(code), "failed": recorder.failed, "seconds": recorder.seconds}
-        self._answer.write_text(json.dumps(answer))
+        starting = sorted(recorder.starting & set(recorder.seconds))
+        answer = Ran(int(code), recorder.failed, recorder.seconds, starting)
+        self._answer.write_text(json.dumps(asdict(answer)))
         os._exit(0)
 
 
 BROKEN = 70
 """Exit code of a child in which pytest itself failed."""
-NOT_ENDED = Ran(None, None, {})
+NOT_ENDED = Ran(None, None, {}, [])
 
 
 @dataclass
@@ -177,6 +196,8 @@ class Measured:
     seconds: dict[str, float] = field(default_factory=dict)
     tests: dict[str, dict[int, list[str]]] = field(default_factory=dict)
     """Of a module's path, of a line: the tests."""
+    starting: list[str] = field(default_factory=list)
+    """Tests that start Python: what runs there is not measured."""
 
     @classmethod
     def by(cls, copy: Copy, files: list[str], timeout: float) -> "Measured":
@@ -191,6 +212,7 @@ class Measured:
             if ran.code != 0:
                 raise RuntimeError(f"{file} fails without a mutant:\n{copy.log[-4000:]}")
             measured.seconds |= ran.seconds
+            measured.starting += ran.starting
             measured.add(copy)
         return measured
 
@@ -212,6 +234,7 @@ class Measured:
         found = {test for line in range(first, last + 1) for test in lines.get(line, ())}
         if not found and any(line in lines for line in range(first, last + 1)):
             found = set(self.seconds)  # it runs when the module is imported
+        found = found or set(self.starting)
         seconds: dict[str, float] = {}
         for test in found:
             file = test.partition("::")[0]

@@ -40,6 +40,23 @@ def test_four_do_not():
 """
 
 
+STARTED = """\
+import subprocess
+import sys
+
+WORDS = "from pqsec_pki.access.door import enter; print(enter({}))"
+
+
+def said(count):
+    done = subprocess.run([sys.executable, "-I", "-c", WORDS.format(count)], capture_output=True)
+    return done.stdout
+
+
+def test_one_enters_elsewhere():
+    assert (said(1), said(4)) == (b"1\\n", b"")
+"""
+
+
 @pytest.fixture
 def toy(tmp_path):
     """toy(tests) is a checkout with that door and those tests."""
@@ -93,6 +110,11 @@ def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
 
     killed = {"always": "killed", "never": "killed"}
     assert outcome(root) == (0, killed | {"boundary-1": "survived"})
+
+
+def test_a_mutant_that_runs_only_in_a_program_that_a_test_starts_is_killed_by_that_test(toy):
+    kinds = {"always": "killed", "never": "killed", "boundary-1": "survived"}
+    assert outcome(toy(STARTED)) == (1, kinds)
 
 
 def test_each_of_the_seven_rooms_has_its_mutants():
