@@ -115,14 +115,13 @@ class Place:
             raise KeystoreError(f"{path / RECORD} cannot be read: {error}") from error
 
     def keys(self, name: str) -> Iterator[Mapping[str, bytes]]:
-        """Keys that were made or installed here for `name`: of requests, then of sets."""
-        from_request = self.request_folder(name)
-        if from_request.is_dir():
-            yield _files_in(from_request)
+        """Files with keys that were made or installed here for `name`: of requests, then of sets.
+
+        Empty where there are none.
+        """
+        yield _files_in(self.request_folder(name))
         for each in sorted(self._sets(), reverse=True):
-            folder = self.root / SETS / str(each) / ENCLAVES / name.removeprefix("/")
-            if folder.is_dir():
-                yield _files_in(folder)
+            yield _files_in(self.root / SETS / str(each) / ENCLAVES / name.removeprefix("/"))
 
     def request_folder(self, name: str) -> Path:
         """Where the keys for `name` wait for their certificate."""

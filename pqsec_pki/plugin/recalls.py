@@ -90,5 +90,5 @@ class Recalls:
             if local.takes_back(local.certificate):
                 yield handle
         for identity, peer, certificate in self._meetings.authenticated():
-            if identity in locals_ and locals_[identity].takes_back(certificate):
+            if locals_[identity].takes_back(certificate):
                 yield peer

@@ -335,6 +335,7 @@ def test_an_older_revocation_list_does_not_let_who_was_revoked_since_in_again(pl
         bundle = Bundle.of(keystore, [ROBOT], now=NOW)
         (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
     put(place / "robot", "2")
+    assert put(place / "robot", "2").already
     with pytest.raises(VerificationError, match="the revocation list is older than one") as caught:
         put(place / "robot", "1")
     assert caught.value.codes == {Code.OLDER}

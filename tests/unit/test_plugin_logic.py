@@ -6,13 +6,15 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.algorithms import PROFILES, Family, profile_named
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.algorithms import PROFILES, SIGNATURES, Family, profile_named
+from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.documents import Criteria, DomainSet, Grant, Permissions, Rule
 from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin import handles
-from pqsec_pki.plugin.authentication import NO_TOKEN, Result
+from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY, NO_TOKEN, Result
+from pqsec_pki.plugin.credentials import Source
 from pqsec_pki.plugin.handles import Handles
+from pqsec_pki.plugin.settings import Settings
 from tests.unit.keystores import DAY, NOW, TWO, made
 from tests.unit.plugin_wire import (
     IDENTITY,
@@ -66,6 +68,15 @@ def test_a_setting_that_is_not_understood_is_refused(folders, tmp_path, text, wo
     (tmp_path / "pqsec.toml").write_text(text)
     with pytest.raises(RefusedError, match=words):
         Shim("authentication", NOW).identity(tmp_path)
+
+
+def test_an_identity_with_keys_that_no_profile_has_asks_for_the_hybrid_key_agreement():
+    beside_nothing = Source("dds.sec.auth.identity_certificate", None)
+    for kinds in (("ml-dsa-87", "ml-dsa-65"), ("ecdsa-p256", "ml-dsa-87"), ("ml-dsa-44", None)):
+        key, second = (each and SIGNATURES.named(each) for each in kinds)
+        ca = Authority.create("CA", key, alternative=second, now=NOW, validity=DAY)
+        found = Settings.of(ca.certificate, beside_nothing).agreements
+        assert [each.name for each in found] == ["x25519mlkem768"]
 
 
 @pytest.mark.parametrize("name", ["cert.pem", "key.pem", "pqsec.toml"])
@@ -156,6 +167,18 @@ def test_a_peer_that_another_participant_met_is_no_peer_of_this_one(folders):
     _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, one, IDENTITY, new_guid())
     with pytest.raises(RefusedError, match="a peer that was not validated"):
         shim.call("begin_handshake_request", other, peer, b"")
+
+
+def test_what_is_not_a_permissions_credential_is_not_carried_in_handshakes(folders):
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders["pq"][0])
+    for wrong in (
+        DataHolder(CREDENTIAL),
+        DataHolder(CREDENTIAL, (("dds.perm.certificate", "x"),)),
+        DataHolder("DDS:Access:Other", ((CREDENTIAL_PROPERTY, "x"),)),
+    ):
+        with pytest.raises(RefusedError, match="is not a permissions credential"):
+            shim.call("set_permissions_credential_and_token", identity, wrong, TOKEN)
 
 
 def test_a_secret_comes_with_its_peer_and_when_that_ends(folders):

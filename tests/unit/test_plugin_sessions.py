@@ -234,6 +234,20 @@ def test_a_flood_leaves_room_where_a_process_has_many_participants(keystore, mon
     assert shaken((listener, *own_guid), side(folder(keystore, EVE.strip("/"))))
 
 
+def test_who_begins_a_handshake_is_not_itself_the_one_that_makes_room(keystore, monkeypatch):
+    monkeypatch.setattr(handles, "MAX_OBJECTS", 5)
+    monkeypatch.setattr(handles, "SPARE", 1)
+    shim, identity, _ = side(folder(keystore, "listener"))
+    oldest, second, third = (
+        shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())[1]
+        for _ in range(3)
+    )
+    for peer in (oldest, oldest, third):
+        assert shim.call("begin_handshake_request", identity, peer, b"")[1]
+    with pytest.raises(RefusedError, match="unknown to the agent"):
+        shim.call("begin_handshake_request", identity, second, b"")
+
+
 def lines_of(count, *, apart=timedelta(), text="refused: {}".format):
     """What the log has of so many lines."""
     now, log = [NOW], []

@@ -21,7 +21,7 @@ PATIENCE = 120
 # What systemd does between fork and exec (sd_listen_fds(3)): the handle, and whose it is.
 _HAND_OVER = (
     "import os, sys\n"
-    "os.dup2(int(sys.argv[1]), 3)\n"
+    "os.dup2(int(sys.argv[1]), 3) if sys.argv[1] else os.closerange(3, 9)\n"
     "os.environ |= {'LISTEN_PID': str(os.getpid()), 'LISTEN_FDS': sys.argv[2]}\n"
     "os.execv(sys.executable, [sys.executable, '-I', '-m', 'pqsec_pki', 'agent', 'run'])\n"
 )
@@ -49,11 +49,11 @@ def bound(path, kind=socket.SOCK_STREAM):
 
 @contextmanager
 def handed(runtime, handle, count=1):
-    """`agent run` with a handle that systemd gave it."""
+    """`agent run` with a handle that systemd gave it; with none that is open, if that is ""."""
     process = subprocess.Popen(
         [sys.executable, "-c", _HAND_OVER, str(handle), str(count)],
         env=os.environ | {"XDG_RUNTIME_DIR": str(runtime)},
-        pass_fds=[handle],
+        pass_fds=[handle] if handle else [],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -85,6 +85,7 @@ def test_who_connects_before_the_agent_runs_is_served_and_the_socket_stays(runti
         ("another kind", "the library asks at"),
         ("two sockets", "has to hand over one socket"),
         ("a file", "has to hand over one socket"),
+        ("nothing", "what systemd handed over is not a socket: Bad file descriptor"),
         ("a folder for all", "is not a folder of this user's alone"),
     ],
 )
@@ -96,8 +97,8 @@ def test_another_handle_than_the_librarys_socket_is_refused(runtime, place, flaw
             listener.listen()
         if flaw == "a folder for all":
             place.folder.chmod(0o755)
-        handle = file if flaw == "a file" else listener
-        with handed(runtime, handle.fileno(), 2 if flaw == "two sockets" else 1) as process:
+        handle = "" if flaw == "nothing" else (file if flaw == "a file" else listener).fileno()
+        with handed(runtime, handle, 2 if flaw == "two sockets" else 1) as process:
             _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 3
     assert words in said
