@@ -45,8 +45,8 @@ Check: TypeAlias = Callable[[bytes], Verified]
 YAML = (".yaml", ".yml")
 _ANSWERS = {Code.NO_GRANT, Code.GRANT_EXPIRED, Code.GRANT_NOT_YET_VALID}
 """What a question about rights is answered with, and not refused for."""
-_GRANTS = re.compile(rb"(?m)^\s*\{?\s*[\"']?grants[\"']?\s*:")
-"""What permissions in YAML must have, and governance cannot."""
+_GRANTS = re.compile(rb"(?m)^[ \t]*+\{?[ \t]*+[\"']?grants[\"']?\s*+:")
+"""What permissions in YAML must have, and governance cannot; blank lines are gone through once."""
 _XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe|\xfe\xff")
 
 

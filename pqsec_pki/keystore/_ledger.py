@@ -157,6 +157,11 @@ class Ledger:
     def _prepare(self) -> None:
         """Make the table, or bring one of format 1 up to date; once, whoever comes first."""
         if _table.format_of(self._database) == _table.FORMAT:
+            if not _table.is_our_own(self._database):
+                raise KeystoreError(
+                    f"{self._path}: not a ledger: somebody else made its table, or added to it",
+                    hint="put it back from a backup",
+                )
             return
         with self._transaction():
             found = _table.format_of(self._database)

@@ -55,6 +55,16 @@ def has_format_1(database: sqlite3.Connection) -> bool:
     return database.execute(there).fetchone() is not None
 
 
+def is_our_own(database: sqlite3.Connection) -> bool:
+    """Whether the table is what `make` makes, and nothing else hangs on it.
+
+    A view in its place need have no end, and a trigger could leave lines out.
+    """
+    there = "SELECT sql FROM sqlite_master WHERE tbl_name = 'ledger' AND sql IS NOT NULL"
+    found = {sql for (sql,) in database.execute(there)}
+    return _SCHEMA[0] in found and found <= set(_SCHEMA)
+
+
 def make(database: sqlite3.Connection) -> None:
     """Make the table, with the lines of format 1 if there are any; within a transaction."""
     for statement in _SCHEMA:

@@ -13,11 +13,12 @@ FAMILY = Family("documents")
 ERROR, WARNING, INFO = Severity
 MAX_DOMAIN = 230
 MAX_STARS = 4
-_BRACE = re.compile(r"\{[^{}]*,[^{}]*\}")
+_BRACE = re.compile(r"\{[^{},]*+,[^{}]*+\}")
 _CARET = re.compile(r"\[\^")
 _PATTERNS = ("topic", "topic_expression", "partition")
 # A bracket that Cyclone DDS reads otherwise: []a], [a-], [a]-b, [[:digit:]], and an open one.
-_ODD_BRACKET = re.compile(r"\[[!^]?(\]|[^\]]*(-\]|\]-|\[[:.=]|$))")
+# Each looked at from its last [, so that the work is linear.
+_ODD_BRACKET = re.compile(r"\[(?:[!^]?\]|[^\[\]]*+(?:(?<=-)\]|\]-|\[[:.=]|\Z))")
 _CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 

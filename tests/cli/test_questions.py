@@ -173,6 +173,12 @@ def test_yaml_is_answered_too(pqsec, put):
     assert pqsec(f"{asked} b").code == 1
 
 
+@pytest.mark.timeout(120)  # what is cubic takes longer than anybody lives
+def test_blank_lines_beyond_number_are_refused_at_once(pqsec, tmp_path):
+    (tmp_path / "blank.yaml").write_bytes(b"\n" * (7 << 20) + b"x")
+    assert pqsec("diff blank.yaml blank.yaml").code in {1, 2, 3}
+
+
 @pytest.mark.parametrize(
     ("rules", "asked", "otherwise"),
     [

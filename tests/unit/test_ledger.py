@@ -375,6 +375,36 @@ def test_a_newer_ledger_is_refused(keystore):
 # Who may
 
 
+HOSTILE_TABLES = {
+    "a view without an end": (
+        "ALTER TABLE ledger RENAME TO old",
+        (
+            "CREATE VIEW ledger AS WITH RECURSIVE r AS (SELECT 0 AS number, '' AS at, 'x' AS kind,"
+            " '' AS name, '' AS serial, '' AS sha256, '' AS not_after, '' AS issuer,"
+            " '{}' AS details, '' AS operator, '' AS chain UNION ALL SELECT number + 1, at, kind,"
+            " name, serial, sha256, not_after, issuer, details, operator, chain FROM r)"
+            " SELECT * FROM r"
+        ),
+    ),
+    "a trigger that leaves lines out": (
+        (
+            "CREATE TRIGGER more BEFORE INSERT ON ledger WHEN new.kind = 'revocation'"
+            " BEGIN SELECT RAISE (IGNORE); END"
+        ),
+    ),
+    "a column that computes": ("ALTER TABLE ledger ADD COLUMN more TEXT AS (hex(zeroblob(9)))",),
+}
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("statements", HOSTILE_TABLES.values(), ids=HOSTILE_TABLES)
+def test_a_ledger_that_does_anything_but_hold_lines_is_not_opened(keystore, statements):
+    alter(keystore, *statements)
+    for work in (keystore.ledger, lambda: audit(keystore)):
+        with pytest.raises(KeystoreError, match="not a ledger: somebody else made"):
+            work()
+
+
 def test_a_ledger_is_for_its_owner_only(keystore):
     assert (keystore.root / "private/ledger.sqlite3").stat().st_mode & 0o777 == 0o600
 

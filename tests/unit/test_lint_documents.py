@@ -7,6 +7,7 @@ import pytest
 
 from pqsec_pki.documents import PRESETS, DomainSet, Governance, Grant, Permissions
 from pqsec_pki.lint import RULES, Severity, Target, check
+from pqsec_pki.lint.expressions import _BRACE, _ODD_BRACKET
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -320,6 +321,13 @@ def test_the_flaw_is_seen(id_, text, tmp_path):
 def test_what_is_close_to_the_flaw_is_not_taken_for_it(id_, text, tmp_path):
     found = found_in(tmp_path, text, *targets_of(id_))
     assert id_ not in {each.rule.id for each in found}
+
+
+@pytest.mark.timeout(120)  # what is quadratic takes an hour
+@pytest.mark.parametrize("text", ["[" * 200_000 + "a]", "{" + "," * 200_000], ids=["[[[", "{,,,"])
+def test_brackets_and_commas_beyond_number_are_gone_through_once(text):
+    for pattern in (_ODD_BRACKET, _BRACE):
+        assert not pattern.search(text)
 
 
 @pytest.mark.parametrize("text", [GOVERNANCE, PERMISSIONS], ids=["governance", "permissions"])

@@ -902,6 +902,15 @@ def test_boundary_lines_beyond_number_are_refused_at_once():
             document_in(head + line * 1_000_000)
 
 
+@pytest.mark.timeout(120)  # what is quadratic takes days
+def test_carriage_returns_beyond_number_are_refused_at_once():
+    """A peer's permissions are such a file: one could stop the agent, which serves all."""
+    head = b'Content-Type: multipart/signed; boundary="b"\n\n--b\n'
+    for message in (b"\r" * (8 << 20), head + b"\r" * (7 << 20), head + b"\rx" * (3 << 20)):
+        with pytest.raises(MalformedError, match=r"multipart/signed|two parts"):
+            document_in(message)
+
+
 def test_headers_may_be_written_otherwise(lab):
     message = lab.sign()
     boundary = boundary_of(message)
