@@ -175,7 +175,8 @@ class Copy:
             os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
         recorder = _Recorder()
         pytest = importlib.import_module("pytest")
-        own = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+        own = ["-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        own += ["--basetemp", "tmp"]  # where others run tests too, each clears up what is in /tmp
         code = pytest.main([*own, *options, *tests], plugins=[recorder])
         sys.stdout.flush()
         starting = sorted(recorder.starting & set(recorder.seconds))

@@ -188,6 +188,18 @@ def test_a_first_installation_trusts_each_ca_in_its_role_only(robot, bundles):
     assert Place(robot).current is None
 
 
+def test_what_an_older_pqsec_installed_tells_all_that_a_trust_state_says(place):
+    keystore = made(place / "k", "classical", names=("/arm",))
+    answered(keystore, asked_of(keystore, place / "robot"))
+    bundle = Bundle.of(keystore, [ROBOT], now=NOW)
+    (place / "1.bundle").write_bytes(bundle.to_bytes())
+    put(place / "robot", "1", bundle.roles)
+    before = (place / "robot/trust.json").read_bytes()
+    (place / "robot/trust.json").unlink()
+    put(place / "robot", "1", trust_first=False)
+    assert (place / "robot/trust.json").read_bytes() == before
+
+
 def test_what_an_older_pqsec_installed_is_believed_as_it_shows(robot, bundles):
     put(robot, "2")
     (robot / "trust.json").unlink()

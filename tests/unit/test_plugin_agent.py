@@ -234,6 +234,18 @@ def test_one_guest_cannot_keep_another_from_being_served(place, octets):
         client.close()
 
 
+def test_who_sends_what_is_not_the_protocol_is_told_in_the_log_and_who_hangs_up_is_not(place):
+    with running(place) as process:
+        connected(place).close()
+        with connected(place, framed(b"nonsense")) as link:
+            assert link.recv(1) == b""
+        until(lambda: agent_status(place).connections == ())
+        process.terminate()
+        said = process.stderr.read().splitlines()
+    [line] = [each for each in said if f"[{os.getpid()}]" in each]
+    assert line.partition("]: ")[2]
+
+
 def test_a_guest_that_does_not_read_its_answers_is_waited_for_by_nobody(place):
     with running(place), connected(place, greeting("control")) as deaf:
         deaf.settimeout(0.2)
@@ -281,7 +293,9 @@ def test_the_place_is_where_the_user_alone_can_be_first(tmp_path, run_user):
 
 
 @pytest.mark.usefixtures("run_user")
-def test_a_home_where_another_can_be_first_or_no_socket_fits_is_none(tmp_path):
+def test_a_home_where_another_can_be_first_or_no_socket_fits_is_none(tmp_path, monkeypatch):
+    (tmp_path / "home").mkdir(mode=0o755)
+    monkeypatch.chdir(tmp_path)  # where a home that is relative is there
     shared, deep = tmp_path / "shared", tmp_path / ("x" * 90)
     deep.mkdir()
     shared.mkdir()

@@ -329,6 +329,22 @@ def test_a_reply_that_comes_late_or_twice_is_told_as_that(enclaves):
     assert not any("refused" in line for line in shim.log)
 
 
+def test_a_reply_to_who_waits_for_a_final_is_refused_and_not_told_as_late(enclaves):
+    (shim, own, guid), (theirs, identity, peers) = (
+        side(enclaves[name]) for name in ("listener", "talker")
+    )
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, own, IDENTITY, peers)
+    _, seen, _ = theirs.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, guid)
+    data = participant_data(guid), participant_data(peers)
+    _, begun, request = shim.call("begin_handshake_request", own, peer, data[0])
+    _, waits, reply = theirs.call("begin_handshake_reply", request, seen, identity, data[1])
+    with pytest.raises(RefusedError, match="Reply"):
+        theirs.call("process_handshake", reply, waits)
+    assert not any("late" in line for line in theirs.log)
+    _, final = shim.call("process_handshake", reply, begun)
+    assert theirs.call("process_handshake", final, waits) == [Result.OK, NO_TOKEN]
+
+
 def census():
     """How many objects of this package and of cryptography there are, by kind."""
     gc.collect()

@@ -10,7 +10,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority
 from pqsec_pki.credentials import NEEDED
+from pqsec_pki.errors import FileError
 from pqsec_pki.handshake import DataHolder
+from pqsec_pki.plugin.credentials import certificates_below
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import Require, Signer, document_in, sign, verify
 from tests.unit.keystores import DAY, NOW, made
@@ -236,6 +238,15 @@ def test_a_trusted_ca_that_is_not_good_keeps_no_participant_from_starting(stores
     assert codes(folder, **more) == {Code.ONE_KEY_TWO_ROLES}
     (trusted / "two.pem").write_bytes(ended.certificate.pem * 2)
     assert codes(folder, **more) == {Code.FILE_MALFORMED}
+
+
+def test_a_folder_of_trusted_cas_has_at_most_64_files(tmp_path):
+    for number in range(64):
+        (tmp_path / f"{number}").touch()
+    assert certificates_below(tmp_path) == ()
+    (tmp_path / "64").touch()
+    with pytest.raises(FileError, match="more than 64 files"):
+        certificates_below(tmp_path)
 
 
 def test_an_alternative_key_that_no_alternative_signature_vouches_for_is_refused(stores, enclave):
