@@ -205,6 +205,6 @@ def _of_rules(grants: tuple[Grant, ...], *, allow: bool) -> Iterator[Criteria]:
 def _tags_said(tags: _Tags) -> str:
     if not tags:
         return "no data tags"
-    if tags == (_UNTOLD,):
-        return _UNTOLD[0]
-    return "data tags " + ", ".join(f"{name}={value}" for name, value in tags)
+    told = ", ".join(f"{name}={value}" for name, value in tags if (name, value) != _UNTOLD)
+    words = [f"data tags {told}"] if told else []
+    return " and ".join(words + [_UNTOLD[0]] * (_UNTOLD in tags))

@@ -67,7 +67,7 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     that a thousand of them take seconds.
     """
     wanted = tuple(dict.fromkeys(topics))
-    literals = frozenset(topic for topic in (*wanted, *topics_named(members)) if topic)
+    literals = frozenset((*wanted, *topics_named(members)))
     asked = {topic: asked[topic] if topic in asked else sample(topic, literals) for topic in wanted}
     names = [name for name in asked.values() if name]
     may = _Asking(governance, reading, domain, now)

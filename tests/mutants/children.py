@@ -9,6 +9,7 @@ import gc
 import importlib
 import json
 import os
+import resource
 import shutil
 import signal
 import sys
@@ -157,6 +158,7 @@ class Copy:
 
     def _child(self, tests: list[str], options: tuple[str, ...]) -> None:
         os.setsid()
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
         os.chdir(self.folder)
         log = os.open("log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number in (1, 2):
@@ -185,6 +187,8 @@ class Copy:
         os._exit(0)
 
 
+MEMORY = 4 << 30
+"""Octets: a mutant whose loop has no end ends before the machine does."""
 BROKEN = 70
 """Exit code of a child in which pytest itself failed."""
 NOT_ENDED = Ran(None, None, {}, [])

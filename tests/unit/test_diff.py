@@ -375,6 +375,20 @@ def test_partitions_may_be_taken_together_where_one_of_the_two_defaults_allows()
     ) in told(permissions_diff(document(deny("a")), new))
 
 
+def test_data_tags_may_be_taken_together_where_one_of_the_two_defaults_allows():
+    one, two = (("k", "1"),), (("k", "2"),)
+    old = document(allow("a"), allow("a", tags=one), allow("a", tags=two))
+    new = document(deny("b", tags=one), default=DefaultAction.ALLOW)
+    found, unnamed = told(permissions_diff(old, new)), "topics that no rule names, such as 'x'"
+    assert (
+        f"granted: publish 'b'; {unnamed}, on domain 0 with no data tags or data tags k=2"
+    ) in found
+    assert (
+        f"granted: publish 'a'; {unnamed}, on domain 0 in any partition with data tags k=1, k=2"
+        " and a tag that no rule names"
+    ) in found
+
+
 def test_a_pattern_that_reaches_beyond_another_is_not_its_exception():
     new = document(deny("*b"), allow("a*"))
     assert told(permissions_diff(document(NOTHING), new))[1:] == [

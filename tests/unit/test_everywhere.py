@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 
-from pqsec_pki.access.everywhere import is_known, topics_asked, who_may_anywhere
+from pqsec_pki.access.everywhere import domains_apart, is_known, topics_asked, who_may_anywhere
 from pqsec_pki.documents import DomainRange, DomainSet, Governance
 from tests.unit.test_diff import allow, deny
 from tests.unit.test_matrix_access import member
@@ -28,6 +28,15 @@ def test_a_rule_for_a_range_that_ends_is_not_told_as_one_without_an_end():
     some = member("/some", allow("a", domains=DomainSet(parts=(DomainRange(first=2, last=4),))))
 
     assert found([some], ["a"]) == [("a", "2-4", ("/some",))]
+
+
+def test_the_first_domain_of_a_range_without_an_end_stands_apart_as_some_stacks_read_it_alone():
+    endless = DomainSet(parts=(DomainRange(first=3),))
+
+    firsts = [each.first for each in domains_apart(Governance.protected(endless), ())]
+    assert firsts == [0, 3, 4]
+    firsts = [each.first for each in domains_apart(UP_TO_NINE, ())]
+    assert firsts == [0, 10]
 
 
 def test_a_topic_that_nobody_may_use_has_a_row_for_all_domains_of_the_governance():

@@ -69,6 +69,13 @@ def test_what_they_share(case):
     assert shared(documents("/talker", *said), documents("/listener", *heard)) == found
 
 
+def test_each_of_two_patterns_that_meet_a_third_is_shared_by_a_topic_of_its_own():
+    apart = with_rule(topics=tuple(map(topic_rule, ("a*", "b*", "*"))))
+    one = documents("/talker", says("a*", "b*"), governance=apart)
+    other = documents("/listener", hears("*"), governance=apart)
+    assert [name[0] for name in shared(one, other)] == ["a", "b"]
+
+
 def test_what_governance_or_a_default_opens_is_shared():
     opened = with_rule(topics=(topic_rule("open", enable_read_access_control=False),))
     one = documents("/talker", says("open"), governance=opened)
