@@ -124,6 +124,11 @@ def test_an_agent_leaves_no_core_file_and_has_files_enough(place):
         assert int(re.search(r"Max open files +([0-9]+)", limits)[1]) > MAX_CONNECTIONS
 
 
+def test_an_agent_with_more_files_than_enough_keeps_them(place):
+    with running(place, runner=("sh", "-c", 'ulimit -n 2048; exec "$@"', "sh")) as process:
+        assert resource.prlimit(process.pid, resource.RLIMIT_NOFILE) == (2048, 2048)
+
+
 def test_there_is_one_agent(place):
     with running(place) as first:
         second = start(place)
