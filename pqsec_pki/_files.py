@@ -128,8 +128,9 @@ def exists(path: Path | str, *, follow: bool = True) -> bool:
 def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
     """Each folder below `root`, and `root`, with the names in it; no link is followed.
 
-    FileError for a folder that cannot be looked into, so that it is not taken for empty.
-    Path.rglob and Path.glob pass over it in silence.
+    FileError for a folder that cannot be looked into, so that it is not taken for empty, and
+    for a link to a folder, which who asks for a file in it would find there. Path.rglob and
+    Path.glob pass over both in silence.
     """
 
     def refuse(error: OSError) -> None:
@@ -139,6 +140,10 @@ def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
     for folder, folders, names in os.walk(root, onerror=refuse):
         folders.sort()
+        for path in (Path(folder, name) for name in folders):
+            if os.path.islink(path):  # noqa: PTH114 -- no error where a folder is closed
+                hint = "put that folder itself in its place, or take the link away"
+                raise FileError("a link to a folder, which is not followed", where=path, hint=hint)
         yield Path(folder), [*folders, *names]
 
 

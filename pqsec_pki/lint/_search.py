@@ -105,6 +105,9 @@ class Search:
         for folder, folders, names in os.walk(root, onerror=self._unlisted):
             path = Path(folder)
             folders[:] = sorted(name for name in folders if not _is_past(path / name))
+            for link in (path / name for name in folders if ENCLAVES in path.parts):
+                if os.path.islink(link):  # noqa: PTH114 -- no error where a folder is closed
+                    self._unread(link, "a link to a folder, which is not followed")
             with suppress(OSError):  # gone meanwhile
                 self.folders[path] = path.stat().st_mode
             yield path, sorted(names)

@@ -141,6 +141,31 @@ def test_another_user_is_told_what_cannot_be_read(closed, as_nobody):
     assert not found, found
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "who-may",
+        "verify-handshake --all",
+        "ca show",
+        "log --verify",
+        "check k",
+        "who-may k/enclaves",
+    ],
+)
+def test_a_participant_whose_folder_is_a_link_is_not_left_out_in_silence(
+    pqsec, domains, tmp_path, line
+):
+    """A stack and `explain` find it by its path; who lists all did not follow the link."""
+    shutil.copytree(domains("classical"), tmp_path / "k", symlinks=True)
+    folder = tmp_path / "k/enclaves/talker"
+    folder.rename(tmp_path / "talker")
+    folder.symlink_to("../../talker")
+    said = pqsec(f"-k k {line}")
+    assert said.code == 3
+    assert "k/enclaves/talker" in said.out + said.err
+    assert "a link to a folder" in said.out + said.err
+
+
 def test_all_enclaves_that_are_closed_are_no_empty_keystore(closed, as_nobody):
     closed("enclaves")
     lines = [line for line, place in QUESTIONS.items() if place.startswith("enclaves")]
