@@ -394,6 +394,16 @@ def test_a_partition_is_for_who_is_granted_all_that_its_wildcards_stand_for(tmp_
         shim.call("check_remote_datawriter", peers, 0, "x", hostile, ())
 
 
+def test_a_topic_that_may_be_neither_published_nor_subscribed_to_is_refused_with_both_reasons(
+    folders,
+):
+    shim, (pairs, where) = Shim("access_control", NOW), properties(folders["pq"][0])
+    _, own, _ = shim.call("validate_local_permissions", 1, 0, where, pairs)
+    shim.call("check_create_topic", own, 0, "x")
+    with pytest.raises(RefusedError, match=r"may publish 'y' .*; .* may subscribe to 'y' "):
+        shim.call("check_create_topic", own, 0, "y")
+
+
 def test_builtin_topics_are_for_the_participant_itself_not_for_its_peers(folders):
     folder = folders["pq"][0]
     shim, (pairs, where) = Shim("access_control", NOW), properties(folder)
