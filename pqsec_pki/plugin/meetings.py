@@ -169,8 +169,9 @@ class Meetings:
 
     def drop_handshake(self, handle: int) -> None:
         """It ends, however far it came."""
-        handshake = self._handles.drop(handle)
-        if isinstance(handshake, Handshake):
+        handshake = self._handles.find(handle, Handshake)
+        if handshake is not None:
+            self._handles.drop(handle)
             self._forget_answer(handshake)
 
     def drop_all(self) -> None:

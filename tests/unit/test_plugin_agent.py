@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import FileError, MalformedError
-from pqsec_pki.plugin import Place, agent_status, stop_agent
+from pqsec_pki.plugin import Place, agent_status, listening, stop_agent
 from pqsec_pki.plugin import place as place_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.control import Client
@@ -136,6 +136,15 @@ def test_there_is_one_agent(place):
         assert "listening" not in second.stderr.read()
         second.stderr.close()
         assert agent_status(place).process == first.pid
+
+
+def test_only_one_agent_at_a_time_comes_or_goes(tmp_path, monkeypatch):
+    monkeypatch.setattr(listening, "LOCK_SECONDS", 0.05)
+    lock, refused = tmp_path / "lock", pytest.raises(FileError, match="another agent has it")
+    with listening.lock(lock), refused, listening.lock(lock):
+        pass
+    with listening.lock(lock):
+        pass
 
 
 def test_an_agent_takes_the_place_of_one_that_was_killed(place):

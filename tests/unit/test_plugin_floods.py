@@ -125,6 +125,17 @@ def test_of_a_name_that_is_forged_the_real_one_is_not_the_first_to_go(enclaves):
     assert shim.call("process_handshake", final, handle) == [Result.OK, NO_TOKEN]
 
 
+def test_a_handshake_that_had_to_make_room_is_unknown_and_takes_no_handle(enclaves, monkeypatch):
+    victim = side(enclaves["listener"])
+    forger = Forger(enclaves["talker"], victim)
+    monkeypatch.setattr(waiting, "MAX_HELD", 10 * COST)
+    begun = [forger.send(size=100) for _ in range(20)]
+    with pytest.raises(RefusedError, match="unknown to the agent"):
+        victim[0].call("process_handshake", NO_TOKEN, begun[0])
+    peers = len(begun)
+    assert victim[0].connection.what[2] < 1 + peers + 10
+
+
 def kept(*wanted, limit, monkeypatch):
     """Which numbers are left of `wanted`, pairs of a certificate and a document."""
     monkeypatch.setattr(waiting, "MAX_HELD", limit)

@@ -226,6 +226,18 @@ def test_what_belongs_to_a_participant_goes_with_it(folders):
     assert shim.connection.what == ("test[1]", "authentication", 0)
 
 
+def test_only_a_handshake_is_returned_as_one(folders):
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders["pq"][0])
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())
+    _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
+    for handle in (handshake, handshake, 1, identity, peer):
+        shim.call("return_handshake_handle", handle)
+    with pytest.raises(RefusedError, match="unknown to the agent"):
+        shim.call("get_shared_secret", handshake)
+    assert shim.call("begin_handshake_request", identity, peer, b"")[1]
+
+
 def introduced(folders):
     """Two that have heard of each other: each as (shim, identity, the peer's handle, GUID)."""
     sides = (side(folder) for folder in folders)
