@@ -93,12 +93,14 @@ def run_in() -> Run:
             patch.setattr(sys, "stdin", nothing)
             patch.setattr(sys, "stdout", TextIOWrapper(out, "utf-8", write_through=True))
             patch.setattr(sys, "stderr", TextIOWrapper(err, "utf-8", write_through=True))
-            before = signal.getsignal(signal.SIGPIPE)
+            before, mask = signal.getsignal(signal.SIGPIPE), os.umask(0o022)
+            os.umask(mask)
             try:
                 with pytest.raises(SystemExit) as end:
                     main()
             finally:
                 signal.signal(signal.SIGPIPE, before)
+                os.umask(mask)
             return Result(end.value.code, out.getvalue().decode(), err.getvalue().decode())
 
     return run

@@ -1,9 +1,9 @@
 """Killing what changes a keystore, at any of its calls to the operating system.
 
 A child process does the work and is killed at its Nth call, for every N until the work is
-done; writes are cut in half. Then the parent looks. One sweep for each kind of change does so
-for every N; those of its variants for one N in some. With PQSEC_LONG=1, as in .ci/long, all do
-for every N.
+done; writes are cut in half. Then the parent looks. All changes go through one journal: of one of
+them the gate kills at every N, of the others at one N in some. With PQSEC_LONG=1, as in .ci/long,
+all do so for every N.
 """
 
 import errno

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 BEFORE = NOW - 60 * DAY
 NOT_MET = {Action.MAKE, Action.LIST}
 """Of the actions, at the start below."""
-EVERY = 4
+EVERY = 9
 """Of how many calls one is killed: what they belong to has its own sweeps."""
 SMALL_BATCHES = """
 from pqsec_pki.cli import main

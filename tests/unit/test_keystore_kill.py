@@ -43,7 +43,7 @@ class Scene:
     work: Callable[[Path], object]
     after: tuple[str, ...]
     replaced: tuple[str, ...] = ()
-    every: int = 4
+    every: int = 9
     """Of how many calls one is killed."""
 
 
@@ -162,7 +162,7 @@ def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared):
     def again(root):
         issue_to(root, "/old", force=True)
 
-    for root, done in copies(place, original, again, fails, every=2):
+    for root, done in copies(place, original, again, fails, every=7):
         keystore = Keystore.open(root, to_change=True)
         found = check_whole(keystore, "/old")
         check_ledger(keystore)

@@ -74,10 +74,10 @@ def empty_list(root: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "name", "every"),
     [
-        ((), "begin", 4),
-        (("begin",), "cancel", 4),
-        (("begin",), "switch", 1),
-        (("begin", "switch"), "finish", 4),
+        ((), "begin", 9),
+        (("begin",), "cancel", 9),
+        (("begin",), "switch", 5),
+        (("begin", "switch"), "finish", 9),
     ],
 )
 def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, name, every):

@@ -103,12 +103,12 @@ class Scene:
     before: Callable[[Path], object] = lambda _: None
     stays: int = 0
     """How many certificates stay as they are."""
-    every: int = 3
+    every: int = 9
     """Of how many calls one is killed."""
 
 
 SCENES = {
-    "both": Scene(rotate_in, empty_list_in, every=1),
+    "both": Scene(rotate_in, empty_list_in, every=4),
     "old keys destroyed": Scene(lambda root: rotate_in(root, destroy=True)),
     "to pq": Scene(lambda root: rotate_in(root, "pq")),
     "from pq to transition": Scene(
@@ -156,7 +156,7 @@ def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, s
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, code):
     original = prepared(BOTH)
     old = state_of(original)
-    for calls in killing.disturbed_calls(5 + (code == errno.EROFS)):
+    for calls in killing.disturbed_calls(11 + (code == errno.EROFS)):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
         done = fails_with(code, calls, lambda root=root: rotate_in(root, "pq", destroy=True))
@@ -233,7 +233,7 @@ def test_an_adoption_is_done_or_not_whenever_the_kill_comes(place, with_list):
             (original / f"enclaves{name}/crl.pem").unlink()
     before = contents(original)
     outcomes = []
-    for calls in killing.disturbed_calls(1 if with_list else 3):
+    for calls in killing.disturbed_calls(5 if with_list else 9):
         root = place / str(calls)
         shutil.copytree(original, root, symlinks=True)
         done = survives(calls, lambda root=root: adopt(root, now=NOW))
