@@ -9,7 +9,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from pqsec_pki.algorithms import PROFILES, load_private_key, private_key_pem, profile_named
-from pqsec_pki.certificates import Certificate, verify_chain
+from pqsec_pki.certificates import Authority, Certificate, revocation_list, verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import (
     ExistsError,
@@ -413,6 +413,22 @@ def test_a_list_that_is_not_the_cas_is_told_and_left_alone(sros2, tmp_path):
     (sros2.root / "enclaves/talker/crl.pem").write_bytes(SROS2(tmp_path / "other").revoke(1))
     done = adopt(sros2.root, now=NOW)
     assert list(done.refused) == ["enclaves/talker/crl.pem"]
+    assert not done.keystore.has_revocation_list
+
+
+def test_a_list_without_the_alternative_signature_is_told_and_left_alone(tmp_path):
+    keystore = made(tmp_path / "k", "transition")
+    ca = keystore.unlock(None).identity
+    once = revocation_list(
+        Authority(ca.certificate, ca.key), [], number=7, now=NOW, validity=30 * DAY
+    )
+    for path in (keystore.root / "pqsec.json", keystore.root / "private/ledger.sqlite3"):
+        path.unlink()
+    for folder in ("talker", "listener"):
+        (keystore.root / "enclaves" / folder / "crl.pem").write_bytes(once.pem)
+
+    done = adopt(keystore.root, now=NOW)
+    assert list(done.refused) == ["enclaves/listener/crl.pem", "enclaves/talker/crl.pem"]
     assert not done.keystore.has_revocation_list
 
 
