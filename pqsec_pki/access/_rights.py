@@ -151,7 +151,7 @@ class World:
             yield f"{words}, alone or together" if alone in several else words
         for each in several:
             largest = not any(each < other for other in several)
-            if largest and each != alone and (each <= alone or not each & alone):
+            if largest and (each < alone or not each & alone):
                 yield f"{' and '.join(map(str, self.partitions.described(each)))} together"
 
 

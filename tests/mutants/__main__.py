@@ -39,7 +39,13 @@ TESTS = {
         "install",
     ),
     "smime": ("smime", "smime_readers"),
-    "certificates": ("certificates", "requests", "revocation_lists", "der_cutting"),
+    "certificates": (
+        "certificates",
+        "requests",
+        "revocation_lists",
+        "der_cutting",
+        "plugin_lists",
+    ),
     "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
     "enrolment": (
         "archive",

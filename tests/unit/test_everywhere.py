@@ -2,9 +2,15 @@
 
 from datetime import UTC, datetime
 
-from pqsec_pki.access.everywhere import domains_apart, is_known, topics_asked, who_may_anywhere
+from pqsec_pki.access.everywhere import (
+    domains_apart,
+    domains_named,
+    is_known,
+    topics_asked,
+    who_may_anywhere,
+)
 from pqsec_pki.documents import DomainRange, DomainSet, Governance
-from tests.unit.test_diff import allow, deny
+from tests.unit.test_diff import allow, deny, document
 from tests.unit.test_matrix_access import member
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -37,6 +43,16 @@ def test_the_first_domain_of_a_range_without_an_end_stands_apart_as_some_stacks_
     assert firsts == [0, 3, 4]
     firsts = [each.first for each in domains_apart(UP_TO_NINE, ())]
     assert firsts == [0, 10]
+
+
+def test_domains_that_no_document_names_are_not_told_with_those_that_are_named():
+    twelve = document(allow("a", domains=DomainSet.of(12)))
+    every = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
+
+    named = domains_named(UP_TO_NINE, twelve)
+    assert [(each.first, each.last) for each in named] == [(0, 9), (12, 12)]
+    named = domains_named(every, twelve)
+    assert [each.first for each in named] == [0, 1, 12, 13]
 
 
 def test_a_topic_that_nobody_may_use_has_a_row_for_all_domains_of_the_governance():

@@ -769,6 +769,11 @@ def test_a_length_in_more_octets_than_it_takes_is_read():
     assert to_der(bytes.fromhex("0482000161")) == bytes.fromhex("040161")
 
 
+def test_two_zeros_end_nothing_that_has_a_length():
+    der = bytes.fromhex("3005 0000 020105")
+    assert to_der(der) == der
+
+
 def test_ber_that_nests_without_end_is_refused():
     assert to_der(b"\x30\x80" * MAX_DEPTH + b"\0\0" * MAX_DEPTH)
     for depth in (MAX_DEPTH + 2, 100_000):

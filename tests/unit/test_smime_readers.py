@@ -328,6 +328,7 @@ def signed_as(content):
     [
         (b"Content-Type: multipart/signed", "it finds no boundary"),
         (b"Content-Type: multipart/signed; boundary", "it finds no boundary"),
+        (b"Content-Type: multipart/signed;\r boundary=a", "it finds no boundary"),
         (b"Content-Type: multipart/signed; boundary=a; boundary=b", "it finds 2 boundaries"),
         (b"Content-Type: text/plain\nContent-Type: text/plain", "it finds 2 content types"),
         (b"Subject: none", "it finds no content type"),
@@ -338,3 +339,8 @@ def signed_as(content):
 def test_the_model_of_openssl_says_why_it_takes_no_file(header, words):
     with pytest.raises(MalformedError, match=words):
         _openssl_reader.read(header + b"\n\n--a\n")
+
+
+def test_the_model_of_openssl_takes_a_short_file_without_a_body_for_no_long_header():
+    with pytest.raises(MalformedError, match="it finds no end of the last part"):
+        _openssl_reader.read(b"Content-Type: multipart/signed; boundary=a\n")
