@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 from cryptography import x509
 
-from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode
+from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, raw
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, profile_named
 from pqsec_pki.certificates import (
     Authority,
@@ -18,7 +18,7 @@ from pqsec_pki.certificates import (
     revocation_list,
     verify_not_revoked,
 )
-from pqsec_pki.errors import PqsecError, UsageError, VerificationError
+from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
 
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -149,6 +149,33 @@ def test_with_a_list_that_is_not_in_force_nobody_is_good(when, words):
     with pytest.raises(VerificationError) as refusal:
         verify_not_revoked(participant(), made(), authority().certificate, now=when)
     assert refusal.value.lines == (words,)
+
+
+def test_a_list_is_in_force_to_the_second_that_it_names():
+    crl = made()
+    late = crl.next_update + timedelta(seconds=1)
+    verify_not_revoked(participant(), crl, authority().certificate, now=crl.next_update)
+    with pytest.raises(VerificationError, match="the revocation list ended on"):
+        verify_not_revoked(participant(), crl, authority().certificate, now=late)
+
+
+def test_a_list_with_an_extension_twice_is_refused():
+    signed = decode(Signed, made().der, "")
+    tbs = decode(TBSCertList, encode(signed.tbs), "")
+    doubled = replace(tbs, crl_extensions=[*tbs.crl_extensions, tbs.crl_extensions[0]])
+    with pytest.raises(MalformedError, match="not a revocation list"):
+        RevocationList.from_der(encode(replace(signed, tbs=raw(encode(doubled)))))
+
+
+def test_a_list_with_an_alternative_key_alone_counts_as_one_without_its_signature():
+    crl = made()
+    half = replace(crl, alternative=replace(crl.alternative, identifier=None, signature=None))
+    verify_not_revoked(participant(), half, authority().certificate, now=NOW)
+    with pytest.raises(VerificationError) as refusal:
+        verify_not_revoked(
+            participant(), half, authority().certificate, now=NOW, require_alternative=True
+        )
+    assert refusal.value.lines == ("the revocation list has no alternative signature",)
 
 
 def test_the_list_of_another_ca_of_the_same_name_makes_nobody_good():

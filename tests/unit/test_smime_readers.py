@@ -344,3 +344,8 @@ def test_the_model_of_openssl_says_why_it_takes_no_file(header, words):
 def test_the_model_of_openssl_takes_a_short_file_without_a_body_for_no_long_header():
     with pytest.raises(MalformedError, match="it finds no end of the last part"):
         _openssl_reader.read(b"Content-Type: multipart/signed; boundary=a\n")
+
+
+def test_where_no_countersigner_is_named_none_is_missed():
+    verified = verify(signed(), CA.certificate, require=Require.CLASSICAL, pinned=True)
+    assert verified.document == crlf(ALLOWED)
