@@ -349,3 +349,11 @@ def test_the_model_of_openssl_takes_a_short_file_without_a_body_for_no_long_head
 def test_where_no_countersigner_is_named_none_is_missed():
     verified = verify(signed(), CA.certificate, require=Require.CLASSICAL, pinned=True)
     assert verified.document == crlf(ALLOWED)
+
+
+def test_the_model_of_openssl_stops_at_the_first_line_that_ends_the_last_part():
+    message = signed()
+    found = _openssl_reader.read(message)
+    mark = b"--" + found.boundary
+    more = message + mark + b"\n\nanother part\n" + mark + b"--\n"
+    assert _openssl_reader.read(more) == found
