@@ -4,6 +4,8 @@ OpenSSL in streaming mode and BouncyCastle write CMS that way; hazmat.asn1 reads
 only. Signed attributes are re-encoded by the verifier, so nothing signed is lost.
 """
 
+import re
+
 from pqsec_pki.errors import MalformedError
 
 MAX_DEPTH = 24
@@ -12,7 +14,9 @@ MAX_CHILDREN = 4096
 MAX_SIZE = 1 << 20
 """Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
 _CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
-_SEQUENCE, _SET, _OCTET_STRING = 0x30, 0x31, 0x04
+_SEQUENCE, _SET, _OCTET_STRING, _OBJECT_IDENTIFIER = 0x30, 0x31, 0x04, 0x06
+_ARCS = re.compile(rb"(?:(?!\x80)[\x80-\xff]*[\x00-\x7f])+", re.DOTALL)
+"""X.690 8.19.2: each in the fewest octets, of which the last has no high bit."""
 
 
 def to_der(data: bytes) -> bytes:
@@ -34,6 +38,8 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
         raise MalformedError("a length in the CMS structure runs past its end")
     if not tag & _CONSTRUCTED:
         stop = start + (length or 0)
+        if tag == _OBJECT_IDENTIFIER and not _ARCS.fullmatch(data, start, stop):
+            raise MalformedError("a broken object identifier")  # OpenSSL reads none of it
         return _value(tag, data[start:stop]), stop
     children, stop = _children(
         data, start, end if length is None else start + length, depth, length

@@ -757,6 +757,9 @@ def test_a_set_is_put_in_order():
         ("2403 020100", "broken octet string"),
         ("3805 1803313233", "a value in pieces"),
         ("2c03 0c0161", "a value in pieces"),
+        ("0600", "broken object identifier"),
+        ("3003 0601f1", "broken object identifier"),
+        ("0603 2a8001", "broken object identifier"),
     ],
 )
 def test_broken_ber_is_refused(ber, words):
