@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -111,10 +112,12 @@ def survives(calls: int, work: Callable[[], object]) -> bool:
         try:
             work()
         except BaseException:  # noqa: BLE001 -- the parent wants to know of any
+            traceback.print_exc()
+            sys.stderr.flush()
             os._exit(1)
         os._exit(0)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert code in {0, KILLED}, "the work failed by itself"
+    assert code in {0, KILLED}, f"the work failed by itself, with {code}"
     return code == 0
 
 
