@@ -21,8 +21,8 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import DataHolder, adjusted_guid, participant_data
-from pqsec_pki.keystore import Keystore, Wish, issue
-from pqsec_pki.plugin import Place, agent_status
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.plugin import AgentFolder, agent_status
 from pqsec_pki.plugin.authentication import NO_TOKEN
 from pqsec_pki.plugin.control import Client
 from tests.unit.plugin_wire import IDENTITY, new_guid, properties
@@ -45,15 +45,18 @@ def enclaves(root: Path) -> list[Path]:
         passphrase=None,
         now=now,
     )
-    wishes = [Wish(name=name, domains=domains, publish=("x",), validity=90 * DAY) for name in names]
-    issue(store, store.unlock(None), wishes, now=now)
+    specs = [
+        ParticipantSpec(name=name, domains=domains, publish=("x",), validity=90 * DAY)
+        for name in names
+    ]
+    issue(store, store.unlock(None), specs, now=now)
     return [root / f"enclaves{name}" for name in names]
 
 
 @contextmanager
-def agent(folder: Path) -> Iterator[tuple[Place, int]]:
+def agent(folder: Path) -> Iterator[tuple[AgentFolder, int]]:
     folder.mkdir(mode=0o700)
-    place = Place(folder / "agent.sock")
+    place = AgentFolder(folder / "agent.sock")
     command = [sys.executable, "-I", "-m", "pqsec_pki.plugin", str(place.socket)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while not agent_status(place):
@@ -70,7 +73,7 @@ def megabytes(process: int) -> float:
     return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024
 
 
-def joined(place: Place, enclave: Path) -> Side:
+def joined(place: AgentFolder, enclave: Path) -> Side:
     client = Client(place, "authentication")
     pairs, where = properties(enclave)
     _, (own, guid, *_) = client.call("validate_local_identity", 0, where, pairs, new_guid())
@@ -103,7 +106,7 @@ def flood(victim: Side, heard: DataHolder, subject: bytes) -> None:
             continue
 
 
-def flooded(place: Place, process: int, folders: list[Path]) -> None:
+def flooded(place: AgentFolder, process: int, folders: list[Path]) -> None:
     victim, talker, eve = (joined(place, folder) for folder in folders[:3])
     shake_hands(victim, talker)
     _, (peer, _) = eve[0].call("validate_remote_identity", NO_TOKEN, eve[1], IDENTITY, victim[2])
@@ -121,7 +124,7 @@ def flooded(place: Place, process: int, folders: list[Path]) -> None:
     print(f"  when all have gone {megabytes(process) / before:.2f} x")
 
 
-def crowded(place: Place, process: int, folders: list[Path]) -> None:
+def crowded(place: AgentFolder, process: int, folders: list[Path]) -> None:
     before = 0.0
     for number in range(ROUNDS):
         sides = [joined(place, folder) for folder in folders]

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet, validate
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.smime import document_in
 
@@ -40,14 +40,14 @@ def keystore(root: Path, profile: str, size: int) -> None:
         root, profile_named(profile), name="Bench", domains=DOMAINS,
         validity=2 * VALID, passphrase=b"not a secret", now=NOW,
     )  # fmt: skip
-    wishes = [
-        Wish(
+    specs = [
+        ParticipantSpec(
             name=f"/fleet/robot{n}", domains=DOMAINS, validity=VALID,
             publish=(f"rt/robot{n}/odom",), subscribe=(f"rt/robot{n}/cmd",),
         )
         for n in range(size)
     ]  # fmt: skip
-    issue(made, made.unlock(b"not a secret"), wishes, now=NOW)
+    issue(made, made.unlock(b"not a secret"), specs, now=NOW)
 
 
 def row(root: Path, size: int) -> None:

@@ -30,7 +30,7 @@ from tries import Spent
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.handshake import Identity, adjusted_guid
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 
 BLOCKS = 20
 CHECKOUT = Path(__file__).parents[1]
@@ -129,8 +129,8 @@ def enrol(root: Path, key: str, names: tuple[str, ...]) -> Keystore:
         root, profile, name="Bench", domains=domains, validity=validity, passphrase=None, now=NOW
     )
     may = {"publish": ("rt/chatter",), "subscribe": ("rt/cmd",), "domains": domains}
-    wishes = [Wish(name=name, validity=YEAR, **may) for name in names]
-    issue(keystore, keystore.unlock(None), wishes, now=NOW)
+    specs = [ParticipantSpec(name=name, validity=YEAR, **may) for name in names]
+    issue(keystore, keystore.unlock(None), specs, now=NOW)
     return keystore
 
 

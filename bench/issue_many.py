@@ -71,7 +71,7 @@ def show(  # noqa: PLR0913 -- the columns
 def measure(name: str, count: int, folder: Path) -> dict[str, float]:
     from pqsec_pki.algorithms import profile_named
     from pqsec_pki.documents import DomainSet
-    from pqsec_pki.keystore import Keystore, Wish, issue, renew
+    from pqsec_pki.keystore import Keystore, ParticipantSpec, issue, renew
 
     now, year = datetime.now(UTC), timedelta(days=365)
     domains = DomainSet.of(0)
@@ -86,8 +86,8 @@ def measure(name: str, count: int, folder: Path) -> dict[str, float]:
         now=now,
     )
     authorities = keystore.unlock(None)
-    wishes = [
-        Wish(
+    specs = [
+        ParticipantSpec(
             name=f"/fleet/robot{number}",
             domains=domains,
             publish=("rt/chatter",),
@@ -98,10 +98,10 @@ def measure(name: str, count: int, folder: Path) -> dict[str, float]:
     ]
     before = primitives(keystore.profile, authorities, count // 2)
     start = time.perf_counter()
-    issue(keystore, authorities, wishes, now=now)
+    issue(keystore, authorities, specs, now=now)
     wall = time.perf_counter() - start
     start = time.perf_counter()
-    renew(keystore, authorities, [wish.name for wish in wishes], now=now)
+    renew(keystore, authorities, [spec.name for spec in specs], now=now)
     renewed = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     raw = before + primitives(keystore.profile, authorities, count - count // 2)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests/ has what runs Cyclone DDS
 
-from pqsec_pki.plugin import Place, agent_status, build, stop_agent
+from pqsec_pki.plugin import AgentFolder, agent_status, build, stop_agent
 from tests.interop.conftest import LAB_PROFILES, Lab
 from tests.interop.cyclone import find_plugins
 from tests.interop.plugin.conftest import Shim
@@ -98,7 +98,7 @@ def first(program: Path, environment: dict[str, str]) -> float:
         return one.until("made")[0]
 
 
-def many(program: Path, environment: dict[str, str], place: Place) -> tuple[float, float]:
+def many(program: Path, environment: dict[str, str], place: AgentFolder) -> tuple[float, float]:
     """Milliseconds for one participant more, and the agent's kilobytes for it."""
     with host(program, "read", environment) as one:
         one.until("ready")
@@ -109,7 +109,7 @@ def many(program: Path, environment: dict[str, str], place: Place) -> tuple[floa
         return crowd.said["more"][0], each
 
 
-def _agent(place: Place) -> int:
+def _agent(place: AgentFolder) -> int:
     status = agent_status(place)
     return memory(status.process) if status else 0
 
@@ -124,7 +124,7 @@ def main() -> None:
         folder = Path(name)
         (folder / "c").mkdir()
         program = compiled(folder / "c")
-        place = Place.of(os.environ)
+        place = AgentFolder.of(os.environ)
         shim = Shim(build(folder / "plugin").library.parent, place)
         configurations = folder / "xml"
         configurations.mkdir()
@@ -140,7 +140,9 @@ def main() -> None:
             stop_agent(place)
 
 
-def _measure(program: Path, stage: Stage, labs: dict[str, Lab], place: Place, rounds: int) -> None:
+def _measure(
+    program: Path, stage: Stage, labs: dict[str, Lab], place: AgentFolder, rounds: int
+) -> None:
     cold = []
     environment = stage.environment(labs["pq"].alice)
     for _ in range(rounds):

@@ -16,12 +16,12 @@ from pathlib import Path
 from subprocess import run
 from tempfile import TemporaryDirectory
 
-from pqsec_pki.access import READINGS, Action, Policy, Question, decide
+from pqsec_pki.access import INTERPRETATIONS, Action, Policy, Question, decide
 from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.access.matrix import Member, topics_named, who_may
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import Criteria, DomainSet, Governance, Grant, Permissions, Rule, ros
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 
 SIZES = (1_250, 2_500, 5_000, 10_000)
 MEMBERS = (125, 250, 500, 1_000)
@@ -83,16 +83,16 @@ def rules(size: int) -> None:
     floor = milliseconds(lambda: [fnmatch.fnmatchcase(ASKED, each) for each in patterns])
     one = milliseconds(lambda: decide(GOVERNANCE, document, question))
     every = milliseconds(
-        lambda: [Policy(GOVERNANCE, document, each).decide(question) for each in READINGS]
+        lambda: [Policy(GOVERNANCE, document, each).decide(question) for each in INTERPRETATIONS]
     )
     first, *others = document.grants[0].rules
     changed = Permissions(grants=(replace(document.grants[0], rules=(*others, first)),))
     compared = milliseconds(lambda: permissions_diff(document, changed), rounds=2)
     xml = document.to_xml()
-    reading = milliseconds(lambda: Permissions.from_xml(xml), rounds=2)
+    interpretation = milliseconds(lambda: Permissions.from_xml(xml), rounds=2)
     print(
         f"{size:6} {one:10.2f} {one / floor:10.2f} {every:11.2f} {compared:8.0f}"
-        f" {compared / reading:10.2f}"
+        f" {compared / interpretation:10.2f}"
     )
 
 
@@ -142,11 +142,13 @@ def keystores(folder: Path) -> None:
             passphrase=None,
             now=now,
         )
-        wishes = [
-            Wish(name=f"/r{each}", domains=ZERO, publish=(f"rt/r{each}/odom",), validity=year)
+        specs = [
+            ParticipantSpec(
+                name=f"/r{each}", domains=ZERO, publish=(f"rt/r{each}/odom",), validity=year
+            )
             for each in range(count)
         ]
-        issue(keystore, keystore.unlock(None), wishes, now=now)
+        issue(keystore, keystore.unlock(None), specs, now=now)
         taken = seconds("who-may", "--json", root)
         print(f"pqsec who-may, {count} participants: {taken:.1f} s")
 

@@ -8,27 +8,34 @@ stacks answer otherwise.
 from pqsec_pki.access._patterns import opendds_reads_beyond
 from pqsec_pki.access.decide import Policy, decide
 from pqsec_pki.access.decision import Decision, Part, Protection
+from pqsec_pki.access.interpretation import Interpretation, Side
+from pqsec_pki.access.interpretations import (
+    CYCLONEDDS,
+    FASTDDS,
+    INTERPRETATIONS,
+    OPENDDS,
+    SPEC,
+    interpretation_named,
+)
 from pqsec_pki.access.join import may_join
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.access.reading import Reading, Side
-from pqsec_pki.access.readings import CYCLONEDDS, FASTDDS, OPENDDS, READINGS, SPEC, reading_named
 
 __all__ = [
     "CYCLONEDDS",
     "FASTDDS",
+    "INTERPRETATIONS",
     "OPENDDS",
-    "READINGS",
     "SPEC",
     "Action",
     "Decision",
+    "Interpretation",
     "Part",
     "Policy",
     "Protection",
     "Question",
-    "Reading",
     "Side",
     "decide",
+    "interpretation_named",
     "may_join",
     "opendds_reads_beyond",
-    "reading_named",
 ]

@@ -5,8 +5,8 @@ Each answers for the case of one question; `decide` makes them one after the oth
 
 from pqsec_pki.access import _expressions
 from pqsec_pki.access.decision import Decision, no, yes
+from pqsec_pki.access.interpretation import EvaluationContext
 from pqsec_pki.access.question import Action
-from pqsec_pki.access.reading import Case
 from pqsec_pki.documents import Criteria, DefaultAction, Rule, TopicRule
 
 _MOST_SAID = 4
@@ -14,49 +14,49 @@ _MOST_SAID = 4
 _VERBS = {Action.PUBLISH: "publish", Action.SUBSCRIBE: "subscribe to", Action.RELAY: "relay"}
 
 
-def governed(case: Case) -> Decision:
+def governed(context: EvaluationContext) -> Decision:
     """validate_local_permissions, 1: a governance rule for the domain (9.4.1.2.7)."""
-    if not case.domain_rules:
-        return no(f"no governance rule names domain {case.question.domain}")
-    return yes(f"governance covers domain {case.question.domain}", case.domain_rules[0])
+    if not context.domain_rules:
+        return no(f"no governance rule names domain {context.question.domain}")
+    return yes(f"governance covers domain {context.question.domain}", context.domain_rules[0])
 
 
-def in_force(case: Case) -> Decision:
+def in_force(context: EvaluationContext) -> Decision:
     """validate_local_permissions, 3: the grant is in force (9.4.1.3.2.2)."""
-    grant = case.grant
-    if case.reading.in_force(grant, case.question.now):
+    grant = context.grant
+    if context.interpretation.in_force(grant, context.question.now):
         return yes(f"grant '{grant.name}' is in force", grant)
-    if case.question.now <= grant.not_before:
+    if context.question.now <= grant.not_before:
         return no(f"grant '{grant.name}' starts at {grant.not_before}", grant)
     return no(f"grant '{grant.name}' ended at {grant.not_after}", grant)
 
 
-def own_participant(case: Case) -> Decision:
+def own_participant(context: EvaluationContext) -> Decision:
     """check_create_participant: a topic open to all lets in too, which peers do not accept."""
-    for rule in case.domain_rules[:1]:
+    for rule in context.domain_rules[:1]:
         for topic_rule in rule.topic_rules:
             if not (
                 topic_rule.enable_read_access_control and topic_rule.enable_write_access_control
             ):
                 return yes("governance has a topic that is open to all", topic_rule)
-    return remote_participant(case)
+    return remote_participant(context)
 
 
-def remote_participant(case: Case) -> Decision:
+def remote_participant(context: EvaluationContext) -> Decision:
     """check_remote_participant.
 
     An allow_rule for the domain suffices, even one without topics. Where there is none,
     the default of the grant decides, as in Cyclone DDS and OpenDDS (OMG issue
     DDSSEC12-85).
     """
-    domain, grant = case.question.domain, case.grant
+    domain, grant = context.question.domain, context.grant
     # 1: is_access_protected is false.
-    for governing in case.domain_rules[:1]:
+    for governing in context.domain_rules[:1]:
         if not governing.enable_join_access_control:
             return yes(f"join access control is off on domain {domain}", governing)
     # 2, the plugin names in the permissions tokens, is for the handshake to compare.
     # 3: the grant has an allow rule for the domain.
-    for rule in case.rules:
+    for rule in context.rules:
         if rule.allow:
             return yes(f"grant '{grant.name}' has an allow_rule for domain {domain}", rule)
     # 4: otherwise no, but for the default.
@@ -65,73 +65,75 @@ def remote_participant(case: Case) -> Decision:
     return no(f"grant '{grant.name}' has no allow_rule for domain {domain}", grant)
 
 
-def endpoint(case: Case) -> Decision:
+def endpoint(context: EvaluationContext) -> Decision:
     """check_create_datawriter and its three siblings, for the own endpoint and a peer's."""
-    rule = next(case.topic_rules, None)
+    rule = next(context.topic_rules, None)
     if rule is None:
-        return ungoverned(case)
-    if is_open(case, rule):
-        return opened(case, rule)
-    return by_rules(case)
+        return ungoverned(context)
+    if is_open(context, rule):
+        return opened(context, rule)
+    return by_rules(context)
 
 
-def by_rules(case: Case) -> Decision:
+def by_rules(context: EvaluationContext) -> Decision:
     """The first rule for the domain whose criteria are met decides, else the default."""
-    action, missed = case.question.action, None
-    for rule in case.rules:
-        for criteria in case.criteria(rule, action):
-            if case.has_topic(criteria):
-                if met(case, criteria, rule):
-                    return ruled(case, rule, criteria)
+    action, missed = context.question.action, None
+    for rule in context.rules:
+        for criteria in context.criteria(rule, action):
+            if context.has_topic(criteria):
+                if met(context, criteria, rule):
+                    return ruled(context, rule, criteria)
                 missed = missed or rule
-    return by_default(case, missed)
+    return by_default(context, missed)
 
 
-def met(case: Case, criteria: Criteria, rule: Rule) -> bool:
+def met(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
     """Whether partitions and data tags meet these criteria too."""
-    reading = case.reading
-    return reading.partitions_met(case, criteria, rule) and reading.tags_met(case, criteria, rule)
+    interpretation = context.interpretation
+    return interpretation.partitions_met(context, criteria, rule) and interpretation.tags_met(
+        context, criteria, rule
+    )
 
 
-def ungoverned(case: Case) -> Decision:
+def ungoverned(context: EvaluationContext) -> Decision:
     """9.4.1.2.7: a topic that no rule covers cannot be used."""
-    question = case.question
+    question = context.question
     return no(f"no topic rule of governance covers '{question.topic}' on domain {question.domain}")
 
 
-def is_open(case: Case, rule: TopicRule) -> bool:
+def is_open(context: EvaluationContext, rule: TopicRule) -> bool:
     """Whether governance lets every participant do that, whatever its permissions."""
-    if case.question.action is Action.PUBLISH:
+    if context.question.action is Action.PUBLISH:
         return not rule.enable_write_access_control
     return not rule.enable_read_access_control
 
 
-def opened(case: Case, rule: TopicRule) -> Decision:
-    asked = f"{said(case)}, whatever its permissions (topic rule '{rule.topic_expression}')"
+def opened(context: EvaluationContext, rule: TopicRule) -> Decision:
+    asked = f"{said(context)}, whatever its permissions (topic rule '{rule.topic_expression}')"
     return yes(f"governance lets every participant {asked}", rule)
 
 
-def ruled(case: Case, rule: Rule, criteria: Criteria | None) -> Decision:
+def ruled(context: EvaluationContext, rule: Rule, criteria: Criteria | None) -> Decision:
     """As the rule says, of which these criteria are met."""
-    by = f"{name_of(rule)} of grant '{case.grant.name}'"
+    by = f"{name_of(rule)} of grant '{context.grant.name}'"
     if rule.allow:
-        return yes(f"an {by} lets it {said(case)}", rule, criteria)
-    return no(f"a {by} forbids it to {said(case)}", rule, criteria)
+        return yes(f"an {by} lets it {said(context)}", rule, criteria)
+    return no(f"a {by} forbids it to {said(context)}", rule, criteria)
 
 
-def by_default(case: Case, missed: Rule | None) -> Decision:
+def by_default(context: EvaluationContext, missed: Rule | None) -> Decision:
     """As the default says; `missed` is a rule that has the topic but asks for more."""
-    grant = case.grant
-    start = f"no rule of grant '{grant.name}' says whether it may {said(case)}"
+    grant = context.grant
+    start = f"no rule of grant '{grant.name}' says whether it may {said(context)}"
     if missed:
         start += f" ({name_of(missed)} has the topic, but for other partitions or data tags)"
     decide = yes if grant.default is DefaultAction.ALLOW else no
     return decide(f"{start}, and its default is {grant.default}", grant)
 
 
-def said(case: Case) -> str:
+def said(context: EvaluationContext) -> str:
     """What is asked, as in "publish 'rt/chatter' on domain 0"."""
-    question = case.question
+    question = context.question
     where = f" in {_partitions(question.partitions)}" if any(question.partitions) else ""
     return f"{_VERBS[question.action]} '{question.topic}'{where} on domain {question.domain}"
 

@@ -12,9 +12,9 @@ from pqsec_pki.access._domains import domains_said, stretches
 from pqsec_pki.access._endpoints import Sets, sets_to_try
 from pqsec_pki.access._topics import Universe
 from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.interpretation import EvaluationContext
+from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.access.reading import Case
-from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -109,24 +109,27 @@ class World:
             _ACTIONS, self.partition_sets.tried, self.tag_sets.tried
         ):
             asked = replace(join, action=action, topic=_ANY, partitions=partitions, data_tags=tags)
-            case = Case(
-                question=asked, reading=_NAMED, domain_rules=(), grant=replace(grant, rules=here)
+            context = EvaluationContext(
+                question=asked,
+                interpretation=_NAMED,
+                domain_rules=(),
+                grant=replace(grant, rules=here),
             )
-            found[action, stretch, partitions, tags] = self._allowed(case)
+            found[action, stretch, partitions, tags] = self._allowed(context)
         return found
 
-    def _allowed(self, case: Case) -> frozenset[str]:
+    def _allowed(self, context: EvaluationContext) -> frozenset[str]:
         """As the check `by_rules` decides, but for all topics in one go."""
         allowed, undecided = set[str](), set(self.topics.names)
-        for rule in case.rules:
-            for criteria in case.criteria(rule, case.question.action):
-                if met(case, criteria, rule):
+        for rule in context.rules:
+            for criteria in context.criteria(rule, context.question.action):
+                if met(context, criteria, rule):
                     for pattern in criteria.topics:
                         named = undecided & self.topics.covered[pattern]
                         undecided -= named
                         allowed |= named if rule.allow else set()
         return frozenset(
-            allowed | undecided if case.grant.default is DefaultAction.ALLOW else allowed
+            allowed | undecided if context.grant.default is DefaultAction.ALLOW else allowed
         )
 
     def where(self, whole: Whole) -> str:

@@ -7,9 +7,9 @@ from itertools import islice, product
 
 from pqsec_pki.access._rights import World
 from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.interpretation import Interpretation
+from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC
 from pqsec_pki.access.question import MAX_NAME, Action, Question
-from pqsec_pki.access.reading import Reading
-from pqsec_pki.access.readings import READINGS, SPEC
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
 from pqsec_pki.documents.domains import MAX_DOMAIN
 
@@ -26,7 +26,7 @@ _DOMAINS = DomainSet(parts=(DomainRange(first=0, last=MAX_DOMAIN),))
 class StackChange:
     """A question that a stack answers otherwise than before, though the standard does not."""
 
-    reading: Reading
+    interpretation: Interpretation
     question: Question
     allowed: bool
     """What it answers now."""
@@ -41,20 +41,21 @@ def stack_changes(old: Grant, new: Grant, world: World) -> Iterator[StackChange]
     alike = [
         each for each, (before, after) in _answers(old, new, questions, SPEC) if before == after
     ]
-    for reading in READINGS:
+    for interpretation in INTERPRETATIONS:
         seen = set[bool]()
-        for question, (before, after) in _answers(old, new, alike, reading):
+        for question, (before, after) in _answers(old, new, alike, interpretation):
             if before != after and after not in seen:
                 seen.add(after)
-                yield StackChange(reading, question, allowed=after)
+                yield StackChange(interpretation, question, allowed=after)
 
 
 def _answers(
-    old: Grant, new: Grant, questions: list[Question], reading: Reading
+    old: Grant, new: Grant, questions: list[Question], interpretation: Interpretation
 ) -> Iterator[tuple[Question, tuple[bool, bool]]]:
     governance = Governance.protected(_DOMAINS)
     before, after = (
-        Policy(governance, Permissions(grants=(_in_force(grant),)), reading) for grant in (old, new)
+        Policy(governance, Permissions(grants=(_in_force(grant),)), interpretation)
+        for grant in (old, new)
     )
     for question in questions:
         yield question, (before.decide(question).allowed, after.decide(question).allowed)

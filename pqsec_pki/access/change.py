@@ -29,7 +29,7 @@ class Change:
     actions: tuple[Action, ...] = ()
     topics: tuple[Topics, ...] = ()
     domains: str = ""
-    reading: str = "spec"
+    interpretation: str = "spec"
     """By whose reading of the documents; `stacks` where that is for each stack to say."""
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from pqsec_pki.access.decision import Decision, Protection, no
+from pqsec_pki.access.interpretation import Check, EvaluationContext, Interpretation, Side
+from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.access.reading import Case, Check, Reading, Side
-from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import DomainRule, Governance, Grant, Permissions, parse_subject
 
 _DOUBT = "its partitions take too many steps to compare with those of the rules: in doubt it is no"
@@ -17,7 +17,7 @@ def decide(
     governance: Governance,
     permissions: Permissions,
     question: Question,
-    reading: Reading = SPEC,
+    interpretation: Interpretation = SPEC,
     *,
     by: Side | None = None,
 ) -> Decision:
@@ -30,7 +30,7 @@ def decide(
 
     MalformedError if the subject is no name.
     """
-    return Policy(governance, permissions, reading).decide(question, by=by)
+    return Policy(governance, permissions, interpretation).decide(question, by=by)
 
 
 @dataclass(slots=True)
@@ -39,14 +39,14 @@ class Policy:
 
     governance: Governance
     permissions: Permissions
-    reading: Reading = SPEC
+    interpretation: Interpretation = SPEC
     _flaw: str = field(init=False, repr=False)
     _found: dict[tuple[str, int, datetime], tuple[tuple[DomainRule, ...], Grant | None]] = field(
         default_factory=dict, init=False, repr=False
     )
 
     def __post_init__(self) -> None:
-        self._flaw = self.reading.flaw(self.governance, self.permissions)
+        self._flaw = self.interpretation.flaw(self.governance, self.permissions)
 
     def decide(self, question: Question, *, by: Side | None = None) -> Decision:
         """As the function `decide`."""
@@ -59,36 +59,38 @@ class Policy:
         rules, grant = self._found[key]
         if grant is None:
             return no(f"no grant is for {question.subject}")
-        case = Case(question=question, reading=self.reading, domain_rules=rules, grant=grant)
-        decision = replace(_checked(case, by), protection=_protection(case))
-        if case.budget.spent and not decision.allowed:
+        context = EvaluationContext(
+            question=question, interpretation=self.interpretation, domain_rules=rules, grant=grant
+        )
+        decision = replace(_checked(context, by), protection=_protection(context))
+        if context.budget.spent and not decision.allowed:
             return replace(decision, reason=f"{_DOUBT}: {decision.reason}")
         return decision
 
     def _find(self, question: Question) -> tuple[tuple[DomainRule, ...], Grant | None]:
-        includes, domain = self.reading.includes, question.domain
+        includes, domain = self.interpretation.includes, question.domain
         rules = [rule for rule in self.governance.domain_rules if includes(rule.domains, domain)]
-        return tuple(rules), self.reading.grant_for(self.permissions, question)
+        return tuple(rules), self.interpretation.grant_for(self.permissions, question)
 
 
-def _checked(case: Case, by: Side | None) -> Decision:
-    for check in dict.fromkeys(_checks(case, by)):
-        decision = check(case)
+def _checked(context: EvaluationContext, by: Side | None) -> Decision:
+    for check in dict.fromkeys(_checks(context, by)):
+        decision = check(context)
         if not decision.allowed:
             break
     return decision
 
 
-def _checks(case: Case, by: Side | None) -> Iterator[Check]:
+def _checks(context: EvaluationContext, by: Side | None) -> Iterator[Check]:
     sides = [by] if by else list(Side)
     for side in sides:
-        yield from case.reading.join[side]
-    for side in sides if case.question.action is not Action.JOIN else ():
-        yield from case.reading.use[side]
+        yield from context.interpretation.join[side]
+    for side in sides if context.question.action is not Action.JOIN else ():
+        yield from context.interpretation.use[side]
 
 
-def _protection(case: Case) -> Protection | None:
-    if not case.domain_rules:
+def _protection(context: EvaluationContext) -> Protection | None:
+    if not context.domain_rules:
         return None
-    topic_rule = next(case.topic_rules, None) if case.question.topic else None
-    return Protection.of(case.domain_rules[0], topic_rule)
+    topic_rule = next(context.topic_rules, None) if context.question.topic else None
+    return Protection.of(context.domain_rules[0], topic_rule)

@@ -68,7 +68,7 @@ def _passed_over(
                 sense=Sense.OTHER,
                 subject=grant.subject_name,
                 text=f"a grant {verb} that by the standard is nobody's: {grants[grant]}",
-                reading=STACKS,
+                interpretation=STACKS,
             )
 
 
@@ -138,10 +138,10 @@ def _of_stack(found: StackChange) -> Change:
     return Change(
         sense=Sense.GRANTED if found.allowed else Sense.TAKEN,
         subject=question.subject,
-        text=f"in {found.reading.title}, unlike the standard, for one: {what}",
+        text=f"in {found.interpretation.title}, unlike the standard, for one: {what}",
         actions=(question.action,),
         domains=where,
-        reading=found.reading.name,
+        interpretation=found.interpretation.name,
     )
 
 
@@ -151,7 +151,7 @@ def _spelling_changes(old: Grant, new: Grant) -> Iterator[Change]:
             sense=Sense.OTHER,
             subject=new.subject_name,
             text=f"written '{old.subject_name}' before, which not all stacks take for the same",
-            reading=STACKS,
+            interpretation=STACKS,
         )
 
 

@@ -12,10 +12,10 @@ from pqsec_pki.access._index import Names
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
 from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.interpretation import Interpretation
+from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.matrix import Member, Row, topics_named, who_may
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.access.reading import Reading
-from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
 _SPECIAL = re.compile(r"[*?\[\\]")
@@ -72,7 +72,7 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     *,
     domains: DomainSet | None = None,
     now: datetime,
-    reading: Reading = SPEC,
+    interpretation: Interpretation = SPEC,
     asked: Mapping[str, str | None],
 ) -> tuple[Placed, ...]:
     """For each topic a row for each way in which it may be used, and the domains of that.
@@ -91,9 +91,17 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     wanted = tuple(dict.fromkeys(topics))
     found: dict[str, dict[Row, list[DomainRange]]] = {topic: {} for topic in wanted}
     for stretch in apart:
-        here = [each for each in members if _joins(governance, each, stretch.first, now, reading)]
+        here = [
+            each for each in members if _joins(governance, each, stretch.first, now, interpretation)
+        ]
         rows = who_may(
-            governance, here, wanted, domain=stretch.first, now=now, reading=reading, asked=asked
+            governance,
+            here,
+            wanted,
+            domain=stretch.first,
+            now=now,
+            interpretation=interpretation,
+            asked=asked,
         )
         for row in rows:
             if row.publishers or row.subscribers:
@@ -157,10 +165,14 @@ def _of_both(one: str, other: str, matched: Sequence[str]) -> str | None:
 
 
 def _joins(
-    governance: Governance, member: Member, domain: int, now: datetime, reading: Reading
+    governance: Governance,
+    member: Member,
+    domain: int,
+    now: datetime,
+    interpretation: Interpretation,
 ) -> bool:
     question = Question(subject=member.subject, domain=domain, action=Action.JOIN, now=now)
-    return Policy(governance, member.permissions, reading).decide(question).allowed
+    return Policy(governance, member.permissions, interpretation).decide(question).allowed
 
 
 def _endless(domains: DomainSet) -> Iterable[DomainRange]:

@@ -7,9 +7,9 @@ from datetime import datetime, timedelta
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._witnesses import is_wildcard, sample
 from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.interpretation import Interpretation
+from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.access.reading import Reading
-from pqsec_pki.access.readings import SPEC
 from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, Permissions, Rule
 
 _ANYONE = "CN=anyone"
@@ -56,7 +56,7 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     *,
     domain: int,
     now: datetime,
-    reading: Reading = SPEC,
+    interpretation: Interpretation = SPEC,
     asked: Mapping[str, str | None] = _NOTHING,
 ) -> tuple[Row, ...]:
     """A row for each topic, with the members in their order.
@@ -70,12 +70,12 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     literals = frozenset((*wanted, *topics_named(members)))
     asked = {topic: asked[topic] if topic in asked else sample(topic, literals) for topic in wanted}
     names = [name for name in asked.values() if name]
-    may = _Asking(governance, reading, domain, now)
+    may = _Asking(governance, interpretation, domain, now)
     publishers: dict[str, list[str]] = {name: [] for name in names}
     subscribers: dict[str, list[str]] = {name: [] for name in names}
-    index = _Index(names, reading, may.everyone(names))
+    index = _Index(names, interpretation, may.everyone(names))
     for member in members:
-        policy = Policy(governance, member.permissions, reading)
+        policy = Policy(governance, member.permissions, interpretation)
         for topic in index.worth_asking(member):
             for action, found in ((Action.PUBLISH, publishers), (Action.SUBSCRIBE, subscribers)):
                 if may.do(policy, member.subject, action, topic):
@@ -96,7 +96,7 @@ class _Asking:
     """What all questions have in common."""
 
     governance: Governance
-    reading: Reading
+    interpretation: Interpretation
     domain: int
     now: datetime
 
@@ -118,7 +118,7 @@ class _Asking:
             not_after=self.now + day,
             rules=(rule,),
         )
-        policy = Policy(self.governance, Permissions(grants=(grant,)), self.reading)
+        policy = Policy(self.governance, Permissions(grants=(grant,)), self.interpretation)
         either = (Action.PUBLISH, Action.SUBSCRIBE)
         return frozenset(
             topic
@@ -130,9 +130,11 @@ class _Asking:
 class _Index:
     """The topics that are asked about, and who is worth asking about which."""
 
-    def __init__(self, names: Iterable[str], reading: Reading, free: frozenset[str]) -> None:
+    def __init__(
+        self, names: Iterable[str], interpretation: Interpretation, free: frozenset[str]
+    ) -> None:
         self._known = Names(names)
-        self._reading = reading
+        self._reading = interpretation
         self._free = free
 
     def worth_asking(self, member: Member) -> Iterable[str]:

@@ -13,8 +13,8 @@ from typing import Self
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
 from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.interpretation import Side
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.access.reading import Side
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -50,8 +50,11 @@ class ParticipantDocuments:
         """Topics and patterns that a rule may allow there, or a default, or the governance."""
         found = [topic for each in self.criteria(action, domain) for topic in each.topics]
         for rule in self._topic_rules(domain):
-            writing, reading = rule.enable_write_access_control, rule.enable_read_access_control
-            if not (writing if action is Action.PUBLISH else reading):
+            writing, interpretation = (
+                rule.enable_write_access_control,
+                rule.enable_read_access_control,
+            )
+            if not (writing if action is Action.PUBLISH else interpretation):
                 found.append(rule.topic_expression)
         if any(grant.default is DefaultAction.ALLOW for grant in self.permissions.grants):
             found.append("*")

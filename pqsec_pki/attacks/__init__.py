@@ -5,7 +5,7 @@ meeting of `selfcheck` is attacked from between them, from outside and from insi
 """
 
 from pqsec_pki.attacks.attack import Attack
-from pqsec_pki.attacks.siege import Outcome, Result, Siege, withstand
+from pqsec_pki.attacks.run import AttackReport, Outcome, Result, run_attacks
 from pqsec_pki.attacks.table import ATTACKS, attack_named
 
-__all__ = ["ATTACKS", "Attack", "Outcome", "Result", "Siege", "attack_named", "withstand"]
+__all__ = ["ATTACKS", "Attack", "AttackReport", "Outcome", "Result", "attack_named", "run_attacks"]

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks._forgery import Keys, issued
-from pqsec_pki.attacks._impostors import under_a_stand_in
-from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks._impostors import issue_by_unknown_intermediate
 from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.handshake import (
     DataHolder,
@@ -18,29 +18,29 @@ from pqsec_pki.handshake import (
     adjusted_guid,
 )
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.encounter import Encounter, Side
 from pqsec_pki.selfcheck.report import MESSAGE
+from pqsec_pki.selfcheck.session import HandshakeSession, Side
 
 _NAME = "/between"
 
 
-def stand_between(scene: Scene) -> Iterator[Attempt]:
+def stand_between(context: AttackContext) -> Iterator[Attempt]:
     """It hands the one's dh1 and the other's dh2 on under its own name, which is genuine."""
-    ca, scene = under_a_stand_in(scene)
-    one, _ = scene.encounter.sides
+    ca, context = issue_by_unknown_intermediate(context)
+    one, _ = context.session.sides
     keys = Keys.like(one.participant.certificate)
-    certificate = issued(ca, _NAME, keys, scene.encounter.now)
+    certificate = issued(ca, _NAME, keys, context.session.now)
     guid = adjusted_guid(certificate.subject_der, one.guid)
-    own = showing(one, certificate=certificate, key=keys.both, guid=guid, permissions=b"")
-    relay = _Between(scene.encounter, own)
-    yield Attempt("dh1 and dh2 handed on", replace(scene.encounter, relay=relay, third=own))
+    own = with_identity(one, certificate=certificate, key=keys.both, guid=guid, permissions=b"")
+    relay = _Between(context.session, own)
+    yield Attempt("dh1 and dh2 handed on", replace(context.session, relay=relay, third=own))
 
 
 @dataclass(slots=True)
 class _Between:
     """The replier of the one and the initiator of the other, without a key for either."""
 
-    encounter: Encounter
+    session: HandshakeSession
     own: Side
     request: Request | None = None
     reply: Reply | None = None
@@ -49,7 +49,7 @@ class _Between:
         if name == MESSAGE:  # it cannot read that, nor make one
             return data
         message = GenericMessage.decode(data)
-        one, other = self.encounter.sides
+        one, other = self.session.sides
         receiver = other if message.source == one.writer else one
         answer = replace(
             message,
@@ -82,7 +82,7 @@ class _Between:
 
     @property
     def _introduction(self) -> Introduction:
-        return self.own.terms.own.introduction(self.encounter.agreement, nul=True)
+        return self.own.terms.own.introduction(self.session.agreement, nul=True)
 
     def _transcript(self, *, of_request: bool) -> Transcript:
         """What the initiator has of its handshake, or the replier of the other."""

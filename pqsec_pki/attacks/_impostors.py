@@ -5,6 +5,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import partial
 
+from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks._forgery import (
     YEAR,
     Keys,
@@ -15,82 +16,87 @@ from pqsec_pki.attacks._forgery import (
     without_alternative_signature,
 )
 from pqsec_pki.attacks._relays import Edit, editing
-from pqsec_pki.attacks._scene import Attempt, Scene, showing
 from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import BACKDATE, Authority, Certificate
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.encounter import Side
+from pqsec_pki.selfcheck.session import Side
 
 _MOMENT = timedelta(seconds=1)
 _HOUR = timedelta(hours=1)
 
 
-def copy_certificate(scene: Scene) -> Iterator[Attempt]:
+def copy_certificate(context: AttackContext) -> Iterator[Attempt]:
     """Certificate and permissions travel in the clear; the key does not."""
-    return scene.posing("another key", lambda side, _: showing(side, key=_new_keys(side).both))
+    return context.impersonating(
+        "another key", lambda side, _: with_identity(side, key=_new_keys(side).both)
+    )
 
 
-def found_a_ca(scene: Scene) -> Iterator[Attempt]:
+def create_own_ca(context: AttackContext) -> Iterator[Attempt]:
     """A certificate by an authority of its own."""
-    now = scene.encounter.now
-    genuine = scene.encounter.initiator.participant.identity_ca
+    now = context.session.now
+    genuine = context.session.initiator.participant.identity_ca
     for what, name in (("the same name", None), ("another name", "Another CA")):
         ca = vouching_for_itself(genuine, now, name)
-        yield from scene.posing(f"a CA of {what}", partial(_certified_by, ca, now))
+        yield from context.impersonating(f"a CA of {what}", partial(_certified_by, ca, now))
 
 
-def vouch_for_itself(scene: Scene) -> Iterator[Attempt]:
+def sign_own_certificate(context: AttackContext) -> Iterator[Attempt]:
     """A certificate that its own key signed."""
 
     def self_signed(side: Side, _: Side) -> Side:
-        own = vouching_for_itself(side.participant.certificate, scene.encounter.now)
+        own = vouching_for_itself(side.participant.certificate, context.session.now)
         keys = Keys(plain=own.key, alternative=own.alternative_key)
-        return showing(side, certificate=own.certificate, key=keys.both)
+        return with_identity(side, certificate=own.certificate, key=keys.both)
 
-    return scene.posing("a self-signed certificate", self_signed)
+    return context.impersonating("a self-signed certificate", self_signed)
 
 
-def come_late(scene: Scene) -> Iterator[Attempt]:
+def use_expired_certificate(context: AttackContext) -> Iterator[Attempt]:
     """When its certificate has ended. Its permissions have not, so nothing else tells."""
-    ca, scene = under_a_stand_in(scene)
-    now = scene.encounter.now
+    ca, context = issue_by_unknown_intermediate(context)
+    now = context.session.now
     ended = partial(_certified_for, ca, now - _HOUR, _HOUR - _MOMENT)
-    return scene.posing("a second after the end", ended)
+    return context.impersonating("a second after the end", ended)
 
 
-def come_early(scene: Scene) -> Iterator[Attempt]:
+def use_future_certificate(context: AttackContext) -> Iterator[Attempt]:
     """Before its certificate begins."""
-    ca, scene = under_a_stand_in(scene)
-    begins = scene.encounter.now + _MOMENT + BACKDATE
-    return scene.posing("a second before the begin", partial(_certified_for, ca, begins, YEAR))
-
-
-def stay_though_revoked(scene: Scene) -> Iterator[Attempt]:
-    """On the CA's list."""
-    ca, scene = under_a_stand_in(scene)
-    one, other = scene.encounter.sides
-    now = scene.encounter.now
-    meeting = replace(
-        scene.encounter,
-        initiator=showing(one, revocation_list=list_of(ca, other.terms.own.certificate, now)),
-        replier=showing(other, revocation_list=list_of(ca, one.terms.own.certificate, now)),
+    ca, context = issue_by_unknown_intermediate(context)
+    begins = context.session.now + _MOMENT + BACKDATE
+    return context.impersonating(
+        "a second before the begin", partial(_certified_for, ca, begins, YEAR)
     )
-    unaware = replace(scene, encounter=meeting)
-    return unaware.posing("on the list", lambda side, _: showing(side, revocation_list=None))
 
 
-def under_a_stand_in(scene: Scene) -> tuple[Authority, Scene]:
+def use_revoked_certificate(context: AttackContext) -> Iterator[Attempt]:
+    """On the CA's list."""
+    ca, context = issue_by_unknown_intermediate(context)
+    one, other = context.session.sides
+    now = context.session.now
+    check = replace(
+        context.session,
+        initiator=with_identity(one, revocation_list=list_of(ca, other.terms.own.certificate, now)),
+        replier=with_identity(other, revocation_list=list_of(ca, one.terms.own.certificate, now)),
+    )
+    unaware = replace(context, session=check)
+    return unaware.impersonating(
+        "on the list", lambda side, _: with_identity(side, revocation_list=None)
+    )
+
+
+def issue_by_unknown_intermediate(context: AttackContext) -> tuple[Authority, AttackContext]:
     """A CA like the genuine one, whose key is not here, and the two certified by it.
 
     It has revoked nobody, and the genuine one's list is not its own.
     """
-    now = scene.encounter.now
-    ca = vouching_for_itself(scene.encounter.initiator.participant.identity_ca, now)
+    now = context.session.now
+    ca = vouching_for_itself(context.session.initiator.participant.identity_ca, now)
     one, other = (
-        showing(_certified_by(ca, now, side, side), ca=ca.certificate, revocation_list=None)
-        for side in scene.encounter.sides
+        with_identity(_certified_by(ca, now, side, side), ca=ca.certificate, revocation_list=None)
+        for side in context.session.sides
     )
-    return ca, replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
+    return ca, replace(context, session=replace(context.session, initiator=one, replier=other))
 
 
 def _certified_for(
@@ -99,32 +105,34 @@ def _certified_for(
     """New keys, and a certificate that begins a day before `begin`, as all do."""
     keys = _new_keys(side)
     certificate = issued(ca, side.name, keys, begin, validity)
-    return showing(side, certificate=certificate, key=keys.both)
+    return with_identity(side, certificate=certificate, key=keys.both)
 
 
 # With a quantum computer, which finds plain keys
 
 
-def sign_plainly(scene: Scene) -> Iterator[Attempt]:
+def sign_plainly(context: AttackContext) -> Iterator[Attempt]:
     """As it would with a stock stack."""
-    return scene.posing(
-        "the plain key alone", lambda side, _: showing(side, key=side.participant.key)
+    return context.impersonating(
+        "the plain key alone", lambda side, _: with_identity(side, key=side.participant.key)
     )
 
 
-def sign_half(scene: Scene) -> Iterator[Attempt]:
+def sign_half(context: AttackContext) -> Iterator[Attempt]:
     """As if with both keys, but half of it is another key's, or is not there."""
 
     def halves(side: Side, _: Side, half: str) -> Side:
         own = {half: getattr(Keys.of(side.participant), half)}
-        return showing(side, key=replace(_new_keys(side), **own).both)
+        return with_identity(side, key=replace(_new_keys(side), **own).both)
 
     for half in ("plain", "alternative"):
-        yield from scene.posing(f"the {half} key and a new one", partial(halves, half=half))
-    for half, cut in _cuts(scene.encounter.initiator).items():
+        yield from context.impersonating(
+            f"the {half} key and a new one", partial(halves, half=half)
+        )
+    for half, cut in _cuts(context.session.initiator).items():
         for message in ("reply", "final"):
             relay = editing(message, "signature", cut)
-            yield scene.between(f"the {half} signature alone in the {message}", relay)
+            yield context.between(f"the {half} signature alone in the {message}", relay)
 
 
 def _cuts(side: Side) -> dict[str, Edit]:
@@ -134,36 +142,38 @@ def _cuts(side: Side) -> dict[str, Edit]:
     return {"plain": lambda both: both[cut:], "alternative": lambda both: both[:cut]}
 
 
-def strip_certificate(scene: Scene) -> Iterator[Attempt]:
+def strip_certificate(context: AttackContext) -> Iterator[Attempt]:
     """The genuine certificate and keys, but for the signature of the CA's alternative key."""
-    genuine_ca = scene.encounter.initiator.participant.identity_ca
+    genuine_ca = context.session.initiator.participant.identity_ca
     key = Keys.like(genuine_ca).plain
-    scene = _where_all_trust(with_broken_key(genuine_ca, key), scene)
+    context = _trusted_by_both(with_broken_key(genuine_ca, key), context)
 
     def stripped(side: Side, _: Side) -> Side:
         genuine = side.participant.certificate
         less = without_alternative_signature(genuine, key)
-        return showing(side, certificate=less, ca=genuine_ca)
+        return with_identity(side, certificate=less, ca=genuine_ca)
 
-    return scene.posing("no alternative signature", stripped)
+    return context.impersonating("no alternative signature", stripped)
 
 
-def break_the_ca(scene: Scene) -> Iterator[Attempt]:
+def break_the_ca(context: AttackContext) -> Iterator[Attempt]:
     """A certificate by the CA's plain key, for what that is worth."""
-    now = scene.encounter.now
-    genuine = scene.encounter.initiator.participant.identity_ca
+    now = context.session.now
+    genuine = context.session.initiator.participant.identity_ca
     own = Keys.like(genuine)
     broken = with_broken_key(genuine, own.plain)
-    scene = _where_all_trust(broken, scene)
+    context = _trusted_by_both(broken, context)
     for what, second in (("no", None), ("its own", own.alternative)):
         ca = Authority(broken, own.plain, second)
-        disguise = partial(_certified_by, ca, now)
-        yield from scene.posing(f"{what} alternative signature", disguise)
+        impersonation = partial(_certified_by, ca, now)
+        yield from context.impersonating(f"{what} alternative signature", impersonation)
 
 
-def _where_all_trust(ca: Certificate, scene: Scene) -> Scene:
-    one, other = (showing(side, ca=ca, revocation_list=None) for side in scene.encounter.sides)
-    return replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
+def _trusted_by_both(ca: Certificate, context: AttackContext) -> AttackContext:
+    one, other = (
+        with_identity(side, ca=ca, revocation_list=None) for side in context.session.sides
+    )
+    return replace(context, session=replace(context.session, initiator=one, replier=other))
 
 
 def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
@@ -171,7 +181,7 @@ def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
     keys = _new_keys(side)
     certificate = issued(ca, side.name, keys, now)
     genuine = side.participant.identity_ca
-    return showing(side, certificate=certificate, key=keys.both, ca=genuine)
+    return with_identity(side, certificate=certificate, key=keys.both, ca=genuine)
 
 
 def _new_keys(side: Side) -> Keys:
@@ -194,7 +204,7 @@ ATTACKS = (
         title="makes a CA of the same name, and certificates with it",
         refused_at=("reply", "final"),
         checks=(Code.WRONG_ISSUER, Code.BAD_SIGNATURE, Code.ALTERNATIVE_BAD),
-        act=found_a_ca,
+        act=create_own_ca,
     ),
     Attack(
         name="self-signed",
@@ -202,7 +212,7 @@ ATTACKS = (
         title="shows a certificate that it signed itself",
         refused_at=("reply", "final"),
         checks=(Code.WRONG_ISSUER, Code.NOT_PARTICIPANT, Code.ALTERNATIVE_BAD),
-        act=vouch_for_itself,
+        act=sign_own_certificate,
     ),
     Attack(
         name="expired",
@@ -210,7 +220,7 @@ ATTACKS = (
         title="still uses its certificate after that has ended",
         refused_at=("reply", "final"),
         checks=(Code.EXPIRED,),
-        act=come_late,
+        act=use_expired_certificate,
     ),
     Attack(
         name="not-yet-valid",
@@ -218,7 +228,7 @@ ATTACKS = (
         title="uses its certificate before that begins",
         refused_at=("reply", "final"),
         checks=(Code.NOT_YET_VALID,),
-        act=come_early,
+        act=use_future_certificate,
     ),
     Attack(
         name="revoked",
@@ -226,7 +236,7 @@ ATTACKS = (
         title="still uses its certificate after that was revoked",
         refused_at=("reply", "final"),
         checks=(Code.REVOKED,),
-        act=stay_though_revoked,
+        act=use_revoked_certificate,
     ),
     Attack(
         name="plain-signature",
@@ -235,7 +245,7 @@ ATTACKS = (
         refused_at=("reply", "final"),
         checks=(Code.C16,),
         act=sign_plainly,
-        pointless=two_keys,
+        not_applicable=two_keys,
     ),
     Attack(
         name="half-signature",
@@ -244,7 +254,7 @@ ATTACKS = (
         refused_at=("final", "authenticated"),
         checks=(Code.C21, Code.C24),
         act=sign_half,
-        pointless=two_keys,
+        not_applicable=two_keys,
     ),
     Attack(
         name="stripped-certificate",
@@ -253,7 +263,7 @@ ATTACKS = (
         refused_at=("reply", "final"),
         checks=(Code.ALTERNATIVE_MISSING,),
         act=strip_certificate,
-        pointless=two_keys,
+        not_applicable=two_keys,
     ),
     Attack(
         name="broken-ca",
@@ -262,6 +272,6 @@ ATTACKS = (
         refused_at=("reply", "final"),
         checks=(Code.ALTERNATIVE_MISSING, Code.ALTERNATIVE_BAD),
         act=break_the_ca,
-        pointless=two_keys,
+        not_applicable=two_keys,
     ),
 )

@@ -7,9 +7,9 @@ from datetime import datetime
 from typing import Any
 
 from pqsec_pki.algorithms import KeyAgreement, KeyPair
+from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks._forgery import Keys, issued, signed_alike, without_countersignature
 from pqsec_pki.attacks._relays import Edit
-from pqsec_pki.attacks._scene import Attempt, Scene, showing
 from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import Authority
 from pqsec_pki.credentials import Credentials
@@ -17,11 +17,11 @@ from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import adjusted_guid
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.encounter import Encounter, Side
+from pqsec_pki.selfcheck.session import HandshakeSession, Side
 from pqsec_pki.smime import Signer, document_in, sign
 
 
-def issue_certificates(scene: Scene) -> Iterator[Attempt]:
+def issue_certificates(context: AttackContext) -> Iterator[Attempt]:
     """One that never ends, by its own key; its permissions are for that name."""
 
     def prolonged(side: Side, _: Side) -> Side:
@@ -30,20 +30,20 @@ def issue_certificates(scene: Scene) -> Iterator[Attempt]:
             Authority(own.certificate, own.key, own.alternative_key),
             Keys.like(own.certificate),
         )
-        certificate = issued(ca, side.name, keys, scene.encounter.now)
-        return showing(side, certificate=certificate, key=keys.both)
+        certificate = issued(ca, side.name, keys, context.session.now)
+        return with_identity(side, certificate=certificate, key=keys.both)
 
-    return scene.posing("a participant as CA", prolonged)
+    return context.impersonating("a participant as CA", prolonged)
 
 
-def claim_guid(scene: Scene) -> Iterator[Attempt]:
+def claim_guid(context: AttackContext) -> Iterator[Attempt]:
     """One that belongs to another name."""
 
     def claiming(side: Side, _: Side) -> Side:
         another = side.participant.identity_ca.subject_der
-        return showing(side, guid=adjusted_guid(another, side.guid))
+        return with_identity(side, guid=adjusted_guid(another, side.guid))
 
-    return scene.posing("another's GUID", claiming)
+    return context.impersonating("another's GUID", claiming)
 
 
 # Permissions
@@ -53,14 +53,14 @@ Forger = Callable[[Credentials, Credentials, datetime], bytes]
 """What the first shows as its permissions, knowing the second's."""
 
 
-def borrow_permissions(scene: Scene) -> Iterator[Attempt]:
+def borrow_permissions(context: AttackContext) -> Iterator[Attempt]:
     """They came in an earlier handshake."""
-    return _permitted(scene, "the other's", lambda _, other, __: other.permissions)
+    return _permitted(context, "the other's", lambda _, other, __: other.permissions)
 
 
-def shared_permissions(encounter: Encounter) -> str | None:
+def shared_permissions(session: HandshakeSession) -> str | None:
     """Why to borrow permissions is no attack, where it is none: they are for the borrower too."""
-    one, other = encounter.sides
+    one, other = session.sides
     for borrower, lender in ((one, other), (other, one)):
         document = Permissions.from_xml(document_in(lender.participant.permissions))
         if any(_is_for(borrower, grant) for grant in document.grants):
@@ -75,25 +75,25 @@ def _is_for(side: Side, grant: Grant) -> bool:
     return False
 
 
-def forge_permissions(scene: Scene) -> Iterator[Attempt]:
+def forge_permissions(context: AttackContext) -> Iterator[Attempt]:
     """Not what the permissions CA signed, or not by it."""
     for what, forger in _FORGERS.items():
-        yield from _permitted(scene, what, forger)
+        yield from _permitted(context, what, forger)
 
 
-def strip_countersignature(scene: Scene) -> Iterator[Attempt]:
+def strip_countersignature(context: AttackContext) -> Iterator[Attempt]:
     """Its own, but without the post-quantum signature."""
     return _permitted(
-        scene, "one signature alone", lambda own, *_: without_countersignature(own.permissions)
+        context, "one signature alone", lambda own, *_: without_countersignature(own.permissions)
     )
 
 
-def _permitted(scene: Scene, what: str, forger: Forger) -> Iterator[Attempt]:
+def _permitted(context: AttackContext, what: str, forger: Forger) -> Iterator[Attempt]:
     def permitted(side: Side, peer: Side) -> Side:
-        permissions = forger(side.participant, peer.participant, scene.encounter.now)
-        return showing(side, permissions=permissions)
+        permissions = forger(side.participant, peer.participant, context.session.now)
+        return with_identity(side, permissions=permissions)
 
-    return scene.posing(what, permitted)
+    return context.impersonating(what, permitted)
 
 
 def _by_another_ca(own: Credentials, _: Credentials, now: datetime) -> bytes:
@@ -167,26 +167,26 @@ _SPOILT: Mapping[str, Edit] = {
 """Some is a public key or ciphertext all the same; then nobody has the secret that is in it."""
 
 
-def send_bad_public_keys(scene: Scene) -> Iterator[Attempt]:
+def send_bad_public_keys(context: AttackContext) -> Iterator[Attempt]:
     """As dh1. Nothing covers it yet, so whoever is on the way can do it too."""
-    one, _ = scene.encounter.sides
+    one, _ = context.session.sides
     for what, spoil in _SPOILT.items():
-        row = _Spoilt.of(scene.encounter.agreement, spoil)
-        yield Attempt(what, replace(scene.encounter, agreement=row), one.name)
+        row = _Spoilt.of(context.session.agreement, spoil)
+        yield Attempt(what, replace(context.session, agreement=row), one.name)
 
 
-def sign_bad_ciphertexts(scene: Scene) -> Iterator[Attempt]:
+def sign_bad_ciphertexts(context: AttackContext) -> Iterator[Attempt]:
     """As dh2, under a signature that holds.
 
     What cannot be told from a good one shows when the two talk, to whoever reads first:
     so the attacker's side may be the one that refuses.
     """
-    _, other = scene.encounter.sides
+    _, other = context.session.sides
     for what, spoil in _SPOILT.items():
-        row = _Spoilt.of(scene.encounter.agreement, spoil)
+        row = _Spoilt.of(context.session.agreement, spoil)
         policy = replace(other.terms.policy, agreements=(row,))
         replier = replace(other, terms=replace(other.terms, policy=policy))
-        yield Attempt(what, replace(scene.encounter, replier=replier))
+        yield Attempt(what, replace(context.session, replier=replier))
 
 
 ATTACKS = (
@@ -213,7 +213,7 @@ ATTACKS = (
         refused_at=("admits",),
         checks=(Code.NO_GRANT,),
         act=borrow_permissions,
-        pointless=shared_permissions,
+        not_applicable=shared_permissions,
     ),
     Attack(
         name="forged-permissions",
@@ -230,7 +230,7 @@ ATTACKS = (
         refused_at=("admits",),
         checks=(Code.SIGNATURE_MISSING,),
         act=strip_countersignature,
-        pointless=two_keys,
+        not_applicable=two_keys,
     ),
     Attack(
         name="bad-public-key",

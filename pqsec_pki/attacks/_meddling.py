@@ -4,39 +4,39 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, KeyAgreement
+from pqsec_pki.attacks._context import AttackContext, Attempt, value_in
 from pqsec_pki.attacks._relays import putting
-from pqsec_pki.attacks._scene import Attempt, Scene, value_in
 from pqsec_pki.attacks.attack import COVERED, DOCUMENT, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import CHALLENGE_SIZE
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.encounter import Relay
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE
+from pqsec_pki.selfcheck.session import Relay
 
 _HASHES = {"request": "hash_c1", "reply": "hash_c2"}
 """What shows that an introduction was changed; optional, so it can be taken out."""
 _FORGED = bytes(CHALLENGE_SIZE)
 
 
-def swap_challenges(scene: Scene) -> Iterator[Attempt]:
+def swap_challenges(context: AttackContext) -> Iterator[Attempt]:
     """Whoever chooses a challenge can have the answer ready."""
-    for turn, whose, message, name in (
+    for occurrence, whose, message, name in (
         (1, "initiator's", "request", "challenge1"),
         (2, "replier's", "reply", "challenge2"),
     ):
-        yield scene.between(f"the {whose}, as announced", _announcing(turn))
+        yield context.between(f"the {whose}, as announced", _announcing(occurrence))
         sent = putting(message, {name: _FORGED})
-        yield scene.between(f"the {whose}, announced and sent", _announcing(turn), sent)
-    yield scene.between(
-        "the initiator's, and put right when it comes back", _announcing(1), _ThereAndBack()
+        yield context.between(f"the {whose}, announced and sent", _announcing(occurrence), sent)
+    yield context.between(
+        "the initiator's, and put right when it comes back", _announcing(1), _SwapBothWays()
     )
 
 
-def _announcing(turn: int) -> Relay:
-    return putting(AUTH_REQUEST, {"future_challenge": _FORGED}, turn)
+def _announcing(occurrence: int) -> Relay:
+    return putting(AUTH_REQUEST, {"future_challenge": _FORGED}, occurrence)
 
 
 @dataclass(slots=True)
-class _ThereAndBack:
+class _SwapBothWays:
     """Shows the replier another challenge1, and the initiator its own."""
 
     challenge1: bytes = b""
@@ -48,20 +48,20 @@ class _ThereAndBack:
         return putting(name, {"challenge1": shown})(name, data) if shown else data
 
 
-def strip_hashes(scene: Scene) -> Iterator[Attempt]:
+def strip_hashes(context: AttackContext) -> Iterator[Attempt]:
     """Another's permissions in an introduction, and no hash of it on the way."""
     for message, other in (("request", "reply"), ("reply", "request")):
         name = _HASHES[message]
         relays = [putting(each, {name: None}) for each in HANDSHAKE]
-        relays += [putting(message, {"c.perm": scene.value(other, "c.perm")})]
-        yield scene.between(f"c.perm of the {message}, without {name}", *relays)
+        relays += [putting(message, {"c.perm": context.value(other, "c.perm")})]
+        yield context.between(f"c.perm of the {message}, without {name}", *relays)
 
 
-def sit_in_the_middle(scene: Scene) -> Iterator[Attempt]:
+def sit_in_the_middle(context: AttackContext) -> Iterator[Attempt]:
     """Keys of its own for both sides, to read along."""
-    agreement = scene.encounter.agreement
-    yield scene.between("dh1 and dh2", _Middle(agreement))
-    yield scene.between("dh1 and dh2, with dh1 not repeated", _Middle(agreement, hides=True))
+    agreement = context.session.agreement
+    yield context.between("dh1 and dh2", _Middle(agreement))
+    yield context.between("dh1 and dh2, with dh1 not repeated", _Middle(agreement, hides=True))
 
 
 @dataclass(slots=True)
@@ -89,35 +89,35 @@ class _Middle:
 # Names of algorithms
 
 
-def downgrade(scene: Scene) -> Iterator[Attempt]:
+def downgrade(context: AttackContext) -> Iterator[Attempt]:
     """All but the domain's own."""
-    own = scene.encounter.agreement.wire_name
+    own = context.session.agreement.wire_name
     for row in KEY_AGREEMENTS:
         if row.wire_name != own:
-            asked = replace(scene.encounter, agreement=row)
-            yield Attempt(f"{row.name} in the request", asked, scene.encounter.initiator.name)
+            asked = replace(context.session, agreement=row)
+            yield Attempt(f"{row.name} in the request", asked, context.session.initiator.name)
             relay = _naming("reply", "c.kagree_algo", row.wire_name.encode() + b"\0")
-            yield scene.between(f"{row.name} in the reply", relay)
+            yield context.between(f"{row.name} in the reply", relay)
 
 
-def name_other_signatures(scene: Scene) -> Iterator[Attempt]:
+def name_other_signatures(context: AttackContext) -> Iterator[Attempt]:
     """All but how the sender signs."""
-    for message, side in zip(_HASHES, scene.encounter.sides, strict=True):
+    for message, side in zip(_HASHES, context.session.sides, strict=True):
         own = side.terms.own.key.algorithm.wire_name
         for name in dict.fromkeys(row.wire_name for row in SIGNATURES):
             if name != own:
                 relay = _naming(message, "c.dsign_algo", name.encode() + b"\0")
-                yield scene.between(f"{name} in the {message}", relay)
+                yield context.between(f"{name} in the {message}", relay)
 
 
-def name_unknown_algorithms(scene: Scene) -> Iterator[Attempt]:
+def name_unknown_algorithms(context: AttackContext) -> Iterator[Attempt]:
     """What is nobody's name, or no name at all."""
     names = {"none": b"none\0", "empty": b"", "not text": b"\xff\xfe\0", "1000 bytes": b"A" * 1000}
     for message in _HASHES:
         for field in ("c.dsign_algo", "c.kagree_algo"):
             for what, name in names.items():
                 relay = _naming(message, field, name)
-                yield scene.between(f"{field} of the {message}: {what}", relay)
+                yield context.between(f"{field} of the {message}: {what}", relay)
 
 
 def _naming(message: str, field: str, value: bytes) -> Relay:

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
+from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.attacks._relays import adding, enveloped, on, retold
-from pqsec_pki.attacks._scene import Attempt, Scene
 from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.handshake import DataHolder, GenericMessage
 from pqsec_pki.problems import Code
@@ -19,24 +19,24 @@ _MISLABELED: Mapping[str, Callable[[GenericMessage], GenericMessage]] = {
 }
 
 
-def mislabel(scene: Scene) -> Iterator[Attempt]:
+def mislabel(context: AttackContext) -> Iterator[Attempt]:
     """Right tokens in a wrong message."""
     for message in (AUTH_REQUEST, *HANDSHAKE):
         for what, edit in _MISLABELED.items():
-            yield scene.between(f"the {message} {what}", enveloped(message, edit))
+            yield context.between(f"the {message} {what}", enveloped(message, edit))
 
 
 def _as_version_9(token: DataHolder) -> DataHolder:
     return replace(token, class_id=token.class_id.replace(":1.0", ":9.0"))
 
 
-def reorder(scene: Scene) -> Iterator[Attempt]:
+def reorder(context: AttackContext) -> Iterator[Attempt]:
     """Another message than is due, which has all that is looked for in the one that is."""
     for due in HANDSHAKE:
         for other in HANDSHAKE:
             if other != due:
-                relay = retold(due, partial(_as, scene.token(other)))
-                yield scene.between(f"a {other} where a {due} is due", relay)
+                relay = retold(due, partial(_as, context.token(other)))
+                yield context.between(f"a {other} where a {due} is due", relay)
 
 
 def _as(other: DataHolder, due: DataHolder) -> DataHolder:
@@ -48,13 +48,13 @@ def _as(other: DataHolder, due: DataHolder) -> DataHolder:
 _PADDING = bytes(64)
 
 
-def truncate(scene: Scene) -> Iterator[Attempt]:
+def truncate(context: AttackContext) -> Iterator[Attempt]:
     """Messages that end too early, but behind all that is looked for."""
     for message in (AUTH_REQUEST, *HANDSHAKE):
         for what, size in _CUTS.items():
             padding = adding(message, ("x", _PADDING))
             cut = on(message, partial(_without_end, size))
-            yield scene.between(f"{what} of the {message}", padding, cut)
+            yield context.between(f"{what} of the {message}", padding, cut)
 
 
 _CUTS: Mapping[str, int] = {
@@ -69,16 +69,16 @@ def _without_end(size: int, data: bytes) -> bytes:
     return data[:-size]
 
 
-def oversize(scene: Scene) -> Iterator[Attempt]:
+def oversize(context: AttackContext) -> Iterator[Attempt]:
     """What would cost memory or time before anybody is authenticated."""
     many = [(f"x{at}", b"") for at in range(10_000)]
     for message in HANDSHAKE:
         relay = adding(message, ("x", bytes(1 << 20)))
-        yield scene.between(f"a field of 1 MiB in the {message}", relay)
-        yield scene.between(f"10,000 fields in the {message}", adding(message, *many))
+        yield context.between(f"a field of 1 MiB in the {message}", relay)
+        yield context.between(f"10,000 fields in the {message}", adding(message, *many))
         claimed = on(message, _with_length)
         last = adding(message, ("x", _PADDING))
-        yield scene.between(f"a length of 4 GiB in the {message}", last, claimed)
+        yield context.between(f"a length of 4 GiB in the {message}", last, claimed)
 
 
 def _with_length(sample: bytes) -> bytes:

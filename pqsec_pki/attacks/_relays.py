@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from pqsec_pki.handshake import DataHolder, GenericMessage
-from pqsec_pki.selfcheck.encounter import Relay
+from pqsec_pki.selfcheck.session import Relay
 
 Edit = Callable[[bytes], bytes]
 """What becomes of a message as it travels."""
@@ -12,14 +12,14 @@ Change = Callable[[DataHolder], DataHolder]
 """What becomes of its token."""
 
 
-def on(message: str, edit: Edit, turn: int = 1) -> Relay:
+def on(message: str, edit: Edit, occurrence: int = 1) -> Relay:
     """Edits the message of that name; where both send one, the initiator's has turn 1."""
     heard = 0
 
     def relay(name: str, data: bytes) -> bytes:
         nonlocal heard
         heard += name == message
-        return edit(data) if name == message and heard == turn else data
+        return edit(data) if name == message and heard == occurrence else data
 
     return relay
 
@@ -29,22 +29,22 @@ def enveloped(message: str, edit: Callable[[GenericMessage], GenericMessage]) ->
     return on(message, lambda sample: edit(GenericMessage.decode(sample)).encode())
 
 
-def retold(message: str, change: Change, turn: int = 1) -> Relay:
+def retold(message: str, change: Change, occurrence: int = 1) -> Relay:
     """Changes the token; what is around it stays as it is."""
 
     def edit(sample: bytes) -> bytes:
         told = GenericMessage.decode(sample)
         return replace(told, tokens=(change(told.tokens[0]),)).encode()
 
-    return on(message, edit, turn)
+    return on(message, edit, occurrence)
 
 
-def instead(message: str, token: DataHolder, turn: int = 1) -> Relay:
+def instead(message: str, token: DataHolder, occurrence: int = 1) -> Relay:
     """Puts another token in the place of the message's own."""
-    return retold(message, lambda _: token, turn)
+    return retold(message, lambda _: token, occurrence)
 
 
-def putting(message: str, values: Mapping[str, bytes | None], turn: int = 1) -> Relay:
+def putting(message: str, values: Mapping[str, bytes | None], occurrence: int = 1) -> Relay:
     """Puts other values under those names; None takes a field out."""
 
     def change(token: DataHolder) -> DataHolder:
@@ -52,7 +52,7 @@ def putting(message: str, values: Mapping[str, bytes | None], turn: int = 1) -> 
         kept = tuple((name, value) for name, value in items if value is not None)
         return replace(token, binary_properties=kept)
 
-    return retold(message, change, turn)
+    return retold(message, change, occurrence)
 
 
 def editing(message: str, name: str, edit: Edit) -> Relay:

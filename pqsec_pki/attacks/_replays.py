@@ -4,29 +4,29 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
+from pqsec_pki.attacks._context import AttackContext, Attempt, token_in, value_in
 from pqsec_pki.attacks._relays import instead, on, putting
-from pqsec_pki.attacks._scene import Attempt, Scene, token_in, value_in
 from pqsec_pki.attacks.attack import COVERED, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import DataHolder, Introduction, Request, reply_to
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.encounter import Relay
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
+from pqsec_pki.selfcheck.session import Relay
 
 
-def reflect(scene: Scene) -> Iterator[Attempt]:
+def reflect(context: AttackContext) -> Iterator[Attempt]:
     """A side meets itself."""
     for message, other, hashed in (
         ("request", "reply", "hash_c1"),
         ("reply", "request", "hash_c2"),
     ):
-        values = {name: scene.value(other, name) for name in Introduction.NAMES}
+        values = {name: context.value(other, name) for name in Introduction.NAMES}
         relay = putting(message, {**values, hashed: None})
-        yield scene.between(f"its own credentials, in the {message}", relay)
+        yield context.between(f"its own credentials, in the {message}", relay)
 
 
-def reflect_message(scene: Scene) -> Iterator[Attempt]:
+def reflect_message(context: AttackContext) -> Iterator[Attempt]:
     """The key is the same both ways, so what a side sent opens for that side too."""
-    yield scene.between("the initiator's, in the place of the replier's", _Echo())
+    yield context.between("the initiator's, in the place of the replier's", _Echo())
 
 
 @dataclass(slots=True)
@@ -42,33 +42,33 @@ class _Echo:
         return self.first
 
 
-def replay(scene: Scene) -> Iterator[Attempt]:
+def replay(context: AttackContext) -> Iterator[Attempt]:
     """One message of an earlier handshake, or all that one side said in it."""
     for name in HANDSHAKE:
-        yield scene.between(f"the {name}", _again(scene, name))
-    of_initiator = [_again(scene, name) for name in (AUTH_REQUEST, "request", "final")]
-    yield scene.between("all that the initiator said", _Beside(scene), *of_initiator)
-    of_replier = _again(scene, AUTH_REQUEST, 2), _again(scene, "reply")
-    yield scene.between("all that the replier said", *of_replier)
-    for turn, side in enumerate(scene.encounter.sides, start=1):
-        message = on(MESSAGE, partial(_heard, scene, turn), turn)
-        yield scene.between(f"what {side.name} sent under the keys of then", message)
+        yield context.between(f"the {name}", _again(context, name))
+    of_initiator = [_again(context, name) for name in (AUTH_REQUEST, "request", "final")]
+    yield context.between("all that the initiator said", _Beside(context), *of_initiator)
+    of_replier = _again(context, AUTH_REQUEST, 2), _again(context, "reply")
+    yield context.between("all that the replier said", *of_replier)
+    for occurrence, side in enumerate(context.session.sides, start=1):
+        message = on(MESSAGE, partial(_heard, context, occurrence), occurrence)
+        yield context.between(f"what {side.name} sent under the keys of then", message)
 
 
-def _again(scene: Scene, name: str, turn: int = 1) -> Relay:
-    return instead(name, scene.token(name, turn), turn)
+def _again(context: AttackContext, name: str, occurrence: int = 1) -> Relay:
+    return instead(name, context.token(name, occurrence), occurrence)
 
 
-def _heard(scene: Scene, turn: int, data: bytes) -> bytes:
+def _heard(context: AttackContext, occurrence: int, data: bytes) -> bytes:
     del data
-    return scene.heard(MESSAGE, turn)
+    return context.heard(MESSAGE, occurrence)
 
 
 @dataclass(slots=True)
 class _Beside:
     """Keeps the initiator busy with a handshake of its own, beside the replayed one."""
 
-    scene: Scene
+    context: AttackContext
     request: bytes = b""
 
     def __call__(self, name: str, data: bytes) -> bytes:
@@ -80,10 +80,10 @@ class _Beside:
 
     def _answer(self, challenge2: bytes) -> DataHolder:
         """The replier's, to what the initiator really asked."""
-        encounter = self.scene.encounter
-        terms = replace(encounter.replier.terms, announced=challenge2)
+        session = self.context.session
+        terms = replace(session.replier.terms, announced=challenge2)
         request = Request.from_holder(token_in(self.request))
-        return reply_to(terms, request, now=encounter.now)[0].to_holder()
+        return reply_to(terms, request, now=session.now)[0].to_holder()
 
 
 ATTACKS = (

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import partial
 
+from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.attacks._relays import (
     Edit,
     adding,
@@ -12,7 +13,6 @@ from pqsec_pki.attacks._relays import (
     preceding,
     putting,
 )
-from pqsec_pki.attacks._scene import Attempt, Scene
 from pqsec_pki.attacks.attack import CERTIFICATE, COVERED, DOCUMENT, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import (
     Final,
@@ -35,38 +35,38 @@ _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
 # Fields
 
 
-def change_fields(message: str, scene: Scene) -> Iterator[Attempt]:
+def change_fields(message: str, context: AttackContext) -> Iterator[Attempt]:
     """One bit of a field: at its begin, in its middle and at its end."""
-    for name, _ in scene.token(message).binary_properties:
+    for name, _ in context.token(message).binary_properties:
         for word, place in (("first", 0.0), ("middle", 0.5), ("last", 1.0)):
             relay = editing(message, name, partial(_with_less, place))
-            yield scene.between(f"{name}, {word} byte", relay)
+            yield context.between(f"{name}, {word} byte", relay)
 
 
-def drop_fields(scene: Scene) -> Iterator[Attempt]:
+def drop_fields(context: AttackContext) -> Iterator[Attempt]:
     """Fields that must be there. Without an optional one nothing is lost."""
     for message, kind in _CLASSES.items():
         optional = {field.name for field in fields(kind) if field.default is None}
-        for name, _ in scene.token(message).binary_properties:
+        for name, _ in context.token(message).binary_properties:
             if name not in optional:
-                yield scene.between(f"{name} of the {message}", putting(message, {name: None}))
+                yield context.between(f"{name} of the {message}", putting(message, {name: None}))
 
 
-def double_fields(scene: Scene) -> Iterator[Attempt]:
+def double_fields(context: AttackContext) -> Iterator[Attempt]:
     """Of two values, two readers may take different ones: the first is forged, the last is not.
 
     Who takes the last sees nothing wrong. Cyclone DDS takes the first.
     """
     for message in HANDSHAKE:
-        for name, value in scene.token(message).binary_properties:
+        for name, value in context.token(message).binary_properties:
             relay = preceding(message, (name, value[::-1]))
-            yield scene.between(f"{name} of the {message}", relay)
+            yield context.between(f"{name} of the {message}", relay)
 
 
-def smuggle_fields(scene: Scene) -> Iterator[Attempt]:
+def add_fields(context: AttackContext) -> Iterator[Attempt]:
     """Fast DDS hashes every field whose name begins with "c.", other stacks hash five."""
     for message in HANDSHAKE:
-        yield scene.between(f"c.extra in the {message}", adding(message, ("c.extra", b"1")))
+        yield context.between(f"c.extra in the {message}", adding(message, ("c.extra", b"1")))
 
 
 def _with_less(place: float, value: bytes) -> bytes:
@@ -92,16 +92,16 @@ _PROTECTED = {
 """Where a byte of each part stands in a protected submessage (DDS-Security 1.1, 9.5.3.3.4)."""
 
 
-def change_message(scene: Scene) -> Iterator[Attempt]:
+def change_message(context: AttackContext) -> Iterator[Attempt]:
     """What is sent under the keys that were agreed."""
-    one, other = scene.encounter.sides
-    for turn, (side, peer) in enumerate(((one, other), (other, one)), start=1):
+    one, other = context.session.sides
+    for occurrence, (side, peer) in enumerate(((one, other), (other, one)), start=1):
         for part, at in _PROTECTED.items():
-            yield scene.between(f"{part} in {side.name}'s", on(MESSAGE, _flip_at(at), turn))
+            yield context.between(f"{part} in {side.name}'s", on(MESSAGE, _flip_at(at), occurrence))
         keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
         forged = token_message(side.guid, peer.guid, keys)
-        in_clear = on(MESSAGE, partial(_instead, forged), turn)
-        yield scene.between(f"unprotected in {side.name}'s name", in_clear)
+        in_clear = on(MESSAGE, partial(_instead, forged), occurrence)
+        yield context.between(f"unprotected in {side.name}'s name", in_clear)
 
 
 def _flip_at(at: int) -> Edit:
@@ -203,6 +203,6 @@ ATTACKS = (
         title="adds a field that some stacks sign and others do not",
         refused_at=("reply", "final", "authenticated"),
         checks=(Code.C7,),
-        act=smuggle_fields,
+        act=add_fields,
     ),
 )

@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from pqsec_pki.attacks._scene import Attempt, Scene
+from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.encounter import Encounter
+from pqsec_pki.selfcheck.session import HandshakeSession
 
 
 class Attacker(StrEnum):
@@ -39,15 +39,15 @@ TRANSCRIPT = (Code.C19, Code.C21, Code.C23, Code.C24, Code.C26)
 COVERED = "what is changed is repeated, is in both signatures and, with a bound secret, in the key"
 
 
-def _anywhere(encounter: Encounter) -> str | None:
-    del encounter
+def _anywhere(session: HandshakeSession) -> str | None:
+    del session
     return None
 
 
-def two_keys(encounter: Encounter) -> str | None:
-    if encounter.profile.alternative_key:
+def two_keys(session: HandshakeSession) -> str | None:
+    if session.profile.alternative_key:
         return None
-    return f"participants of profile {encounter.profile.name} have one key"
+    return f"participants of profile {session.profile.name} have one key"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +67,6 @@ class Attack:
     """What would refuse some of its attempts all the same, were those checks missing."""
     because: str = ""
     """Why that is so."""
-    act: Callable[[Scene], Iterator[Attempt]] = field(repr=False)
-    pointless: Callable[[Encounter], str | None] = field(default=_anywhere, repr=False)
+    act: Callable[[AttackContext], Iterator[Attempt]] = field(repr=False)
+    not_applicable: Callable[[HandshakeSession], str | None] = field(default=_anywhere, repr=False)
     """Why it is none for those two, if it is none."""

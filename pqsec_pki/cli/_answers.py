@@ -5,18 +5,18 @@ from datetime import timedelta
 
 from pqsec_pki.access import (
     FASTDDS,
-    READINGS,
+    INTERPRETATIONS,
     SPEC,
     Action,
     Decision,
+    Interpretation,
     Policy,
     Question,
-    Reading,
     Side,
-    reading_named,
+    interpretation_named,
 )
 from pqsec_pki.access.everywhere import domain_set, domains_named
-from pqsec_pki.cli._documents import Papers
+from pqsec_pki.cli._documents import PolicyInput
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
 
 _WIDEST_ZONE = timedelta(hours=14)
@@ -27,7 +27,7 @@ _WIDEST_ZONE = timedelta(hours=14)
 class Answer:
     """What one reading says."""
 
-    reading: Reading
+    interpretation: Interpretation
     decision: Decision
     own: bool
     """What the participant's own stack says."""
@@ -54,16 +54,20 @@ class Answer:
         return self.decision.allowed is not other.decision.allowed
 
 
-def answer_of(papers: Papers, question: Question, reading: Reading) -> Answer:
+def answer_of(
+    policy_input: PolicyInput, question: Question, interpretation: Interpretation
+) -> Answer:
     """What that reading answers, and what each side of its stack."""
-    policy = Policy(papers.governance.value, papers.permissions.value, reading)
+    policy = Policy(policy_input.governance.value, policy_input.permissions.value, interpretation)
     return Answer(
-        reading=reading,
+        interpretation=interpretation,
         decision=policy.decide(question),
         own=policy.decide(question, by=Side.OWN).allowed,
         peers=policy.decide(question, by=Side.PEER).allowed,
-        hazard=_zone_hazard(reading.grant_for(papers.permissions.value, question), question)
-        if reading is FASTDDS
+        hazard=_zone_hazard(
+            interpretation.grant_for(policy_input.permissions.value, question), question
+        )
+        if interpretation is FASTDDS
         else "",
     )
 
@@ -102,29 +106,29 @@ class DomainsAnswer:
         one = len(parts) == 1 and isinstance(parts[0], int)
         return f"domain{'' if one else 's'} {self.domains}"
 
-    def likeness(self, papers: Papers) -> object:
+    def likeness(self, policy_input: PolicyInput) -> object:
         """Equal for what the same parts of the documents decide, by each reading."""
         answers = tuple(
-            (each.decision.allowed, papers.place(each.decision), each.whose, each.hazard)
+            (each.decision.allowed, policy_input.place(each.decision), each.whose, each.hazard)
             for each in (self.answer, *self.others)
         )
         return answers, self.joins, self.answer.decision.protection
 
 
 def answers_by_domain(
-    papers: Papers, question: Question, stack: str | None, *, everywhere: bool
+    policy_input: PolicyInput, question: Question, stack: str | None, *, everywhere: bool
 ) -> list[DomainsAnswer]:
     """What is allowed first; on all domains that the documents name, or that of the question.
 
     As `stack` reads the documents, or by the standard and by all others.
     """
     if not everywhere:
-        return [_answered(papers, question, stack, DomainSet(parts=(question.domain,)))]
+        return [_answered(policy_input, question, stack, DomainSet(parts=(question.domain,)))]
     found: dict[object, list[tuple[DomainRange, DomainsAnswer]]] = {}
-    for stretch in domains_named(papers.governance.value, papers.permissions.value):
+    for stretch in domains_named(policy_input.governance.value, policy_input.permissions.value):
         here = replace(question, domain=stretch.first)
-        each = _answered(papers, here, stack, DomainSet(parts=(stretch,)))
-        found.setdefault(each.likeness(papers), []).append((stretch, each))
+        each = _answered(policy_input, here, stack, DomainSet(parts=(stretch,)))
+        found.setdefault(each.likeness(policy_input), []).append((stretch, each))
     merged = [
         replace(alike[0][1], domains=domain_set([stretch for stretch, _ in alike]))
         for alike in found.values()
@@ -133,15 +137,15 @@ def answers_by_domain(
 
 
 def _answered(
-    papers: Papers, question: Question, stack: str | None, domains: DomainSet
+    policy_input: PolicyInput, question: Question, stack: str | None, domains: DomainSet
 ) -> DomainsAnswer:
-    reading = reading_named(stack) if stack else SPEC
-    others = [] if stack else [each for each in READINGS if each is not SPEC]
+    interpretation = interpretation_named(stack) if stack else SPEC
+    others = [] if stack else [each for each in INTERPRETATIONS if each is not SPEC]
     join = replace(question, action=Action.JOIN, topic=None)
     return DomainsAnswer(
         question=question,
-        answer=answer_of(papers, question, reading),
-        others=[answer_of(papers, question, each) for each in others],
-        joins=answer_of(papers, join, reading).decision.allowed,
+        answer=answer_of(policy_input, question, interpretation),
+        others=[answer_of(policy_input, question, each) for each in others],
+        joins=answer_of(policy_input, join, interpretation).decision.allowed,
         domains=domains,
     )

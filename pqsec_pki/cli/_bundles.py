@@ -10,9 +10,9 @@ from pqsec_pki import _files
 from pqsec_pki.algorithms import Profile, SealingPublicKey
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.cli import _settings
-from pqsec_pki.enrolment import Bundle, admit, flat_name, save, seal
+from pqsec_pki.enrolment import Bundle, flat_name, save, seal, validate_csrs
 from pqsec_pki.errors import UsageError, located
-from pqsec_pki.keystore import PublicKeys, Wish
+from pqsec_pki.keystore import ParticipantSpec, PublicKeys
 
 folder_option = click.option(
     "--bundles",
@@ -52,12 +52,12 @@ def read_requests(
     """The keys to be certified, by name, if all requests may be answered; none without files."""
     if not paths:
         return {}
-    return admit(load_requests(paths), profile, names=names, patterns=patterns)
+    return validate_csrs(load_requests(paths), profile, names=names, patterns=patterns)
 
 
-def with_keys(wish: Wish, asked: Mapping[str, PublicKeys]) -> Wish:
+def with_keys(spec: ParticipantSpec, asked: Mapping[str, PublicKeys]) -> ParticipantSpec:
     """The wish, for the keys of its request if there is one."""
-    return replace(wish, keys=asked.get(wish.name))
+    return replace(spec, keys=asked.get(spec.name))
 
 
 def goals(names: Collection[str], folder: Path | None, *, force: bool) -> dict[str, Path]:

@@ -70,7 +70,7 @@ Document: TypeAlias = Loaded[Governance] | Loaded[Permissions]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Papers:
+class PolicyInput:
     """Who asks, and the documents that answer."""
 
     who: str
@@ -158,7 +158,7 @@ def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datet
     return certificate
 
 
-def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
+def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput:
     """A participant's own; VerificationError if a signature on them does not hold.
 
     They must hold twice: for the keystore, and for who has the enclave's files and no others.
@@ -166,14 +166,14 @@ def papers_of(keystore: Keystore, name: str, now: datetime) -> Papers:
     keystore.refuse_unknown(name)
     anchors = anchors_of(keystore, now)
     check = partial(anchors.verified, now=now)
-    papers = Papers(
+    policy_input = PolicyInput(
         who=regular_name(name),
         subject=identity_of(keystore, name, anchors, now).subject_name,
         governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
         permissions=own_permissions(keystore, name, now, check),
     )
-    _refuse_enclave(keystore, papers.who, now)
-    return papers
+    _refuse_enclave(keystore, policy_input.who, now)
+    return policy_input
 
 
 def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:

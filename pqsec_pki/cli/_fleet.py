@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import exists, is_folder, walk
-from pqsec_pki.access import Action, Question, Reading
+from pqsec_pki.access import Action, Interpretation, Question
 from pqsec_pki.access.matrix import Member
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import (
@@ -49,7 +49,7 @@ class Fleet:
 
 
 def fleet_of(
-    paths: tuple[Path, ...], governance: Path | None, now: datetime, reading: Reading
+    paths: tuple[Path, ...], governance: Path | None, now: datetime, reading: Interpretation
 ) -> Fleet:
     """Of a keystore, of files, or of folders of files; without any, of the user's keystore.
 
@@ -65,7 +65,7 @@ def fleet_of(
     return _in_files(paths, governance, now)
 
 
-def _in_keystore(keystore: Keystore, now: datetime, reading: Reading) -> Fleet:
+def _in_keystore(keystore: Keystore, now: datetime, reading: Interpretation) -> Fleet:
     anchors = anchors_of(keystore, now)
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
@@ -87,7 +87,7 @@ def _in_keystore(keystore: Keystore, now: datetime, reading: Reading) -> Fleet:
 
 
 def _refuse_ungranted(
-    permissions: Permissions, subject: str, now: datetime, reading: Reading
+    permissions: Permissions, subject: str, now: datetime, reading: Interpretation
 ) -> None:
     """VerificationError if none of the grants is the subject's."""
     question = Question(subject=subject, domain=0, action=Action.JOIN, now=now)

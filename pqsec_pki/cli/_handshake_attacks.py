@@ -8,14 +8,14 @@ import click
 from pqsec_pki.attacks import (
     ATTACKS,
     Attack,
+    AttackReport,
     Outcome,
     Result,
-    Siege,
     attack_named,
-    withstand,
+    run_attacks,
 )
 from pqsec_pki.cli import _printing
-from pqsec_pki.selfcheck import Guest, Occasion
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup
 
 EVERY = "all"
 
@@ -26,30 +26,32 @@ def attacks_named(name: str) -> tuple[Attack, ...]:
 
 
 def try_attacks(
-    occasion: Occasion, guests: tuple[Guest, Guest], attacks: tuple[Attack, ...]
+    setup: HandshakeSetup,
+    parties: tuple[HandshakeParty, HandshakeParty],
+    attacks: tuple[Attack, ...],
 ) -> bool:
     """Attack the two and tell what became of it; whether all was refused."""
     with click.progressbar(
         length=len(attacks), label="attacks", file=sys.stderr, hidden=not sys.stderr.isatty()
     ) as bar:
-        siege = withstand(occasion, *guests, attacks, lambda _: bar.update(1))
-    _printing.emit(siege.to_json(), _lines(siege, details=len(attacks) == 1))
-    return siege.ok
+        attack_report = run_attacks(setup, *parties, attacks, lambda _: bar.update(1))
+    _printing.emit(attack_report.to_json(), _lines(attack_report, details=len(attacks) == 1))
+    return attack_report.ok
 
 
-def _lines(siege: Siege, *, details: bool) -> Iterator[str]:
-    width = max((len(each.attack.name) for each in siege.outcomes), default=0)
-    for outcome in siege.outcomes:
+def _lines(attack_report: AttackReport, *, details: bool) -> Iterator[str]:
+    width = max((len(each.attack.name) for each in attack_report.outcomes), default=0)
+    for outcome in attack_report.outcomes:
         yield f"{_mark(outcome)}  {outcome.attack.name.ljust(width)}  {_summary(outcome)}"
         for result in outcome.results:
             if details or not result.refused:
                 yield f"      {_told(result)}"
         if outcome.hint:
             yield f"      hint: {outcome.hint}"
-    if siege.outcomes:
+    if attack_report.outcomes:
         yield ""
-    yield siege.verdict
-    if (failed := siege.control.failed) and failed.hint:
+    yield attack_report.verdict
+    if (failed := attack_report.control.failed) and failed.hint:
         yield f"hint: {failed.hint}"
 
 

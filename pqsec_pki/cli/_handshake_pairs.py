@@ -12,8 +12,8 @@ import click
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.selfcheck import PQSEC, Step, stack_named
-from pqsec_pki.selfcheck.pairs import Gathering, Outcome, Survey, count_pairs, survey
-from pqsec_pki.selfcheck.tally import Cause, Tally, faults
+from pqsec_pki.selfcheck.pairs import AllPairsJob, Outcome, PairsCheck, check_pairs, count_pairs
+from pqsec_pki.selfcheck.summary import Cause, Summary, faults
 
 MATRIX = 20
 """Participants that a matrix has room for."""
@@ -25,52 +25,52 @@ _CELLS = {True: "ok", False: "FAIL", None: "-"}
 Item = TypeVar("Item")
 
 
-def try_all(gathering: Gathering, names: Sequence[str], jobs: int) -> bool:
+def try_all(job: AllPairsJob, names: Sequence[str], jobs: int) -> bool:
     """Let all pairs meet and tell how it went; whether all went well."""
     if len(names) < 2:  # noqa: PLR2004 -- a pair
         raise KeystoreError(
-            f"{gathering.root} has {len(names)} participants, and a handshake needs two",
+            f"{job.root} has {len(names)} participants, and a handshake needs two",
             hint="make them: pqsec issue NAME NAME",
         )
-    seats = len(names) * len(set(gathering.stacks))
-    with survey(gathering, names, jobs, lambda found: _shown(found, seats, "one by one")) as found:
+    parties = len(names) * len(set(job.stacks))
+    with check_pairs(job, names, jobs, lambda found: _shown(found, parties, "one by one")) as found:
         account = _Account(found)
         if _settings.settings().json:
             for line in _json(account):
                 _printing.say(line)
-            return account.tally.ok
+            return account.summary.ok
         for _ in account.outcomes():
             pass
     _printing.emit(None, _lines(account))
-    return account.tally.ok
+    return account.summary.ok
 
 
 @dataclass(slots=True)
 class _Account:
     """What is kept of all that passes by."""
 
-    survey: Survey
-    tally: Tally = field(default_factory=Tally)
+    check_pairs: PairsCheck
+    summary: Summary = field(default_factory=Summary)
     cells: dict[tuple[str, str], str] = field(default_factory=dict)
     """For the matrix: of the row's name and the column's."""
     seconds: float = 0.0
 
     def outcomes(self) -> Iterator[Outcome]:
         """Each outcome, accounted for."""
-        names = self.survey.names
-        count = count_pairs(names, self.survey.gathering)
+        names = self.check_pairs.names
+        count = count_pairs(names, self.check_pairs.job)
         started = time.perf_counter()
-        for outcome in _shown(self.survey.outcomes(), count, "two by two"):
-            self.tally.add(outcome)
+        for outcome in _shown(self.check_pairs.outcomes(), count, "two by two"):
+            self.summary.add(outcome)
             if len(names) <= MATRIX:
                 self._mark(outcome)
             yield outcome
         self.seconds = time.perf_counter() - started
 
     def _mark(self, outcome: Outcome) -> None:
-        row, column = outcome.first.seat.name, outcome.second.seat.name
+        row, column = outcome.first.party.name, outcome.second.party.name
         self.cells[row, column] = self._cell(outcome, row)
-        if len(set(self.survey.gathering.stacks)) == 1:
+        if len(set(self.check_pairs.job.stacks)) == 1:
             self.cells[column, row] = self._cell(outcome, column)
 
     def _cell(self, outcome: Outcome, sender: str) -> str:
@@ -81,18 +81,18 @@ class _Account:
 
     @property
     def totals(self) -> dict[str, float]:
-        tally = self.tally
-        count = tally.met + tally.failed + tally.apart
+        summary = self.summary
+        count = summary.met + summary.failed + summary.apart
         return {
-            "participants": len(self.survey.names),
+            "participants": len(self.check_pairs.names),
             "pairs": count,
-            "ok": tally.met,
-            "failed": tally.failed,
-            "no_common_domain": tally.apart,
-            "no_common_topic": tally.no_common_topic,
+            "ok": summary.met,
+            "failed": summary.failed,
+            "no_common_domain": summary.apart,
+            "no_common_topic": summary.no_common_topic,
             "seconds": round(self.seconds, 3),
-            "handshakes": tally.tried,
-            "handshakes_per_second": round(tally.tried / self.seconds, 1),
+            "handshakes": summary.tried,
+            "handshakes_per_second": round(summary.tried / self.seconds, 1),
         }
 
 
@@ -114,7 +114,7 @@ def _shown(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
 
 
 def _json(account: _Account) -> Iterator[str]:
-    found = account.survey
+    found = account.check_pairs
     people = [_participant_json(found, name) for name in found.names]
     yield f'{{"participants": {json.dumps(people, indent=2)},'
     yield '"pairs": ['
@@ -124,30 +124,30 @@ def _json(account: _Account) -> Iterator[str]:
             yield comma + json.dumps(_pair_json(outcome))
             comma = ","
     yield "],"
-    yield f'"ok": {json.dumps(account.tally.ok)},'
+    yield f'"ok": {json.dumps(account.summary.ok)},'
     yield f'"totals": {json.dumps(account.totals, indent=2)}}}'
 
 
-def _participant_json(found: Survey, name: str) -> dict[str, Any]:
-    own = [each for seat, each in found.findings.items() if seat.name == name]
+def _participant_json(found: PairsCheck, name: str) -> dict[str, Any]:
+    own = [each for party, each in found.findings.items() if party.name == name]
     return {
         "name": name,
         "domains": sorted(own[0].domains),
-        "faults": [{"as": each.seat.stack} | _fault(each.failed) for each in own if each.failed],
+        "faults": [{"as": each.party.stack} | _fault(each.failed) for each in own if each.failed],
     }
 
 
 def _pair_json(outcome: Outcome) -> dict[str, Any]:
     result = outcome.result
     return {
-        "pair": [outcome.first.seat.name, outcome.second.seat.name],
-        "as": [outcome.first.seat.stack, outcome.second.seat.stack],
+        "pair": [outcome.first.party.name, outcome.second.party.name],
+        "as": [outcome.first.party.stack, outcome.second.party.stack],
         "domain": outcome.domain,
         "ok": outcome.ok,
         "initiator": result.initiator if result else None,
         "replier": result.replier if result else None,
         "milliseconds": result.milliseconds if result else None,
-        "talks": [each.to_json() for each in result.talks] if result else [],
+        "topic_flows": [each.to_json() for each in result.talks] if result else [],
     } | (_fault(outcome.failed) if outcome.failed else {})
 
 
@@ -161,18 +161,18 @@ def _fault(step: Step) -> dict[str, str | None]:
 def _lines(account: _Account) -> Iterator[str]:
     if account.cells:
         yield from _matrix(account)
-    for (stack, cause), ones in faults(account.survey.findings.values()).items():
-        names = [each.seat.name for each in ones]
+    for (stack, cause), ones in faults(account.check_pairs.findings.values()).items():
+        names = [each.party.name for each in ones]
         whose = f" as {stack_named(stack).title}" if stack != PQSEC.name else ""
         yield from _fault_lines(cause, [each.failed for each in ones])
         yield f"  so {_listed(names)} would meet nobody{whose}"
         yield ""
-    for cause, outcomes in account.tally.causes.items():
+    for cause, outcomes in account.summary.causes.items():
         yield from _fault_lines(cause, [each.failed for each in outcomes])
         yield from (f"  {line}" for line in _by_initiator(outcomes))
         yield ""
-    if not account.tally.met + account.tally.failed:
-        domain = account.survey.gathering.domain
+    if not account.summary.met + account.summary.failed:
+        domain = account.check_pairs.job.domain
         yield f"No two participants share {'a domain' if domain is None else f'domain {domain}'}."
     yield (
         "{participants} participants; pairs: {pairs}, {ok} ok, {failed} failed,"
@@ -207,7 +207,7 @@ def _by_initiator(outcomes: Iterable[Outcome]) -> Iterator[str]:
 
 
 def _matrix(account: _Account) -> Iterator[str]:
-    names, stacks = account.survey.names, account.survey.gathering.stacks
+    names, stacks = account.check_pairs.names, account.check_pairs.job.stacks
     numbers = [str(number) for number, _ in enumerate(names, 1)]
     rows = [
         (number, name, *(account.cells.get((name, other), "") for other in names))

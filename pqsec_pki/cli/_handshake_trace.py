@@ -9,7 +9,7 @@ from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.inspection import describe
 from pqsec_pki.selfcheck import Report
-from pqsec_pki.selfcheck.trace import Piece, Told, Trace, trace
+from pqsec_pki.selfcheck.trace import DecodedMessage, Piece, Trace, trace
 
 STDOUT = Path("-")
 _LINE = 32
@@ -55,10 +55,10 @@ def _lines(found: Trace, *, show_secrets: bool) -> Iterator[str]:
             yield from _piece(piece, show=show_secrets or not piece.secret)
 
 
-def _message(number: int, message: Told) -> Iterator[str]:
+def _message(number: int, message: DecodedMessage) -> Iterator[str]:
     way = f"{message.sender} to {message.receiver}"
     yield f"== {number}. {message.name}, {way}, {len(message.sample)} bytes"
-    for name, words in message.heads.items():
+    for name, words in message.header.items():
         yield f"{name.replace('_', ' ')}: {words}"
     for piece in message.pieces:
         yield from _piece(piece)

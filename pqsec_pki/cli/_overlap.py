@@ -19,7 +19,7 @@ from pqsec_pki.keystore import (
     cancel_overlap,
     check_begin,
     finish_overlap,
-    foresee,
+    plan_rollover,
     switch_overlap,
 )
 from pqsec_pki.vendors.rollover import TRUST
@@ -58,7 +58,7 @@ class Order:
 class _Round:
     """A step, and what follows from it for the robots."""
 
-    foreseen: Callable[[Order], Iterator[str]]
+    planned: Callable[[Order], Iterator[str]]
     """What it will do; refuses what the step would."""
     taken: Callable[[Order], Iterator[str]]
     """Does it, and tells what was done."""
@@ -72,7 +72,7 @@ def run(order: Order, step: Step, *, do: bool) -> None:
     chosen = _ROUNDS[step]
     _refuse_options(step, chosen.options)
     if not do:
-        steps = list(chosen.foreseen(order))
+        steps = list(chosen.planned(order))
         value = {"overlap": step.value, "steps": steps, "robots": chosen.robots, "trust": _trust()}
         _printing.emit(value, _plan_lines(step, steps, chosen.robots))
         return
@@ -109,7 +109,7 @@ def _plan_lines(step: Step, steps: list[str], robots: tuple[str, ...]) -> Iterat
 # The steps
 
 
-def _begin_foreseen(order: Order) -> Iterator[str]:
+def _plan_begin(order: Order) -> Iterator[str]:
     check_begin(order.keystore, order.terms, _settings.now())
     second = order.terms.profile.alternative_key
     kinds = f"{order.terms.profile.identity_key.name}{f' and {second.name}' if second else ''}"
@@ -132,15 +132,15 @@ def _begin(order: Order) -> Iterator[str]:
         yield "the revocation list, which named nobody, is gone"
 
 
-def _switch_foreseen(order: Order) -> Iterator[str]:
+def _plan_switch(order: Order) -> Iterator[str]:
     overlap = Overlap.that_is(order.keystore, Phase.BEGUN)
-    outlook = foresee(order.keystore, order.terms, now=_settings.now(), within_overlap=True)
+    plan = plan_rollover(order.keystore, order.terms, now=_settings.now(), within_overlap=True)
     yield f"issue by {overlap.other.subject_name} from now on"
-    if outlook.keeping:
-        yield f"certify {whom(outlook.keeping)} again, with the same keys"
-    if outlook.rekeyed:
-        yield f"issue {whom(outlook.rekeyed)} anew, with new keys"
-    yield f"keep the old CA in {outlook.archive}" if not outlook.destroy else "destroy the old key"
+    if plan.keeping:
+        yield f"certify {whom(plan.keeping)} again, with the same keys"
+    if plan.rekeyed:
+        yield f"issue {whom(plan.rekeyed)} anew, with new keys"
+    yield (f"keep the old CA in {plan.archive}" if not plan.destroy else "destroy the old key")
     yield f"have all trust {overlap.issuing.subject_name} still"
 
 
@@ -154,7 +154,7 @@ def _switch(order: Order) -> Iterator[str]:
     yield f"{kept.identity.certificate.subject_name} is trusted still"
 
 
-def _finish_foreseen(order: Order) -> Iterator[str]:
+def _plan_finish(order: Order) -> Iterator[str]:
     overlap = Overlap.that_is(order.keystore, Phase.SWITCHED)
     yield f"have all trust {overlap.issuing.subject_name} alone"
     yield f"cut off whoever has a certificate of {overlap.other.subject_name} still"
@@ -165,7 +165,7 @@ def _finish(order: Order) -> Iterator[str]:
     yield f"{overlap.other.subject_name} is trusted no more"
 
 
-def _cancel_foreseen(order: Order) -> Iterator[str]:
+def _plan_cancel(order: Order) -> Iterator[str]:
     overlap = Overlap.that_is(order.keystore, Phase.BEGUN)
     yield f"have all trust {overlap.issuing.subject_name} alone, as before"
     yield f"destroy the key of {overlap.other.subject_name}, which has issued nothing"
@@ -184,17 +184,17 @@ def whom(participants: Sized) -> str:
 _HOW = frozenset({"name", "validity", "rekey", "destroy", "no_passphrase"})
 _ROUNDS = {
     Step.BEGIN: _Round(
-        foreseen=_begin_foreseen,
+        planned=_plan_begin,
         taken=_begin,
         robots=(_BRING, _PINS, "when all have it, `pqsec ca rotate --overlap switch`"),
         options=frozenset({"name", "validity"}),
     ),
     Step.SWITCH: _Round(
-        foreseen=_switch_foreseen,
+        planned=_plan_switch,
         taken=_switch,
         robots=(_BRING, "when all have it, `pqsec ca rotate --overlap finish`"),
         options=frozenset({"rekey", "destroy"}),
     ),
-    Step.FINISH: _Round(foreseen=_finish_foreseen, taken=_finish, robots=(_BRING, _PINS)),
-    Step.CANCEL: _Round(foreseen=_cancel_foreseen, taken=_cancel, robots=(_BRING, _PINS)),
+    Step.FINISH: _Round(planned=_plan_finish, taken=_finish, robots=(_BRING, _PINS)),
+    Step.CANCEL: _Round(planned=_plan_cancel, taken=_cancel, robots=(_BRING, _PINS)),
 }

@@ -13,7 +13,7 @@ from pqsec_pki._assets import asset
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import DomainSet, Grant, lasting, permissions_from_yaml, sros2
 from pqsec_pki.errors import UsageError, located
-from pqsec_pki.keystore import Wish
+from pqsec_pki.keystore import ParticipantSpec
 from pqsec_pki.smime import document_in, is_signed
 
 
@@ -121,19 +121,19 @@ def names_in(policy: Path, *, now: datetime) -> tuple[str, ...]:
     return names
 
 
-def granted(wishes: list[Wish], policy: Path, *, now: datetime) -> list[Wish]:
+def granted(specs: list[ParticipantSpec], policy: Path, *, now: datetime) -> list[ParticipantSpec]:
     """The wishes with their grants of the policy; UsageError for a name it does not have."""
-    grants = _grants_in(policy, wishes[0], now)  # all wishes have one validity
-    return [_with_grants(wish, grants, policy) for wish in wishes]
+    grants = _grants_in(policy, specs[0], now)  # all wishes have one validity
+    return [_with_grants(spec, grants, policy) for spec in specs]
 
 
-def _grants_in(policy: Path, wish: Wish, now: datetime) -> tuple[Grant, ...]:
+def _grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:
     """All grants; those of SROS2, which say neither, for the wish's domains and validity."""
     if policy.suffix == ".xml":
-        not_before, not_after = lasting(now, wish.validity)
+        not_before, not_after = lasting(now, spec.validity)
         enclaves = sros2.read_policy(policy)
         return sros2.permissions_of(
-            enclaves, domains=wish.domains, not_before=not_before, not_after=not_after
+            enclaves, domains=spec.domains, not_before=not_before, not_after=not_after
         ).grants
     return _yaml_grants(policy, now)
 
@@ -144,14 +144,14 @@ def _yaml_grants(policy: Path, now: datetime) -> tuple[Grant, ...]:
         return permissions_from_yaml(data, now=now).grants
 
 
-def _with_grants(wish: Wish, grants: tuple[Grant, ...], policy: Path) -> Wish:
-    own = tuple(grant for grant in grants if grant.name == wish.name)
+def _with_grants(spec: ParticipantSpec, grants: tuple[Grant, ...], policy: Path) -> ParticipantSpec:
+    own = tuple(grant for grant in grants if grant.name == spec.name)
     if not own:
         there = list(dict.fromkeys(grant.name for grant in grants))
         hint = f"it has {', '.join(there)}"
         hint += f" alone: {_RUN_ANEW}" if there == [NAMELESS] else ""
-        raise UsageError(f"{policy} has no grant for {wish.name}", hint=hint)
+        raise UsageError(f"{policy} has no grant for {spec.name}", hint=hint)
     domains = [part for grant in own for rule in grant.rules for part in rule.domains.parts]
     return replace(
-        wish, grants=own, domains=DomainSet(parts=tuple(domains)) if domains else wish.domains
+        spec, grants=own, domains=DomainSet(parts=tuple(domains)) if domains else spec.domains
     )

@@ -38,8 +38,8 @@ def _lines(checks: dict[str, list[Check]]) -> Iterator[str]:
             yield f"ROS 2 would run {name} secured from this shell: --ros-args --enclave {name}"
             continue
         yield f"ROS 2 would not run {name} secured from this shell. To mend it:"
-        yield from (f"  {mend}" for mend in dict.fromkeys(each.mend for each in bad))
+        yield from (f"  {fix}" for fix in dict.fromkeys(each.fix for each in bad))
 
 
 def _value(check: Check) -> dict[str, object]:
-    return {"what": check.what, "ok": check.ok, "problem": check.problem, "mend": check.mend}
+    return {"what": check.what, "ok": check.ok, "problem": check.problem, "fix": check.fix}

@@ -8,7 +8,7 @@ import click
 from pqsec_pki._files import is_there, read
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import ExistsError, FileError
-from pqsec_pki.plugin import Place, Status, agent_status, stop_agent
+from pqsec_pki.plugin import AgentFolder, Status, agent_status, stop_agent
 
 _NOBODY = "no agent runs; the first participant that uses the plugin starts one"
 
@@ -85,8 +85,8 @@ def run() -> None:
         raise ExistsError(f"an agent listens at {place.socket} already", hint="pqsec agent stop")
 
 
-def _place() -> Place:
-    return Place.of(os.environ)
+def _place() -> AgentFolder:
+    return AgentFolder.of(os.environ)
 
 
 def _lines(found: Status) -> list[str]:

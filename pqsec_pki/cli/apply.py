@@ -18,7 +18,7 @@ from pqsec_pki.cli.plan import (
     show,
     value,
 )
-from pqsec_pki.domain import Action, Desired, Plan, Step, make, perform, read_domain
+from pqsec_pki.domain import Action, Desired, Plan, Step, apply_plan, create_keystore, read_domain
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.enrolment import refresh
 from pqsec_pki.errors import PqsecError, UsageError
@@ -114,7 +114,7 @@ def _opened(
         return keystore, _passphrases.unlock(keystore, passphrase_file)
     path = _settings.keystore_path()
     passphrase = _passphrases.new(passphrase_file, none=none)
-    keystore = make(desired, path, passphrase=passphrase, now=_settings.now())
+    keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
     if none:
         _printing.note(f"the CA keys in {path / 'private'} are not encrypted; guard that folder")
     return keystore, keystore.unlock(passphrase)
@@ -152,7 +152,7 @@ def _take(
     every = len(found.steps)
     try:
         with click.progressbar(length=every, file=sys.stderr, hidden=hidden) as bar:
-            for batch in perform(desired, keystore, authorities, found, now=_settings.now()):
+            for batch in apply_plan(desired, keystore, authorities, found, now=_settings.now()):
                 bar.update(len(batch))
                 done += batch
     except PqsecError:
@@ -168,7 +168,7 @@ def _take(
 def _tell(found: Plan, done: list[Step], keystore: Keystore, written: list[Path]) -> None:
     for each in found.blocked:
         _printing.note(f"{each.name} {each.why}: that stays so")
-    if any(step.action in {Action.REVOKE, Action.LIST} for step in done):
+    if any(step.action in {Action.REVOKE, Action.RENEW_CRL} for step in done):
         _printing.note("there is a new revocation list: give it to every robot")
     changed = {step.name for step in done if step.name and step.action is not Action.REVOKE}
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]

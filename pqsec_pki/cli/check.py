@@ -157,7 +157,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "line": finding.line,
         "message": finding.message,
         "title": finding.rule.title,
-        "mend": finding.rule.mend,
+        "fix": finding.rule.fix,
     }
 
 
@@ -168,13 +168,13 @@ def _explain(rule: Rule) -> None:
         "family": rule.family,
         "title": rule.title,
         "why": rule.why,
-        "mend": rule.mend,
+        "fix": rule.fix,
         "stacks": sorted(rule.stacks),
         "measured": rule.measured,
         "only_when_asked": rule.only_when_asked,
     }
     lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
-    lines += [f"To mend it: {rule.mend}"]
+    lines += [f"To mend it: {rule.fix}"]
     lines += [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
     lines += [f"Known from: {rule.measured}"] if rule.measured else []
     if rule.only_when_asked:

@@ -10,8 +10,8 @@ from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
-from pqsec_pki.keystore import Keystore, Wish, issue
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 
 _YEAR = timedelta(days=365)
 
@@ -39,25 +39,25 @@ def demo(folder: Path | None, profile_name: str) -> None:
         passphrase=None,
         now=now,
     )
-    wishes = [
-        _wish("/talker", domains, publish=(ros.topic("/chatter"),)),
-        _wish("/listener", domains, subscribe=(ros.topic("/chatter"),)),
+    specs = [
+        _spec("/talker", domains, publish=(ros.topic("/chatter"),)),
+        _spec("/listener", domains, subscribe=(ros.topic("/chatter"),)),
     ]
-    issue(keystore, keystore.unlock(None), wishes, now=now)
-    occasion = Occasion(keystore=keystore, domain=0, now=now)
-    report = meet(occasion, Guest(name="/talker"), Guest(name="/listener"))
+    issue(keystore, keystore.unlock(None), specs, now=now)
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
+    report = run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener"))
     value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
     _printing.emit(value, [*_story(keystore), *lines_of(report), "", *_next(keystore)])
     if not report.ok:
         click.get_current_context().exit(1)
 
 
-def _wish(
+def _spec(
     name: str, domains: DomainSet, publish: tuple[str, ...] = (), subscribe: tuple[str, ...] = ()
-) -> Wish:
+) -> ParticipantSpec:
     """A ROS 2 node called `name` with these topics."""
     needs = ros.node_minimum(name)
-    return Wish(
+    return ParticipantSpec(
         name=name,
         domains=domains,
         publish=publish + needs.publish,

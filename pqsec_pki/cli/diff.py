@@ -127,7 +127,7 @@ class _Kept:
 def _as_json(change: Change) -> dict[str, object]:
     return {
         "sense": change.sense.value,
-        "as": change.reading,
+        "as": change.interpretation,
         "subject": change.subject or None,
         "actions": [action.value for action in change.actions],
         "topics": [
@@ -150,7 +150,7 @@ def _lines(parts: list[_Part]) -> Iterator[str]:
         same = all(part.difference.same_text for part in parts)
         reason = "" if same else "; the documents differ in form or order only"
         yield f"no change in what is allowed and how it is protected{reason}"
-    elif all(change.reading != SPEC.name for change in changes):
+    elif all(change.interpretation != SPEC.name for change in changes):
         yield "no change by the standard, but in stacks that read the documents otherwise"
     for sense in Sense:
         alike = [

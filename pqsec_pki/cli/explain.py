@@ -9,18 +9,18 @@ from typing import Any
 
 import click
 
-from pqsec_pki.access import READINGS, Action, Decision, Question
+from pqsec_pki.access import INTERPRETATIONS, Action, Decision, Question
 from pqsec_pki.access.everywhere import is_known
 from pqsec_pki.access.matrix import Member, topics_named
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._answers import Answer, DomainsAnswer, answers_by_domain
 from pqsec_pki.cli._documents import (
-    Papers,
+    PolicyInput,
     governance_in,
     only_subject,
-    papers_of,
     permissions_in,
     plain,
+    policy_input_of,
     signed_by,
 )
 from pqsec_pki.documents import parse_subject, ros
@@ -47,7 +47,7 @@ _PATTERN = re.compile(r"[*?\[\]]")
 @click.option(
     "--as",
     "stack",
-    type=click.Choice([each.name for each in READINGS]),
+    type=click.Choice([each.name for each in INTERPRETATIONS]),
     help="As this stack reads the documents. [default: the standard, and where stacks differ]",
 )
 @_settings.command_options
@@ -60,13 +60,13 @@ def explain(stack: str | None, **asked: Any) -> int:
     now = _settings.now()
     action, topic = _wanted(asked)
     try:
-        papers = _papers(asked, now)
+        policy_input = _policy_input(asked, now)
     except VerificationError as error:
         if _settings.settings().json:
             _printing.emit({"allowed": False, "problems": list(error.lines)}, [])
         raise
     asked_of = Question(
-        subject=papers.subject,
+        subject=policy_input.subject,
         domain=asked["domain"] or 0,
         action=action,
         now=now,
@@ -74,28 +74,30 @@ def explain(stack: str | None, **asked: Any) -> int:
         partitions=asked["partitions"],
         data_tags=tuple(map(_tag, asked["tags"])),
     )
-    found = list(answers_by_domain(papers, asked_of, stack, everywhere=asked["domain"] is None))
-    _tell(papers, found)
+    found = list(
+        answers_by_domain(policy_input, asked_of, stack, everywhere=asked["domain"] is None)
+    )
+    _tell(policy_input, found)
     if not found[0].allowed and topic:
-        _tell_of_slips(papers, action, topic)
+        _tell_of_slips(policy_input, action, topic)
     return 0 if found[0].allowed else 1
 
 
-def _papers(asked: dict[str, Any], now: datetime) -> Papers:
+def _policy_input(asked: dict[str, Any], now: datetime) -> PolicyInput:
     name, files = asked["participant"], ("governance", "permissions")
     if name and any(asked[each] for each in (*files, "subject", "permissions_ca")):
         raise UsageError("--participant is of the keystore; it goes without files and --subject")
     if name:
-        return papers_of(_settings.open_keystore(), name, now)
+        return policy_input_of(_settings.open_keystore(), name, now)
     if not all(asked[each] for each in files):
         raise UsageError(
             "no participant is named",
             hint="say --participant NAME, or --governance FILE and --permissions FILE",
         )
-    return _papers_in_files(asked, now)
+    return _policy_input_in_files(asked, now)
 
 
-def _papers_in_files(asked: dict[str, Any], now: datetime) -> Papers:
+def _policy_input_in_files(asked: dict[str, Any], now: datetime) -> PolicyInput:
     ca: Path | None = asked["permissions_ca"]
     check = signed_by(ca, now) if ca else None
     permissions = permissions_in(asked["permissions"], now, check)
@@ -106,7 +108,7 @@ def _papers_in_files(asked: dict[str, Any], now: datetime) -> Papers:
                 f"who signed {plain(str(each.path))} was not checked: say --permissions-ca FILE"
             )
     subject = _subject(asked["subject"]) if asked["subject"] else only_subject(permissions)
-    return Papers(who=subject, subject=subject, governance=governance, permissions=permissions)
+    return PolicyInput(who=subject, subject=subject, governance=governance, permissions=permissions)
 
 
 def _subject(text: str) -> str:
@@ -150,16 +152,20 @@ def _tag(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _tell_of_slips(papers: Papers, action: Action, topic: str) -> None:
+def _tell_of_slips(policy_input: PolicyInput, action: Action, topic: str) -> None:
     """Of a topic that none of its rules names or covers, and that looks like another name."""
-    who = Member(name=papers.who, subject=papers.subject, permissions=papers.permissions.value)
+    who = Member(
+        name=policy_input.who,
+        subject=policy_input.subject,
+        permissions=policy_input.permissions.value,
+    )
     named = topics_named([who])
     if topic in named or is_known(topic, named):
         return
     if action is not Action.RELAY and (instead := _ros_topic(topic)):
         _printing.note(f"{topic} is the ROS 2 name of {instead}; ask with --ros-{action} {topic}")
     elif instead := meant(topic, named):
-        _printing.note(f"no rule of {plain(papers.who)} names {plain(topic)}; {instead}")
+        _printing.note(f"no rule of {plain(policy_input.who)} names {plain(topic)}; {instead}")
 
 
 def _ros_topic(name: str) -> str:
@@ -173,45 +179,46 @@ def _ros_topic(name: str) -> str:
 # Printing
 
 
-def _tell(papers: Papers, found: list[DomainsAnswer]) -> None:
+def _tell(policy_input: PolicyInput, found: list[DomainsAnswer]) -> None:
     question = found[0].question
     value = {
-        "participant": papers.who,
+        "participant": policy_input.who,
         "subject": question.subject,
         "action": question.action.value,
         "topic": question.topic,
         "partitions": list(question.partitions),
         "data_tags": list(map("=".join, question.data_tags)),
         "at": question.now.isoformat(),
-        "verified": papers.governance.verified and papers.permissions.verified,
-        **_finding_json(papers, found[0]),
-        "elsewhere": [_finding_json(papers, each) for each in found[1:]],
+        "verified": policy_input.governance.verified and policy_input.permissions.verified,
+        **_finding_json(policy_input, found[0]),
+        "elsewhere": [_finding_json(policy_input, each) for each in found[1:]],
     }
-    _printing.emit(value, [line for each in found for line in _lines(papers, each)])
+    _printing.emit(value, [line for each in found for line in _lines(policy_input, each)])
 
 
-def _finding_json(papers: Papers, finding: DomainsAnswer) -> dict[str, Any]:
+def _finding_json(policy_input: PolicyInput, finding: DomainsAnswer) -> dict[str, Any]:
     answer = finding.answer
     return {
         "domain": finding.question.domain,
         "domains": str(finding.domains),
-        **_as_json(papers, answer),
+        **_as_json(policy_input, answer),
         "protection": _protection(answer.decision),
         "others": [
-            _as_json(papers, other) | {"differs": other.differs(answer)} for other in finding.others
+            _as_json(policy_input, other) | {"differs": other.differs(answer)}
+            for other in finding.others
         ],
     }
 
 
-def _as_json(papers: Papers, answer: Answer) -> dict[str, Any]:
-    place = papers.place(answer.decision)
+def _as_json(policy_input: PolicyInput, answer: Answer) -> dict[str, Any]:
+    place = policy_input.place(answer.decision)
     return {
-        "as": answer.reading.name,
+        "as": answer.interpretation.name,
         "allowed": answer.decision.allowed,
         "reason": answer.decision.reason,
         "file": str(place[0]) if place else None,
         "line": place[1] if place else None,
-        "criteria_line": papers.criteria_line(answer.decision),
+        "criteria_line": policy_input.criteria_line(answer.decision),
         "own_stack": answer.own,
         "peers": answer.peers,
         "hazard": answer.hazard or None,
@@ -222,37 +229,37 @@ def _protection(decision: Decision) -> list[str]:
     return list(decision.protection.words) if decision.protection and decision.allowed else []
 
 
-def _lines(papers: Papers, finding: DomainsAnswer) -> Iterator[str]:
+def _lines(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]:
     question, answer, others = finding.question, finding.answer, finding.others
     what = "join" if question.topic is None else f"{question.action} {plain(question.topic)}"
-    title = f"{plain(papers.who)}: {what}, {finding.where}"
-    yield f"{answer.word.upper():<4}  {title}, by {answer.reading.title}"
-    yield from _why(papers, answer, "      ")
+    title = f"{plain(policy_input.who)}: {what}, {finding.where}"
+    yield f"{answer.word.upper():<4}  {title}, by {answer.interpretation.title}"
+    yield from _why(policy_input, answer, "      ")
     words = _protection(answer.decision)
     for number, word in enumerate(words):
         yield f"{'' if number else '      protected':<17} {word}"
     if others:
-        yield from _compared(papers, answer, others)
+        yield from _compared(policy_input, answer, others)
 
 
-def _compared(papers: Papers, answer: Answer, others: list[Answer]) -> Iterator[str]:
-    alike = [other.reading.title for other in others if not other.differs(answer)]
+def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -> Iterator[str]:
+    alike = [other.interpretation.title for other in others if not other.differs(answer)]
     if alike:
         yield f"same  {', '.join(alike)}"
     for other in others:
         if other.differs(answer):
-            yield f"{other.word.upper():<4}  {other.reading.title} decides otherwise"
-            yield from _why(papers, other, "      ")
+            yield f"{other.word.upper():<4}  {other.interpretation.title} decides otherwise"
+            yield from _why(policy_input, other, "      ")
         elif other.whose:
-            yield f"note  {other.reading.title}: {other.whose}"
+            yield f"note  {other.interpretation.title}: {other.whose}"
         if other.hazard:
-            yield f"note  {other.reading.title}: {other.hazard}"
+            yield f"note  {other.interpretation.title}: {other.hazard}"
 
 
-def _why(papers: Papers, answer: Answer, indent: str) -> Iterator[str]:
+def _why(policy_input: PolicyInput, answer: Answer, indent: str) -> Iterator[str]:
     whose = f"; {answer.whose}" if answer.whose else ""
     yield f"{indent}{plain(answer.decision.reason)}{whose}"
-    if place := papers.place(answer.decision):
-        criteria = papers.criteria_line(answer.decision)
+    if place := policy_input.place(answer.decision):
+        criteria = policy_input.criteria_line(answer.decision)
         topics = f" (its topics from line {criteria})" if criteria else ""
         yield f"{indent}{plain(str(place[0]))}:{place[1]}{topics}"

@@ -12,7 +12,7 @@ from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck import PQSEC, Guest, Occasion, Report, Stack, stack_named
+from pqsec_pki.selfcheck import PQSEC, HandshakeParty, HandshakeSetup, Report, Stack, stack_named
 from pqsec_pki.selfcheck.shared_domains import JoinableDomains, meet_on
 
 MATRIX_ROUNDS = 5
@@ -127,19 +127,19 @@ def _two(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
 
 def _report(names: tuple[str, ...], given: dict[str, Any]) -> Report:
-    occasion, guests, joinable = _invited(names, given)
-    return meet_on(joinable, occasion, *guests, anywhere=given["domain"] is None)
+    setup, parties, joinable = _invited(names, given)
+    return meet_on(joinable, setup, *parties, anywhere=given["domain"] is None)
 
 
 def _invited(
     names: tuple[str, ...], given: dict[str, Any]
-) -> tuple[Occasion, tuple[Guest, Guest], JoinableDomains]:
+) -> tuple[HandshakeSetup, tuple[HandshakeParty, HandshakeParty], JoinableDomains]:
     """Two who are to meet, where, and on what; and where they could."""
     keystore, now = _keystore(given["kem"]), _settings.now()
     for name in names:
         keystore.refuse_unknown(name)
     joinable = JoinableDomains.of(keystore, names, now)
-    occasion = Occasion(
+    setup = HandshakeSetup(
         keystore=keystore,
         domain=joinable.domain if given["domain"] is None else given["domain"],
         now=now,
@@ -147,8 +147,8 @@ def _invited(
     )
     first, second = _stacks(given["stacks"])
     return (
-        occasion,
-        (Guest(name=names[0], stack=first), Guest(name=names[1], stack=second)),
+        setup,
+        (HandshakeParty(name=names[0], stack=first), HandshakeParty(name=names[1], stack=second)),
         joinable,
     )
 
@@ -156,18 +156,18 @@ def _invited(
 def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     del names
     from pqsec_pki.cli._handshake_pairs import try_all  # noqa: PLC0415 -- not for every mode
-    from pqsec_pki.selfcheck.pairs import Gathering  # noqa: PLC0415
+    from pqsec_pki.selfcheck.pairs import AllPairsJob  # noqa: PLC0415
 
     keystore = _keystore(given["kem"])
     first, second = _stacks(given["stacks"])
-    gathering = Gathering(
+    job = AllPairsJob(
         root=keystore.root,
         now=_settings.now(),
         domain=given["domain"],
         key_agreement=given["kem"],
         stacks=(first.name, second.name),
     )
-    return try_all(gathering, keystore.names(), given["jobs"] or os.cpu_count() or 1)
+    return try_all(job, keystore.names(), given["jobs"] or os.cpu_count() or 1)
 
 
 def _matrix(names: tuple[str, ...], given: dict[str, Any]) -> bool:
@@ -194,10 +194,10 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    occasion, guests, joinable = _invited(names, given)
+    setup, parties, joinable = _invited(names, given)
     if given["domain"] is None:
         joinable.refuse_split()
-    return _handshake_attacks.try_attacks(occasion, guests, attacks)
+    return _handshake_attacks.try_attacks(setup, parties, attacks)
 
 
 def _keystore(kem: str | None) -> Keystore:

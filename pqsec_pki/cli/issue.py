@@ -8,12 +8,12 @@ import click
 
 from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
-from pqsec_pki.cli._wishes import Wanted, wish_options
+from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.enrolment import Bundle
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Issued, Keystore, Wish
+from pqsec_pki.keystore import Issued, Keystore, ParticipantSpec
 from pqsec_pki.keystore import issue as issue_participants
 from pqsec_pki.smime import document_in
 
@@ -21,7 +21,7 @@ from pqsec_pki.smime import document_in
 @click.command()
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--domain", "domains", help="DDS domains: 0, or 0-3, or 0,5. [default: the CA's]")
-@wish_options
+@participant_options
 @click.option(
     "--csr",
     "requests",
@@ -66,15 +66,15 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     a NAME, everybody in --policy is issued. With --csr the keys were made elsewhere, and
     the answers are bundles for `pqsec install`.
     """
-    wanted = Wanted.of(**how)
+    wanted = ParticipantOptions.of(**how)
     if not requests:
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _everybody(wanted)
     keystore = _settings.open_keystore(to_change=True)
     asked = _bundles.read_requests(requests, keystore.profile, names, patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
-    wishes = wanted.wishes(tuple(asked) or names, domain_set)
-    wishes = [_bundles.with_keys(wish, asked) for wish in wishes]
+    specs = wanted.specs(tuple(asked) or names, domain_set)
+    specs = [_bundles.with_keys(spec, asked) for spec in specs]
     goals = _bundles.goals(asked, folder, force=force)
     with located(_governance(keystore)):
         governance = Governance.from_xml(document_in(keystore.governance))
@@ -83,13 +83,13 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     issued = issue_participants(
         keystore,
         authorities,
-        wishes,
+        specs,
         now=_settings.now(),
         force=force,
         after_revocation=after_revocation,
         compromised_keys=compromised_keys,
     )
-    _warn(governance, wishes)
+    _warn(governance, specs)
     tell_of_governance(keystore)
     for name, goal in goals.items():
         _answer(keystore, name, goal, recipient, force=force)
@@ -101,7 +101,7 @@ def _refuse_without_requests(patterns: tuple[str, ...], *others: Path | None) ->
         raise UsageError("--allow-name, --bundles and --seal-for are for requests: --csr FILE")
 
 
-def _everybody(wanted: Wanted) -> tuple[str, ...]:
+def _everybody(wanted: ParticipantOptions) -> tuple[str, ...]:
     """Whom the policy is about; UsageError if there is none."""
     if not wanted.policy:
         raise UsageError(
@@ -120,10 +120,10 @@ def _answer(
         _bundles.write(bundle, goal, recipient, force=force)
 
 
-def _warn(governance: Governance, wishes: list[Wish]) -> None:
-    if not any(wish.publish or wish.subscribe or wish.grants for wish in wishes):
+def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:
+    if not any(spec.publish or spec.subscribe or spec.grants for spec in specs):
         _printing.note("no topic was named: the permissions deny everything, even to join")
-    wanted = sorted({domain for wish in wishes for domain in wish.domains.ids()})
+    wanted = sorted({domain for spec in specs for domain in spec.domains.ids()})
     ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]
     if ungoverned:
         _printing.note(

@@ -73,7 +73,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
 
 def _all_but_the_dead(standing: Status, names: tuple[str, ...]) -> list[str]:
     """Whoever was named, whatever may be wrong with them; else all that can be renewed."""
-    skipped = set() if names else {State.STRANDED, State.REVOKED, State.GONE}
+    skipped = set() if names else {State.PREVIOUS_CA, State.REVOKED, State.GONE}
     return [each.name for each in standing.participants if each.state not in skipped]
 
 

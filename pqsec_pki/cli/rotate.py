@@ -11,7 +11,7 @@ from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.cli._overlap import Order, Step, run, whom
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import CA_VALIDITY, Keystore, Outlook, Rollover, Scope, foresee
+from pqsec_pki.keystore import CA_VALIDITY, Keystore, Rollover, RolloverPlan, Scope, plan_rollover
 from pqsec_pki.keystore import rotate as rotate_keystore
 from pqsec_pki.vendors.rollover import TRUST
 
@@ -89,11 +89,11 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     if overlap:
         run(Order(keystore, terms, passphrase_file), Step(overlap), do=do)
         return
-    outlook = foresee(keystore, terms, now=_settings.now())
+    planned = plan_rollover(keystore, terms, now=_settings.now())
     if not do:
-        _printing.emit(_plan_value(outlook), _plan_lines(outlook))
+        _printing.emit(_plan_value(planned), _plan_lines(planned))
         return
-    _apply(keystore, terms, outlook, passphrase_file, no_passphrase=no_passphrase)
+    _apply(keystore, terms, planned, passphrase_file, no_passphrase=no_passphrase)
 
 
 def _profile(keystore: Keystore, name: str | None) -> Profile:
@@ -106,7 +106,7 @@ def _profile(keystore: Keystore, name: str | None) -> Profile:
 def _apply(
     keystore: Keystore,
     terms: Rollover,
-    outlook: Outlook,
+    plan: RolloverPlan,
     passphrase_file: Path | None,
     *,
     no_passphrase: bool,
@@ -132,44 +132,44 @@ def _apply(
     lines = [
         f"generation {done.generation}: {_CAS[terms.scope]}, {count} issued anew",
         f"generation {done.generation - 1} is in {done.archive} ({keys})",
-        *(f"next: {step}" for step in _to_robots(outlook)),
+        *(f"next: {step}" for step in _to_robots(plan)),
     ]
     _printing.emit(value, lines)
 
 
-def _plan_value(outlook: Outlook) -> dict[str, Any]:
+def _plan_value(plan: RolloverPlan) -> dict[str, Any]:
     return {
-        "generation": outlook.generation,
-        "scope": outlook.scope.value,
-        "profile": {"before": outlook.before.name, "after": outlook.after.name},
-        "one_ca": outlook.one_ca,
-        "keeping": outlook.keeping,
-        "rekeyed": outlook.rekeyed,
-        "left_out": outlook.left_out,
-        "new_list": outlook.new_list,
-        "archive": str(outlook.archive),
-        "destroy": outlook.destroy,
-        "steps": list(_steps(outlook)),
-        "robots": list(_to_robots(outlook)),
-        "breaks": list(_breaks(outlook)),
+        "generation": plan.generation,
+        "scope": plan.scope.value,
+        "profile": {"before": plan.before.name, "after": plan.after.name},
+        "one_ca": plan.one_ca,
+        "keeping": plan.keeping,
+        "rekeyed": plan.rekeyed,
+        "left_out": plan.left_out,
+        "new_list": plan.new_list,
+        "archive": str(plan.archive),
+        "destroy": plan.destroy,
+        "steps": list(_steps(plan)),
+        "robots": list(_to_robots(plan)),
+        "breaks": list(_breaks(plan)),
         "overlap": [
             {"stack": row.stack, "identity_ca": row.how, "evidence": row.evidence} for row in TRUST
         ],
     }
 
 
-def _plan_lines(outlook: Outlook) -> Iterator[str]:
-    yield f"generation {outlook.generation}: {_CAS[outlook.scope]}, {_change(outlook)}"
+def _plan_lines(plan: RolloverPlan) -> Iterator[str]:
+    yield f"generation {plan.generation}: {_CAS[plan.scope]}, {_change(plan)}"
     yield from ("", "`--apply` does, in one step that is done wholly or not at all:")
-    yield from _numbered(_steps(outlook))
+    yield from _numbered(_steps(plan))
     yield from ("", "Then, by you:")
-    yield from _numbered(_to_robots(outlook))
+    yield from _numbered(_to_robots(plan))
     yield from ("", "What breaks:")
-    yield from (f"  - {text}" for text in _breaks(outlook))
+    yield from (f"  - {text}" for text in _breaks(plan))
     yield from ("", "Who can trust two generations for a while, and needs no switch:")
-    if outlook.scope is not Scope.IDENTITY:
+    if plan.scope is not Scope.IDENTITY:
         yield "  of permissions CAs nobody"
-    if outlook.scope is not Scope.PERMISSIONS:
+    if plan.scope is not Scope.PERMISSIONS:
         yield "  of identity CAs, by way of `--overlap begin`:"
         yield from (f"  {row.stack}: {row.how or 'no'}" for row in TRUST)
 
@@ -178,49 +178,49 @@ def _numbered(texts: Iterator[str]) -> Iterator[str]:
     return (f"  {number}. {text}" for number, text in enumerate(texts, start=1))
 
 
-def _change(outlook: Outlook) -> str:
-    if outlook.before.name == outlook.after.name:
-        return f"profile {outlook.after.name} as before"
-    return f"from profile {outlook.before.name} to {outlook.after.name}"
+def _change(plan: RolloverPlan) -> str:
+    if plan.before.name == plan.after.name:
+        return f"profile {plan.after.name} as before"
+    return f"from profile {plan.before.name} to {plan.after.name}"
 
 
-def _steps(outlook: Outlook) -> Iterator[str]:
-    after = outlook.after
+def _steps(plan: RolloverPlan) -> Iterator[str]:
+    after = plan.after
     second = f" and {after.alternative_key.name}" if after.alternative_key else ""
-    if outlook.scope is not Scope.PERMISSIONS:
+    if plan.scope is not Scope.PERMISSIONS:
         yield f"make an identity CA ({after.identity_key.name}{second})"
-    if outlook.scope is not Scope.IDENTITY:
+    if plan.scope is not Scope.IDENTITY:
         yield f"make a permissions CA ({after.permissions_key.name}{second})"
-    if outlook.keeping:
-        yield f"certify {whom(outlook.keeping)} again, with the same keys"
-    if outlook.rekeyed:
-        yield f"issue {whom(outlook.rekeyed)} anew, with new keys"
-    permissions = _printing.counted(outlook.participants, "permissions document")
+    if plan.keeping:
+        yield f"certify {whom(plan.keeping)} again, with the same keys"
+    if plan.rekeyed:
+        yield f"issue {whom(plan.rekeyed)} anew, with new keys"
+    permissions = _printing.counted(plan.participants, "permissions document")
     yield f"sign the governance and {permissions} anew"
-    if outlook.new_list:
+    if plan.new_list:
         yield "make a revocation list with nothing in it: nobody trusts what the old CA issued"
-    for name, reason in outlook.left_out.items():
+    for name, reason in plan.left_out.items():
         yield f"leave {name} behind: {reason}"
-    if outlook.destroy:
-        yield f"destroy the old keys, and keep the old certificates in {outlook.archive}"
+    if plan.destroy:
+        yield f"destroy the old keys, and keep the old certificates in {plan.archive}"
     else:
-        yield f"keep the old CAs in {outlook.archive}"
+        yield f"keep the old CAs in {plan.archive}"
 
 
-def _to_robots(outlook: Outlook) -> Iterator[str]:
+def _to_robots(plan: RolloverPlan) -> Iterator[str]:
     yield "bring every robot its enclave folder, with the files that its links show"
     yield "restart all participants of a domain together: stacks read the files when they start"
-    if outlook.left_out:
-        yield f"see to those left behind: {', '.join(outlook.left_out)}"
+    if plan.left_out:
+        yield f"see to those left behind: {', '.join(plan.left_out)}"
 
 
-def _breaks(outlook: Outlook) -> Iterator[str]:
+def _breaks(plan: RolloverPlan) -> Iterator[str]:
     yield (
         "Participants with old and with new files do not let each other in, from the first"
         " robot that restarts with new files until the last."
     )
     yield "Participants that run go on until they restart; DDS has no way to tell them."
-    before, after = outlook.before, outlook.after
+    before, after = plan.before, plan.after
     if before.name != after.name:
         yield f"Profile {after.name} runs in {after.runs_in}."
     if before.runs_in_stock and not after.runs_in_stock:
@@ -230,7 +230,7 @@ def _breaks(outlook: Outlook) -> Iterator[str]:
                 "Go by way of `--profile transition`: stock stacks run it, and you can bring"
                 " the plugin to one robot after the other."
             )
-    if outlook.one_ca:
+    if plan.one_ca:
         yield (
             "Until it is done, one key is both CAs: any participant's key can sign permissions"
             " that some stacks take (CVE-2023-24010)."

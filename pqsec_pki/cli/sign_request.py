@@ -9,12 +9,12 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
-from pqsec_pki.cli._wishes import Wanted, wish_options
+from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, pins_of, sign
-from pqsec_pki.enrolment.archive import MAX_ARCHIVE
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import UsageError, VerificationError, located
-from pqsec_pki.keystore import Wish
+from pqsec_pki.keystore import ParticipantSpec
 
 _force = click.option("--force", is_flag=True, help="Replace what is there already.")
 
@@ -30,7 +30,7 @@ def sign_request() -> None:
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
-@wish_options
+@participant_options
 @click.option("-o", "--output", type=_settings.FILE, required=True, help="Where to write.")
 @_force
 @_settings.command_options
@@ -53,8 +53,8 @@ def export(
             names.append(name)
     if len(set(names)) < len(names):
         raise UsageError("two requests have one name")
-    wishes = Wanted.of(**wanted).wishes(tuple(names), DomainSet.parse(domains))
-    data = SignRequest(tuple(found), tuple(wishes)).to_bytes(now=_settings.now())
+    specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
+    data = SignRequest(tuple(found), tuple(specs)).to_bytes(now=_settings.now())
     _files.write(output, data, force=force)
     sha256 = hashlib.sha256(data).hexdigest()
     value = {"written": str(output), "names": names, "sha256": sha256}
@@ -121,7 +121,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     )
     with _printing.advising("it is issued all the same: sign it again, with another -o"):
         _files.write(output, answer, force=force)
-    names = [wish.name for wish in asked.wishes]
+    names = [spec.name for spec in asked.specs]
     value = {"answer": str(output), "names": names, "request_sha256": asked.sha256}
     _printing.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
 
@@ -186,32 +186,32 @@ def _read(path: Path) -> SignRequest:
 def _show(asked: SignRequest) -> None:
     value = {
         "sha256": asked.sha256,
-        "wishes": [
+        "participants": [
             {
-                "name": wish.name,
-                "domains": str(wish.domains),
-                "publish": wish.publish,
-                "subscribe": wish.subscribe,
-                "policy": bool(wish.grants),
-                "permissions": "\n".join(_policy(wish)) or None,
-                "hours": wish.validity // timedelta(hours=1),
+                "name": spec.name,
+                "domains": str(spec.domains),
+                "publish": spec.publish,
+                "subscribe": spec.subscribe,
+                "policy": bool(spec.grants),
+                "permissions": "\n".join(_policy(spec)) or None,
+                "hours": spec.validity // timedelta(hours=1),
             }
-            for wish in asked.wishes
+            for spec in asked.specs
         ],
     }
     rows = [
         (
-            wish.name,
-            str(wish.domains),
-            _topics(wish.publish),
-            _topics(wish.subscribe),
-            "policy" if wish.grants else "-",
-            _length(wish.validity),
+            spec.name,
+            str(spec.domains),
+            _topics(spec.publish),
+            _topics(spec.subscribe),
+            "policy" if spec.grants else "-",
+            _length(spec.validity),
         )
-        for wish in asked.wishes
+        for spec in asked.specs
     ]
     heads = ("participant", "domains", "publish", "subscribe", "by", "for")
-    policies = [line for wish in asked.wishes for line in _policy(wish)]
+    policies = [line for spec in asked.specs for line in _policy(spec)]
     _printing.emit(value, [*_printing.table(heads, rows), *policies, f"SHA-256 {asked.sha256}"])
 
 
@@ -225,9 +225,9 @@ def _topics(expressions: tuple[str, ...]) -> str:
     return " ".join(expressions) or "-"
 
 
-def _policy(wish: Wish) -> list[str]:
+def _policy(spec: ParticipantSpec) -> list[str]:
     """The lines of the permissions that a policy asks for, in place of the columns."""
-    if not wish.grants:
+    if not spec.grants:
         return []
-    document = Permissions(grants=wish.grants).to_xml().decode()
+    document = Permissions(grants=spec.grants).to_xml().decode()
     return document.splitlines()

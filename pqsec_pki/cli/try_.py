@@ -16,15 +16,15 @@ from pqsec_pki.selfcheck.shared_domains import JoinableDomains
 from pqsec_pki.trial import (
     MACHINE,
     STACKS,
-    STRANGER,
-    Passage,
+    UNAUTHENTICATED,
     Report,
+    TopicRoute,
     Trial,
     find,
-    meet,
-    passage,
     plugin,
     refuse_untrusted,
+    run_trial,
+    topic_route,
 )
 
 ROS2, PLUGGABLE = "ros2", "cyclonedds"
@@ -120,7 +120,7 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
         now=now,
     )
     with plugin() if given["plugin"] else nullcontext() as ours:
-        report = meet(replace(trial, plugin=ours), way)
+        report = run_trial(replace(trial, plugin=ours), way)
     for warning in report.warnings:
         _printing.note(warning)
     _printing.emit(_as_json(report), _lines(report))
@@ -150,7 +150,7 @@ def _way(
     *,
     topic: str | None,
     domain: int | None,
-) -> Passage:
+) -> TopicRoute:
     """Who sends to whom, on what and where, with what the user left out found."""
     first, second = names
     for name in names:
@@ -160,50 +160,50 @@ def _way(
         joinable.refuse_split()
         domain = joinable.domain
     if topic is None:
-        return passage(keystore, (first, second), domain, now)
+        return topic_route(keystore, (first, second), domain, now)
     if not topic:
         raise UsageError("a topic has a name", hint="leave --topic out, and one is found")
-    return Passage(sender=first, receiver=second, domain=domain, topic=topic)
+    return TopicRoute(sender=first, receiver=second, domain=domain, topic=topic)
 
 
 def _as_json(report: Report) -> dict[str, Any]:
-    wire = report.performance.wire
+    wire = report.trial_run.wire
     return {
-        "stack": report.installation.kit.stack,
+        "stack": report.installation.build.stack,
         "version": report.installation.version,
         "library": str(report.installation.library.path),
         "plugin": list(report.plugged),
-        "domain": report.passage.domain,
-        "topic": report.passage.topic,
+        "domain": report.topic_route.domain,
+        "topic": report.topic_route.topic,
         "sender": report.sender.role.name,
         "receiver": report.receiver.role.name,
         "ok": report.ok,
         "accepted": report.accepted,
-        "seconds": round(report.performance.seconds, 2),
-        "stranger_heard": report.stranger_heard,
+        "seconds": round(report.trial_run.seconds, 2),
+        "unauthenticated_heard": report.unauthenticated_heard,
         "readable": report.readable,
         "packets": wire.packets if wire else None,
-        "own_network": report.performance.alone,
+        "own_network": report.trial_run.alone,
         "findings": [asdict(each) for each in report.findings],
         "warnings": list(report.warnings),
     }
 
 
 def _lines(report: Report) -> Iterator[str]:
-    way, sender, receiver = report.passage, report.sender.role.name, report.receiver.role.name
+    way, sender, receiver = report.topic_route, report.sender.role.name, report.receiver.role.name
     yield (
         f"{report.installation.title}{_plugged(report)}, domain {way.domain}: {sender} sends on"
         f" {shown(way.topic)}, {receiver} receives"
     )
-    seconds = f"{report.performance.seconds:.1f} s"
+    seconds = f"{report.trial_run.seconds:.1f} s"
     if report.accepted:
         yield f"ok    sample    arrived after {seconds}"
     else:
         yield f"FAIL  sample    did not arrive, and it was over after {seconds}"
     yield from _why(report)
-    yield from _stranger(report)
+    yield from _unauthenticated(report)
     yield from _wire(report)
-    if not report.performance.alone:
+    if not report.trial_run.alone:
         yield "      network   that of this machine: others on the domain may have taken part"
 
 
@@ -222,18 +222,18 @@ def _why(report: Report) -> Iterator[str]:
                 yield from paragraph(f"        {what:<7} ", text)
 
 
-def _stranger(report: Report) -> Iterator[str]:
-    if report.stranger_heard is None:
+def _unauthenticated(report: Report) -> Iterator[str]:
+    if report.unauthenticated_heard is None:
         why = "not put to the test" if not report.accepted else "did not come up"
-        yield f"{'FAIL' if report.accepted else '    '}  stranger  {STRANGER}: {why}"
-    elif report.stranger_heard:
-        yield f"FAIL  stranger  {STRANGER} got the sample: `pqsec explain` tells what protects it"
+        yield f"{'FAIL' if report.accepted else '    '}  outsider  {UNAUTHENTICATED}: {why}"
+    elif report.unauthenticated_heard:
+        yield f"FAIL  outsider  {UNAUTHENTICATED} got the sample: `pqsec explain` tells why"
     else:
-        yield f"ok    stranger  {STRANGER} got nothing"
+        yield f"ok    outsider  {UNAUTHENTICATED} got nothing"
 
 
 def _wire(report: Report) -> Iterator[str]:
-    wire = report.performance.wire
+    wire = report.trial_run.wire
     if report.readable is not None and wire:
         how = "can be read" if report.readable else "cannot be read"
         yield f"      wire      the sample {how} in {wire.packets} captured packets"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.access import READINGS, Reading, reading_named
+from pqsec_pki.access import INTERPRETATIONS, Interpretation, interpretation_named
 from pqsec_pki.access.everywhere import (
     Placed,
     domains_said,
@@ -37,7 +37,7 @@ class _Question:
 
     domains: DomainSet | None
     now: datetime
-    reading: Reading
+    interpretation: Interpretation
 
     def rows(
         self, fleet: Fleet, topics: tuple[str, ...], asked: dict[str, str | None]
@@ -53,7 +53,7 @@ class _Question:
             topics,
             domains=self.domains,
             now=self.now,
-            reading=self.reading,
+            interpretation=self.interpretation,
             asked=asked,
         )
         return list(found)
@@ -77,7 +77,7 @@ class _Question:
 @click.option(
     "--as",
     "stack",
-    type=click.Choice([each.name for each in READINGS]),
+    type=click.Choice([each.name for each in INTERPRETATIONS]),
     default="spec",
     show_default=True,
     help="As this stack reads the documents.",
@@ -107,8 +107,8 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     """
     now = _settings.now()
     where = None if domains is None else DomainSet.parse(domains)
-    reading = reading_named(stack)
-    fleet = fleet_of(paths, governance, now, reading)
+    interpretation = interpretation_named(stack)
+    fleet = fleet_of(paths, governance, now, interpretation)
     for name, reason in fleet.refused.items():
         _printing.note(f"{plain(name)} is left out: {plain(reason)}")
     wanted = (*topics, *map(_ros_topic, ros_topics))
@@ -117,7 +117,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     near = _unknown(fleet, wanted)
     for topic, instead in near.items():
         _printing.note(f"no rule names {plain(topic)}{'; ' if instead else ''}{instead}")
-    rows = _rows(fleet, wanted, _Question(where, now, reading))
+    rows = _rows(fleet, wanted, _Question(where, now, interpretation))
     form = "json" if _settings.settings().json else form
     _settings.settings().json = form == "json"
     value = _as_json(fleet, rows, where, stack) | {"unknown_topics": near}

@@ -4,7 +4,7 @@ For whoever keeps a fleet: `read_domain` says what domain.yaml wants, `plan` whi
 there from what the keystore's ledger says, and `perform` takes them.
 """
 
-from pqsec_pki.domain.apply import make, perform
+from pqsec_pki.domain.apply import apply_plan, create_keystore
 from pqsec_pki.domain.desired import Desired, Member, Role
 from pqsec_pki.domain.plan import plan
 from pqsec_pki.domain.reading import new_domain, read_domain
@@ -18,9 +18,9 @@ __all__ = [
     "Plan",
     "Role",
     "Step",
-    "make",
+    "apply_plan",
+    "create_keystore",
     "new_domain",
-    "perform",
     "plan",
     "read_domain",
 ]

@@ -11,7 +11,6 @@ from sys import intern
 from typing import Any
 
 from pqsec_pki.documents.parts_yaml import Readers, Text, chosen, domains, refused, text
-from pqsec_pki.domain._blanks import OWN, fit
 from pqsec_pki.domain._listing import (
     MAX_PARTICIPANTS,
     MAX_PROBLEMS,
@@ -20,6 +19,7 @@ from pqsec_pki.domain._listing import (
     names_in_csv,
     names_in_list,
 )
+from pqsec_pki.domain._placeholders import OWN, fit
 from pqsec_pki.domain.desired import Member, Role, validity_in
 from pqsec_pki.enrolment import flat_name
 from pqsec_pki.errors import InvalidDocumentError, located, shown
@@ -66,7 +66,7 @@ def members_of(
         gatherer.gather(entry)
     one_of_each_role = {member.role: member for member in gatherer.members.values()}
     for member in one_of_each_role.values():
-        member.wish()  # so that a slip in a role shows before anything is made
+        member.spec()  # so that a slip in a role shows before anything is made
     return gatherer.members
 
 
@@ -142,16 +142,16 @@ def _refuse_slips(first: Iterable[Listed], entry: Entry) -> None:
     """A column that fills no blank, and is called almost like one that counts for its row."""
     own = entry.said.get("role")
     roles = (*entry.roles.values(), *([own] if own else []))
-    blanks = {blank for role in roles for blank in role.blanks}
+    placeholders = {blank for role in roles for blank in role.placeholders}
     for column in (column for each in first for column in each.columns):
         meant = get_close_matches(column.lower(), ("role", *_COLUMNS), 1, _ALMOST)
-        if meant and column not in {"role", *_COLUMNS, *blanks}:
+        if meant and column not in {"role", *_COLUMNS, *placeholders}:
             raise refused(1, f"no role has ${shown(column)}; is the column '{meant[0]}' meant?")
 
 
 def _values(each: Listed, role: Role, of_entry: Mapping[str, str]) -> Mapping[str, str]:
     """Of what is known, that which the role asks for."""
-    wanted = role.blanks.difference(OWN)
+    wanted = role.placeholders.difference(OWN)
     if not wanted:
         return _NOTHING
     known = {**of_entry, **each.columns}

@@ -18,8 +18,8 @@ from pqsec_pki.documents.parts_yaml import (
     table,
     text,
 )
-from pqsec_pki.domain._blanks import OWN, blanks_in, digest_of, fit, without
 from pqsec_pki.domain._members import Entry
+from pqsec_pki.domain._placeholders import OWN, digest_of, fit, placeholders_in, without
 from pqsec_pki.domain.desired import ROLE_KEYS, Role, rules_of, validity_in
 
 
@@ -49,13 +49,13 @@ def _role(label: str, item: Item) -> Role:
 def _made(label: str, item: Table, said: Mapping[str, Any]) -> Role:
     if not item.entries:
         raise refused(item, "allows nothing: give it publish, subscribe, nodes or rules")
-    blanks = blanks_in(item)
-    if not blanks:
+    placeholders = placeholders_in(item)
+    if not placeholders:
         rules_of(item, DomainSet.of(0))  # what it allows, wherever that will be
     return Role(
         label=label,
         item=item,
-        blanks=blanks,
+        placeholders=placeholders,
         digest=digest_of(item),
         domains=said.get("domains"),
         validity=said.get("validity"),

@@ -12,7 +12,7 @@ from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.certificates import Reason
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.plan import plan as plan_again
-from pqsec_pki.domain.requests import wish_of
+from pqsec_pki.domain.requests import spec_of
 from pqsec_pki.domain.steps import Action, Plan, Step
 from pqsec_pki.errors import (
     InvalidDocumentError,
@@ -26,12 +26,12 @@ from pqsec_pki.keystore import (
     Authorities,
     Keystore,
     Renewal,
-    govern,
     issue,
-    permit,
     renew,
     renew_list,
     revoke,
+    sign_governance,
+    sign_permissions,
 )
 
 BATCH = 500
@@ -45,7 +45,9 @@ _OWN_FAULTS = (InvalidDocumentError, KeystoreError, MalformedError, UsageError, 
 """Of a participant, and not of the disk or of another command at work."""
 
 
-def make(desired: Desired, root: Path, *, passphrase: bytes | None, now: datetime) -> Keystore:
+def create_keystore(
+    desired: Desired, root: Path, *, passphrase: bytes | None, now: datetime
+) -> Keystore:
     """A keystore with the desired CAs, as the plan's first step wants it.
 
     ExistsError if something of a keystore is at `root`.
@@ -62,7 +64,7 @@ def make(desired: Desired, root: Path, *, passphrase: bytes | None, now: datetim
     )
 
 
-def perform(
+def apply_plan(
     desired: Desired, keystore: Keystore, authorities: Authorities, plan: Plan, *, now: datetime
 ) -> Iterator[Sequence[Step]]:
     """Take the steps, but that of making the keystore; gives those of each batch, done.
@@ -147,7 +149,9 @@ class _Worker:
         self._authorities.refuse_outdated(self._keystore.root)
         prune = any(action is Action.REVOKE for action, _ in self._wanted)
         found = plan_again(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
-        self._wanted &= {(step.action, step.name) for step in found.steps} | {(Action.MAKE, "")}
+        self._wanted &= {(step.action, step.name) for step in found.steps} | {
+            (Action.CREATE_CAS, "")
+        }
 
     def tell_failures(self) -> None:
         """The error, if there was one; KeystoreError for several."""
@@ -167,21 +171,23 @@ class _Worker:
         names = [step.name for step in steps]
         members, profile = self._desired.members, self._keystore.profile
         match action:
-            case Action.MAKE:
+            case Action.CREATE_CAS:
                 pass
-            case Action.GOVERN:
-                mark = self._desired.governance_mark
-                govern(*at, self._desired.governance, now=self._now, mark=mark)
+            case Action.SIGN_GOVERNANCE:
+                config_digest = self._desired.governance_digest
+                sign_governance(
+                    *at, self._desired.governance, now=self._now, config_digest=config_digest
+                )
             case Action.ISSUE | Action.REPLACE:
-                wishes = [wish_of(members[step.name], profile, step.keys) for step in steps]
-                issue(*at, wishes, now=self._now, force=action is Action.REPLACE)
-            case Action.PERMIT:
-                permit(*at, [members[name].wish() for name in names], now=self._now)
+                specs = [spec_of(members[step.name], profile, step.keys) for step in steps]
+                issue(*at, specs, now=self._now, force=action is Action.REPLACE)
+            case Action.SIGN_PERMISSIONS:
+                sign_permissions(*at, [members[name].spec() for name in names], now=self._now)
             case Action.RENEW:
                 self._renew(names)
             case Action.REVOKE:
                 revoke(*at, names, reason=Reason.CESSATION_OF_OPERATION, now=self._now)
-            case Action.LIST:
+            case Action.RENEW_CRL:
                 renew_list(*at, now=self._now)
 
     def _renew(self, names: list[str]) -> None:

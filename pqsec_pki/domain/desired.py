@@ -20,9 +20,9 @@ from pqsec_pki.documents.parts_yaml import (
     rules_in,
     told,
 )
-from pqsec_pki.domain._blanks import filled, own_values
+from pqsec_pki.domain._placeholders import filled, own_values
 from pqsec_pki.errors import located
-from pqsec_pki.keystore import Wish
+from pqsec_pki.keystore import ParticipantSpec
 
 EDITION = 1
 """Of what roles mean. Counted up when the same words come to mean other rules, so that the
@@ -44,7 +44,7 @@ class Role:
     label: str
     item: Table = field(repr=False)
     """Only ROLE_KEYS."""
-    blanks: frozenset[str]
+    placeholders: frozenset[str]
     """What it leaves open."""
     digest: str
     domains: DomainSet | None
@@ -52,7 +52,7 @@ class Role:
 
     def grant(self, name: str, domains: DomainSet, values: Mapping[str, str]) -> Grant:
         """What `name` may do in this role; InvalidDocumentError with the lines at fault."""
-        if self.blanks:
+        if self.placeholders:
             rules, default = rules_of(filled(self.item, {**values, **own_values(name)}), domains)
         else:
             rules, default = _read_once(self, domains)
@@ -82,20 +82,20 @@ class Member:
     """Where its own request is, or will be; None if its keys are made here."""
 
     @property
-    def mark(self) -> str:
+    def config_digest(self) -> str:
         """Differs whenever what it may do does: SHA-256, in hex."""
-        return _mark(self.role.digest, self.domains, tuple(sorted(self.values.items())))
+        return _config_digest(self.role.digest, self.domains, tuple(sorted(self.values.items())))
 
-    def wish(self) -> Wish:
+    def spec(self) -> ParticipantSpec:
         """What `issue` and `permit` take; InvalidDocumentError where the role is wrong for it."""
         with located(self.source):
             grant = told(lambda: self.role.grant(self.name, self.domains, self.values))
-        return Wish(
+        return ParticipantSpec(
             name=self.name,
             domains=self.domains,
             validity=self.validity,
             grants=(grant,),
-            mark=self.mark,
+            config_digest=self.config_digest,
         )
 
 
@@ -119,7 +119,7 @@ class Desired:
     """Whether to revoke participants that it does not name."""
 
     @cached_property
-    def governance_mark(self) -> str:
+    def governance_digest(self) -> str:
         """Differs whenever the governance does."""
         return hashlib.sha256(repr(self.governance).encode()).hexdigest()
 
@@ -157,7 +157,7 @@ def rules_of(item: Item, domains: DomainSet) -> tuple[tuple[Rule, ...], DefaultA
 
 
 @lru_cache(maxsize=1024)
-def _mark(digest: str, domains: DomainSet, values: tuple[tuple[str, str], ...]) -> str:
+def _config_digest(digest: str, domains: DomainSet, values: tuple[tuple[str, str], ...]) -> str:
     # Without the name: the mark stands in the ledger beside it.
     said = json.dumps([EDITION, digest, str(domains), values])
     return hashlib.sha256(said.encode()).hexdigest()

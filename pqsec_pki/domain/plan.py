@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
-from pqsec_pki.domain._needs import Needs
+from pqsec_pki.domain._reconcile import Reconciler
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Action, Blocked, Plan, Step
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Holdings, Keystore, Overlap, holdings, signed_governance, status
+from pqsec_pki.keystore import (
+    Keystore,
+    KeystoreState,
+    Overlap,
+    participant_states,
+    signed_governance,
+    status,
+)
 
 _TWO_CAS = "is not in the file, and nobody can be revoked while two identity CAs are trusted"
 _PLACE = {action: place for place, action in enumerate(Action)}
@@ -34,8 +41,8 @@ def plan(
     if keystore is None:
         return _from_nothing(desired)
     _refuse_another(desired, keystore)
-    actual = holdings(keystore)
-    needs = Needs(
+    actual = participant_states(keystore)
+    reconciler = Reconciler(
         profile=keystore.profile,
         keystore=keystore,
         ca_ends=keystore.identity_ca.not_after,
@@ -43,15 +50,15 @@ def plan(
         now=now,
         new_keys=new_keys,
     )
-    return _Planner(desired, keystore, actual, needs, now, prune or desired.prune).plan()
+    return _Planner(desired, keystore, actual, reconciler, now, prune or desired.prune).plan()
 
 
 def _from_nothing(desired: Desired) -> Plan:
-    needs = Needs(profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE)
-    found = [each for member in desired.members.values() for each in needs.of(member, None)]
+    reconciler = Reconciler(profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE)
+    found = [each for member in desired.members.values() for each in reconciler.of(member, None)]
     steps = [
-        Step(Action.MAKE, "", "there is no keystore"),
-        Step(Action.GOVERN, "", "there is no keystore"),
+        Step(Action.CREATE_CAS, "", "there is no keystore"),
+        Step(Action.SIGN_GOVERNANCE, "", "there is no keystore"),
         *(each for each in found if isinstance(each, Step)),
     ]
     return Plan(tuple(steps), tuple(each for each in found if isinstance(each, Blocked)), (), 0)
@@ -76,8 +83,8 @@ def _refuse_another(desired: Desired, keystore: Keystore) -> None:
 class _Planner:
     desired: Desired
     keystore: Keystore
-    actual: Holdings
-    needs: Needs
+    actual: KeystoreState
+    reconciler: Reconciler
     now: datetime
     prune: bool
 
@@ -85,10 +92,10 @@ class _Planner:
         steps: list[Step] = []
         blocked: list[Blocked] = []
         unchanged = 0
-        if why := self._why_govern():
-            steps.append(Step(Action.GOVERN, "", why))
+        if why := self._why_sign_governance():
+            steps.append(Step(Action.SIGN_GOVERNANCE, "", why))
         for member in self.desired.members.values():
-            found = list(self.needs.of(member, self.actual.participants.get(member.name)))
+            found = list(self.reconciler.of(member, self.actual.participants.get(member.name)))
             steps += [each for each in found if isinstance(each, Step)]
             blocked += [each for each in found if isinstance(each, Blocked)]
             unchanged += not found
@@ -104,15 +111,15 @@ class _Planner:
         unlisted = () if self.prune else others
         return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, self.actual.head)
 
-    def _why_govern(self) -> str:
-        mark = self.actual.governance_mark
-        if mark is None:
+    def _why_sign_governance(self) -> str:
+        config_digest = self.actual.governance_digest
+        if config_digest is None:
             return "the file there is not the one signed last"
-        if mark == self.desired.governance_mark:
+        if config_digest == self.desired.governance_digest:
             return ""
-        if not mark and signed_governance(self.keystore) == self.desired.governance:
+        if not config_digest and signed_governance(self.keystore) == self.desired.governance:
             return ""  # by other means, but the same
-        return "it was changed" if mark else "it says something else"
+        return "it was changed" if config_digest else "it says something else"
 
     def _others(self) -> tuple[str, ...]:
         """Whom somebody would still take for a participant, and the file does not name."""
@@ -120,7 +127,7 @@ class _Planner:
             name
             for name, held in self.actual.participants.items()
             if name not in self.desired.members
-            and not (held.revoked or held.stranded)
+            and not (held.revoked or held.issued_by_previous_ca)
             and held.not_after >= self.now
         )
 
@@ -131,4 +138,6 @@ class _Planner:
             return []
         shared = status(self.keystore, (), now=self.now, due=self.desired.renew_before)
         ends = [term.not_after for term in shared.shared if term.kind == "crl"]
-        return [Step(Action.LIST, "", f"ends {end:%Y-%m-%d}") for end in ends if shared.list_is_due]
+        return [
+            Step(Action.RENEW_CRL, "", f"ends {end:%Y-%m-%d}") for end in ends if shared.list_is_due
+        ]

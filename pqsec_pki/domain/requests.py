@@ -9,9 +9,9 @@ from pqsec_pki._files import read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain.desired import Member
-from pqsec_pki.enrolment import admit
+from pqsec_pki.enrolment import validate_csrs
 from pqsec_pki.errors import FileError, KeystoreError, PqsecError, VerificationError, located
-from pqsec_pki.keystore import PublicKeys, Wish, key_hashes
+from pqsec_pki.keystore import ParticipantSpec, PublicKeys, key_hashes
 
 MAX_FILE = 1 << 20
 """Bytes. A request with the largest keys has 20 kB."""
@@ -31,7 +31,7 @@ def admitted(member: Member, profile: Profile) -> PublicKeys | None:
     if member.request is None:
         return None
     with located(member.request):
-        return admit([_read(member.request)], profile, names=[member.name])[member.name]
+        return validate_csrs([_read(member.request)], profile, names=[member.name])[member.name]
 
 
 def asks_for_other_keys(member: Member, certified: str) -> bool:
@@ -47,7 +47,7 @@ def asks_for_other_keys(member: Member, certified: str) -> bool:
     return True
 
 
-def wish_of(member: Member, profile: Profile, planned: str) -> Wish:
+def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:
     """What `issue` takes, for the keys of its request if it has one; errors as with both.
 
     VerificationError also if they are not those `planned`, by their hashes; KeystoreError if
@@ -62,7 +62,7 @@ def wish_of(member: Member, profile: Profile, planned: str) -> Wish:
             f"{member.request}: it is for another key than when the plan was made",
             hint="apply again; who else can write there?",
         )
-    return replace(member.wish(), keys=keys)
+    return replace(member.spec(), keys=keys)
 
 
 def hashes_in(keys: PublicKeys | None) -> str:

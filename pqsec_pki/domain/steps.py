@@ -7,14 +7,14 @@ from enum import StrEnum
 class Action(StrEnum):
     """What a step does, in the order in which steps are taken."""
 
-    MAKE = "make"
-    GOVERN = "govern"
+    CREATE_CAS = "create-cas"
+    SIGN_GOVERNANCE = "sign-governance"
     ISSUE = "issue"
     REPLACE = "replace"
-    PERMIT = "permit"
+    SIGN_PERMISSIONS = "sign-permissions"
     RENEW = "renew"
     REVOKE = "revoke"
-    LIST = "list"
+    RENEW_CRL = "renew-crl"
 
     @property
     def words(self) -> str:
@@ -23,14 +23,14 @@ class Action(StrEnum):
 
 
 _WORDS = {
-    Action.MAKE: "make the CAs",
-    Action.GOVERN: "sign the governance",
+    Action.CREATE_CAS: "create the CAs",
+    Action.SIGN_GOVERNANCE: "sign the governance",
     Action.ISSUE: "issue",
-    Action.REPLACE: "issue anew",
-    Action.PERMIT: "sign permissions for",
+    Action.REPLACE: "issue again",
+    Action.SIGN_PERMISSIONS: "sign permissions for",
     Action.RENEW: "renew",
     Action.REVOKE: "revoke",
-    Action.LIST: "renew the revocation list",
+    Action.RENEW_CRL: "renew the revocation list",
 }
 
 

@@ -4,12 +4,12 @@ For the commands on the robot (request, install, rollback) and those where the C
 (issue --csr, bundle, sign-request). A bundle is the one file that goes to a robot.
 """
 
-from pqsec_pki.enrolment.admission import NAMELESS, admit, name_asked_for
 from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.credential_store import InstalledSet
+from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.enrolment.install import Installed, install, rollback
 from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
 from pqsec_pki.enrolment.outbox import refresh
-from pqsec_pki.enrolment.place import InstalledSet
 from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
 from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
 from pqsec_pki.enrolment.trust import Pins, pins_of
@@ -26,7 +26,6 @@ __all__ = [
     "SignRequest",
     "VerifiedBundle",
     "accept",
-    "admit",
     "fingerprint",
     "flat_name",
     "install",
@@ -41,5 +40,6 @@ __all__ = [
     "save",
     "seal",
     "sign",
+    "validate_csrs",
     "verify_bundle",
 ]

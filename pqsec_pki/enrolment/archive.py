@@ -1,100 +1,96 @@
-"""Files in one file: tar in gzip, the same bytes for the same files.
+"""A parcel: files that travel together, and a manifest that says what each must be.
 
-Read with care, because it comes from elsewhere: plain files only, under relative names,
-few and small, and nothing is unpacked to the disk.
+The manifest is not signed. It shows damage and mistakes; whom to believe, the
+signatures inside the files say.
 """
 
-import gzip
-import io
-import re
-import tarfile
-import zlib
-from collections.abc import Iterator, Mapping
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Self
 
-from pqsec_pki.errors import MalformedError, shown
+from pqsec_pki.enrolment import tarball
+from pqsec_pki.errors import MalformedError, VerificationError, shown
 
-MAX_ARCHIVE = 32 << 20
-"""Bytes, packed. A participant with profile cnsa2 has 60 kB."""
-MAX_CONTENT = 64 << 20
-"""Bytes, unpacked: deflate could make a thousand of one."""
-MAX_MEMBERS = 20_000
-"""Files: two thousand participants and more."""
-_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*(/[A-Za-z0-9_+-][A-Za-z0-9_.+-]*)*")
-"""Relative; no part begins with a dot, so none is `.` or `..`."""
-_GZIP = bytes.fromhex("1f8b0800000000")
-"""Deflate, no name, no time; what follows says how hard it was pressed, and where."""
-_GZIPPED = 31
-"""zlib's word for gzip alone."""
-_UNREADABLE = (
-    *(tarfile.TarError, ValueError, EOFError, OSError, RecursionError),
-    *(LookupError, ArithmeticError),  # a sparse map that is cut, a size past every limit
-)
-"""What tarfile raises on archives that nobody packed."""
+FORMAT = 1
+MANIFEST = "manifest.json"
+MAX_MANIFEST = 8 << 20
+"""Bytes: as many files as an archive may have need 3 MB. Parsed, it takes many times more."""
 
 
-def pack(files: Mapping[str, bytes]) -> bytes:
-    """The archive of `files`, by name."""
-    out = io.BytesIO()
-    with tarfile.open(fileobj=out, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for name in sorted(files):
-            member = tarfile.TarInfo(name)
-            member.size, member.mode = len(files[name]), 0o600
-            archive.addfile(member, io.BytesIO(files[name]))
-    return gzip.compress(out.getvalue(), mtime=0)
+@dataclass(frozen=True, slots=True)
+class Archive:
+    """Files by name, and what the manifest says beside their hashes."""
+
+    kind: str
+    about: Mapping[str, Any]
+    files: Mapping[str, bytes] = field(repr=False)
+
+    def pack(self) -> bytes:
+        """One file; the same for the same parcel."""
+        hashes = {name: _sha256(data) for name, data in sorted(self.files.items())}
+        manifest = {"format": FORMAT, "kind": self.kind, **self.about, "files": hashes}
+        text = json.dumps(manifest, indent=2, sort_keys=True) + "\n"
+        return tarball.pack({**self.files, MANIFEST: text.encode()})
+
+    @classmethod
+    def unpack(cls, data: bytes, kind: str) -> Self:
+        """The parcel in `data`, complete and undamaged.
+
+        MalformedError if it is none of that kind, VerificationError, with all that is
+        wrong, if its files are not those of its manifest.
+        """
+        files = tarball.unpack(data)
+        try:
+            text = files.pop(MANIFEST)
+            if len(text) > MAX_MANIFEST:
+                raise MalformedError(f"a manifest of more than {MAX_MANIFEST} bytes")
+            manifest = json.loads(text)
+            if manifest["format"] != FORMAT:
+                raise MalformedError("made by another version of pqsec")
+            found, hashes = manifest["kind"], dict(manifest["files"])
+        except (KeyError, ValueError, TypeError, RecursionError):
+            raise MalformedError(f"not a {kind} of pqsec: no manifest that can be read") from None
+        if found != kind:
+            raise MalformedError(f"a {shown(str(found))}, not a {kind}")
+        _check(files, hashes)
+        about = {key: manifest[key] for key in manifest.keys() - {"format", "kind", "files"}}
+        return cls(kind, about, files)
+
+    def text(self, key: str) -> str:
+        """What the manifest says under `key`; MalformedError if that is no text."""
+        value = self.about.get(key)
+        if not isinstance(value, str):
+            raise MalformedError(f"the manifest does not say {key}")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """The same for a list of texts."""
+        value = self.about.get(key)
+        if not (isinstance(value, list) and all(isinstance(each, str) for each in value)):
+            raise MalformedError(f"the manifest does not say {key}")
+        return tuple(value)
+
+    def time(self, key: str) -> datetime:
+        """The same for a time, in UTC."""
+        try:
+            return datetime.fromisoformat(self.text(key)).astimezone(UTC)
+        except (ValueError, OverflowError):
+            raise MalformedError(f"the manifest does not say {key}") from None
 
 
-def unpack(data: bytes) -> dict[str, bytes]:
-    """The files in archive `data`, by name.
-
-    MalformedError if it is none, is too large, or has anything but plain files with
-    plain names.
-    """
-    content = _inflated(data)
-    files: dict[str, bytes] = {}
-    end = 0
-    try:
-        with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as archive:
-            for member in _members(archive):
-                if member.name in files:
-                    raise MalformedError(f"the archive has {member.name} twice")
-                file = archive.extractfile(member)
-                files[member.name] = file.read() if file else b""
-                if len(files[member.name]) != member.size:
-                    raise MalformedError(f"the archive ends within {member.name}")
-                end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
-    except _UNREADABLE as error:
-        raise MalformedError(f"not an archive: {error}") from error
-    if content[end:].strip(b"\0"):  # where tarfile cannot read on, it says that there is no more
-        raise MalformedError("the archive has something after its last file")
-    return files
+def _check(files: Mapping[str, bytes], hashes: Mapping[Any, Any]) -> None:
+    problems = [f"{shown(str(name))} is missing" for name in hashes if name not in files]
+    for name, data in files.items():
+        if name not in hashes:
+            problems.append(f"{name} is not in the manifest")
+        elif hashes[name] != _sha256(data):
+            problems.append(f"{name} is not what the manifest says (SHA-256)")
+    if problems:
+        raise VerificationError(*problems)
 
 
-def _inflated(data: bytes) -> bytes:
-    if len(data) > MAX_ARCHIVE:
-        raise MalformedError(f"an archive larger than {MAX_ARCHIVE} bytes")
-    if not data.startswith(_GZIP):
-        raise MalformedError("not an archive of pqsec: no plain gzip header")
-    machine = zlib.decompressobj(_GZIPPED)
-    try:
-        content = machine.decompress(data, MAX_CONTENT + 1)
-    except zlib.error as error:
-        raise MalformedError(f"the archive is damaged: {error}") from error
-    if len(content) > MAX_CONTENT:
-        raise MalformedError(f"an archive of more than {MAX_CONTENT} bytes")
-    if not machine.eof:
-        raise MalformedError("the archive is cut short")
-    if machine.unused_data:
-        raise MalformedError("something follows the archive")
-    return content
-
-
-def _members(archive: tarfile.TarFile) -> Iterator[tarfile.TarInfo]:
-    for count, member in enumerate(archive, start=1):
-        if count > MAX_MEMBERS:
-            raise MalformedError(f"an archive of more than {MAX_MEMBERS} files")
-        # Not isreg(): that takes sparse files too, whose size is anybody's word.
-        if member.type != tarfile.REGTYPE or member.pax_headers or member.sparse is not None:
-            raise MalformedError(f"{shown(member.name)} in the archive is not a plain file")
-        if not _NAME.fullmatch(member.name):
-            raise MalformedError(f"the archive has a file called {shown(member.name)!r}")
-        yield member
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

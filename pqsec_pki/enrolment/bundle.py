@@ -24,7 +24,7 @@ from pqsec_pki.credentials import (
     certificates_in,
     verify_credentials,
 )
-from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UsageError, shown
 from pqsec_pki.keystore import Keystore, enclave_files, regular_name
 from pqsec_pki.problems import Code
@@ -60,12 +60,12 @@ class Bundle:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The bundle in `data`; MalformedError or VerificationError as Parcel.unpack."""
-        parcel = Parcel.unpack(data, KIND)
-        enclaves: dict[str, dict[str, bytes]] = {name: {} for name in parcel.texts("names")}
+        """The bundle in `data`; MalformedError or VerificationError as Archive.unpack."""
+        archive = Archive.unpack(data, KIND)
+        enclaves: dict[str, dict[str, bytes]] = {name: {} for name in archive.texts("names")}
         if not enclaves:
             raise MalformedError("the bundle is for nobody")
-        for path, content in parcel.files.items():
+        for path, content in archive.files.items():
             folder, _, file = path.rpartition("/")
             name = folder.removeprefix(ENCLAVES)
             if not folder.startswith(f"{ENCLAVES}/") or name not in enclaves or file not in FILES:
@@ -73,8 +73,8 @@ class Bundle:
             enclaves[name][file] = content
         for name, files in enclaves.items():
             _check_complete(name, files)
-        bundle = cls(parcel.time("created"), enclaves)
-        if sorted(bundle.fingerprints) != sorted(parcel.texts("ca_sha256")):
+        bundle = cls(archive.time("created"), enclaves)
+        if sorted(bundle.fingerprints) != sorted(archive.texts("ca_sha256")):
             raise MalformedError("the manifest names other CAs than the bundle holds")
         return bundle
 
@@ -90,7 +90,7 @@ class Bundle:
             "created": self.created.isoformat(),
             "ca_sha256": list(self.fingerprints),
         }
-        return Parcel(KIND, about, files).pack()
+        return Archive(KIND, about, files).pack()
 
     @cached_property
     def sha256(self) -> str:

@@ -9,11 +9,11 @@ from pathlib import Path
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
 from pqsec_pki.credentials import KEYS, REVOCATION_LIST, Credentials, VerifiedCredentials
-from pqsec_pki.enrolment.archive import MAX_ARCHIVE
 from pqsec_pki.enrolment.bundle import Bundle
-from pqsec_pki.enrolment.place import CURRENT, InstalledSet, Place, changing
+from pqsec_pki.enrolment.credential_store import CURRENT, CredentialStore, InstalledSet, changing
 from pqsec_pki.enrolment.request import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.enrolment.trust import Marks, Pins, TrustState, pin_problems, pins_in
 from pqsec_pki.enrolment.verification import VerifiedBundle, keys_of, verify_bundle
 from pqsec_pki.errors import (
@@ -64,26 +64,26 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     error, nothing has changed.
     """
     data = read(path, limit=MAX_FILE)
-    with changing(root) as place, located(path):
+    with changing(root) as store, located(path):
         bundle = Bundle.from_bytes(_opened(data, root))
-        before = place.current
-        state = _trust_state(place, before, needed=not (pins and older))
+        before = store.current
+        state = _trust_state(store, before, needed=not (pins and older))
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         found = _verified(bundle, trusted, now)
         newer = _raised(state, found.credentials, trusted)
         if not older:
             _refuse_older(found.credentials, newer)
-        keys = {each.name: _keys(each, bundle, place) for each in found.verified}
+        keys = {each.name: _keys(each, bundle, store) for each in found.verified}
         others = {} if alone else _others(before, bundle, found)
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
         already = before is not None and before.enclaves == wanted
         if already:
-            place.trust(newer)
+            store.trust(newer)
         else:
-            place.put(wanted, newer, now)
-        place.tidy(keys)  # also what a killed installation left
-        return _told(found, place, already=already)
+            store.put(wanted, newer, now)
+        store.tidy(keys)  # also what a killed installation left
+        return _told(found, store, already=already)
 
 
 def rollback(root: Path, *, older: bool = False) -> InstalledSet:
@@ -94,14 +94,14 @@ def rollback(root: Path, *, older: bool = False) -> InstalledSet:
     installed, unless `older`. What was seen here stays known: no older bundle can be installed
     afterwards either.
     """
-    with changing(root) as place:
-        current = place.current
+    with changing(root) as store:
+        current = store.current
         if current is None:
             raise KeystoreError(f"nothing is installed in {root}")
         if current.previous is None or not (current.path.parent / current.previous).is_dir():
             raise KeystoreError(f"{root} keeps nothing from before {current.at:%Y-%m-%d %H:%M} UTC")
-        earlier = place.set_named(current.previous)
-        state = _trust_state(place, current, needed=not older)
+        earlier = store.set_named(current.previous)
+        state = _trust_state(store, current, needed=not older)
         if state and not older:
             _refuse_rollback(earlier, state)
         else:
@@ -110,8 +110,8 @@ def rollback(root: Path, *, older: bool = False) -> InstalledSet:
             if state is None:
                 with suppress(PqsecError):  # what cannot be read has shown nothing
                     seen += _installed(current)
-            place.trust(_raised(state, seen, pins))
-        place.point_to(current.previous)
+            store.trust(_raised(state, seen, pins))
+        store.point_to(current.previous)
         return earlier
 
 
@@ -129,13 +129,15 @@ def _opened(data: bytes, root: Path) -> bytes:
     return open_sealed(data, opener)
 
 
-def _trust_state(place: Place, before: InstalledSet | None, *, needed: bool) -> TrustState | None:
+def _trust_state(
+    store: CredentialStore, before: InstalledSet | None, *, needed: bool
+) -> TrustState | None:
     """The trust state here: as saved, or, where an older pqsec installed, from what is installed.
 
     None where nothing is, or, unless it is `needed`, where it cannot be read.
     """
     try:
-        state = place.trust_state
+        state = store.trust_state
         if state or before is None:
             return state
         installed = _installed(before)
@@ -238,17 +240,19 @@ def _same_authorities(one: Bundle, other: Bundle) -> bool:
         return False
 
 
-def _keys(verified: VerifiedCredentials, bundle: Bundle, place: Place) -> Mapping[str, bytes]:
+def _keys(
+    verified: VerifiedCredentials, bundle: Bundle, store: CredentialStore
+) -> Mapping[str, bytes]:
     """The private keys: from the bundle, or made or installed here before."""
     name = verified.name
     inside = {key: data for key, data in bundle.enclaves[name].items() if key in KEYS}
-    return keys_of(verified, [inside] if inside else place.keys(name))
+    return keys_of(verified, [inside] if inside else store.keys(name))
 
 
-def _told(found: VerifiedBundle, place: Place, *, already: bool) -> Installed:
+def _told(found: VerifiedBundle, store: CredentialStore, *, already: bool) -> Installed:
     return Installed(
         names=tuple(each.name for each in found.verified),
         not_after=min(each.certificate.not_after for each in found.verified),
-        current=place.root / CURRENT,
+        current=store.root / CURRENT,
         already=already,
     )

@@ -17,13 +17,13 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, only_certificate
 from pqsec_pki.documents import Permissions
-from pqsec_pki.enrolment.admission import admit
-from pqsec_pki.enrolment.archive import MAX_ARCHIVE
+from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
-from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.enrolment.csr_validation import validate_csrs
+from pqsec_pki.enrolment.participant_spec import policy_file, read_spec, spec_value
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.enrolment.trust import Pins
 from pqsec_pki.enrolment.verification import verify_bundle
-from pqsec_pki.enrolment.wishes import policy_file, read_wish, wish_value
 from pqsec_pki.errors import (
     ExistsError,
     MalformedError,
@@ -32,7 +32,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
+from pqsec_pki.keystore import Authorities, Keystore, ParticipantSpec, issue
 
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
 MAX_UNPACKED = 256 << 20
@@ -44,7 +44,7 @@ class SignRequest:
     """Requests of robots, and what each shall be allowed."""
 
     requests: tuple[CertificateRequest, ...]
-    wishes: tuple[Wish, ...]
+    specs: tuple[ParticipantSpec, ...]
     """One for each request, in their order."""
     sha256: str = ""
     """Of the file it was read from, in hex."""
@@ -52,44 +52,45 @@ class SignRequest:
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """MalformedError if `data` is none, VerificationError if it is damaged."""
-        parcel = Parcel.unpack(data, REQUEST_KIND)
+        archive = Archive.unpack(data, REQUEST_KIND)
         try:
-            wishes = tuple(read_wish(each, parcel.files) for each in parcel.about["wishes"])
-            pems = [parcel.files[_request_file(wish.name)] for wish in wishes]
+            specs = tuple(read_spec(each, archive.files) for each in archive.about["wishes"])
+            pems = [archive.files[_request_file(spec.name)] for spec in specs]
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise MalformedError(f"the {REQUEST_KIND} cannot be read: {error}") from error
         except UsageError as error:
             raise MalformedError(f"the {REQUEST_KIND} cannot be met: {error}") from error
-        if not wishes:
+        if not specs:
             raise MalformedError(f"the {REQUEST_KIND} asks for nothing")
         requests = tuple(map(CertificateRequest.from_pem, pems))
-        return cls(requests, wishes, hashlib.sha256(data).hexdigest())
+        return cls(requests, specs, hashlib.sha256(data).hexdigest())
 
     def to_bytes(self, *, now: datetime) -> bytes:
         """The request as a file."""
         files: dict[str, bytes] = {}
-        for request, wish in zip(self.requests, self.wishes, strict=True):
-            files[_request_file(wish.name)] = request.pem
-            if wish.grants:
-                files[policy_file(wish.name)] = Permissions(grants=wish.grants).to_xml()
+        for request, spec in zip(self.requests, self.specs, strict=True):
+            files[_request_file(spec.name)] = request.pem
+            if spec.grants:
+                files[policy_file(spec.name)] = Permissions(grants=spec.grants).to_xml()
         about = {
             "created": now.isoformat(timespec="seconds"),
-            "wishes": [wish_value(wish) for wish in self.wishes],
+            "wishes": [spec_value(spec) for spec in self.specs],
         }
-        return Parcel(REQUEST_KIND, about, files).pack()
+        return Archive(REQUEST_KIND, about, files).pack()
 
-    def admitted(self, profile: Profile, patterns: Collection[str] = ()) -> tuple[Wish, ...]:
+    def admitted(
+        self, profile: Profile, patterns: Collection[str] = ()
+    ) -> tuple[ParticipantSpec, ...]:
         """The wishes with their keys, if each request is for its wish's name and holds.
 
         With `patterns`, the names must fit one of them as well. VerificationError if not.
         """
-        names = [wish.name for wish in self.wishes]
-        keys = admit(self.requests, profile, names=names)
+        names = [spec.name for spec in self.specs]
+        keys = validate_csrs(self.requests, profile, names=names)
         if patterns:
-            admit(self.requests, profile, patterns=patterns)
+            validate_csrs(self.requests, profile, patterns=patterns)
         return tuple(
-            replace(wish, keys=keys[wish.name]._replace(request=self.sha256))
-            for wish in self.wishes
+            replace(spec, keys=keys[spec.name]._replace(request=self.sha256)) for spec in self.specs
         )
 
 
@@ -109,13 +110,13 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     What was issued for this very request before, and is the newest still, is not issued
     again. Errors as with `admit` and `issue`.
     """
-    wishes = asked.admitted(keystore.profile, patterns)
+    specs = asked.admitted(keystore.profile, patterns)
     done = {
         entry.name: entry.details.get("request")
         for entry in keystore.ledger()
         if entry.kind == "participant"
     }
-    new = [wish for wish in wishes if done.get(wish.name) != asked.sha256]
+    new = [spec for spec in specs if done.get(spec.name) != asked.sha256]
     if new:
         issue(
             keystore,
@@ -127,15 +128,15 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
             compromised_keys=compromised_keys,
         )
     files = {
-        _bundle_file(wish.name): Bundle.of(keystore, [wish.name], now=now, keys=False).to_bytes()
-        for wish in wishes
+        _bundle_file(spec.name): Bundle.of(keystore, [spec.name], now=now, keys=False).to_bytes()
+        for spec in specs
     }
     about = {
         "created": now.isoformat(timespec="seconds"),
         "request_sha256": asked.sha256,
-        "names": [wish.name for wish in wishes],
+        "names": [spec.name for spec in specs],
     }
-    return Parcel(ANSWER_KIND, about, files).pack()
+    return Archive(ANSWER_KIND, about, files).pack()
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +164,7 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
     its CAs must be these. ExistsError for another bundle in the place of one, unless
     `force`.
     """
-    bundles = _answers(Parcel.unpack(answer, ANSWER_KIND), asked)
+    bundles = _answers(Archive.unpack(answer, ANSWER_KIND), asked)
     for bundle in bundles.values():
         verify_bundle(bundle, pins or bundle.roles, now=now)
     goals = {name: folder / f"{flat_name(name)}.bundle" for name in bundles}
@@ -173,14 +174,14 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
     return [Accepted(name, goal, name in there) for name, goal in goals.items()]
 
 
-def _answers(parcel: Parcel, asked: SignRequest) -> dict[str, Bundle]:
+def _answers(archive: Archive, asked: SignRequest) -> dict[str, Bundle]:
     """The bundles by name: one for each request, for its keys, and no others."""
-    if parcel.text("request_sha256") != asked.sha256:
+    if archive.text("request_sha256") != asked.sha256:
         raise VerificationError("it answers another request than this one")
-    names = [wish.name for wish in asked.wishes]
-    if sorted(parcel.files) != sorted(map(_bundle_file, names)):
+    names = [spec.name for spec in asked.specs]
+    if sorted(archive.files) != sorted(map(_bundle_file, names)):
         raise VerificationError("it does not answer each request once")
-    found = dict(_bundles_in(parcel, names))
+    found = dict(_bundles_in(archive, names))
     problems = []
     for (name, bundle), request in zip(found.items(), asked.requests, strict=True):
         if bundle.names != (name,):
@@ -192,11 +193,11 @@ def _answers(parcel: Parcel, asked: SignRequest) -> dict[str, Bundle]:
     return found
 
 
-def _bundles_in(parcel: Parcel, names: Sequence[str]) -> Iterator[tuple[str, Bundle]]:
+def _bundles_in(archive: Archive, names: Sequence[str]) -> Iterator[tuple[str, Bundle]]:
     """Each could be packed a thousandfold, so all together have a limit too."""
     size = 0
     for name in names:
-        bundle = Bundle.from_bytes(parcel.files[_bundle_file(name)])
+        bundle = Bundle.from_bytes(archive.files[_bundle_file(name)])
         size += sum(len(data) for files in bundle.enclaves.values() for data in files.values())
         if size > MAX_UNPACKED:
             raise MalformedError(f"bundles of more than {MAX_UNPACKED} bytes")

@@ -6,8 +6,8 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import read
-from pqsec_pki.enrolment.archive import MAX_ARCHIVE
 from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import ExistsError, PqsecError
 from pqsec_pki.keystore import Keystore
 

@@ -16,7 +16,7 @@ from pqsec_pki.algorithms import Profile, SealingPrivateKey, private_key_pem
 from pqsec_pki.certificates import CertificateRequest, certificate_request
 from pqsec_pki.credentials import ALT_KEY, KEY
 from pqsec_pki.enrolment._own_folder import DRAFT, make_private
-from pqsec_pki.enrolment.place import Place, changing
+from pqsec_pki.enrolment.credential_store import CredentialStore, changing
 from pqsec_pki.enrolment.sealed import fingerprint
 from pqsec_pki.keystore import regular_name
 
@@ -44,8 +44,8 @@ def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> 
     key, second = profile.participant_key.generate(), profile.alternative_key
     alternative = second.generate() if second else None
     made = certificate_request(regular, key, alternative)
-    with changing(root) as place:
-        goal = place.request_folder(regular)
+    with changing(root) as store:
+        goal = store.request_folder(regular)
         if not force:
             refuse_existing(goal)
         make_private(goal.parent)
@@ -56,7 +56,7 @@ def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> 
             create(draft / ALT_KEY, private_key_pem(alternative), mode=PRIVATE_MODE)
         create(draft / REQUEST, made.pem, mode=PUBLIC_MODE)
         sync_filesystem(draft)
-        _replace(place, draft, goal)
+        _replace(store, draft, goal)
     return Requested(regular, goal / REQUEST, made)
 
 
@@ -76,7 +76,7 @@ def make_sealing_key(root: Path, *, force: bool = False) -> tuple[Path, str]:
     return root / SEALING_PUBLIC_KEY, fingerprint(key.public_key)
 
 
-def _replace(place: Place, draft: Path, goal: Path) -> None:
+def _replace(store: CredentialStore, draft: Path, goal: Path) -> None:
     if goal.exists():
-        place.remove(goal)
+        store.remove(goal)
     draft.rename(goal)

@@ -1,60 +1,58 @@
-"""A keystore: the folder where CAs, participants and documents are kept.
+"""The keystore: the folder with the CAs, the enclaves and the documents of a domain.
 
-The only room that knows what lies where on disk. SROS2's tools and ROS 2 itself can use
-the folder as it is.
+The only room that knows file paths. SROS2's tools and ROS 2 can use the folder as it is.
 
-What there is:
-    _layout       where each file lies
-    _settings     pqsec.json, read and written
-    participant   one participant, its files and what they say
-    authorities   the CAs, with their private keys
-    keystore      the folder, made and opened
+Its content:
+    _layout       where each file is
+    _settings     reads and writes pqsec.json
+    participant   the files of one participant, and their content
+    authorities   the CAs with their private keys
+    keystore      opens and creates the folder
 The ledger:
-    _chain        a line, and how it holds the one before
+    _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
-    _ledger_file  the database's file, read and replaced whole
-    _ledger       the database, and what it is asked
-    _entries      the lines on what is made
-Changing anything:
-    _folder       folders by handle, through no link
+    _ledger_file  reads the database file, and replaces it as a whole
+    _ledger       the database and its queries
+    _entries      the lines for what is issued and signed
+Changes:
+    _folder       access to folders by descriptor, never through a link
     _lock         one command at a time
-    _draft        what shall be done
-    _journal      done wholly or not at all
+    _transaction  the files and lines of a change, before it is committed
+    _journal      commits a change wholly or not at all
     _moves        what a committed change still has to do
-    _shredding    private keys that go
+    _shredding    overwrites private keys that are removed
 Participants and documents:
-    issuing       new participants; `_making`, what one runs with
-    renewing      the same again; `_inspector`, what was the newest of its own
-    signing       new documents for what is there
-    revoking      taking back, and the revocation list
-    compromised   keys that nobody may have any more
+    issuing       issues new participants; `_issuer` makes their files
+    renewing      renews participants; `_inspector` finds the newest files of each
+    signing       signs governance and permissions again
+    revoking      revokes certificates and issues revocation lists
+    compromised   finds keys that were revoked as compromised
 CAs:
-    rotating      new ones; `rollover`, which and for whom; `_turn`, each of its parts;
-                  `foreseeing`, the same told beforehand
-    overlapping   new ones while the old are trusted; `overlap`, what a keystore says of that
-    passphrase    another one
-    adopting      those that others made; `_survey`, what is there
+    rotating      replaces CAs; `rollover` has the options, `rollover_plan` the preview,
+                  `_rollover_transaction` the steps
+    overlapping   replaces the identity CA while the old one is still trusted; `overlap` tells
+                  how far that is
+    passphrase    changes the passphrase of the CA keys
+    adopting      turns a keystore of others into one of pqsec; `_scan` finds what it contains
 Questions:
-    status        how long everything lasts
-    holdings      what each participant has, and whether its files are that
-    auditing      whether the ledger is whole
+    status               when certificates, CAs and lists expire
+    participant_states   what each participant has, and whether its files are the issued ones
+    auditing             whether the ledger is intact
 """
 
 from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore._issuer import Issued, PublicKeys
 from pqsec_pki.keystore._layout import SETTINGS
 from pqsec_pki.keystore._layout import enclave_name as regular_name
-from pqsec_pki.keystore._making import Issued, PublicKeys
 from pqsec_pki.keystore.adopting import Adopted, adopt
 from pqsec_pki.keystore.auditing import audit
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.compromised import key_hashes
-from pqsec_pki.keystore.foreseeing import Outlook, foresee
-from pqsec_pki.keystore.holdings import Files, Holding, Holdings, holdings
-from pqsec_pki.keystore.issuing import Wish, issue
+from pqsec_pki.keystore.issuing import ParticipantSpec, issue
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap, Phase
 from pqsec_pki.keystore.overlapping import (
-    Begun,
+    BegunOverlap,
     begin_overlap,
     cancel_overlap,
     check_begin,
@@ -67,13 +65,25 @@ from pqsec_pki.keystore.participant import (
     load_participant,
     load_revocation_list,
 )
+from pqsec_pki.keystore.participant_states import (
+    Files,
+    KeystoreState,
+    ParticipantState,
+    participant_states,
+)
 from pqsec_pki.keystore.passphrase import change_passphrase
 from pqsec_pki.keystore.renewing import Renewal, renew
 from pqsec_pki.keystore.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
 from pqsec_pki.keystore.rollover import CA_VALIDITY, Rollover, Scope
+from pqsec_pki.keystore.rollover_plan import RolloverPlan, plan_rollover
 from pqsec_pki.keystore.rotating import Rotated, rotate
-from pqsec_pki.keystore.signing import govern, permit, sign_document, signed_governance
-from pqsec_pki.keystore.status import Standing, State, Status, Term, status
+from pqsec_pki.keystore.signing import (
+    sign_document,
+    sign_governance,
+    sign_permissions,
+    signed_governance,
+)
+from pqsec_pki.keystore.status import ParticipantStatus, SharedStatus, State, Status, status
 
 __all__ = [
     "CA_VALIDITY",
@@ -81,28 +91,28 @@ __all__ = [
     "SETTINGS",
     "Adopted",
     "Authorities",
-    "Begun",
+    "BegunOverlap",
     "Entry",
     "Files",
-    "Holding",
-    "Holdings",
     "Issued",
     "Keystore",
+    "KeystoreState",
     "Line",
-    "Outlook",
     "Overlap",
+    "ParticipantSpec",
+    "ParticipantState",
+    "ParticipantStatus",
     "Phase",
     "PublicKeys",
     "Renewal",
     "Revoked",
     "Rollover",
+    "RolloverPlan",
     "Rotated",
     "Scope",
-    "Standing",
+    "SharedStatus",
     "State",
     "Status",
-    "Term",
-    "Wish",
     "adopt",
     "audit",
     "begin_overlap",
@@ -111,21 +121,21 @@ __all__ = [
     "check_begin",
     "enclave_files",
     "finish_overlap",
-    "foresee",
-    "govern",
-    "holdings",
     "issue",
     "key_hashes",
     "load_certificate",
     "load_participant",
     "load_revocation_list",
-    "permit",
+    "participant_states",
+    "plan_rollover",
     "regular_name",
     "renew",
     "renew_list",
     "revoke",
     "rotate",
     "sign_document",
+    "sign_governance",
+    "sign_permissions",
     "signed_governance",
     "status",
     "switch_overlap",

@@ -70,13 +70,13 @@ class Folder:
         KeystoreError if the folder is another's, or another may write in it.
         """
         self.refuse_outsiders()
-        draft = f".{name}.{secrets.token_hex(8)}"
+        transaction = f".{name}.{secrets.token_hex(8)}"
         try:
-            create(draft, data, mode=PRIVATE_MODE, sync=True, folder=self.handle)
-            os.replace(draft, name, src_dir_fd=self.handle, dst_dir_fd=self.handle)
+            create(transaction, data, mode=PRIVATE_MODE, sync=True, folder=self.handle)
+            os.replace(transaction, name, src_dir_fd=self.handle, dst_dir_fd=self.handle)
         except BaseException:
             with suppress(FileNotFoundError):
-                os.unlink(draft, dir_fd=self.handle)
+                os.unlink(transaction, dir_fd=self.handle)
             raise
 
     @property

@@ -19,9 +19,9 @@ from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in
-from pqsec_pki.keystore.holdings import marks_in
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, refuse_unknown
+from pqsec_pki.keystore.participant_states import config_digests_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Inspector:
             frozenset(each.sha256 for each in ledger.of_kind("revocation")),
             ledger.newest_numbers("permissions"),
             ledger.numbers("permissions"),
-            marks_in(ledger),
+            config_digests_in(ledger),
             compromised_keys_in(keystore.root, ledger),
         )
 
@@ -71,18 +71,18 @@ class Inspector:
                 hint="if it may come back, `pqsec issue` it with --force --after-revocation",
             )
 
-    def stranded_of(self, names: Sequence[str]) -> list[str]:
+    def issued_by_previous_ca_of(self, names: Sequence[str]) -> list[str]:
         """Those whose newest certificate is an earlier identity CA's."""
         authority = self.keystore.identity_ca.fingerprint
         known = filter(None, map(self.certificates.get, names))
         return [each.name for each in known if each.issuer not in {None, authority}]
 
-    def refuse_stranded(self, names: Sequence[str]) -> None:
+    def refuse_previous_ca(self, names: Sequence[str]) -> None:
         """KeystoreError if any of them stayed behind when the CAs made way for others."""
-        stranded = self.stranded_of(names)
-        if stranded:
+        issued_by_previous_ca = self.issued_by_previous_ca_of(names)
+        if issued_by_previous_ca:
             raise KeystoreError(
-                f"stayed behind with an earlier CA: {', '.join(stranded)}",
+                f"stayed behind with an earlier CA: {', '.join(issued_by_previous_ca)}",
                 hint="`pqsec issue` it with --force and all that it may do; with --csr, if its"
                 " key is on the robot",
             )
@@ -120,7 +120,7 @@ class Inspector:
             self._refuse_edited(folder / _layout.PERMISSIONS_XML, document)
             return Permissions.from_xml(document)
 
-    def mark(self, name: str, folder: Path) -> str:
+    def config_digest(self, name: str, folder: Path) -> str:
         """What `name` was marked with; nothing if its permissions were signed by hand since."""
         number = self.known.get(hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest())
         return self.marks.get(name, "") if number == self.newest.get(name) else ""

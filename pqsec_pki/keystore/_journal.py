@@ -22,15 +22,15 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors, sync_filesystem
 from pqsec_pki.errors import InterruptedChangeError
 from pqsec_pki.keystore import _moves
-from pqsec_pki.keystore._draft import Draft
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moves import DRAFT, JOURNAL
+from pqsec_pki.keystore._transaction import Transaction
 
 
 @contextmanager
-def change(root: Path) -> Iterator[Draft]:
-    """Draft a change to the keystore at `root`; committed when the block ends well.
+def change(root: Path) -> Iterator[Transaction]:
+    """Stage a change to the keystore at `root`; committed when the block ends well.
 
     Only one process changes a keystore at a time. KeystoreError if another holds it for
     half a minute, or it is another user's, or others may write there; FileError if the disk
@@ -45,9 +45,9 @@ def change(root: Path) -> Iterator[Draft]:
             try:
                 os.mkdir(name, 0o700, dir_fd=folder.handle)
                 with folder.below(name) as made:
-                    draft = Draft(folder, made)
-                    yield draft
-                    _commit(draft, name)
+                    transaction = Transaction(folder, made)
+                    yield transaction
+                    _commit(transaction, name)
             except BaseException:
                 shutil.rmtree(name, ignore_errors=True, dir_fd=folder.handle)
                 raise
@@ -102,11 +102,11 @@ def refuse_interrupted(root: Path) -> None:
                 )
 
 
-def _commit(draft: Draft, name: str) -> None:
-    draft.refuse_folders()
-    _moves.write(draft)
-    sync_filesystem(draft.made.handle)
-    root = draft.root.handle
+def _commit(transaction: Transaction, name: str) -> None:
+    transaction.refuse_folders()
+    _moves.write(transaction)
+    sync_filesystem(transaction.made.handle)
+    root = transaction.root.handle
     os.rename(name, JOURNAL, src_dir_fd=root, dst_dir_fd=root)
     os.fsync(root)
 

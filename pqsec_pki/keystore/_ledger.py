@@ -37,7 +37,7 @@ class Newest(NamedTuple):
     at: str
     not_after: str
     issuer: str
-    mark: str
+    config_digest: str
     keys: str
     requests: int
     """How many of all its lines answer requests."""
@@ -121,7 +121,7 @@ class Ledger:
         with self._errors():
             yield from self._database.execute(_CERTIFIED, (until,))
 
-    def newest_marked(self, kind: str) -> Iterator[Newest]:
+    def newest_with_digest(self, kind: str) -> Iterator[Newest]:
         """The newest line of that kind on each name.
 
         Sorted by name, and one after the other: for thousands.

@@ -19,8 +19,8 @@ from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _layout, _ledger, _shredding
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._draft import Draft, refuse_detours
 from pqsec_pki.keystore._folder import Folder, should_be
+from pqsec_pki.keystore._transaction import Transaction, refuse_detours
 
 JOURNAL = ".journal"
 DRAFT = ".draft-"
@@ -66,16 +66,16 @@ class _Moves:
         return found
 
 
-def write(draft: Draft) -> None:
+def write(transaction: Transaction) -> None:
     """Into the draft's folder, what is to be done once it is committed."""
     moves = {
-        "targets": draft.targets,
-        "links": draft.links,
-        "removed": draft.removed,
-        "entries": [_VALUES(entry) for entry in draft.entries],
-        "begins_ledger": draft.begins_ledger,
+        "targets": transaction.targets,
+        "links": transaction.links,
+        "removed": transaction.removed,
+        "entries": [_VALUES(entry) for entry in transaction.entries],
+        "begins_ledger": transaction.begins_ledger,
     }
-    create(_NAME, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=draft.made.handle)
+    create(_NAME, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=transaction.made.handle)
 
 
 def finish(root: Folder) -> None:
@@ -120,13 +120,13 @@ def _move(journal: Folder, number: str, root: Folder, target: str) -> None:
 
 
 def _merge(journal: Folder, number: str, above: Folder, name: str) -> None:
-    with journal.below(number) as drafted, above.below(name) as goal:
-        mode = goal.mode & drafted.mode
+    with journal.below(number) as staged, above.below(name) as goal:
+        mode = goal.mode & staged.mode
         if mode != goal.mode:  # never wider than it was: the user may have closed it
             os.fchmod(goal.handle, mode)
         # The certificate last: with it, a folder is a participant.
-        for each in sorted(drafted.names, key=lambda name: (name == _layout.CERTIFICATE, name)):
-            os.replace(each, each, src_dir_fd=drafted.handle, dst_dir_fd=goal.handle)
+        for each in sorted(staged.names, key=lambda name: (name == _layout.CERTIFICATE, name)):
+            os.replace(each, each, src_dir_fd=staged.handle, dst_dir_fd=goal.handle)
     os.rmdir(number, dir_fd=journal.handle)
 
 

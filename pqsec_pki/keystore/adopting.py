@@ -24,9 +24,9 @@ from pqsec_pki.errors import (
     located,
 )
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._draft import Draft
+from pqsec_pki.keystore._scan import KeystoreScan
 from pqsec_pki.keystore._settings import settings_file
-from pqsec_pki.keystore._survey import Survey
+from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, load_first_certificate
 
@@ -60,35 +60,35 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
     the ledger.
     """
     _refuse_unfit(root)
-    with _journal.change(root) as draft:
+    with _journal.change(root) as transaction:
         _refuse_unfit(root)
         profile = _profile(root)
         keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
-        survey = Survey.of(keystore, now)
-        survey.look()
-        keystore = replace(keystore, domains=survey.domains)
-        _draft(draft, keystore, survey)
+        scan = KeystoreScan.of(keystore, now)
+        scan.look()
+        keystore = replace(keystore, domains=scan.domains)
+        _stage(transaction, keystore, scan)
     return Adopted(
         keystore=keystore,
-        participants=list(survey.participants.values()),
-        refused=survey.refused,
-        one_ca=survey.identity_ca.spki == survey.permissions_ca.spki,
+        participants=list(scan.participants.values()),
+        refused=scan.refused,
+        one_ca=scan.identity_ca.spki == scan.permissions_ca.spki,
         fitting=profile is not None,
     )
 
 
-def _draft(draft: Draft, keystore: Keystore, survey: Survey) -> None:
+def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> None:
     root = keystore.root
-    settings = draft.folder(".", private=False)
+    settings = transaction.folder(".", private=False)
     settings.public(_layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
     if not (root / _layout.PRIVATE).exists():
-        draft.folder(_layout.PRIVATE, private=True)
-    public = draft.folder(_layout.PUBLIC, private=False)
-    if survey.list_file and not keystore.has_revocation_list:
-        public.public(_layout.CA_LIST, read(survey.list_file))
-    for drafted, there in ((settings, root), (public, root / _layout.PUBLIC)):
-        drafted.set_mode(there.stat().st_mode & 0o777)  # so that it stays as it is
-    draft.record(*survey.entries)
+        transaction.folder(_layout.PRIVATE, private=True)
+    public = transaction.folder(_layout.PUBLIC, private=False)
+    if scan.list_file and not keystore.has_revocation_list:
+        public.public(_layout.CA_LIST, read(scan.list_file))
+    for staged, there in ((settings, root), (public, root / _layout.PUBLIC)):
+        staged.set_mode(there.stat().st_mode & 0o777)  # so that it stays as it is
+    transaction.record(*scan.entries)
 
 
 def _refuse_unfit(root: Path) -> None:

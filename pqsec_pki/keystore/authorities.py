@@ -25,8 +25,8 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._draft import DraftedFolder
 from pqsec_pki.keystore._entries import certificate_entry
+from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import Signer, sign
 
@@ -98,13 +98,13 @@ class Authorities:
 
     def write(
         self,
-        public: DraftedFolder,
-        private: DraftedFolder,
+        public: StagedFolder,
+        private: StagedFolder,
         passphrase: bytes | None,
         *,
         trusted: Certificate | None = None,
     ) -> None:
-        """Draft the certificates and, encrypted under `passphrase`, the keys.
+        """Stage the certificates and, encrypted under `passphrase`, the keys.
 
         `trusted` is another identity CA, which participants trust too: it comes behind.
         """
@@ -113,8 +113,8 @@ class Authorities:
             public.public(name, certificate.pem + behind)
         self.write_keys(private, passphrase)
 
-    def write_keys(self, private: DraftedFolder, passphrase: bytes | None) -> None:
-        """Draft the keys, encrypted under `passphrase`; None leaves them open."""
+    def write_keys(self, private: StagedFolder, passphrase: bytes | None) -> None:
+        """Stage the keys, encrypted under `passphrase`; None leaves them open."""
         keys = list(_keys(self))
         # Each encryption costs 600,000 hashes, and does not hold the interpreter.
         with ThreadPoolExecutor() as pool:

@@ -10,8 +10,8 @@ from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._draft import Draft, DraftedFolder
-from pqsec_pki.keystore._making import Issued, Maker, PublicKeys
+from pqsec_pki.keystore._issuer import Issued, Issuer, PublicKeys
+from pqsec_pki.keystore._transaction import StagedFolder, Transaction
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.compromised import compromised_keys_in, refuse_compromised, refuse_shared
 from pqsec_pki.keystore.keystore import Keystore
@@ -25,7 +25,7 @@ _SHARED_ALT = {_layout.PERMISSIONS_ALT_CA: f"{_layout.PUBLIC}/{_layout.PERMISSIO
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
+class ParticipantSpec:
     """What a participant shall be called and may do."""
 
     name: str
@@ -39,14 +39,14 @@ class Wish:
     """Of a policy: their rules hold in place of the domains and topics above."""
     keys: PublicKeys | None = None
     """Of a request that was checked; None to make new keys here."""
-    mark: str = ""
+    config_digest: str = ""
     """What the caller wants to find again in the ledger and in `holdings`, renewed or not."""
 
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,
     authorities: Authorities,
-    wishes: Sequence[Wish],
+    specs: Sequence[ParticipantSpec],
     *,
     now: datetime,
     force: bool = False,
@@ -55,61 +55,65 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
 ) -> list[Issued]:
     """Make every participant wished for; on any failure, none.
 
-    Names are taken as `Wish.name` says and must differ. ExistsError for participants
+    Names are taken as `ParticipantSpec.name` says and must differ. ExistsError for participants
     that are there already, unless `force`; KeystoreError for those that were revoked,
     unless `after_revocation`; VerificationError for keys that were revoked as compromised,
     unless `compromised_keys`, and for those of another participant; UsageError for a name,
     topic or validity that cannot be used.
     """
-    wishes = _checked(keystore, wishes, force=force)
-    maker = Maker(keystore, authorities, now)
-    with _journal.change(keystore.root) as draft:
+    specs = _checked(keystore, specs, force=force)
+    issuer = Issuer(keystore, authorities, now)
+    with _journal.change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
-        _refuse_issued(keystore, wishes, force=force)  # by another command, since
+        _refuse_issued(keystore, specs, force=force)  # by another command, since
         if not after_revocation:
-            _refuse_revoked(keystore, wishes)
-        _refuse_keys(keystore, wishes, now, compromised=compromised_keys)
+            _refuse_revoked(keystore, specs)
+        _refuse_keys(keystore, specs, now, compromised=compromised_keys)
         shared = _shared(keystore, authorities)
-        folders = [draft.folder(_layout.enclave_folder(wish.name), private=True) for wish in wishes]
-        for wish in wishes:
-            _clear(draft, wish)
-        issued = shared_out(partial(_make, maker, shared), wishes, folders)
+        folders = [
+            transaction.folder(_layout.enclave_folder(spec.name), private=True) for spec in specs
+        ]
+        for spec in specs:
+            _clear(transaction, spec)
+        issued = shared_out(partial(_make, issuer, shared), specs, folders)
         for each in issued:
-            draft.record(*each.entries)
+            transaction.record(*each.entries)
     return issued
 
 
-def _make(maker: Maker, shared: dict[str, str], wish: Wish, folder: DraftedFolder) -> Issued:
-    keys = wish.keys or maker.new_keys(folder)
-    certificate = maker.authorities.identity.issue(
-        wish.name, keys.key, alternative=keys.alternative, now=maker.now, validity=wish.validity
+def _make(
+    issuer: Issuer, shared: dict[str, str], spec: ParticipantSpec, folder: StagedFolder
+) -> Issued:
+    keys = spec.keys or issuer.new_keys(folder)
+    certificate = issuer.authorities.identity.issue(
+        spec.name, keys.key, alternative=keys.alternative, now=issuer.now, validity=spec.validity
     )
     if keys.csr:
         folder.public(_layout.REQUEST, keys.csr)
-    for link, target in _layout.shared_links(wish.name, shared).items():
+    for link, target in _layout.shared_links(spec.name, shared).items():
         folder.link(link, target)
-    permissions = permissions_for(wish, certificate)
-    asked = end_of(maker.now, wish.validity)
-    return maker.draft(
+    permissions = permissions_for(spec, certificate)
+    asked = end_of(issuer.now, spec.validity)
+    return issuer.stage(
         folder,
-        wish.name,
+        spec.name,
         certificate,
         permissions,
         asked=asked,
-        mark=wish.mark,
+        config_digest=spec.config_digest,
         request=keys.request,
     )
 
 
-def _clear(draft: Draft, wish: Wish) -> None:
+def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
     """What was there for other keys, if anything was: it would pass for its own."""
-    folder = _layout.enclave_folder(wish.name)
-    if wish.keys is None:
-        draft.remove(f"{folder}/{_layout.REQUEST}")
+    folder = _layout.enclave_folder(spec.name)
+    if spec.keys is None:
+        transaction.remove(f"{folder}/{_layout.REQUEST}")
         return
     for key in _layout.KEYS:
-        draft.shred(f"{folder}/{key}")
-        draft.remove(f"{folder}/{key}")
+        transaction.shred(f"{folder}/{key}")
+        transaction.remove(f"{folder}/{key}")
 
 
 def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
@@ -118,21 +122,21 @@ def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
     return shared | (_layout.LIST_TARGET if keystore.has_revocation_list else {})
 
 
-def permissions_for(wish: Wish, certificate: Certificate) -> Permissions:
+def permissions_for(spec: ParticipantSpec, certificate: Certificate) -> Permissions:
     """What `wish` asks for, granted to the certificate's subject as long as it is valid.
 
     UsageError for a grant of a policy that is over before the certificate begins.
     """
-    if wish.grants:
-        return Permissions(grants=tuple(_fitted(grant, certificate) for grant in wish.grants))
+    if spec.grants:
+        return Permissions(grants=tuple(_fitted(grant, certificate) for grant in spec.grants))
     grant = Grant.least(
-        name=wish.name,
+        name=spec.name,
         subject_name=certificate.subject_name,
         not_before=certificate.not_before,
         not_after=certificate.not_after,
-        domains=wish.domains,
-        publish=wish.publish,
-        subscribe=wish.subscribe,
+        domains=spec.domains,
+        publish=spec.publish,
+        subscribe=spec.subscribe,
     )
     return Permissions(grants=(grant,))
 
@@ -151,21 +155,23 @@ def _fitted(grant: Grant, certificate: Certificate) -> Grant:
     )
 
 
-def _checked(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -> list[Wish]:
+def _checked(
+    keystore: Keystore, specs: Iterable[ParticipantSpec], *, force: bool
+) -> list[ParticipantSpec]:
     """The wishes with their names made regular, and nothing in the way of any."""
-    regular: dict[str, Wish] = {}
-    for wish in wishes:
-        name = _layout.enclave_name(wish.name)
+    regular: dict[str, ParticipantSpec] = {}
+    for spec in specs:
+        name = _layout.enclave_name(spec.name)
         common_name(name)  # refuses what no certificate can carry
         if name in regular:
             raise UsageError(f"{name} is asked for twice")
-        regular[name] = replace(wish, name=name)
+        regular[name] = replace(spec, name=name)
     _refuse_issued(keystore, regular.values(), force=force)
     return list(regular.values())
 
 
-def _refuse_issued(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -> None:
-    there = [] if force else sorted(wish.name for wish in wishes if keystore.has(wish.name))
+def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, force: bool) -> None:
+    there = [] if force else sorted(spec.name for spec in specs if keystore.has(spec.name))
     if there:
         raise ExistsError(
             f"already issued: {', '.join(there)}",
@@ -175,10 +181,10 @@ def _refuse_issued(keystore: Keystore, wishes: Iterable[Wish], *, force: bool) -
 
 
 def _refuse_keys(
-    keystore: Keystore, wishes: Iterable[Wish], now: datetime, *, compromised: bool
+    keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime, *, compromised: bool
 ) -> None:
     """Of requests, those that somebody else has too."""
-    asked = {wish.name: wish.keys[:2] for wish in wishes if wish.keys}
+    asked = {spec.name: spec.keys[:2] for spec in specs if spec.keys}
     if asked:
         with keystore.open_ledger() as ledger:
             stolen = {} if compromised else compromised_keys_in(keystore.root, ledger)
@@ -187,10 +193,10 @@ def _refuse_keys(
             refuse_shared(ledger, asked, now)
 
 
-def _refuse_revoked(keystore: Keystore, wishes: Iterable[Wish]) -> None:
+def _refuse_revoked(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
     with keystore.open_ledger() as ledger:
         dead = {each.sha256 for each in ledger.of_kind("revocation")}
-        newest = [ledger.of_name("participant", wish.name)[-1:] for wish in wishes if dead]
+        newest = [ledger.of_name("participant", spec.name)[-1:] for spec in specs if dead]
     names = sorted(each.name for [each] in filter(None, newest) if each.sha256 in dead)
     if names:
         raise KeystoreError(

@@ -58,17 +58,19 @@ class Keystore:
         authorities = Authorities.create(profile, name, now=now, validity=validity)
         governance = Governance.protected(domains).to_xml()
         signed = authorities.sign(governance, now=now)
-        with _journal.change(root) as draft:
+        with _journal.change(root) as transaction:
             cls.refuse_occupied(root)
-            public = draft.folder(_layout.PUBLIC, private=False)
-            private = draft.folder(_layout.PRIVATE, private=True)
+            public = transaction.folder(_layout.PUBLIC, private=False)
+            private = transaction.folder(_layout.PRIVATE, private=True)
             authorities.write(public, private, passphrase)
-            enclaves = draft.folder(_layout.ENCLAVES, private=False)
+            enclaves = transaction.folder(_layout.ENCLAVES, private=False)
             enclaves.public(_layout.GOVERNANCE_XML, governance)
             enclaves.public(_layout.GOVERNANCE, signed)
-            settings = draft.folder(".", private=False)
+            settings = transaction.folder(".", private=False)
             settings.public(_layout.SETTINGS, _settings.settings_file(profile, domains))
-            draft.record(*authorities.entries(now), document_entry("governance", "", signed, now))
+            transaction.record(
+                *authorities.entries(now), document_entry("governance", "", signed, now)
+            )
         return cls(root, profile, domains, to_change=True)
 
     @classmethod

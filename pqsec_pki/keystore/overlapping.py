@@ -15,8 +15,8 @@ from pqsec_pki.algorithms import private_key_pem
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._draft import Draft
 from pqsec_pki.keystore._entries import certificate_entry
+from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap, Phase, refuse_overlap, trust_entry, trust_file
@@ -25,7 +25,7 @@ from pqsec_pki.keystore.rotating import Rotated, new_authorities, rotate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Begun:
+class BegunOverlap:
     """What an overlap began with."""
 
     overlap: Overlap
@@ -42,29 +42,29 @@ def begin_overlap(
     kept: Authorities,
     passphrase: bytes | None,
     now: datetime,
-) -> Begun:
+) -> BegunOverlap:
     """A new identity CA that all participants trust beside the old one, which still issues.
 
     Its key is encrypted under `passphrase`. Errors as of `check_begin`.
     """
-    with _journal.change(keystore.root) as draft:
+    with _journal.change(keystore.root) as transaction:
         kept.refuse_outdated(keystore.root)
         check_begin(keystore, terms, now)
         number = generation(keystore) + 1
         new = _new_identity(keystore, terms, number, now)
         overlap = Overlap(Phase.BEGUN, kept.identity.certificate, new.certificate)
-        private = draft.folder(_layout.PRIVATE, private=True)
+        private = transaction.folder(_layout.PRIVATE, private=True)
         private.private(_layout.NEXT_KEY, private_key_pem(new.key, passphrase))
         if new.alternative_key:
             private.private(_layout.NEXT_ALT_KEY, private_key_pem(new.alternative_key, passphrase))
-        dropped = _drop_list(keystore, draft)
-        _link_all(keystore, draft)
-        draft.record(
+        dropped = _drop_list(keystore, transaction)
+        _link_all(keystore, transaction)
+        transaction.record(
             certificate_entry("identity-ca", new.certificate.subject_name, new.certificate, now)
         )
-        _trust(draft, overlap.issuing, overlap.other)
-        draft.record(trust_entry(overlap, now))
-    return Begun(overlap=overlap, generation=number, dropped_list=dropped)
+        _trust(transaction, overlap.issuing, overlap.other)
+        transaction.record(trust_entry(overlap, now))
+    return BegunOverlap(overlap=overlap, generation=number, dropped_list=dropped)
 
 
 def switch_overlap(
@@ -90,10 +90,10 @@ def finish_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
 
     KeystoreError if the new one does not issue yet. No key is needed.
     """
-    with _journal.change(keystore.root) as draft:
+    with _journal.change(keystore.root) as transaction:
         overlap = Overlap.that_is(keystore, Phase.SWITCHED)
-        _trust(draft, overlap.issuing)
-        draft.record(trust_entry(overlap, now, end="finished"))
+        _trust(transaction, overlap.issuing)
+        transaction.record(trust_entry(overlap, now, end="finished"))
     return overlap
 
 
@@ -102,13 +102,13 @@ def cancel_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
 
     Its key is overwritten with zeros. KeystoreError if it issues already.
     """
-    with _journal.change(keystore.root) as draft:
+    with _journal.change(keystore.root) as transaction:
         overlap = Overlap.that_is(keystore, Phase.BEGUN)
-        _trust(draft, overlap.issuing)
-        draft.record(trust_entry(overlap, now, end="cancelled"))
+        _trust(transaction, overlap.issuing)
+        transaction.record(trust_entry(overlap, now, end="cancelled"))
         for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):
-            draft.shred(f"{_layout.PRIVATE}/{key}")
-            draft.remove(f"{_layout.PRIVATE}/{key}")
+            transaction.shred(f"{_layout.PRIVATE}/{key}")
+            transaction.remove(f"{_layout.PRIVATE}/{key}")
     return overlap
 
 
@@ -154,13 +154,13 @@ def _revoked(keystore: Keystore, now: datetime) -> set[int]:
     return (listed | {each.serial_number for each in lines}) - ended
 
 
-def _trust(draft: Draft, *authorities: Certificate) -> None:
+def _trust(transaction: Transaction, *authorities: Certificate) -> None:
     """These identity CAs, the first of which issues."""
-    public = draft.folder(_layout.PUBLIC, private=False)
+    public = transaction.folder(_layout.PUBLIC, private=False)
     public.public(_layout.IDENTITY_CA, trust_file(authorities))
 
 
-def _link_all(keystore: Keystore, draft: Draft) -> None:
+def _link_all(keystore: Keystore, transaction: Transaction) -> None:
     """Links to that file where enclaves have one of their own, as adopted ones may."""
     shared = {_layout.IDENTITY_CA: _layout.CA_TARGETS[_layout.IDENTITY_CA]}
     for name in keystore.names():
@@ -168,16 +168,16 @@ def _link_all(keystore: Keystore, draft: Draft) -> None:
         [(link, target)] = _layout.shared_links(name, shared).items()
         there = keystore.root / folder / link
         if not (there.is_symlink() and str(there.readlink()) == target):
-            draft.folder(folder, private=False).link(link, target)
+            transaction.folder(folder, private=False).link(link, target)
 
 
-def _drop_list(keystore: Keystore, draft: Draft) -> bool:
+def _drop_list(keystore: Keystore, transaction: Transaction) -> bool:
     """An empty list too: stacks that are given one CA's refuse what the other one issued."""
     if not keystore.has_revocation_list:
         return False
-    draft.remove(f"{_layout.PUBLIC}/{_layout.CA_LIST}")
+    transaction.remove(f"{_layout.PUBLIC}/{_layout.CA_LIST}")
     for name in keystore.names():
-        draft.remove(f"{_layout.enclave_folder(name)}/{_layout.LIST}")
+        transaction.remove(f"{_layout.enclave_folder(name)}/{_layout.LIST}")
     return True
 
 

@@ -18,7 +18,7 @@ def change_passphrase(
     is a link: what it shows would stay as it is; and while the CA that will issue next
     has a key of its own.
     """
-    with _journal.change(keystore.root) as draft:
+    with _journal.change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
         overlap = Overlap.of(keystore)
         if overlap and overlap.phase is Phase.BEGUN:
@@ -26,7 +26,7 @@ def change_passphrase(
                 "the identity CA that will issue next would keep the old passphrase",
                 hint=overlap.way_on,
             )
-        folder = draft.folder(_layout.PRIVATE, private=True)
+        folder = transaction.folder(_layout.PRIVATE, private=True)
         authorities.write_keys(folder, passphrase)
         paths = [keystore.root / _layout.PRIVATE / name for name in folder.names]
         for path in paths:
@@ -35,5 +35,5 @@ def change_passphrase(
                     f"{path} is a link: the key it shows would stay as it is",
                     hint="put the key itself there first",
                 )
-            draft.shred(f"{_layout.PRIVATE}/{path.name}")
+            transaction.shred(f"{_layout.PRIVATE}/{path.name}")
     return paths

@@ -16,9 +16,9 @@ from pqsec_pki.certificates import BACKDATE, Certificate, end_of
 from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
 from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._draft import DraftedFolder
 from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore._making import Issued, Maker, PublicKeys
+from pqsec_pki.keystore._issuer import Issued, Issuer, PublicKeys
+from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.compromised import refuse_compromised
 from pqsec_pki.keystore.keystore import Keystore
@@ -56,20 +56,22 @@ def renew(
     it; VerificationError for permissions that the CA did not sign.
     """
     regular = list(dict.fromkeys(map(_layout.enclave_name, names)))
-    maker = Maker(keystore, authorities, now)
-    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+    issuer = Issuer(keystore, authorities, now)
+    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger)
         inspector.refuse_revoked(regular)
-        inspector.refuse_stranded(regular)
-        folders = [draft.folder(_layout.enclave_folder(name), private=False) for name in regular]
-        renewer = Renewer(maker, inspector, terms)
+        inspector.refuse_previous_ca(regular)
+        folders = [
+            transaction.folder(_layout.enclave_folder(name), private=False) for name in regular
+        ]
+        renewer = Renewer(issuer, inspector, terms)
         renewed = shared_out(renewer.make, regular, folders)
         for each in renewed:
-            draft.record(*each.entries)
+            transaction.record(*each.entries)
         if status(keystore, (), now=now, due=terms.due).list_is_due:
             publisher = Publisher(keystore, authorities.identity, ledger, now)
-            publisher.publish(draft, [], LIST_VALIDITY)
+            publisher.publish(transaction, [], LIST_VALIDITY)
     return renewed
 
 
@@ -77,29 +79,31 @@ def renew(
 class Renewer:
     """Issues a participant again, from what the inspector lets pass."""
 
-    maker: Maker
+    issuer: Issuer
     inspector: Inspector
     terms: Renewal
 
-    def make(self, name: str, folder: DraftedFolder) -> Issued:
-        """Draft certificate, permissions and, where they are new, keys into `folder`."""
-        keystore, now = self.maker.keystore, self.maker.now
+    def make(self, name: str, folder: StagedFolder) -> Issued:
+        """Stage certificate, permissions and, where they are new, keys into `folder`."""
+        keystore, now = self.issuer.keystore, self.issuer.now
         there = keystore.root / _layout.enclave_folder(name)
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
             allowed = self.inspector.permissions(name, there)
             rekey = self._rekey(name, (there / _layout.KEY).exists())
-            keys = self.maker.new_keys(folder) if rekey else self._kept_keys(name, old)
+            keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
         validity = self.terms.validity or _length(old)
-        certificate = self.maker.authorities.identity.issue(
+        certificate = self.issuer.authorities.identity.issue(
             name, keys.key, alternative=keys.alternative, now=now, validity=validity
         )
         permissions = Permissions(
             grants=tuple(_moved(grant, old, certificate) for grant in allowed.grants)
         )
         asked = end_of(now, validity)
-        mark = self.inspector.mark(name, there)
-        return self.maker.draft(folder, name, certificate, permissions, asked=asked, mark=mark)
+        config_digest = self.inspector.config_digest(name, there)
+        return self.issuer.stage(
+            folder, name, certificate, permissions, asked=asked, config_digest=config_digest
+        )
 
     def _rekey(self, name: str, has_key: bool) -> bool:  # noqa: FBT001 -- of this module only
         if self.terms.rekey and not has_key:
@@ -111,7 +115,7 @@ class Renewer:
 
     def _kept_keys(self, name: str, old: Certificate) -> PublicKeys:
         """Those in the certificate: the private ones may be elsewhere."""
-        profile = self.maker.keystore.profile
+        profile = self.issuer.keystore.profile
         if not keys_fit(old, profile):
             raise KeystoreError(
                 f"the keys of {old.subject_name} are not of profile {profile.name}",

@@ -18,9 +18,9 @@ from pqsec_pki.certificates import (
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._draft import Draft
 from pqsec_pki.keystore._entries import list_entry
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import refuse_overlap
@@ -64,20 +64,22 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     and for its reason; only that a key is compromised may become known later. KeystoreError
     for a subject the ledger does not know or that has expired.
     """
-    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         chosen = {
             each.sha256: each
             for subject in subjects
             for each in _certificates(ledger, subject, now)
         }
-        before = _taken_back(ledger)
+        before = _revoked_since(ledger)
         new = [
             _revocation(each, reason, now, again=each.sha256 in before)
             for each in chosen.values()
             if _is_news(before.get(each.sha256), reason)
         ]
-        made = Publisher(keystore, authorities.identity, ledger, now).publish(draft, new, validity)
+        made = Publisher(keystore, authorities.identity, ledger, now).publish(
+            transaction, new, validity
+        )
     after = _merged((*before.values(), *new))
     listed = {each.serial_number for each in made.revoked}
     return [_told(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
@@ -91,10 +93,10 @@ def renew_list(
     validity: timedelta = LIST_VALIDITY,
 ) -> RevocationList:
     """A new list that takes back what the last one did, and is due later."""
-    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         publisher = Publisher(keystore, authorities.identity, ledger, now)
-        return publisher.publish(draft, [], validity)
+        return publisher.publish(transaction, [], validity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +108,23 @@ class Publisher:
     ledger: Ledger
     now: datetime
 
-    def publish(self, draft: Draft, new: Sequence[Entry], validity: timedelta) -> RevocationList:
-        """Draft the next list, with `new` revocations, and the links to it that are missing.
+    def publish(
+        self, transaction: Transaction, new: Sequence[Entry], validity: timedelta
+    ) -> RevocationList:
+        """Stage the next list, with `new` revocations, and the links to it that are missing.
 
         KeystoreError while two identity CAs are trusted: a list of one is none of the other.
         """
         refuse_overlap(self.keystore, "a revocation list would be of one of them only")
-        made = self.draft(draft, new, validity)
+        made = self.stage(transaction, new, validity)
         for place, target in _missing_links(self.keystore):
-            draft.link(place, target)
+            transaction.link(place, target)
         return made
 
-    def draft(self, draft: Draft, new: Sequence[Entry], validity: timedelta) -> RevocationList:
-        """Draft the next list, with `new` revocations; the links to it are the caller's."""
+    def stage(
+        self, transaction: Transaction, new: Sequence[Entry], validity: timedelta
+    ) -> RevocationList:
+        """Stage the next list, with `new` revocations; the links to it are the caller's."""
         last, old = self._last(), self._believed()
         made = revocation_list(
             self.identity,
@@ -127,8 +133,8 @@ class Publisher:
             now=self.now,
             validity=validity,
         )
-        draft.folder(_layout.PUBLIC, private=False).public(_layout.CA_LIST, made.pem)
-        draft.record(*new, list_entry(made, made.pem, self.identity.certificate, self.now))
+        transaction.folder(_layout.PUBLIC, private=False).public(_layout.CA_LIST, made.pem)
+        transaction.record(*new, list_entry(made, made.pem, self.identity.certificate, self.now))
         return made
 
     @property
@@ -154,7 +160,7 @@ class Publisher:
     ) -> list[RevokedCertificate]:
         """What the ledger says; and what only the old list does, if the ledger was lost."""
         listed = {each.serial_number: each for each in old.revoked} if old else {}
-        for entry in _merged((*_taken_back(self.ledger).values(), *new)).values():
+        for entry in _merged((*_revoked_since(self.ledger).values(), *new)).values():
             if entry.issuer != self._issuer:
                 continue
             # RFC 5280 3.3: an entry goes once a list later than the certificate had it
@@ -193,7 +199,7 @@ def _name(subject: str) -> str:
         return subject
 
 
-def _taken_back(ledger: Ledger) -> dict[str, Entry]:
+def _revoked_since(ledger: Ledger) -> dict[str, Entry]:
     """The ledger's revocations, by the certificate's hash."""
     return _merged((*ledger.of_kind("revocation"), *ledger.of_kind(COMPROMISE)))
 

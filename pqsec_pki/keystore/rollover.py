@@ -61,7 +61,7 @@ def generation(keystore: Keystore) -> int:
     return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
 
 
-def stay_behind(
+def not_reissued(
     keystore: Keystore, terms: Rollover, inspector: Inspector, now: datetime
 ) -> dict[str, str]:
     """The participants that cannot come along, and why.
@@ -70,7 +70,7 @@ def stay_behind(
     signed them is not looked at: it takes long for thousands.
     """
     names = keystore.names()
-    stranded = set(inspector.stranded_of(names))
+    issued_by_previous_ca = set(inspector.issued_by_previous_ca_of(names))
     behind = dict.fromkeys(inspector.revoked_of(names), "revoked")
     others = [name for name in names if name not in behind]
 
@@ -78,7 +78,7 @@ def stay_behind(
         folder = keystore.root / _layout.enclave_folder(name)
         certificate = inspector.certificate(name, folder)
         has_key = (folder / _layout.KEY).exists()
-        if name in stranded:
+        if name in issued_by_previous_ca:
             return "it stayed behind before: an earlier CA issued it"
         if not (has_key or keys_fit(certificate, terms.profile)):
             return "its key is not here, and of another kind: it needs a new request"

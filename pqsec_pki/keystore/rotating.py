@@ -13,8 +13,8 @@ from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore._making import Issued
-from pqsec_pki.keystore._turn import Turn
+from pqsec_pki.keystore._issuer import Issued
+from pqsec_pki.keystore._rollover_transaction import RolloverTransaction
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import WAIT, Overlap, Phase, refuse_overlap
@@ -23,7 +23,7 @@ from pqsec_pki.keystore.rollover import (
     Scope,
     check_scope,
     generation,
-    stay_behind,
+    not_reissued,
 )
 
 
@@ -64,23 +64,23 @@ def rotate(  # noqa: PLR0913 -- what follows, by what, and when, all by name
     """
     check_scope(keystore, terms)
     new = replace(keystore, profile=terms.profile)
-    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         _check_overlap(keystore, successor)
         number = generation(keystore)
         authorities = _authorities(
             keystore, terms, number + 1, kept=kept, successor=successor, now=now
         )
         inspector = Inspector.of(keystore, ledger)
-        left_out = stay_behind(keystore, terms, inspector, now)
+        left_out = not_reissued(keystore, terms, inspector, now)
         governances = {each.sha256: each.details for each in ledger.of_kind("governance")}
-        turn = Turn(
-            keystore, new, terms, authorities, draft, inspector, governances, now, successor
+        rollover = RolloverTransaction(
+            keystore, new, terms, authorities, transaction, inspector, governances, now, successor
         )
-        turn.archive(number)
-        turn.write_authorities(passphrase)
-        turn.sign_governance()
-        issued = turn.reissue([name for name in keystore.names() if name not in left_out])
-        new_list = turn.publish_list(ledger)
+        rollover.archive(number)
+        rollover.write_authorities(passphrase)
+        rollover.sign_governance()
+        issued = rollover.reissue([name for name in keystore.names() if name not in left_out])
+        new_list = rollover.publish_list(ledger)
     return Rotated(
         keystore=new,
         generation=number + 1,

@@ -14,17 +14,17 @@ from pqsec_pki._processes import shared_out
 from pqsec_pki.documents import Governance, Kind
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._draft import DraftedFolder
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._inspector import Inspector
+from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.issuing import Wish, permissions_for
+from pqsec_pki.keystore.issuing import ParticipantSpec, permissions_for
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.smime import document_in
 
 
-def permit(
-    keystore: Keystore, authorities: Authorities, wishes: Sequence[Wish], *, now: datetime
+def sign_permissions(
+    keystore: Keystore, authorities: Authorities, specs: Sequence[ParticipantSpec], *, now: datetime
 ) -> None:
     """Give participants that are there the permissions wished for, or none of them.
 
@@ -32,23 +32,25 @@ def permit(
     KeystoreError for a participant that is not there, was revoked, or whose certificate
     is not the newest one issued to it.
     """
-    names = [_layout.enclave_name(wish.name) for wish in wishes]
-    with _journal.change(keystore.root) as draft, keystore.open_ledger() as ledger:
+    names = [_layout.enclave_name(spec.name) for spec in specs]
+    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger)
         inspector.refuse_revoked(names)
-        folders = [draft.folder(_layout.enclave_folder(name), private=False) for name in names]
+        folders = [
+            transaction.folder(_layout.enclave_folder(name), private=False) for name in names
+        ]
         signer = _Signer(keystore, authorities, inspector, now)
-        draft.record(*shared_out(signer.permit, names, wishes, folders))
+        transaction.record(*shared_out(signer.sign_permissions, names, specs, folders))
 
 
-def govern(
+def sign_governance(
     keystore: Keystore,
     authorities: Authorities,
     governance: Governance,
     *,
     now: datetime,
-    mark: str = "",
+    config_digest: str = "",
 ) -> None:
     """Sign the governance that all participants of the keystore share.
 
@@ -56,12 +58,14 @@ def govern(
     """
     document = governance.to_xml()
     signed = authorities.sign(document, now=now)
-    with _journal.change(keystore.root) as draft:
+    with _journal.change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
-        enclaves = draft.folder(_layout.ENCLAVES, private=False)
+        enclaves = transaction.folder(_layout.ENCLAVES, private=False)
         enclaves.public(_layout.GOVERNANCE_XML, document)
         enclaves.public(_layout.GOVERNANCE, signed)
-        draft.record(_marked(document_entry("governance", "", signed, now), mark))
+        transaction.record(
+            _with_digest(document_entry("governance", "", signed, now), config_digest)
+        )
 
 
 def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by name
@@ -81,16 +85,16 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     something is at `goal`, unless `force`; then nothing is entered.
     """
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
-    with _journal.change(keystore.root) as draft:
+    with _journal.change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
-        draft.record(document_entry(kind.value, str(goal), signed, now))
+        transaction.record(document_entry(kind.value, str(goal), signed, now))
         place = _layout.document_folder(keystore.root, kind.value, goal)
         if place is None:
             write(goal, signed, force=force)
         else:
             if not force:
                 refuse_existing(goal)
-            folder = draft.folder(place, private=False)
+            folder = transaction.folder(place, private=False)
             folder.public(goal.with_suffix(".xml").name, document)
             folder.public(goal.name, signed)
     return signed
@@ -108,16 +112,18 @@ class _Signer:
     inspector: Inspector
     now: datetime
 
-    def permit(self, name: str, wish: Wish, folder: DraftedFolder) -> Entry:
+    def sign_permissions(self, name: str, spec: ParticipantSpec, folder: StagedFolder) -> Entry:
         there = self.keystore.root / _layout.enclave_folder(name)
         with disk_errors(there):
             certificate = self.inspector.certificate(name, there)
-        document = permissions_for(wish, certificate).to_xml()
+        document = permissions_for(spec, certificate).to_xml()
         signed = self.authorities.sign(document, now=self.now)
         folder.public(_layout.PERMISSIONS_XML, document)
         folder.public(_layout.PERMISSIONS, signed)
-        return _marked(document_entry("permissions", name, signed, self.now), wish.mark)
+        return _with_digest(
+            document_entry("permissions", name, signed, self.now), spec.config_digest
+        )
 
 
-def _marked(entry: Entry, mark: str) -> Entry:
-    return replace(entry, details={"mark": mark}) if mark else entry
+def _with_digest(entry: Entry, config_digest: str) -> Entry:
+    return replace(entry, details={"mark": config_digest}) if config_digest else entry

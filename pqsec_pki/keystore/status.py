@@ -18,7 +18,7 @@ class State(StrEnum):
     """How a certificate or list stands, the most urgent first."""
 
     EXPIRED = "expired"
-    STRANDED = "stranded"
+    PREVIOUS_CA = "previous-ca"
     """Its identity CA made way for another, and it did not come along."""
     DUE = "due"
     VALID = "valid"
@@ -36,7 +36,7 @@ _URGENCY = {state: place for place, state in enumerate(State)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Standing:
+class ParticipantStatus:
     """How one participant stands, by its newest certificate."""
 
     name: str
@@ -50,7 +50,7 @@ class Standing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Term:
+class SharedStatus:
     """How long something lasts that all share: a CA, or the revocation list."""
 
     kind: str
@@ -65,8 +65,8 @@ class Status:
     """A keystore at one moment."""
 
     at: datetime
-    shared: tuple[Term, ...]
-    participants: tuple[Standing, ...]
+    shared: tuple[SharedStatus, ...]
+    participants: tuple[ParticipantStatus, ...]
     """The most urgent first."""
 
     def counts(self) -> dict[State, int]:
@@ -108,16 +108,16 @@ def status(
         participants = _chosen(participants, names)
     gone = {each.name for each in participants if _gone(keystore, each.name)}
 
-    def standing(entry: Entry) -> Standing:
+    def standing(entry: Entry) -> ParticipantStatus:
         end = entry.ends
         state = _state(entry.made_at, end, now, due)
         if entry.issuer not in {None, authority}:
-            state = State.STRANDED
+            state = State.PREVIOUS_CA
         if entry.sha256 in revoked:
             state = State.REVOKED
         if entry.name in gone:
             state = State.GONE
-        return Standing(
+        return ParticipantStatus(
             name=entry.name,
             state=state,
             not_after=end,
@@ -134,7 +134,9 @@ def status(
     return Status(now, shared, tuple(ordered))
 
 
-def _authorities(keystore: Keystore, now: datetime, due: timedelta | None) -> Iterator[Term]:
+def _authorities(
+    keystore: Keystore, now: datetime, due: timedelta | None
+) -> Iterator[SharedStatus]:
     """The CAs that are in use, by their certificates; also one that is trusted beside."""
     signers = (keystore.permissions_ca, keystore.countersigner)
     overlap = Overlap.of(keystore)
@@ -145,9 +147,9 @@ def _authorities(keystore: Keystore, now: datetime, due: timedelta | None) -> It
             yield _term(certificate_entry(kind, each.subject_name, each, each.not_before), now, due)
 
 
-def _term(entry: Entry, now: datetime, due: timedelta | None) -> Term:
+def _term(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
     state = _state(entry.made_at, entry.ends, now, due)
-    return Term(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
+    return SharedStatus(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
 
 
 def _state(made: datetime, end: datetime, now: datetime, due: timedelta | None) -> State:

@@ -11,7 +11,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import held
 from pqsec_pki.lint._roles import extension, is_signed_by, key_of
 from pqsec_pki.lint._shadows import domains_meet
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.subjects import SIX, CertificateFile, Enclave
 
 FAMILY = Family("cross-artefact")
@@ -21,106 +21,106 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 @FAMILY.rule(
     "PQS301", Severity.ERROR, Enclave, "a file is missing in an enclave",
     why="Every stack needs all six. ROS 2 says only that security files were not found.",
-    mend="Issue the participant again, or copy what is missing.",
+    fix="Issue the participant again, or copy what is missing.",
     measured="source of rmw_dds_common (security.cpp)",
 )  # fmt: skip
-def incomplete(enclave: Enclave) -> Iterator[Found]:
+def incomplete(enclave: Enclave) -> Iterator[Violation]:
     there = {*enclave.files, *enclave.lost}
     missing = [name for name in SIX if name not in there and not _is_elsewhere(enclave, name)]
     if missing:
-        yield Found(f"lacks {', '.join(missing)}")
+        yield Violation(f"lacks {', '.join(missing)}")
 
 
 @FAMILY.rule(
     "PQS302", Severity.ERROR, Enclave, "a link leads nowhere",
     why="Copying an enclave without what it links to leaves links behind and no files.",
-    mend="Copy with the links followed (cp -rL, rsync -L), or restore what is shared.",
+    fix="Copy with the links followed (cp -rL, rsync -L), or restore what is shared.",
 )  # fmt: skip
-def lost(enclave: Enclave) -> Iterator[Found]:
+def lost(enclave: Enclave) -> Iterator[Violation]:
     for name in sorted(enclave.lost):
-        yield Found("the link leads nowhere", path=enclave.folder / name)
+        yield Violation("the link leads nowhere", path=enclave.folder / name)
 
 
 @FAMILY.rule(
     "PQS303", Severity.ERROR, Enclave, "the certificate is called otherwise than the enclave",
     why="ROS 2 chooses the enclave by its folder, and peers know the participant by its"
     " certificate: logs and permissions speak of another one.",
-    mend="Issue a certificate with the enclave's path as its common name (CN=/fleet/robot1).",
+    fix="Issue a certificate with the enclave's path as its common name (CN=/fleet/robot1).",
 )  # fmt: skip
-def called_otherwise(enclave: Enclave) -> Iterator[Found]:
+def called_otherwise(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None or ENCLAVES not in enclave.folder.parts:
         return
     if certificate.subject_der != _expected(enclave.name):
         name = certificate.subject_name or "an empty name"
-        yield Found(f"the certificate is for {name}, not for CN={enclave.name}")
+        yield Violation(f"the certificate is for {name}, not for CN={enclave.name}")
 
 
 @FAMILY.rule(
     "PQS304", Severity.ERROR, Enclave, "the private key is not the certificate's",
     why="Fast DDS refuses to start; Cyclone DDS starts, and fails in every handshake with"
     " 'Failed to finalize digest context (code: 200)'.",
-    mend="Put the right key beside the certificate, or issue the participant again.",
+    fix="Put the right key beside the certificate, or issue the participant again.",
     rows=("key does not match cert",), measured=_ALL,
 )  # fmt: skip
-def other_key(enclave: Enclave) -> Iterator[Found]:
+def other_key(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None:
         return
     for name, spki in _certified(certificate):
         file = enclave.files.get(name)
         if file and held(file).spki not in (None, spki):
-            yield Found(f"{name} is not the key of {CERTIFICATE}", path=file.path)
+            yield Violation(f"{name} is not the key of {CERTIFICATE}", path=file.path)
 
 
 @FAMILY.rule(
     "PQS305", Severity.ERROR, Enclave, "the private key cannot be read",
     why="No stack starts with it.",
-    mend="Restore the key, or issue the participant again.",
+    fix="Restore the key, or issue the participant again.",
 )  # fmt: skip
-def unreadable_key(enclave: Enclave) -> Iterator[Found]:
+def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
     for name in (KEY, ALT_KEY):
         file = enclave.files.get(name)
         if file and (reason := held(file).reason):
-            yield Found(f"cannot be read: {reason}", path=file.path)
+            yield Violation(f"cannot be read: {reason}", path=file.path)
 
 
 @FAMILY.rule(
     "PQS306", Severity.ERROR, Enclave, "the identity CA did not issue the certificate",
     why="Neither this participant nor its peers can verify it.",
-    mend="Use the CA that issued it, or issue the participant again.",
+    fix="Use the CA that issued it, or issue the participant again.",
     rows=(
         "two CAs in file, right one second", "identity_ca=int+root, cert=leaf (no AKI)",
         "identity_ca=root, cert.pem=leaf+intermediate",
     ),
     measured=_ALL,
 )  # fmt: skip
-def of_another_ca(enclave: Enclave) -> Iterator[Found]:
+def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or ca is None or _intermediate(enclave):
         return
     if certificate.issuer_der != ca.subject_der:
-        yield Found(f"the certificate was not issued by {ca.subject_name}")
+        yield Violation(f"the certificate was not issued by {ca.subject_name}")
     elif not is_signed_by(certificate, ca):
-        yield Found(f"{ca.subject_name} did not sign the certificate: same name, another key")
+        yield Violation(f"{ca.subject_name} did not sign the certificate: same name, another key")
 
 
 @FAMILY.rule(
     "PQS313", Severity.ERROR, Enclave, "the certificate names another key of its CA",
     why="Its authorityKeyIdentifier is not the CA's subjectKeyIdentifier. OpenSSL, which all"
     " stacks use, then does not find the CA: 'unable to get local issuer certificate'.",
-    mend="Issue the participant again with this CA, or put back the CA's certificate that was"
+    fix="Issue the participant again with this CA, or put back the CA's certificate that was"
     " there when it was issued.",
     measured="`openssl verify` 3.0.19 and 3.5",
 )  # fmt: skip
-def names_another_key(enclave: Enclave) -> Iterator[Found]:
+def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or ca is None or not is_signed_by(certificate, ca):
         return  # PQS306 says so
     named = extension(certificate, x509.AuthorityKeyIdentifier)
     wanted = ca.subject_key_identifier
     if named and named.key_identifier and wanted and named.key_identifier != wanted:
-        yield Found(
+        yield Violation(
             f"the certificate wants a CA with the key identifier {named.key_identifier.hex()},"
             f" and {ca.subject_name} has {wanted.hex()}"
         )
@@ -130,24 +130,26 @@ def names_another_key(enclave: Enclave) -> Iterator[Found]:
     "PQS316", Severity.ERROR, Enclave, "an intermediate CA issued the certificate",
     why="Fast DDS finds it behind the root in the identity CA's file. Cyclone DDS and OpenDDS"
     " read the first certificate of the file only.",
-    mend="Issue the participant with a self-signed CA.",
+    fix="Issue the participant with a self-signed CA.",
     stacks=(Target.CYCLONEDDS, Target.OPENDDS),
     rows=("identity_ca=root+int, cert=leaf",), measured=_ALL + "; OpenDDS by source",
 )  # fmt: skip
-def below_an_intermediate(enclave: Enclave) -> Iterator[Found]:
+def below_an_intermediate(enclave: Enclave) -> Iterator[Violation]:
     if found := _intermediate(enclave):
-        yield Found(f"issued by {found.subject_name}, which only Fast DDS finds in {IDENTITY_CA}")
+        yield Violation(
+            f"issued by {found.subject_name}, which only Fast DDS finds in {IDENTITY_CA}"
+        )
 
 
 @FAMILY.rule(
     "PQS307", Severity.WARNING, Enclave, "the certificate outlives its CA",
     why="When the CA ends, the participant ends with it, earlier than its own date says.",
-    mend="Issue it with a shorter validity; pqsec cuts it by itself.",
+    fix="Issue it with a shorter validity; pqsec cuts it by itself.",
 )  # fmt: skip
-def outlives_ca(enclave: Enclave) -> Iterator[Found]:
+def outlives_ca(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate and ca and certificate.not_after > ca.not_after:
-        yield Found(
+        yield Violation(
             f"the certificate ends on {certificate.not_after:%Y-%m-%d},"
             f" after its CA on {ca.not_after:%Y-%m-%d}"
         )
@@ -156,22 +158,22 @@ def outlives_ca(enclave: Enclave) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS308", Severity.ERROR, Enclave, "no grant is for this participant",
     why="Stacks look for the certificate's subject among the grants, and refuse to start.",
-    mend="Write the subject as `pqsec inspect cert.pem` prints it, and sign again.",
+    fix="Write the subject as `pqsec inspect cert.pem` prints it, and sign again.",
     rows=("subset `CN=x` only", "superset (+`,L=Madrid`)"), measured=_ALL,
 )  # fmt: skip
-def no_grant(enclave: Enclave) -> Iterator[Found]:
+def no_grant(enclave: Enclave) -> Iterator[Violation]:
     document, certificate = enclave.permissions(), enclave.certificate()
     if document and document.permissions and certificate and not own_grants(enclave):
-        yield Found(f"no grant is for {certificate.subject_name}", path=document.path)
+        yield Violation(f"no grant is for {certificate.subject_name}", path=document.path)
 
 
 @FAMILY.rule(
     "PQS309", Severity.ERROR, Enclave, "governance and permissions have no domain in common",
     why="On domains of the permissions governance says nothing, on those of the governance"
     " nothing is permitted: the participant can join none.",
-    mend="Name the same domains in both.",
+    fix="Name the same domains in both.",
 )  # fmt: skip
-def no_common_domain(enclave: Enclave) -> Iterator[Found]:
+def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
     governance, permissions = enclave.governance(), enclave.permissions()
     if not (governance and governance.governance and permissions):
         return
@@ -181,7 +183,7 @@ def no_common_domain(enclave: Enclave) -> Iterator[Found]:
         return  # on every domain
     granted = dict.fromkeys(rule.domains for grant in grants for rule in grant.rules)
     if granted and not any(domains_meet(one, other) for one in governed for other in granted):
-        yield Found("permits no domain that the governance governs", path=permissions.path)
+        yield Violation("permits no domain that the governance governs", path=permissions.path)
 
 
 def _intermediate(enclave: Enclave) -> Certificate | None:

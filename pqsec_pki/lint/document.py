@@ -7,7 +7,7 @@ from functools import cached_property
 from pqsec_pki.documents import Governance, Grant, Node, Permissions, Tree, read_tree, validate
 from pqsec_pki.errors import InvalidDocumentError, PqsecError
 from pqsec_pki.lint.file import Content, File
-from pqsec_pki.lint.rule import Found
+from pqsec_pki.lint.rule import Violation
 from pqsec_pki.problems import Problem
 from pqsec_pki.smime import lines_before_document
 
@@ -67,9 +67,9 @@ class Document(Content):
         for tag in tags:
             yield from self.nodes.get(tag, ())
 
-    def at(self, place: Node | int | None, message: str) -> Found:
+    def at(self, place: Node | int | None, message: str) -> Violation:
         """What was found at an element, or a line, of the document."""
-        return Found(message, self.line(place.line if isinstance(place, Node) else place))
+        return Violation(message, self.line(place.line if isinstance(place, Node) else place))
 
     @property
     def reason(self) -> str | None:

@@ -15,7 +15,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.lint._roles import Role, role_of
 from pqsec_pki.lint.revocation import lists_of
-from pqsec_pki.lint.rule import Family, Found, Severity
+from pqsec_pki.lint.rule import Family, Severity, Violation
 from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
 
 FAMILY = Family("cross-artefact")
@@ -25,24 +25,24 @@ FAMILY = Family("cross-artefact")
     "PQS310", Severity.WARNING, Inventory, "enclaves have different governance",
     why="Participants that protect a domain or topic differently do not talk there, and no"
     " stack says so.",
-    mend="Give all the same governance.p7s: link it, as pqsec and SROS2 do.",
+    fix="Give all the same governance.p7s: link it, as pqsec and SROS2 do.",
 )  # fmt: skip
-def different_governance(inventory: Inventory) -> Iterator[Found]:
+def different_governance(inventory: Inventory) -> Iterator[Violation]:
     def text(enclave: Enclave) -> Hashable:
         document = enclave.governance()
         return document.governance if document else None
 
     for enclave, other in _odd_ones(inventory, text):
         place = enclave.files[GOVERNANCE].path
-        yield Found(f"not the governance that {other.name} and others have", path=place)
+        yield Violation(f"not the governance that {other.name} and others have", path=place)
 
 
 @FAMILY.rule(
     "PQS311", Severity.WARNING, Inventory, "enclaves trust different CAs",
     why="Participants that trust another CA refuse each other.",
-    mend="Give all the same CA certificates, unless these domains shall stay apart.",
+    fix="Give all the same CA certificates, unless these domains shall stay apart.",
 )  # fmt: skip
-def different_cas(inventory: Inventory) -> Iterator[Found]:
+def different_cas(inventory: Inventory) -> Iterator[Violation]:
     for name in (IDENTITY_CA, PERMISSIONS_CA):
 
         def key(enclave: Enclave, name: str = name) -> Hashable:
@@ -51,30 +51,32 @@ def different_cas(inventory: Inventory) -> Iterator[Found]:
 
         for enclave, other in _odd_ones(inventory, key):
             place = enclave.files[name].path
-            yield Found(f"not the {name} that {other.name} and others have", path=place)
+            yield Violation(f"not the {name} that {other.name} and others have", path=place)
 
 
 @FAMILY.rule(
     "PQS312", Severity.ERROR, Inventory, "one key is identity CA and permissions CA",
     why="Where the CA is one, stacks that do not pin the signer (Cyclone DDS 0.10, Fast DDS"
     " 2.9) let any participant sign its own permissions (CVE-2023-24010).",
-    mend="Make two CAs: `pqsec ca rotate`, of SROS2's keystore after `pqsec adopt`.",
+    fix="Make two CAs: `pqsec ca rotate`, of SROS2's keystore after `pqsec adopt`.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
 )  # fmt: skip
-def shared_ca(inventory: Inventory) -> Iterator[Found]:
+def shared_ca(inventory: Inventory) -> Iterator[Violation]:
     signers = {ca.spki for ca in _cas(inventory, PERMISSIONS_CA, Role.PERMISSIONS_CA).values()}
     for path, ca in _cas(inventory, IDENTITY_CA, Role.IDENTITY_CA).items():
         if ca.spki in signers:
-            yield Found("this key is identity CA and permissions CA (CVE-2023-24010)", path=path)
+            yield Violation(
+                "this key is identity CA and permissions CA (CVE-2023-24010)", path=path
+            )
 
 
 @FAMILY.rule(
     "PQS317", Severity.WARNING, Inventory, "not everybody has the latest revocation list",
     why="A participant without it, or with an older one, lets in whoever was revoked since.",
-    mend="Give the latest crl.pem to all, and start them again: stacks read it at their start.",
+    fix="Give the latest crl.pem to all, and start them again: stacks read it at their start.",
 )  # fmt: skip
-def old_list(inventory: Inventory) -> Iterator[Found]:
+def old_list(inventory: Inventory) -> Iterator[Violation]:
     newest: dict[Path, tuple[datetime, Enclave]] = {}
     for enclave in inventory.enclaves:
         made, root = _latest(enclave), _root(enclave.folder)
@@ -86,40 +88,40 @@ def old_list(inventory: Inventory) -> Iterator[Found]:
         if latest and (own is None or own < latest):
             has = f"a revocation list of {own:%Y-%m-%d %H:%M}" if own else "no revocation list"
             words = f"has {has}; {other.name} has one of {latest:%Y-%m-%d %H:%M} UTC"
-            yield Found(words, path=enclave.folder)
+            yield Violation(words, path=enclave.folder)
 
 
 @FAMILY.rule(
     "PQS318", Severity.ERROR, Enclave, "a file is not what its name says",
     why="Under each of the six names stacks look for a certificate in PEM, or for one of the two"
     " documents, and find none. Whatever should fit to it was not checked either.",
-    mend="Put the right file there (`openssl x509 -inform DER` makes PEM of DER), or issue the"
+    fix="Put the right file there (`openssl x509 -inform DER` makes PEM of DER), or issue the"
     " participant again.",
 )  # fmt: skip
-def misnamed(enclave: Enclave) -> Iterator[Found]:
+def misnamed(enclave: Enclave) -> Iterator[Violation]:
     for name, file in enclave.files.items():
         is_certificate = name == CERTIFICATE or name.endswith(f".{CERTIFICATE}")
         if is_certificate and "CERTIFICATE" not in file.labels and not file.unreadable:
-            yield Found("there is no certificate in PEM in it", path=enclave.folder / name)
+            yield Violation("there is no certificate in PEM in it", path=enclave.folder / name)
     if enclave.governance(PERMISSIONS):
-        yield Found("is governance, not permissions", path=enclave.folder / PERMISSIONS)
+        yield Violation("is governance, not permissions", path=enclave.folder / PERMISSIONS)
     if enclave.permissions(GOVERNANCE):
-        yield Found("is permissions, not governance", path=enclave.folder / GOVERNANCE)
+        yield Violation("is permissions, not governance", path=enclave.folder / GOVERNANCE)
 
 
 @FAMILY.rule(
     "PQS314", Severity.WARNING, Inventory, "two participants have one key",
     why="Whoever opens one of the robots has the key of both, and neither can be revoked alone."
     " Copying an enclave folder to a second robot does this.",
-    mend="Issue each participant with its own key: `pqsec issue NAME`.",
+    fix="Issue each participant with its own key: `pqsec issue NAME`.",
 )  # fmt: skip
-def shared_key(inventory: Inventory) -> Iterator[Found]:
+def shared_key(inventory: Inventory) -> Iterator[Violation]:
     first: dict[bytes, Enclave] = {}
     for enclave in inventory.enclaves:
         for key in _own_keys(enclave):
             other = first.setdefault(key, enclave)
             if other is not enclave:
-                yield Found(f"has the key of {other.name} too", path=enclave.folder)
+                yield Violation(f"has the key of {other.name} too", path=enclave.folder)
                 break
 
 
@@ -127,16 +129,16 @@ def shared_key(inventory: Inventory) -> Iterator[Found]:
     "PQS315", Severity.WARNING, Inventory, "two certificates have one serial number",
     why="Revocation lists name certificates by their number: with one, the other is revoked"
     " too. RFC 5280 4.1.2.2 wants it to be unique in a CA.",
-    mend="Issue one of them again, and let the CA choose numbers (no -set_serial).",
+    fix="Issue one of them again, and let the CA choose numbers (no -set_serial).",
 )  # fmt: skip
-def same_serial(inventory: Inventory) -> Iterator[Found]:
+def same_serial(inventory: Inventory) -> Iterator[Violation]:
     first: dict[tuple[bytes, int], CertificateFile] = {}
     for file in inventory.certificates:
         if certificate := file.first:
             number = (certificate.issuer_der, certificate.serial_number)
             other = first.setdefault(number, file)
             if other.first and other.first.der != certificate.der:
-                yield Found(f"has the serial number of {other.path} too", path=file.path)
+                yield Violation(f"has the serial number of {other.path} too", path=file.path)
 
 
 def _latest(enclave: Enclave) -> datetime | None:

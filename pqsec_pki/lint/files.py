@@ -8,7 +8,7 @@ from pqsec_pki.algorithms import is_encrypted
 from pqsec_pki.lint._keys import held
 from pqsec_pki.lint._roles import Role, role_of
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.rule import Family, Found, Severity
+from pqsec_pki.lint.rule import Family, Severity, Violation
 from pqsec_pki.lint.subjects import Inventory
 
 FAMILY = Family("files")
@@ -21,31 +21,33 @@ PRIVATE, _PUBLIC = "private", "public"
 @FAMILY.rule(
     "PQS701", Severity.ERROR, File, "others can read a private key",
     why="Whoever reads the key is the participant, or the CA. sros2 0.13 writes them 0644.",
-    mend="Run `chmod 600` on it; if the machine has other users, issue again with a new key.",
+    fix="Run `chmod 600` on it; if the machine has other users, issue again with a new key.",
 )  # fmt: skip
-def readable_key(file: File) -> Iterator[Found]:
+def readable_key(file: File) -> Iterator[Violation]:
     if file.is_private_key and file.permission_bits & _OTHERS:
-        yield Found(f"a private key with mode {file.permission_bits:04o}; 0600 is right")
+        yield Violation(f"a private key with mode {file.permission_bits:04o}; 0600 is right")
 
 
 @FAMILY.rule(
     "PQS702", Severity.WARNING, Inventory, "others can look into the folder of the CA keys",
     why="One key that is written with the wrong mode there is at once everybody's.",
-    mend="Run `chmod 700` on it.",
+    fix="Run `chmod 700` on it.",
 )  # fmt: skip
-def open_private_folder(inventory: Inventory) -> Iterator[Found]:
+def open_private_folder(inventory: Inventory) -> Iterator[Violation]:
     for folder, mode in inventory.folders.items():
         if folder.name == PRIVATE and mode & _OTHERS:
-            yield Found(f"a folder with mode {stat.S_IMODE(mode):04o}; 0700 is right", path=folder)
+            yield Violation(
+                f"a folder with mode {stat.S_IMODE(mode):04o}; 0700 is right", path=folder
+            )
 
 
 @FAMILY.rule(
     "PQS703", Severity.ERROR, Inventory, "a CA's private key is in an enclave",
     why="Enclaves are copied to robots. Whoever opens one robot then issues certificates and"
     " permissions for all.",
-    mend="Take the key out, and make new CAs if the enclave has been copied anywhere.",
+    fix="Take the key out, and make new CAs if the enclave has been copied anywhere.",
 )  # fmt: skip
-def ca_key_in_enclave(inventory: Inventory) -> Iterator[Found]:
+def ca_key_in_enclave(inventory: Inventory) -> Iterator[Violation]:
     owners = _ca_keys(inventory)
     for enclave in inventory.enclaves:
         for name, file in enclave.files.items():
@@ -53,7 +55,7 @@ def ca_key_in_enclave(inventory: Inventory) -> Iterator[Found]:
                 continue
             owner = owners.get(held(file).spki)
             if owner or _CA_KEY.fullmatch(name):
-                yield Found(f"the private key of the {owner or 'CA'} is in an enclave",
+                yield Violation(f"the private key of the {owner or 'CA'} is in an enclave",
                             path=enclave.folder / name)  # fmt: skip
 
 
@@ -61,69 +63,71 @@ def ca_key_in_enclave(inventory: Inventory) -> Iterator[Found]:
     "PQS704", Severity.ERROR, File, "a private key is where public things are",
     why="What lies in public/, or in a file with a certificate, is given away without a"
     " thought.",
-    mend="Take it out, and issue again with a new key if the file has been given to anybody.",
+    fix="Take it out, and issue again with a new key if the file has been given to anybody.",
 )  # fmt: skip
-def public_key_place(file: File) -> Iterator[Found]:
+def public_key_place(file: File) -> Iterator[Violation]:
     if not file.is_private_key:
         return
     if _PUBLIC in file.path.parts[-2:-1]:
-        yield Found("a private key in the folder public")
+        yield Violation("a private key in the folder public")
     elif "CERTIFICATE" in file.labels:
-        yield Found("a private key and a certificate in one file")
+        yield Violation("a private key and a certificate in one file")
 
 
 @FAMILY.rule(
     "PQS705", Severity.ERROR, Inventory, "everybody can change it",
     why="Any program on the machine can exchange the file, or what it trusts.",
-    mend="Run `chmod o-w` on it, and compare with a copy that nobody could change.",
+    fix="Run `chmod o-w` on it, and compare with a copy that nobody could change.",
 )  # fmt: skip
-def world_writable(inventory: Inventory) -> Iterator[Found]:
+def world_writable(inventory: Inventory) -> Iterator[Violation]:
     for file in inventory.files:
         if file.mode & stat.S_IWOTH:
-            yield Found(f"everybody can write the file (mode {file.permission_bits:04o})",
+            yield Violation(f"everybody can write the file (mode {file.permission_bits:04o})",
                         path=file.path)  # fmt: skip
     for folder, mode in inventory.folders.items():
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            yield Found(f"everybody can exchange files in it (mode {stat.S_IMODE(mode):04o})",
+            yield Violation(f"everybody can exchange files in it (mode {stat.S_IMODE(mode):04o})",
                         path=folder)  # fmt: skip
 
 
 @FAMILY.rule(
     "PQS706", Severity.WARNING, File, "a copy of a private key was left behind",
     why="It is forgotten when the key is exchanged, copied to robots, and kept in backups.",
-    mend="Delete it (shred FILE).",
+    fix="Delete it (shred FILE).",
 )  # fmt: skip
-def left_behind(file: File) -> Iterator[Found]:
+def left_behind(file: File) -> Iterator[Violation]:
     if file.is_private_key and not _KEY_NAME.fullmatch(file.path.name):
-        yield Found("looks like a left-over copy of a private key")
+        yield Violation("looks like a left-over copy of a private key")
 
 
 @FAMILY.rule(
     "PQS707", Severity.WARNING, Inventory, "a CA's private key is not encrypted",
     why="Whoever gets this file, from a backup or a lost disk, issues for your domain.",
-    mend="Encrypt it: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000 (3.5 or later for ML-DSA"
+    fix="Encrypt it: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000 (3.5 or later for ML-DSA"
     " keys). `pqsec ca init` asks for a passphrase unless told --no-passphrase.",
 )  # fmt: skip
-def open_ca_key(inventory: Inventory) -> Iterator[Found]:
+def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
     owners = _ca_keys(inventory)
     for file in inventory.files:
         if not file.is_private_key or is_encrypted(file.data):
             continue
         owner = owners.get(held(file).spki)
         if owner or _CA_KEY.fullmatch(file.path.name):
-            yield Found(f"the private key of the {owner or 'CA'} is not encrypted", path=file.path)
+            yield Violation(
+                f"the private key of the {owner or 'CA'} is not encrypted", path=file.path
+            )
 
 
 @FAMILY.rule(
     "PQS708", Severity.WARNING, File, "a private key is encrypted in the old way",
     why="With 'Proc-Type: 4,ENCRYPTED' a passphrase costs one round of MD5 to try; as pqsec"
     " encrypts keys it costs 600000 rounds of HMAC-SHA-256.",
-    mend="Encrypt it again: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000.",
+    fix="Encrypt it again: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000.",
     rows=("traditional PEM, encrypted or not",),
 )  # fmt: skip
-def weakly_encrypted(file: File) -> Iterator[Found]:
+def weakly_encrypted(file: File) -> Iterator[Violation]:
     if file.is_private_key and b"Proc-Type: 4,ENCRYPTED" in file.data:
-        yield Found("a private key in traditional PEM: its passphrase is quickly guessed")
+        yield Violation("a private key in traditional PEM: its passphrase is quickly guessed")
 
 
 def _ca_keys(inventory: Inventory) -> Mapping[bytes | None, Role]:

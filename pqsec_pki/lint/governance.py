@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pqsec_pki.documents import DomainRule, ProtectionKind, TopicRule
 from pqsec_pki.lint._shadows import Patterns, covers_all, covers_domains
 from pqsec_pki.lint.document import GovernanceFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 
 FAMILY = Family("documents")
 
@@ -35,9 +35,9 @@ def _is_open(topic: TopicRule) -> bool:
     "PQS221", WARNING, GovernanceFile, "participants without identity are let in",
     why="Whoever is on the network joins the domain, and uses every topic whose rule has no"
     " access control.",
-    mend="Set allow_unauthenticated_participants to false once all participants are secured.",
+    fix="Set allow_unauthenticated_participants to false once all participants are secured.",
 )  # fmt: skip
-def unauthenticated(document: GovernanceFile) -> Iterator[Found]:
+def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if rule.allow_unauthenticated_participants:
             yield document.at(rule.line, f"domains {rule.domains} let in whoever has no identity")
@@ -47,11 +47,11 @@ def unauthenticated(document: GovernanceFile) -> Iterator[Found]:
     "PQS222", ERROR, GovernanceFile, "participants without identity, and protected messages",
     why="Who has no identity cannot read protected RTPS messages: the two exclude each other,"
     " and Fast DDS 3 refuses the governance.",
-    mend="Set rtps_protection_kind to NONE, or allow_unauthenticated_participants to false.",
+    fix="Set rtps_protection_kind to NONE, or allow_unauthenticated_participants to false.",
     stacks=(Target.FASTDDS,), rows=("allow_unauthenticated=true with rtps_protection≠NONE",),
     measured="Fast DDS 3.1.2 and 3.6.2 refuse, 2.9.1 and Cyclone DDS take it",
 )  # fmt: skip
-def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Found]:
+def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if rule.allow_unauthenticated_participants and rule.rtps_protection_kind is not _NONE:
             yield document.at(
@@ -63,9 +63,9 @@ def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS223", WARNING, GovernanceFile, "anybody with an identity may join",
     why="Without join access control the permissions are not asked when a participant joins.",
-    mend="Set enable_join_access_control to true.",
+    fix="Set enable_join_access_control to true.",
 )  # fmt: skip
-def no_join_control(document: GovernanceFile) -> Iterator[Found]:
+def no_join_control(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if not rule.enable_join_access_control:
             yield document.at(rule.line, f"domains {rule.domains} have no join access control")
@@ -75,9 +75,9 @@ def no_join_control(document: GovernanceFile) -> Iterator[Found]:
     "PQS224", WARNING, GovernanceFile, "topics without any protection",
     why="Neither the data nor the messages around it are protected: whoever is on the network"
     " reads, forges and alters it.",
-    mend="Set metadata_protection_kind or data_protection_kind to ENCRYPT.",
+    fix="Set metadata_protection_kind or data_protection_kind to ENCRYPT.",
 )  # fmt: skip
-def clear_topic(document: GovernanceFile) -> Iterator[Found]:
+def clear_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule, topic in _topics(document):
         if _is_open(topic) and rule.rtps_protection_kind is _NONE:
             yield document.at(
@@ -88,9 +88,9 @@ def clear_topic(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS225", INFO, GovernanceFile, "topics are signed and can be read",
     why="Nobody can forge the data; everybody on the network can read it. That may be meant.",
-    mend="To hide it, set data_protection_kind (or metadata_protection_kind) to ENCRYPT.",
+    fix="To hide it, set data_protection_kind (or metadata_protection_kind) to ENCRYPT.",
 )  # fmt: skip
-def readable_topic(document: GovernanceFile) -> Iterator[Found]:
+def readable_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule, topic in _topics(document):
         kinds = {topic.metadata_protection_kind, topic.data_protection_kind}
         whole = rule.rtps_protection_kind
@@ -104,9 +104,9 @@ def readable_topic(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS226", INFO, GovernanceFile, "topics for whoever joins",
     why="Without read or write access control the permissions are not asked for the topic.",
-    mend="Set enable_read_access_control and enable_write_access_control to true.",
+    fix="Set enable_read_access_control and enable_write_access_control to true.",
 )  # fmt: skip
-def no_topic_control(document: GovernanceFile) -> Iterator[Found]:
+def no_topic_control(document: GovernanceFile) -> Iterator[Violation]:
     for _, topic in _topics(document):
         open_to = [
             word
@@ -127,9 +127,9 @@ def no_topic_control(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS227", WARNING, GovernanceFile, "a topic rule that is never reached",
     why="The first topic rule that matches decides: an earlier one covers all of this one.",
-    mend="Put the narrower rule first.",
+    fix="Put the narrower rule first.",
 )  # fmt: skip
-def shadowed_topic(document: GovernanceFile) -> Iterator[Found]:
+def shadowed_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         before = Patterns[TopicRule]()
         for topic in rule.topic_rules:
@@ -145,9 +145,9 @@ def shadowed_topic(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS228", WARNING, GovernanceFile, "a domain rule that is never reached",
     why="The first domain rule that names a domain governs it: an earlier one names all of these.",
-    mend="Take the domains out of one of the two.",
+    fix="Take the domains out of one of the two.",
 )  # fmt: skip
-def shadowed_domains(document: GovernanceFile) -> Iterator[Found]:
+def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
     rules = _rules(document)
     for place, rule in enumerate(rules):
         if any(covers_domains(each.domains, rule.domains) for each in rules[:place][:MAX_COMPARED]):
@@ -157,10 +157,10 @@ def shadowed_domains(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS229", WARNING, GovernanceFile, "topics that no rule names",
     why="A topic that no topic rule matches cannot be used: stacks refuse to create its endpoints.",
-    mend="End the topic rules with one for *, with the strictest protection.",
+    fix="End the topic rules with one for *, with the strictest protection.",
     measured="read in Cyclone DDS's and Fast DDS's source",
 )  # fmt: skip
-def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Found]:
+def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if not any(covers_all(topic.topic_expression) for topic in rule.topic_rules):
             yield document.at(rule.line, "no topic rule is for all other topics (*)")
@@ -171,11 +171,11 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Found]:
     why="OpenDDS creates a participant only where join access control is off or some topic rule"
     " leaves reading or writing open, whatever the permissions say (OpenDDS issue 5007). All"
     " other stacks take such governance, and it is what pqsec writes.",
-    mend="For OpenDDS put a topic rule for a name that nobody uses before the others, with"
+    fix="For OpenDDS put a topic rule for a name that nobody uses before the others, with"
     " enable_read_access_control false: it opens nothing else.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
 )  # fmt: skip
-def nobody_joins(document: GovernanceFile) -> Iterator[Found]:
+def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if rule.enable_join_access_control and not any(map(_is_half_open, rule.topic_rules)):
             yield document.at(
@@ -188,10 +188,10 @@ def nobody_joins(document: GovernanceFile) -> Iterator[Found]:
     "PQS240", WARNING, GovernanceFile, "a topic rule that opens protected topics in OpenDDS",
     why="OpenDDS asks for permissions only where all topic rules that match want them: an open"
     " rule further down opens what a rule above it protects.",
-    mend="For OpenDDS, let the open rule's expression not cover the protected topics.",
+    fix="For OpenDDS, let the open rule's expression not cover the protected topics.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
 )  # fmt: skip
-def opened_below(document: GovernanceFile) -> Iterator[Found]:
+def opened_below(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         open_below = Patterns[TopicRule]()
         for topic in reversed(rule.topic_rules):

@@ -10,7 +10,7 @@ from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint._names import CUTS, parsed, repeated
 from pqsec_pki.lint.document import PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.subjects import CertificateFile, Inventory
 
 FAMILY = Family("naming")
@@ -36,14 +36,14 @@ class _Holder:
     " certificate's subject are among those of the grant, in any order: CN=/robot was let in with"
     " the permissions of CN=/robot/admin, and published on its topics. Permissions are no"
     " secret: they travel in clear in each handshake.",
-    mend="Rename one of the two, so that its path has a part that the other's has not:"
+    fix="Rename one of the two, so that its path has a part that the other's has not:"
     " /robot/driver beside /robot/admin.",
     stacks=(_CYCLONE,),
     rows=("**security**: identity CN=/robot presenting a document for CN=/robot/admin",
           "identity CN=/x/a, grant CN=/a/x", "superset (+`,L=Madrid`)"),
     measured=_CYCLONES,
 )  # fmt: skip
-def escalation(inventory: Inventory) -> Iterator[Found]:
+def escalation(inventory: Inventory) -> Iterator[Violation]:
     grants = list(_granted(inventory))
     by_rarest = _by_rarest_piece([*_identities(inventory), *grants])
     for grant in grants:
@@ -55,7 +55,7 @@ def escalation(inventory: Inventory) -> Iterator[Found]:
                     message = (
                         f"on Cyclone DDS, {other.name} may use the permissions of {grant.name}"
                     )
-                    yield Found(message, grant.line, grant.path)
+                    yield Violation(message, grant.line, grant.path)
 
 
 def _may_pass(other: _Holder, grant: _Holder) -> bool:
@@ -103,9 +103,9 @@ def _pieces(name: str) -> frozenset[tuple[str, str]]:
 @FAMILY.rule(
     "PQS402", WARNING, Inventory, "two participants of one name",
     why="Permissions are for a name: each of the two may use those of the other.",
-    mend="Give each its own subject.",
+    fix="Give each its own subject.",
 )  # fmt: skip
-def same_name(inventory: Inventory) -> Iterator[Found]:
+def same_name(inventory: Inventory) -> Iterator[Violation]:
     before: dict[bytes, tuple[str, bytes]] = {}
     for enclave in inventory.enclaves:
         certificate = enclave.certificate()
@@ -114,31 +114,31 @@ def same_name(inventory: Inventory) -> Iterator[Found]:
         name, spki = before.setdefault(certificate.subject_der, (enclave.name, certificate.spki))
         if spki != certificate.spki:
             message = f"{certificate.subject_name} is the subject of {name} too, with another key"
-            yield Found(message, path=enclave.files[CERTIFICATE].path)
+            yield Violation(message, path=enclave.files[CERTIFICATE].path)
 
 
 @FAMILY.rule(
     "PQS431", ERROR, CertificateFile, "a certificate with two parts of one kind",
     why="Of two OUs Cyclone DDS sees the first only, and Fast DDS 3 finds no grant.",
-    mend="Issue it with one of them; CN alone fits every stack.",
+    fix="Issue it with one of them; CN alone fits every stack.",
     rows=("two OUs",), measured=f"{_CYCLONES}, Fast DDS 3.1.2, 3.6.2",
 )  # fmt: skip
-def certificate_repeats(file: CertificateFile) -> Iterator[Found]:
+def certificate_repeats(file: CertificateFile) -> Iterator[Violation]:
     for certificate in _participants(file):
         if twice := repeated(parsed(certificate.subject_name)):
-            yield Found(f"the subject {certificate.subject_name} has {twice} twice")
+            yield Violation(f"the subject {certificate.subject_name} has {twice} twice")
 
 
 @FAMILY.rule(
     "PQS432", ERROR, CertificateFile, "a certificate with a part of several values",
     why="No stack finds a grant for a subject such as CN=x+OU=y.",
-    mend="Issue it with separate parts, or with CN alone.",
+    fix="Issue it with separate parts, or with CN alone.",
     rows=("multi-valued RDN",), measured="all six stacks",
 )  # fmt: skip
-def certificate_joins(file: CertificateFile) -> Iterator[Found]:
+def certificate_joins(file: CertificateFile) -> Iterator[Violation]:
     for certificate in _participants(file):
         if any(len(list(rdn)) > 1 for rdn in certificate.subject.rdns):
-            yield Found(f"the subject {certificate.subject_name} has parts joined by +")
+            yield Violation(f"the subject {certificate.subject_name} has parts joined by +")
 
 
 def _participants(file: CertificateFile) -> Iterator[Certificate]:

@@ -7,7 +7,7 @@ from pqsec_pki.documents import DefaultAction, DomainSet, Grant, Rule
 from pqsec_pki.lint._names import parsed, shown
 from pqsec_pki.lint._shadows import Patterns, covers_all, covers_domains
 from pqsec_pki.lint.document import PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 
 FAMILY = Family("documents")
 
@@ -22,9 +22,9 @@ _ACTIONS = ("publish", "subscribe", "relay")
     "PQS251", WARNING, PermissionsFile, "what no rule names is allowed",
     why="Default ALLOW turns a forgotten rule into a permission; in Fast DDS it does not work"
     " either: its default is never asked for a topic.",
-    mend="Write <default>DENY</default>, and an allow_rule for what is needed.",
+    fix="Write <default>DENY</default>, and an allow_rule for what is needed.",
 )  # fmt: skip
-def default_allow(document: PermissionsFile) -> Iterator[Found]:
+def default_allow(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.default is DefaultAction.ALLOW:
             yield document.at(grant.line, f"{shown(grant)}: whatever no rule names is allowed")
@@ -34,12 +34,12 @@ def default_allow(document: PermissionsFile) -> Iterator[Found]:
     "PQS252", ERROR, PermissionsFile, "default ALLOW without an allow_rule",
     why="Fast DDS lets a participant join only where an allow_rule names the domain, whatever"
     " the default says.",
-    mend="Add an allow_rule for the domain.",
+    fix="Add an allow_rule for the domain.",
     stacks=(_FAST,),
     rows=("`<default>ALLOW` and no rule", "no rule for the domain, default ALLOW"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def nothing_allowed(document: PermissionsFile) -> Iterator[Found]:
+def nothing_allowed(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.default is DefaultAction.ALLOW and not any(rule.allow for rule in grant.rules):
             yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants an allow_rule to join")
@@ -48,9 +48,9 @@ def nothing_allowed(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS253", WARNING, PermissionsFile, "everything is allowed",
     why="A participant that is taken over may then publish, or read, any topic.",
-    mend="Name the topics it needs; `pqsec permissions new` starts from a node's own.",
+    fix="Name the topics it needs; `pqsec permissions new` starts from a node's own.",
 )  # fmt: skip
-def allow_all(document: PermissionsFile) -> Iterator[Found]:
+def allow_all(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         for rule in grant.rules:
             for action in _ACTIONS if rule.allow else ():
@@ -65,10 +65,10 @@ def allow_all(document: PermissionsFile) -> Iterator[Found]:
     "PQS254", ERROR, PermissionsFile, "a deny_rule that comes too late",
     why="The first rule that matches decides: an allow_rule above covers what is denied here, so"
     " it is allowed. Measured in all stacks.",
-    mend="Put the deny_rule above the allow_rule.",
+    fix="Put the deny_rule above the allow_rule.",
     rows=("allow(*) then deny(T)", "deny(T) then allow(*)"), measured="all six stacks",
 )  # fmt: skip
-def late_deny(document: PermissionsFile) -> Iterator[Found]:
+def late_deny(document: PermissionsFile) -> Iterator[Violation]:
     for line, action, topic, rule, earlier in _shadowed(document):
         if not rule.allow:
             yield document.at(
@@ -80,10 +80,10 @@ def late_deny(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS255", WARNING, PermissionsFile, "an allow_rule that is never reached",
     why="The first rule that matches decides: a deny_rule above covers what is allowed here.",
-    mend="Put the allow_rule above the deny_rule, or take it out.",
+    fix="Put the allow_rule above the deny_rule, or take it out.",
     rows=("deny(T) then allow(*)",), measured="all six stacks",
 )  # fmt: skip
-def late_allow(document: PermissionsFile) -> Iterator[Found]:
+def late_allow(document: PermissionsFile) -> Iterator[Violation]:
     for line, action, topic, rule, earlier in _shadowed(document):
         if rule.allow:
             yield document.at(
@@ -133,10 +133,10 @@ def _shadowed_in(
     why="Cyclone DDS and Fast DDS deny the topic in every partition, whatever is named; OpenDDS"
     " denies it in those named, and Cyclone DDS does so where an allow_rule above names the topic."
     " Both then compare names: with secre? or s* an endpoint gets around a deny_rule for secret.",
-    mend="Name the partitions in an allow_rule instead, and deny the topic without them.",
+    fix="Name the partitions in an allow_rule instead, and deny the topic without them.",
     rows=("deny T only in partition Q, endpoint in none",), measured="all six stacks",
 )  # fmt: skip
-def deny_in_partition(document: PermissionsFile) -> Iterator[Found]:
+def deny_in_partition(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         for rule in grant.rules:
             for action in () if rule.allow else _ACTIONS:
@@ -152,11 +152,11 @@ def deny_in_partition(document: PermissionsFile) -> Iterator[Found]:
     "PQS257", WARNING, PermissionsFile, "topics and partitions in different criteria",
     why="Fast DDS puts the criteria of a rule together: a topic of one is allowed in the"
     " partitions of another. Cyclone DDS and the standard keep them apart.",
-    mend="Write an allow_rule for each.",
+    fix="Write an allow_rule for each.",
     stacks=(_FAST,), rows=("topic in one `<publish>`, partition in another",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def mixed_criteria(document: PermissionsFile) -> Iterator[Found]:
+def mixed_criteria(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         for rule in grant.rules:
             for action in _ACTIONS if rule.allow else ():
@@ -172,11 +172,11 @@ def mixed_criteria(document: PermissionsFile) -> Iterator[Found]:
     "PQS258", INFO, PermissionsFile, "allowed outside partitions only",
     why="Other rules of the grant name partitions; an allow_rule without them is for endpoints in"
     " no partition, not for those in any.",
-    mend="Name the partitions here too; <partition>*</partition> is all of them.",
+    fix="Name the partitions here too; <partition>*</partition> is all of them.",
     rows=("allow without partitions, endpoint in P", "allow partition P, endpoint in none"),
     measured="all six stacks",
 )  # fmt: skip
-def default_partition(document: PermissionsFile) -> Iterator[Found]:
+def default_partition(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         criteria = [
             each
@@ -197,11 +197,11 @@ def default_partition(document: PermissionsFile) -> Iterator[Found]:
     "PQS259", WARNING, PermissionsFile, "relay rules, which stacks skip",
     why="Cyclone DDS and OpenDDS never ask it; Fast DDS asks it of a peer only, where it counts"
     " as a right to subscribe.",
-    mend="Do not count on it.",
+    fix="Do not count on it.",
     stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
     measured="all six stacks; OpenDDS by source",
 )  # fmt: skip
-def relay(document: PermissionsFile) -> Iterator[Found]:
+def relay(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("relay"):
         yield document.at(node, "<relay> is not enforced as such by any stack")
 
@@ -209,11 +209,11 @@ def relay(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS260", WARNING, PermissionsFile, "data tags, which stacks skip",
     why="No stack asks them: what they should limit is allowed with any tag.",
-    mend="Use partitions, or other topics.",
+    fix="Use partitions, or other topics.",
     stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
     measured="all six stacks; OpenDDS by source",
 )  # fmt: skip
-def data_tags(document: PermissionsFile) -> Iterator[Found]:
+def data_tags(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("data_tags"):
         yield document.at(node, "<data_tags> are not enforced by any stack")
 
@@ -222,11 +222,11 @@ def data_tags(document: PermissionsFile) -> Iterator[Found]:
     "PQS261", WARNING, PermissionsFile, "two grants for one subject",
     why="The first decides, even when it has run out: Cyclone DDS then refuses the participant,"
     " Fast DDS looks further, OpenDDS forgets the second.",
-    mend="Put their rules into one grant.",
+    fix="Put their rules into one grant.",
     rows=("first grant for subject not valid, second valid",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; OpenDDS by source",
 )  # fmt: skip
-def two_grants(document: PermissionsFile) -> Iterator[Found]:
+def two_grants(document: PermissionsFile) -> Iterator[Violation]:
     before: dict[object, Grant] = {}
     for grant in document.grants:
         # Of a name beyond ASCII each of two spellings is for other stacks (PQS418, PQS425).

@@ -17,7 +17,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import _signatures
 from pqsec_pki.lint._roles import Role, family_of, key_kind, role_of
 from pqsec_pki.lint.cross import has_keys_on_robot
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
 
 FAMILY = Family("post-quantum")
@@ -29,38 +29,42 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     "PQS601", Severity.ERROR, CertificateFile, "no stock stack takes a post-quantum identity",
     why="With ML-DSA or composite keys as identity CA or participant every stack refused,"
     " also on OpenSSL 3.5: it is their own code that knows RSA and ECDSA only.",
-    mend="Use the transition profile: classical keys that stacks take, ML-DSA beside them.",
+    fix="Use the transition profile: classical keys that stacks take, ML-DSA beside them.",
     stacks=STOCK, only_when_asked=True,
     rows=("identity all ML-DSA-65", "ML-DSA CA, EC leaf", "EC CA, ML-DSA leaf"),
     measured=_ALL + "; OpenDDS by source",
 )  # fmt: skip
-def identity_for_no_stack(file: CertificateFile) -> Iterator[Found]:
+def identity_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     role = role_of(file)
     if file.first and role.identifies and family_of(file.first) is not Strength.CLASSICAL:
-        yield Found(f"the {role} has a key of kind {key_kind(file.first)}, for pqsec peers only")
+        yield Violation(
+            f"the {role} has a key of kind {key_kind(file.first)}, for pqsec peers only"
+        )
 
 
 @FAMILY.rule(
     "PQS602", Severity.ERROR, CertificateFile, "no stock stack can verify these documents",
     why="Stacks verify with PKCS7_verify, which knows RSA and ECDSA only, in OpenSSL 3.5 and"
     " 4.0 too: 'provider signature not supported'.",
-    mend="Use the transition profile: an ECDSA signature, and ML-DSA's over it.",
+    fix="Use the transition profile: an ECDSA signature, and ML-DSA's over it.",
     stacks=STOCK, only_when_asked=True,
     rows=("governance/permissions CMS-signed ML-DSA-65",),
     measured=_ALL + "; OpenDDS by source",
 )  # fmt: skip
-def documents_for_no_stack(file: CertificateFile) -> Iterator[Found]:
+def documents_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     role = role_of(file)
     if file.first and role.signs_documents and family_of(file.first) is not Strength.CLASSICAL:
-        yield Found(f"the {role} signs documents with {key_kind(file.first)}, for pqsec peers only")
+        yield Violation(
+            f"the {role} signs documents with {key_kind(file.first)}, for pqsec peers only"
+        )
 
 
 @FAMILY.rule(
     "PQS603", Severity.ERROR, Enclave, "the alternative signature does not hold",
     why="Only stock stacks, which pass over it, will take this certificate. It may be forged.",
-    mend="Renew the participant: `pqsec renew NAME`.",
+    fix="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
-def alternative_does_not_hold(enclave: Enclave) -> Iterator[Found]:
+def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
     certificate, key = enclave.certificate(), _alternative_key(enclave.certificate(IDENTITY_CA))
     if certificate is None or key is None or not _has_signature(certificate):
         return
@@ -68,16 +72,16 @@ def alternative_does_not_hold(enclave: Enclave) -> Iterator[Found]:
         if certificate.alternative:
             certificate.alternative.verify(key)
     except PqsecError as error:
-        yield Found(f"the certificate's alternative signature: {error}")
+        yield Violation(f"the certificate's alternative signature: {error}")
 
 
 @FAMILY.rule(
     "PQS604", Severity.ERROR, Enclave, "the certificate has no alternative key or signature",
     why="Its CA has one, and pqsec peers ask for it: without, whoever breaks ECDSA could make"
     " this certificate.",
-    mend="Renew the participant: `pqsec renew NAME`.",
+    fix="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
-def no_alternative(enclave: Enclave) -> Iterator[Found]:
+def no_alternative(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None or _alternative_key(enclave.certificate(IDENTITY_CA)) is None:
         return
@@ -90,69 +94,73 @@ def no_alternative(enclave: Enclave) -> Iterator[Found]:
         if not there
     ]
     if missing:
-        yield Found(f"the certificate lacks an alternative {' and '.join(missing)}; its CA has one")
+        yield Violation(
+            f"the certificate lacks an alternative {' and '.join(missing)}; its CA has one"
+        )
 
 
 @FAMILY.rule(
     "PQS605", Severity.ERROR, Inventory, "a countersignature is missing",
     why="Beside the permissions CA there is a post-quantum one that countersigns. Without its"
     " signature pqsec peers refuse the document; somebody may have taken it off.",
-    mend="Sign the document again.",
+    fix="Sign the document again.",
 )  # fmt: skip
-def stripped(inventory: Inventory) -> Iterator[Found]:
+def stripped(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         ca, signers = pair.alternative_ca, _signatures.countersigners(pair.file)
         if ca and not any(_signatures.is_by(signer, ca) for signer in signers):
-            yield Found(f"lacks the countersignature of {ca.subject_name}", path=pair.file.path)
+            yield Violation(f"lacks the countersignature of {ca.subject_name}", path=pair.file.path)
 
 
 @FAMILY.rule(
     "PQS606", Severity.ERROR, Inventory, "a countersignature does not hold",
     why="The post-quantum signature is not over this document's signature.",
-    mend="Sign the document again, and find out who changed it.",
+    fix="Sign the document again, and find out who changed it.",
 )  # fmt: skip
-def counter_does_not_hold(inventory: Inventory) -> Iterator[Found]:
+def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         for problem in _signatures.counter_problems(pair):
-            yield Found(problem, path=pair.file.path)
+            yield Violation(problem, path=pair.file.path)
 
 
 @FAMILY.rule(
     "PQS607", Severity.ERROR, Enclave, "the certificate of the countersigner is missing",
     why="Documents here are countersigned, and without it nobody can check that: a document"
     " without the countersignature would look as good.",
-    mend=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
+    fix=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
 )  # fmt: skip
-def no_countersigner(enclave: Enclave) -> Iterator[Found]:
+def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
     file = enclave.files.get(PERMISSIONS_ALT_CA)
     if enclave.certificate(PERMISSIONS_ALT_CA) or (file and file.unreadable):
         return
     files = (enclave.files.get(name) for name in (PERMISSIONS, GOVERNANCE))
     ca = enclave.certificate(PERMISSIONS_CA)
     if any(file and _signatures.countersigners(file, ca) for file in files):
-        yield Found(f"documents are countersigned, and {PERMISSIONS_ALT_CA} is not there")
+        yield Violation(f"documents are countersigned, and {PERMISSIONS_ALT_CA} is not there")
     elif _alternative_key(enclave.certificate(IDENTITY_CA)):
-        yield Found(f"the identity CA has an alternative key, and {PERMISSIONS_ALT_CA} is missing")
+        yield Violation(
+            f"the identity CA has an alternative key, and {PERMISSIONS_ALT_CA} is missing"
+        )
 
 
 @FAMILY.rule(
     "PQS608", Severity.ERROR, Enclave, "the alternative private key is missing",
     why="The certificate names it, and pqsec peers ask the participant to sign with it.",
-    mend=f"Copy {ALT_KEY} with the rest of the enclave, or issue the participant again.",
+    fix=f"Copy {ALT_KEY} with the rest of the enclave, or issue the participant again.",
 )  # fmt: skip
-def no_alternative_key(enclave: Enclave) -> Iterator[Found]:
+def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
     if has_keys_on_robot(enclave):
         return
     if _alternative_key(enclave.certificate()) and ALT_KEY not in enclave.files:
-        yield Found(f"{ALT_KEY} is not there, and the certificate has an alternative key")
+        yield Violation(f"{ALT_KEY} is not there, and the certificate has an alternative key")
 
 
 @FAMILY.rule(
     "PQS609", Severity.WARNING, Inventory, "weaker than the profile promises",
     why="A keystore is made with a profile so that everything in it holds what it promises.",
-    mend="Issue the participant again, or make the keystore again with the profile you mean.",
+    fix="Issue the participant again, or make the keystore again with the profile you mean.",
 )  # fmt: skip
-def below_profile(inventory: Inventory) -> Iterator[Found]:
+def below_profile(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore is None:
         return
     profile = inventory.keystore.profile
@@ -168,22 +176,24 @@ def below_profile(inventory: Inventory) -> Iterator[Found]:
         for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
             if row and (level := _level(found)) < row.level:
                 words = f"the {role}'s {what} is of security level {level}, not {row.level}"
-                yield Found(f"{words} as in profile {profile.name} ({row.name})", path=file.path)
+                yield Violation(
+                    f"{words} as in profile {profile.name} ({row.name})", path=file.path
+                )
 
 
 @FAMILY.rule(
     "PQS610", Severity.INFO, Inventory, "nothing here withstands a quantum computer",
     why="Who records the traffic now can read it once ECDH is broken (harvest now, decrypt"
     " later). A keystore made with `--profile classical` has chosen so and is not told.",
-    mend="For data that matters in ten years use profile transition: it runs in stock stacks,"
+    fix="For data that matters in ten years use profile transition: it runs in stock stacks,"
     " and between pqsec peers the key agreement is hybrid.",
 )  # fmt: skip
-def classical_only(inventory: Inventory) -> Iterator[Found]:
+def classical_only(inventory: Inventory) -> Iterator[Violation]:
     certificates = [each.first for each in inventory.certificates if each.first]
     if inventory.keystore or not inventory.enclaves or not certificates:
         return
     if all(family_of(each) is Strength.CLASSICAL and not each.alternative for each in certificates):
-        yield Found("all keys here are classical")
+        yield Violation("all keys here are classical")
 
 
 def _alternative_key(certificate: Certificate | None) -> PublicKey | None:

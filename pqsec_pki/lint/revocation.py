@@ -13,7 +13,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import x509
 from pqsec_pki.lint._roles import key_of
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.subjects import Enclave, Inventory
 
 FAMILY = Family("x509")
@@ -25,84 +25,86 @@ _RENEW = "Let the identity CA make a new list (`pqsec ca crl`), and give it to a
 @FAMILY.rule(
     "PQS140", Severity.ERROR, File, "a revocation list cannot be read",
     why="Stacks that are given it refuse to start.",
-    mend=_RENEW,
+    fix=_RENEW,
 )  # fmt: skip
-def unreadable(file: File) -> Iterator[Found]:
+def unreadable(file: File) -> Iterator[Violation]:
     if file.is_revocation_list:
         _, reason = _read(file.data)
         if reason:
-            yield Found(f"the revocation list in it cannot be read: {reason}")
+            yield Violation(f"the revocation list in it cannot be read: {reason}")
 
 
 @FAMILY.rule(
     "PQS141", Severity.ERROR, File, "a revocation list has expired",
     why="Past its nextUpdate stacks refuse every participant, revoked or not.",
-    mend=_RENEW, rows=(_BAD_LIST,), measured=_ALL,
+    fix=_RENEW, rows=(_BAD_LIST,), measured=_ALL,
 )  # fmt: skip
-def expired(file: File) -> Iterator[Found]:
+def expired(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     if revoked and revoked.next_update and file.now > revoked.next_update:
-        yield Found(f"the revocation list ended on {revoked.next_update:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list ended on {revoked.next_update:%Y-%m-%d %H:%M} UTC")
 
 
 @FAMILY.rule(
     "PQS148", Severity.WARNING, File, "a revocation list ends soon",
     why="Past its nextUpdate stacks refuse every participant, revoked or not.",
-    mend=_RENEW,
+    fix=_RENEW,
 )  # fmt: skip
-def ends_soon(file: File) -> Iterator[Found]:
+def ends_soon(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     end = revoked.next_update if revoked else None
     if revoked and end and x509.ends_soon(file.now, revoked.this_update, end):
-        yield Found(f"the revocation list ends on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list ends on {end:%Y-%m-%d %H:%M} UTC")
 
 
 @FAMILY.rule(
     "PQS142", Severity.ERROR, File, "a revocation list is not in force yet",
     why="Until its thisUpdate stacks refuse every participant.",
-    mend="Set the clock right, or let the CA make a new list.",
+    fix="Set the clock right, or let the CA make a new list.",
     measured="`openssl verify -crl_check` 3.0.19 and 3.5: 'CRL is not yet valid'",
 )  # fmt: skip
-def not_yet(file: File) -> Iterator[Found]:
+def not_yet(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     if revoked and file.now < revoked.this_update:
-        yield Found(f"the revocation list begins on {revoked.this_update:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list begins on {revoked.this_update:%Y-%m-%d %H:%M} UTC")
 
 
 @FAMILY.rule(
     "PQS143", Severity.WARNING, File, "a revocation list does not say when the next one comes",
     why="RFC 5280 5.1.2.5 demands it. An old copy is taken for ever, so whoever can hold back"
     " the new list keeps a revoked participant alive.",
-    mend="Make lists with a nextUpdate.",
+    fix="Make lists with a nextUpdate.",
 )  # fmt: skip
-def endless(file: File) -> Iterator[Found]:
+def endless(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     if revoked and revoked.next_update is None:
-        yield Found("the revocation list has no nextUpdate")
+        yield Violation("the revocation list has no nextUpdate")
 
 
 @FAMILY.rule(
     "PQS144", Severity.WARNING, File, "a revocation list in a file of certificates",
     why="Fast DDS 3 enforces a list that stands in the identity CA's file; Cyclone DDS and"
     " OpenDDS pass over it. In the permissions CA's file nobody reads it.",
-    mend="Keep it in crl.pem and name that file to the stack.",
+    fix="Keep it in crl.pem and name that file to the stack.",
     rows=(
         "CRL appended to identity_ca.pem, b revoked",
         "CRL in permissions CA file revoking it (ignored)",
     ),
     measured=_ALL,
 )  # fmt: skip
-def misplaced(file: File) -> Iterator[Found]:
+def misplaced(file: File) -> Iterator[Violation]:
     if file.is_revocation_list and "CERTIFICATE" in file.labels:
-        yield Found("a revocation list among certificates: Fast DDS 3 enforces it, others do not")
+        yield Violation(
+            "a revocation list among certificates: Fast DDS 3 enforces it, others do not"
+        )
 
 
 @FAMILY.rule(
     "PQS145", Severity.ERROR, Enclave, "a revocation list is not the identity CA's",
     why="Stacks refuse every participant with a list that another CA signed, or nobody.",
-    mend=_RENEW, rows=(_BAD_LIST,), measured=_ALL,
+    fix=_RENEW, rows=(_BAD_LIST,), measured=_ALL,
 )  # fmt: skip
-def of_another_ca(enclave: Enclave) -> Iterator[Found]:
+def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     ca = enclave.certificate(IDENTITY_CA)
     key = key_of(ca) if ca else None
     if ca is None or key is None:
@@ -113,16 +115,16 @@ def of_another_ca(enclave: Enclave) -> Iterator[Found]:
         try:
             revoked.verify(ca)
         except PqsecError as error:
-            yield Found(str(error), path=file.path)
+            yield Violation(str(error), path=file.path)
 
 
 @FAMILY.rule(
     "PQS146", Severity.ERROR, Inventory, "the participant's own certificate is revoked",
     why="It does not start, and its peers refuse it.",
-    mend="Issue the participant again with a new key.",
+    fix="Issue the participant again with a new key.",
     rows=("own cert revoked", "peer b revoked, CRL at a"), measured=_ALL,
 )  # fmt: skip
-def own(inventory: Inventory) -> Iterator[Found]:
+def own(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore is None:
         yield from _revoked(inventory)
 
@@ -131,10 +133,10 @@ def own(inventory: Inventory) -> Iterator[Found]:
     "PQS149", Severity.INFO, Inventory, "a revoked participant is still in the keystore",
     why="Nobody lets it in any more, as was meant. Its files are of no use, and its private key"
     " is one that somebody else may have.",
-    mend="Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
+    fix="Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
     " --after-revocation.",
 )  # fmt: skip
-def left_in_keystore(inventory: Inventory) -> Iterator[Found]:
+def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore:
         yield from _revoked(inventory)
 
@@ -142,22 +144,22 @@ def left_in_keystore(inventory: Inventory) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS147", Severity.WARNING, Enclave, "OpenDDS does not read revocation lists",
     why="A revoked participant is still let in: 'CRL and OCSP' are listed as not implemented.",
-    mend="Give certificates a short life, or change the identity CA.",
+    fix="Give certificates a short life, or change the identity CA.",
     stacks=(Target.OPENDDS,), only_when_asked=True,
     measured="OpenDDS 3.13.3, and the plugins of 3.34: a revoked sender was heard",
 )  # fmt: skip
-def opendds_reads_none(enclave: Enclave) -> Iterator[Found]:
+def opendds_reads_none(enclave: Enclave) -> Iterator[Violation]:
     for file, _ in lists_of(enclave):
-        yield Found("OpenDDS does not read this revocation list", path=file.path)
+        yield Violation("OpenDDS does not read this revocation list", path=file.path)
 
 
-def _revoked(inventory: Inventory) -> Iterator[Found]:
+def _revoked(inventory: Inventory) -> Iterator[Violation]:
     for enclave in inventory.enclaves:
         certificate = enclave.certificate()
         for _, revoked in lists_of(enclave) if certificate else ():
             if certificate and (found := revoked.revocation_of(certificate)):
                 words = f"its certificate was revoked on {found.revoked_at:%Y-%m-%d}"
-                yield Found(words, path=enclave.folder)
+                yield Violation(words, path=enclave.folder)
 
 
 def lists_of(enclave: Enclave) -> Iterator[tuple[File, RevocationList]]:

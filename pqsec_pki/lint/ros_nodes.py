@@ -7,7 +7,7 @@ from pqsec_pki.documents import DefaultAction, Rule, ros
 from pqsec_pki.lint._names import shown
 from pqsec_pki.lint._shadows import Patterns
 from pqsec_pki.lint.document import PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 
 FAMILY = Family("documents")
 
@@ -19,11 +19,11 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
     "PQS267", ERROR, PermissionsFile, "a ROS 2 node without get_type_description",
     why="Since Iron every node offers that service, and dies in its constructor when it may not;"
     " SROS2's own sample policy lacks it.",
-    mend="Allow its topics, or make them of the policy with `pqsec permissions import --complete`.",
+    fix="Allow its topics, or make them of the policy with `pqsec permissions import --complete`.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
 )  # fmt: skip
-def no_type_description(document: PermissionsFile) -> Iterator[Found]:
+def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         patterns = Patterns[Rule]()
         topics = {
@@ -45,11 +45,11 @@ def no_type_description(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS268", ERROR, PermissionsFile, f"a ROS 2 participant without {ros.DISCOVERY}",
     why="Every ROS 2 participant publishes and subscribes to it, and cannot start otherwise.",
-    mend=f"Allow it to publish and to subscribe to {ros.DISCOVERY}.",
+    fix=f"Allow it to publish and to subscribe to {ros.DISCOVERY}.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
 )  # fmt: skip
-def no_ros_discovery(document: PermissionsFile) -> Iterator[Found]:
+def no_ros_discovery(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         for action in ("publish", "subscribe"):
             patterns = Patterns[Rule]()

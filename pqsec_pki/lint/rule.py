@@ -11,8 +11,8 @@ A family is a module with one table of rules, each the function that looks for a
         stacks=(Target.CYCLONEDDS, Target.FASTDDS),
         rows=("rule without `<domains>`",),
     )
-    def rule_without_domains(document: PermissionsFile) -> Iterator[Found]:
-        yield Found("this rule names no domains", line)
+    def rule_without_domains(document: PermissionsFile) -> Iterator[Violation]:
+        yield Violation("this rule names no domains", line)
 
 The class a function takes is its scope: it is asked about every subject of that class (see
 `file`, `document` and `subjects`), and of classes that inherit from it. The page of the rule
@@ -51,7 +51,7 @@ class Target(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Violation:
     """One place where a rule is broken, as the rule's function tells it."""
 
     message: str
@@ -72,10 +72,10 @@ class Rule:
     severity: Severity
     title: str
     why: str
-    mend: str
+    fix: str
     family: str
     scope: type
-    check: Callable[[Any], Iterable[Found]]
+    check: Callable[[Any], Iterable[Violation]]
     stacks: frozenset[Target]
     """Those that trip on it; none means that all do, or that it is about security."""
     rows: tuple[str, ...] = ()
@@ -108,21 +108,21 @@ class Family:
         title: str,
         *,
         why: str,
-        mend: str,
+        fix: str,
         stacks: Iterable[Target] = (),
         rows: Iterable[str] = (),
         measured: str = "",
         only_when_asked: bool = False,
-    ) -> Callable[[Callable[[S], Iterable[Found]]], Callable[[S], Iterable[Found]]]:
+    ) -> Callable[[Callable[[S], Iterable[Violation]]], Callable[[S], Iterable[Violation]]]:
         """Enter the decorated function, which finds the flaw in subjects of class `scope`."""
 
-        def enter(check: Callable[[S], Iterable[Found]]) -> Callable[[S], Iterable[Found]]:
+        def enter(check: Callable[[S], Iterable[Violation]]) -> Callable[[S], Iterable[Violation]]:
             made = Rule(
                 id=id_,
                 severity=severity,
                 title=title,
                 why=why,
-                mend=mend,
+                fix=fix,
                 family=self.name,
                 scope=scope,
                 check=check,

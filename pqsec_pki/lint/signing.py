@@ -13,7 +13,7 @@ from pqsec_pki.lint import _signatures
 from pqsec_pki.lint._roles import family_of
 from pqsec_pki.lint._signatures import Pair
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.smime import is_canonical
 
@@ -28,106 +28,106 @@ _SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
     "PQS330", Severity.ERROR, File, "a signed document is not in S/MIME",
     why="Stacks read multipart/signed only: not PEM, not DER, not a message that wraps the"
     " text up (without OpenSSL's -nodetach, or DetachedSignature), and no bare XML.",
-    mend=_SIGN,
+    fix=_SIGN,
     rows=("PEM or DER p7 instead of S/MIME", "no DetachedSignature (opaque)"), measured=_ALL,
 )  # fmt: skip
-def not_smime(file: File) -> Iterator[Found]:
+def not_smime(file: File) -> Iterator[Violation]:
     if file.is_signed or file.unreadable or not _SIGNED_NAME.fullmatch(file.path.name):
         return
     if form := _form(file):
-        yield Found(f"{form}, where stacks read S/MIME (multipart/signed)")
+        yield Violation(f"{form}, where stacks read S/MIME (multipart/signed)")
 
 
 @FAMILY.rule(
     "PQS331", Severity.ERROR, File, "the signed text is not text/plain",
     why="Stacks verify with PKCS7_TEXT: without exactly this header they say 'SMIME_text:"
     " mime no content type', or nothing.",
-    mend="Sign with -text (OpenSSL) or PKCS7Options.Text, or with pqsec.",
+    fix="Sign with -text (OpenSSL) or PKCS7Options.Text, or with pqsec.",
     rows=(
         "no Text flag (`Detached` only)", "`Detached+Binary`",
         "inner `text/xml` or `application/xml`", "inner Content-Type absent",
     ),
     measured=_ALL,
 )  # fmt: skip
-def not_text(file: File) -> Iterator[Found]:
+def not_text(file: File) -> Iterator[Violation]:
     if _signatures.listed(file) and _signatures.text(file) is None and not file.is_ambiguous:
-        yield Found("the signed text has no header 'Content-Type: text/plain'")
+        yield Violation("the signed text has no header 'Content-Type: text/plain'")
 
 
 @FAMILY.rule(
     "PQS332", Severity.ERROR, File, "a signed document begins with a blank line",
     why="OpenSSL takes the blank line for the end of the header, and finds no content type.",
-    mend="Take the blank line out; it is not under the signature.",
+    fix="Take the blank line out; it is not under the signature.",
     rows=("blank first line",), measured=_ALL,
 )  # fmt: skip
-def blank_first(file: File) -> Iterator[Found]:
+def blank_first(file: File) -> Iterator[Violation]:
     if file.is_signed and _BLANK_FIRST.match(file.data):
-        yield Found("begins with a blank line, so stacks find no header", 1)
+        yield Violation("begins with a blank line, so stacks find no header", 1)
 
 
 @FAMILY.rule(
     "PQS333", Severity.ERROR, File, "a signed document is broken",
     why="No stack can read it.",
-    mend=_SIGN,
+    fix=_SIGN,
 )  # fmt: skip
-def broken(file: File) -> Iterator[Found]:
+def broken(file: File) -> Iterator[Violation]:
     if file.is_signed and not file.is_ambiguous and (reason := _signatures.trouble(file)):
-        yield Found(f"cannot be read: {reason}")
+        yield Violation(f"cannot be read: {reason}")
 
 
 @FAMILY.rule(
     "PQS334", Severity.ERROR, File, "the signer is named by a key identifier",
     why="The structure that stacks read (PKCS #7 1.5) names signers by issuer and serial only.",
-    mend="Sign without -keyid.",
+    fix="Sign without -keyid.",
     rows=("SignerInfo by key id (`cms -keyid`)",), measured=_ALL,
 )  # fmt: skip
-def by_key_identifier(file: File) -> Iterator[Found]:
+def by_key_identifier(file: File) -> Iterator[Violation]:
     signers = _signatures.signers(file)
     if any(signer.key_identifier is not None for signer in signers):
-        yield Found("names its signer by key identifier, which no stack reads")
+        yield Violation("names its signer by key identifier, which no stack reads")
 
 
 @FAMILY.rule(
     "PQS335", Severity.ERROR, File, "not exactly one signature",
     why="With two signers, such as ECDSA and ML-DSA, every stack refuses the document, in any"
     " order. A second signature can stand in an unsigned attribute, as pqsec writes it.",
-    mend=_SIGN,
+    fix=_SIGN,
     rows=(
         "two SignerInfos EC + ML-DSA (any order, any CA arrangement)",
         "two SignerInfos EC + EC, same CA",
     ),
     measured=_ALL,
 )  # fmt: skip
-def not_one_signer(file: File) -> Iterator[Found]:
+def not_one_signer(file: File) -> Iterator[Violation]:
     listed = _signatures.listed(file)
     if listed and len(listed.signers) != 1:
-        yield Found(f"has {len(listed.signers)} signatures; stacks take exactly one")
+        yield Violation(f"has {len(listed.signers)} signatures; stacks take exactly one")
 
 
 @FAMILY.rule(
     "PQS336", Severity.ERROR, Inventory, "the signer's certificate is not in the document",
     why="Cyclone DDS 0.10 and Fast DDS 2.9 look for it there, and nowhere else.",
-    mend="Sign without -nocerts; `pqsec sign-permissions --embed-certificate`.",
+    fix="Sign without -nocerts; `pqsec sign-permissions --embed-certificate`.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
 )  # fmt: skip
-def without_certificate(inventory: Inventory) -> Iterator[Found]:
+def without_certificate(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         listed = _signatures.listed(pair.file)
         if listed and not listed.certificates and _is_for_stock(pair):
             words = "the signer's certificate is not inside: Cyclone DDS 0.10 and Fast DDS 2.9"
-            yield Found(f"{words} refuse that", path=pair.file.path)
+            yield Violation(f"{words} refuse that", path=pair.file.path)
 
 
 @FAMILY.rule(
     "PQS337", Severity.ERROR, File, "the document is signed with a broken hash",
     why="Somebody who may have one document signed can make a second one with the same SHA-1"
     " or MD5 digest, and the signature holds for both. Stacks take it; pqsec peers refuse it.",
-    mend=_SIGN,
+    fix=_SIGN,
 )  # fmt: skip
-def broken_digest(file: File) -> Iterator[Found]:
+def broken_digest(file: File) -> Iterator[Violation]:
     for digest in _signatures.broken_digests(file):
-        yield Found(f"signed with {digest}")
+        yield Violation(f"signed with {digest}")
 
 
 @FAMILY.rule(
@@ -135,56 +135,56 @@ def broken_digest(file: File) -> Iterator[Found]:
     why="Stacks may take it: OpenSSL knows more keys and digests than pqsec, and signatures"
     " without signed attributes. pqsec peers refuse it, and this check does not know whether"
     " the document was changed.",
-    mend="Sign it without -noattr, with SHA-256 and an ecdsa-p256 or RSA key, or with pqsec.",
+    fix="Sign it without -noattr, with SHA-256 and an ecdsa-p256 or RSA key, or with pqsec.",
     measured="`NoAttributes` is taken by " + _ALL,
 )  # fmt: skip
-def cannot_be_checked(inventory: Inventory) -> Iterator[Found]:
+def cannot_be_checked(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         reason = _signatures.uncheckable(pair)
         if reason and not _signatures.broken_digests(pair.file):
-            yield Found(f"the signature was not checked: it has {reason}", path=pair.file.path)
+            yield Violation(f"the signature was not checked: it has {reason}", path=pair.file.path)
 
 
 @FAMILY.rule(
     "PQS340", Severity.ERROR, Inventory, "the permissions CA did not sign the document",
     why="Cyclone DDS 11, Fast DDS 3 and OpenDDS refuse documents of delegates. Where stacks"
     " take them, any certificate under the CA can give itself permissions.",
-    mend="Sign with the permissions CA itself.",
+    fix="Sign with the permissions CA itself.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured=_ALL,
 )  # fmt: skip
-def of_another_signer(inventory: Inventory) -> Iterator[Found]:
+def of_another_signer(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         signers = _signatures.signers(pair.file)
         if signers and not any(_signatures.is_by(signer, pair.ca) for signer in signers):
-            yield Found(_by_another(pair), path=pair.file.path)
+            yield Violation(_by_another(pair), path=pair.file.path)
 
 
 @FAMILY.rule(
     "PQS341", Severity.ERROR, Inventory, "the signature does not hold",
     why="The document was changed after it was signed, or another key signed it in the CA's"
     " name. Every stack refuses it.",
-    mend="Sign it again, and find out who changed it.",
+    fix="Sign it again, and find out who changed it.",
     rows=("tampered",), measured=_ALL,
 )  # fmt: skip
-def does_not_hold(inventory: Inventory) -> Iterator[Found]:
+def does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         for problem in _signatures.plain_problems(pair):
-            yield Found(problem, path=pair.file.path)
+            yield Violation(problem, path=pair.file.path)
 
 
 @FAMILY.rule(
     "PQS342", Severity.WARNING, Inventory, "the XML beside a signed document is another one",
     why="Stacks read the signed one. Who reads or changes the XML is misled.",
-    mend="Sign the XML again, or take it away.",
+    fix="Sign the XML again, or take it away.",
 )  # fmt: skip
-def differs_from_xml(inventory: Inventory) -> Iterator[Found]:
+def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
     files = {file.path: file for file in inventory.files}
     for file in inventory.files:
         plain = files.get(file.path.with_suffix(".xml"))
         text = _signatures.text(file) if file.is_signed and plain else None
         if plain and text is not None and _lines(text) != _lines(plain.data):
-            yield Found(f"is not what {plain.path.name} beside it says", path=file.path)
+            yield Violation(f"is not what {plain.path.name} beside it says", path=file.path)
 
 
 @FAMILY.rule(
@@ -193,11 +193,11 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Found]:
     " begin as the boundary otherwise than RFC 2045 and 2046 say. So one file can carry two"
     " documents, each validly signed: one for those who look at it, one for the stacks. pqsec"
     " refuses it, whoever signed it.",
-    mend="Find out who made it, ask the signer for the document, and sign that again.",
+    fix="Find out who made it, ask the signer for the document, and sign that again.",
 )  # fmt: skip
-def ambiguous(file: File) -> Iterator[Found]:
+def ambiguous(file: File) -> Iterator[Violation]:
     if file.is_signed and file.is_ambiguous and not _BLANK_FIRST.match(file.data):
-        yield Found(str(file.signed_text[1]))
+        yield Violation(str(file.signed_text[1]))
 
 
 @FAMILY.rule(
@@ -205,12 +205,12 @@ def ambiguous(file: File) -> Iterator[Found]:
     why="Every stack reads the same document in it. What no signature covers, such as other"
     " headers, certificates that came along or a boundary of its own, is not handed on: what"
     " pqsec installs or exports is written anew from what was verified.",
-    mend="Nothing needs to be done. Who signs it again with pqsec has the one form.",
+    fix="Nothing needs to be done. Who signs it again with pqsec has the one form.",
 )  # fmt: skip
-def not_canonical(file: File) -> Iterator[Found]:
+def not_canonical(file: File) -> Iterator[Violation]:
     readable = file.is_signed and _signatures.text(file) is not None
     if readable and len(_signatures.signers(file)) == 1 and not is_canonical(file.data):
-        yield Found("is in another form than pqsec writes; what stacks read in it is the same")
+        yield Violation("is in another form than pqsec writes; what stacks read in it is the same")
 
 
 def _is_for_stock(pair: Pair) -> bool:

@@ -29,7 +29,7 @@ from pqsec_pki.handshake import (
 from pqsec_pki.handshake.messages import HASH_SIZE
 from pqsec_pki.handshake.wire import GUID_SIZE, MAX_TOKEN
 from pqsec_pki.lint.rule import Family as Rules
-from pqsec_pki.lint.rule import Found, Severity, Target
+from pqsec_pki.lint.rule import Severity, Target, Violation
 from pqsec_pki.lint.subjects import Enclave, Inventory
 
 FAMILY = Rules("size")
@@ -66,7 +66,7 @@ class Size:
     "PQS501", Severity.WARNING, Inventory, "some versions of Fast DDS cannot send the handshake",
     why="Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2 fail above 8192 bytes with"
     " 'Cannot serialize ParticipantGenericMessage', and sometimes crash the peer.",
-    mend=f"{_SMALLER}, use the classical profile, or another version: 2.14.5 and 3.2.3 mend it.",
+    fix=f"{_SMALLER}, use the classical profile, or another version: 2.14.5 and 3.2.3 mend it.",
     stacks=(Target.FASTDDS,), only_when_asked=True,
     rows=(
         "EC P-256 + X.509 alt ML-DSA-44/65/87 (5.8/7.8/10.5 KB PEM)", "RSA-2048 + alt ML-DSA-65",
@@ -76,7 +76,7 @@ class Size:
     ),
     measured="Fast DDS 3.1.2; the other versions by source",
 )  # fmt: skip
-def over_fast_dds_limit(inventory: Inventory) -> Iterator[Found]:
+def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     for size in _sizes(inventory, None):
         if size.message > FAST_DDS_LIMIT:
             words = f"{size.found}: over {FAST_DDS_LIMIT}, too large for some versions of Fast DDS"
@@ -86,12 +86,12 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS502", Severity.ERROR, Inventory, "the handshake does not fit into a datagram",
     why="Fast DDS (2.9.1, 3.1.2) cannot send what is over 64 KB; 3.6.2 and Cyclone DDS can.",
-    mend=f"{_SMALLER}, or a smaller certificate.",
+    fix=f"{_SMALLER}, or a smaller certificate.",
     stacks=(Target.FASTDDS,),
     rows=("leaf padded +48…128 KB", "permissions document 512 KB"),
     measured="Fast DDS 2.9.1, 3.1.2",
 )  # fmt: skip
-def over_datagram(inventory: Inventory) -> Iterator[Found]:
+def over_datagram(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
         if size.message > DATAGRAM:
             yield _found(size, f"{size.found}: over the {DATAGRAM} of a datagram")
@@ -101,10 +101,10 @@ def over_datagram(inventory: Inventory) -> Iterator[Found]:
     "PQS503", Severity.WARNING, Inventory, "the handshake is in many fragments",
     why="Handshakes go over a best-effort topic: one lost fragment costs the whole message,"
     " and another second. With 40 fragments and 1 % loss every third message is lost.",
-    mend=f"{_SMALLER}, or raise General/FragmentSize and MaxMessageSize in Cyclone DDS.",
+    fix=f"{_SMALLER}, or raise General/FragmentSize and MaxMessageSize in Cyclone DDS.",
     measured="fragments counted at Cyclone DDS's default of 1344 bytes",
 )  # fmt: skip
-def many_fragments(inventory: Inventory) -> Iterator[Found]:
+def many_fragments(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
         if (number := -(-size.message // FRAGMENT)) > MANY:
             yield _found(size, f"{size.found}: {number} fragments, and each must arrive")
@@ -115,9 +115,9 @@ def many_fragments(inventory: Inventory) -> Iterator[Found]:
     why="Before a peer has proved who it is, nobody should have to read hundreds of kilobytes"
     " from it. Stacks differ: Cyclone DDS and Fast DDS (3.6.2) took 512 KB.",
     measured="the limit is pqsec's own",
-    mend=f"{_SMALLER}.",
+    fix=f"{_SMALLER}.",
 )  # fmt: skip
-def over_own_limit(inventory: Inventory) -> Iterator[Found]:
+def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
         if size.message > MAX_TOKEN:
             yield _found(size, f"{size.found}: pqsec peers read {MAX_TOKEN} at most")
@@ -183,5 +183,5 @@ def _key(certificate: Certificate, profile: Profile | None) -> PublicKey | None:
     return key if profile or key.algorithm.family is Family.CLASSICAL else None
 
 
-def _found(size: Size, words: str) -> Found:
-    return Found(words, path=size.enclave.folder)
+def _found(size: Size, words: str) -> Violation:
+    return Violation(words, path=size.enclave.folder)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.lint._names import CUTS, named, parsed, repeated, shown
 from pqsec_pki.lint.document import PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 
 FAMILY = Family("naming")
 
@@ -19,9 +19,9 @@ _SPACED = re.compile(r"\s=|(?<!\\)=\s|(?<!\\),\s|\s,")
 @FAMILY.rule(
     "PQS411", ERROR, PermissionsFile, "a subject_name that is no name",
     why="It is nobody's, so no participant is let in with this grant.",
-    mend="Copy it from `pqsec inspect cert.pem`: CN=/talker.",
+    fix="Copy it from `pqsec inspect cert.pem`: CN=/talker.",
 )  # fmt: skip
-def no_name(document: PermissionsFile) -> Iterator[Found]:
+def no_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
         if not parsed(node.value):
             shown = node.value[:60]
@@ -31,11 +31,11 @@ def no_name(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS412", ERROR, PermissionsFile, "spaces or line ends around a subject_name",
     why="Fast DDS compares with them and finds no grant.",
-    mend="Write it directly between the tags, on one line.",
+    fix="Write it directly between the tags, on one line.",
     stacks=(_FAST,), rows=("newlines/indent around the text",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def padded_name(document: PermissionsFile) -> Iterator[Found]:
+def padded_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
         if node.text != node.value and node.value:
             yield document.at(node, "spaces or line ends around the subject name")
@@ -44,12 +44,12 @@ def padded_name(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS413", ERROR, PermissionsFile, "spaces inside a subject_name",
     why="Cyclone DDS 0.10 refuses CN=x, O=Lab and C = ES, which openssl prints by default.",
-    mend="Write CN=x,O=Lab,C=ES.",
+    fix="Write CN=x,O=Lab,C=ES.",
     stacks=(_CYCLONE,),
     rows=("`CN=x, O=Lab, C=ES`", "`C = ES, O = Lab, CN = x` (openssl default print)"),
     measured="Cyclone DDS 0.10.2, 0.10.5",
 )  # fmt: skip
-def spaced_name(document: PermissionsFile) -> Iterator[Found]:
+def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, _, _ in named(document):
         if _SPACED.search(grant.subject_name):
             yield document.at(grant.line, f"{shown(grant)}: no spaces around , and =")
@@ -58,10 +58,10 @@ def spaced_name(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS414", ERROR, PermissionsFile, "a subject_name written with slashes",
     why="Fast DDS does not take /C=ES/O=Lab/CN=x.",
-    mend="Write CN=x,O=Lab,C=ES.",
+    fix="Write CN=x,O=Lab,C=ES.",
     stacks=(_FAST,), rows=("`/C=ES/O=Lab/CN=x`",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def slashed_name(document: PermissionsFile) -> Iterator[Found]:
+def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, _, _ in named(document):
         if grant.subject_name.startswith("/"):
             yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants commas")
@@ -70,12 +70,12 @@ def slashed_name(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS415", ERROR, PermissionsFile, "a subject_name in the order of the certificate",
     why="Fast DDS 2.9.1 wants the order of RFC 2253, the last part of the certificate first.",
-    mend="Turn it round (CN first), or add a second grant with that order.",
+    fix="Turn it round (CN first), or add a second grant with that order.",
     stacks=(_FAST,), rows=("`C=ES,O=Lab,CN=x` (DER order; what OpenDDS needs)",
                            "two grants, one per order"),
     measured="Fast DDS 2.9.1",
 )  # fmt: skip
-def certificate_order(document: PermissionsFile) -> Iterator[Found]:
+def certificate_order(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, reversed_too in named(document):
         if _is_common(name[-1]) and not _is_common(name[0]) and not reversed_too:
             yield document.at(grant.line, f"{shown(grant)}: Fast DDS 2.9 wants CN first")
@@ -84,11 +84,11 @@ def certificate_order(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS416", ERROR, PermissionsFile, "a subject_name in the order of RFC 2253",
     why="OpenDDS wants the order of the certificate. A subject of CN alone has one order only.",
-    mend="Add a second grant with the order of the certificate (CN last).",
+    fix="Add a second grant with the order of the certificate (CN last).",
     stacks=(_OPENDDS,), rows=("`CN=x,O=Lab,C=ES` (RFC 2253 = reversed, no spaces)",),
     measured="OpenDDS, its SubjectName.cpp compiled and run", only_when_asked=True,
 )  # fmt: skip
-def reversed_order(document: PermissionsFile) -> Iterator[Found]:
+def reversed_order(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, reversed_too in named(document):
         if _is_common(name[0]) and not _is_common(name[-1]) and not reversed_too:
             yield document.at(grant.line, f"{shown(grant)}: OpenDDS wants CN last")
@@ -97,10 +97,10 @@ def reversed_order(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS419", ERROR, PermissionsFile, "two parts of one kind in a subject_name",
     why="Of two OUs Cyclone DDS sees the first only, and Fast DDS 3 finds no match.",
-    mend="Issue the certificate with one of them.",
+    fix="Issue the certificate with one of them.",
     rows=("two OUs",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 3.1.2, 3.6.2",
 )  # fmt: skip
-def repeated_part(document: PermissionsFile) -> Iterator[Found]:
+def repeated_part(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
         if twice := repeated(name):
             yield document.at(grant.line, f"{shown(grant)} has {twice} twice")
@@ -109,10 +109,10 @@ def repeated_part(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS420", ERROR, PermissionsFile, "a subject_name with a part of several values",
     why="No stack matches CN=x+OU=y.",
-    mend="Issue the certificate with separate parts, or with CN alone.",
+    fix="Issue the certificate with separate parts, or with CN alone.",
     rows=("multi-valued RDN",), measured="all six stacks",
 )  # fmt: skip
-def joined_parts(document: PermissionsFile) -> Iterator[Found]:
+def joined_parts(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
         if any(len(part) > 1 for part in name):
             yield document.at(grant.line, f"{shown(grant)} has parts joined by +")
@@ -122,10 +122,10 @@ def joined_parts(document: PermissionsFile) -> Iterator[Found]:
     "PQS424", ERROR, PermissionsFile, "a subject_name that Cyclone DDS can never match",
     why="Cyclone DDS cuts names at each , / and |. It finds no grant for a name with an empty"
     f" piece in it, as CN=/a//b, nor with more than {MAX_PIECES} pieces.",
-    mend="Choose a name without double slashes, and with a shorter path.",
+    fix="Choose a name without double slashes, and with a shorter path.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2",
 )  # fmt: skip
-def unmatched_pieces(document: PermissionsFile) -> Iterator[Found]:
+def unmatched_pieces(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
         pieces = CUTS.split(",".join(f"{word}={value}" for part in name for word, value in part))
         if "" in pieces[:-1]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from pqsec_pki import _files
 from pqsec_pki.documents.parts_yaml import Item, Text, each, fields, read, refused
 from pqsec_pki.errors import InvalidDocumentError, PqsecError, UsageError, shown
-from pqsec_pki.lint.rule import Finding, Found
+from pqsec_pki.lint.rule import Finding, Violation
 
 FILE_NAME = ".pqsec-check.yaml"
 MAX_FILE = 256 << 10
@@ -62,7 +62,7 @@ class SuppressionFile:
     folder: Path | None
     """What patterns are relative to; None for the command line, whose entries hold for all."""
     entries: tuple[Suppression, ...]
-    broken: tuple[Found, ...] = ()
+    broken: tuple[Violation, ...] = ()
     today: date = field(default=date.min)
     is_complete: bool = True
     """Whether all it could speak of was checked, so that what is unused is superfluous."""
@@ -90,18 +90,18 @@ def from_option(text: str) -> Suppression:
     return Suppression(rule=rule.strip(), reason=reason.strip())
 
 
-def read_suppressions(path: Path) -> tuple[tuple[Suppression, ...], tuple[Found, ...]]:
+def read_suppressions(path: Path) -> tuple[tuple[Suppression, ...], tuple[Violation, ...]]:
     """The entries of the file, and what is wrong with it; nothing in it raises."""
     entries: list[Suppression] = []
-    broken: list[Found] = []
+    broken: list[Violation] = []
     try:
         data = _files.read(path, limit=MAX_FILE)
         if _REMARKS.sub(b"", data).strip():
             read(data, lambda item: fields(item, {"ignore": partial(_read_all, into=entries)}))
     except InvalidDocumentError as error:
-        broken = [Found(each.message, each.line) for each in error.problems]
+        broken = [Violation(each.message, each.line) for each in error.problems]
     except PqsecError as error:
-        broken = [Found(f"cannot be read: {error.words_at(path)}")]
+        broken = [Violation(f"cannot be read: {error.words_at(path)}")]
     return tuple(entries), tuple(broken)
 
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from pqsec_pki.lint._names import shown
 from pqsec_pki.lint.document import PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 
 FAMILY = Family("documents")
 
@@ -20,10 +20,10 @@ _INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\
 @FAMILY.rule(
     "PQS262", ERROR, PermissionsFile, "a grant that is never in force",
     why="It ends before it starts.",
-    mend="Set not_before before not_after.",
+    fix="Set not_before before not_after.",
     rows=("expired / future",), measured="all six stacks",
 )  # fmt: skip
-def never_in_force(document: PermissionsFile) -> Iterator[Found]:
+def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.not_before >= grant.not_after:
             yield document.at(
@@ -35,11 +35,11 @@ def never_in_force(document: PermissionsFile) -> Iterator[Found]:
     "PQS263", ERROR, PermissionsFile, f"a time after {LAST_YEAR}",
     why="Cyclone DDS counts nanoseconds in 64 bits: a later time has passed already, and the"
     " participant is refused.",
-    mend=f"End before {LAST_YEAR + 1}; better, in a year or two.",
+    fix=f"End before {LAST_YEAR + 1}; better, in a year or two.",
     stacks=(_CYCLONE,), rows=("not_after year ≥ 2262 (9999, 2300)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
 )  # fmt: skip
-def too_late(document: PermissionsFile) -> Iterator[Found]:
+def too_late(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         year = re.match(r"\d{4,}(?=-)", node.value, re.ASCII)
         if year and int(year[0][:9]) > LAST_YEAR:
@@ -50,11 +50,11 @@ def too_late(document: PermissionsFile) -> Iterator[Found]:
     "PQS264", ERROR, PermissionsFile, "a time that cannot be read",
     why="Cyclone DDS takes a not_before it cannot read without a word, so the grant is in force"
     " from the start of time; Fast DDS refuses the document.",
-    mend="Write it as 2030-01-31T00:00:00Z.",
+    fix="Write it as 2030-01-31T00:00:00Z.",
     rows=("garbage not_before (silently accepted!)", "date only", "`2026-01-01 00:00:00`"),
     measured="all six stacks",
 )  # fmt: skip
-def no_time(document: PermissionsFile) -> Iterator[Found]:
+def no_time(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         if not _is_time(node.value):
             shown = node.value[:40]
@@ -64,10 +64,10 @@ def no_time(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS265", INFO, PermissionsFile, "a time without zone",
     why="The standard reads it as UTC. Fast DDS reads every time as that of the robot's own zone.",
-    mend="End it with Z, and keep a day of reserve at both ends.",
+    fix="End it with Z, and keep a day of reserve at both ends.",
     rows=("no zone / `Z` / `+00:00` / `.000` / surrounding spaces",), measured="all six stacks",
 )  # fmt: skip
-def no_zone(document: PermissionsFile) -> Iterator[Found]:
+def no_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         found = _INSTANT.fullmatch(node.value)
         if found and not found["zone"]:
@@ -77,13 +77,13 @@ def no_zone(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS266", WARNING, PermissionsFile, "a time in another zone than UTC",
     why="Fast DDS skips the zone and reads the time as local, hours away from what is meant.",
-    mend="Write the time in UTC, with Z.",
+    fix="Write the time in UTC, with Z.",
     stacks=(_FAST,),
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",
           "TZ=America/Los_Angeles, not_after expired 1 h ago Z"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def other_zone(document: PermissionsFile) -> Iterator[Found]:
+def other_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         found = _INSTANT.fullmatch(node.value)
         if found and found["zone"] not in {None, "Z", "+00:00", "-00:00"}:

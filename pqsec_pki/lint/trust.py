@@ -12,7 +12,7 @@ from pqsec_pki.algorithms import is_encrypted
 from pqsec_pki.credentials import ENCLAVES, FILES, KEYS, Credentials, verify_credentials
 from pqsec_pki.errors import PqsecError, problems_of
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.rule import Family, Finding, Found, Severity
+from pqsec_pki.lint.rule import Family, Finding, Severity, Violation
 from pqsec_pki.lint.subjects import Enclave, Inventory
 from pqsec_pki.problems import Code, Problem
 
@@ -64,15 +64,15 @@ _TOLD: Mapping[Code, Iterable[str]] = {
     why="pqsec decides in one place whether a participant's credentials hold, in the order of"
     " DDS-Security 1.1 (9.3.3, 9.4.3), and nothing takes them where it says no: not `pqsec"
     " export`, `try`, `verify-handshake`, `bundle` or `install`. Stock stacks may be less strict.",
-    mend="Put back the files that it was issued with; or `pqsec issue` it with --force and all"
+    fix="Put back the files that it was issued with; or `pqsec issue` it with --force and all"
     " that it may do.",
 )  # fmt: skip
-def cannot_be_trusted(enclave: Enclave) -> Iterator[Found]:
+def cannot_be_trusted(enclave: Enclave) -> Iterator[Violation]:
     for problem in _problems(enclave):
         files = (file for file in FILES if problem.subject == f"{enclave.name}: {file}")
         path = next((enclave.folder / file for file in files), None)
         text = str(replace(problem, subject="") if path else problem)
-        yield Found(text, path=path, code=problem.code)
+        yield Violation(text, path=path, code=problem.code)
 
 
 def said_once(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Finding]:

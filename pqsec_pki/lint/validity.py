@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from pqsec_pki.documents import Grant
 from pqsec_pki.lint.cross import own_grants
 from pqsec_pki.lint.document import PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.subjects import Enclave
 from pqsec_pki.lint.x509 import ends_soon
 
@@ -22,10 +22,10 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 @FAMILY.rule(
     "PQS320", Severity.ERROR, PermissionsFile, "a grant has expired",
     why="Stacks refuse the participant that it is for.",
-    mend="Sign permissions with a later not_after: `pqsec renew NAME`.",
+    fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
     rows=("expired / future",), measured=_ALL,
 )  # fmt: skip
-def expired(document: PermissionsFile) -> Iterator[Found]:
+def expired(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if document.now > grant.not_after:
             yield _found(document, grant, f"expired on {_day(grant.not_after)}")
@@ -34,9 +34,9 @@ def expired(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS321", Severity.WARNING, PermissionsFile, "a grant expires soon",
     why="From then on its participant is refused, though its certificate may be good.",
-    mend="Sign permissions with a later not_after: `pqsec renew NAME`.",
+    fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
 )  # fmt: skip
-def expires_soon(document: PermissionsFile) -> Iterator[Found]:
+def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if ends_soon(document.now, grant.not_before, grant.not_after):
             yield _found(document, grant, f"expires on {_day(grant.not_after)}")
@@ -45,10 +45,10 @@ def expires_soon(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS322", Severity.ERROR, PermissionsFile, "a grant is not in force yet",
     why="Stacks refuse the participant that it is for until then.",
-    mend="Set the clock right, or sign permissions with an earlier not_before.",
+    fix="Set the clock right, or sign permissions with an earlier not_before.",
     rows=("expired / future",), measured=_ALL,
 )  # fmt: skip
-def not_yet(document: PermissionsFile) -> Iterator[Found]:
+def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if document.now < grant.not_before:
             yield _found(document, grant, f"is in force from {_day(grant.not_before)}")
@@ -58,11 +58,11 @@ def not_yet(document: PermissionsFile) -> Iterator[Found]:
     "PQS323", Severity.WARNING, PermissionsFile, "a grant is too fresh for other time zones",
     why="Fast DDS passes over the zone and reads the time as local: west of Greenwich a grant"
     " that began an hour ago has not begun.",
-    mend="Let not_before be a day back, as pqsec does.",
+    fix="Let not_before be a day back, as pqsec does.",
     stacks=(Target.FASTDDS,),
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
 )  # fmt: skip
-def too_fresh(document: PermissionsFile) -> Iterator[Found]:
+def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if timedelta() <= document.now - grant.not_before < WEST:
             words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS takes for local time"
@@ -73,11 +73,11 @@ def too_fresh(document: PermissionsFile) -> Iterator[Found]:
     "PQS324", Severity.WARNING, PermissionsFile, "a grant is over, but not in every time zone",
     why="Fast DDS passes over the zone and reads the time as local: west of Greenwich it takes"
     " a grant for hours after its end.",
-    mend="Let not_after be a day earlier than is wanted.",
+    fix="Let not_after be a day earlier than is wanted.",
     stacks=(Target.FASTDDS,),
     rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
 )  # fmt: skip
-def lingers(document: PermissionsFile) -> Iterator[Found]:
+def lingers(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if timedelta() < document.now - grant.not_after < WEST:
             words = f"ended at {grant.not_after:%H:%M} UTC, which Fast DDS takes for local time"
@@ -87,9 +87,9 @@ def lingers(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS325", Severity.WARNING, Enclave, "the permissions end before the certificate",
     why="The participant is refused from that day, with a certificate that looks good.",
-    mend="Let both end together, as `pqsec issue` does.",
+    fix="Let both end together, as `pqsec issue` does.",
 )  # fmt: skip
-def end_first(enclave: Enclave) -> Iterator[Found]:
+def end_first(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -102,9 +102,9 @@ def end_first(enclave: Enclave) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS326", Severity.INFO, Enclave, "the permissions outlive the certificate",
     why="They would hold for the next certificate of that name too, whatever is meant then.",
-    mend="Let both end together, as `pqsec issue` does.",
+    fix="Let both end together, as `pqsec issue` does.",
 )  # fmt: skip
-def end_last(enclave: Enclave) -> Iterator[Found]:
+def end_last(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -117,9 +117,9 @@ def end_last(enclave: Enclave) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS327", Severity.ERROR, Enclave, "certificate and permissions are never good together",
     why="The one ends before the other begins.",
-    mend="Renew the participant: `pqsec renew NAME`.",
+    fix="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
-def never_together(enclave: Enclave) -> Iterator[Found]:
+def never_together(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -128,13 +128,13 @@ def never_together(enclave: Enclave) -> Iterator[Found]:
         yield _of(enclave, "is in force at no time when the certificate is")
 
 
-def _found(document: PermissionsFile, grant: Grant, words: str) -> Found:
-    return Found(f"the grant for {grant.subject_name} {words}", document.line(grant.line))
+def _found(document: PermissionsFile, grant: Grant, words: str) -> Violation:
+    return Violation(f"the grant for {grant.subject_name} {words}", document.line(grant.line))
 
 
-def _of(enclave: Enclave, words: str) -> Found:
+def _of(enclave: Enclave, words: str) -> Violation:
     document = enclave.permissions()
-    return Found(f"the participant's grant {words}", path=document.path if document else None)
+    return Violation(f"the participant's grant {words}", path=document.path if document else None)
 
 
 def _day(time: datetime) -> str:

@@ -14,7 +14,7 @@ from pqsec_pki.lint import _roles
 from pqsec_pki.lint._roles import Role, role_of
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Family as Rules
-from pqsec_pki.lint.rule import Found, Severity, Target
+from pqsec_pki.lint.rule import Severity, Target, Violation
 from pqsec_pki.lint.subjects import CertificateFile
 
 FAMILY = Rules("x509")
@@ -45,7 +45,7 @@ _BROKEN = {
     "PQS101", Severity.ERROR, CertificateFile, "Cyclone DDS takes no identity key of this kind",
     why="Cyclone DDS knows P-256 and RSA-2048 for identity CAs and participants, whatever"
     " OpenSSL it is built with; anything else is 'algorithm unknown (code: 125)'.",
-    mend="Make identity CA and participants with ecdsa-p256, the default of pqsec.",
+    fix="Make identity CA and participants with ecdsa-p256, the default of pqsec.",
     stacks=(Target.CYCLONEDDS,),
     rows=(
         "identity CA P-384, leaf P-256", "leaf P-384", "all RSA-3072", "all RSA-4096",
@@ -53,7 +53,7 @@ _BROKEN = {
     ),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
 )  # fmt: skip
-def not_for_cyclonedds(file: CertificateFile) -> Iterator[Found]:
+def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
     certificate, role = file.first, role_of(file)
     if certificate is None or not role.identifies:
         return
@@ -61,158 +61,164 @@ def not_for_cyclonedds(file: CertificateFile) -> Iterator[Found]:
     known = _CYCLONE | _LET_IN | _NOWHERE
     is_classical = _roles.family_of(certificate) is Family.CLASSICAL
     if is_classical and kind not in known and not kind.startswith("algorithm "):
-        yield Found(f"the {role} has a key of kind {kind}, which Cyclone DDS does not take")
+        yield Violation(f"the {role} has a key of kind {kind}, which Cyclone DDS does not take")
 
 
 @FAMILY.rule(
     "PQS102", Severity.ERROR, CertificateFile, "no stack takes a key of this kind",
     why="Every stack refused Ed25519, as identity CA, participant and permissions CA; their"
     " code has no name for it in the handshake, and PKCS7_verify cannot check it.",
-    mend="Make the key with ecdsa-p256, or with a post-quantum profile for pqsec peers.",
+    fix="Make the key with ecdsa-p256, or with a post-quantum profile for pqsec peers.",
     rows=(
         "identity CA Ed25519", "leaf Ed25519",
         "permissions CA Ed25519 (CMS by OpenSSL 3.5)",
     ),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def for_no_stack(file: CertificateFile) -> Iterator[Found]:
+def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None:
         return
     kind = _roles.key_kind(file.first)
     if kind in _NOWHERE or kind.startswith("algorithm "):
-        yield Found(f"the {role_of(file)} has a key of kind {kind}, which no stack takes")
+        yield Violation(f"the {role_of(file)} has a key of kind {kind}, which no stack takes")
 
 
 @FAMILY.rule(
     "PQS103", Severity.WARNING, CertificateFile, "a curve that stacks take by mistake",
     why="Stacks announce this key as P-256, because it has 256 bits too. It is in no version"
     " of DDS-Security, and the next version of a stack may look closer.",
-    mend="Make the key with ecdsa-p256.",
+    fix="Make the key with ecdsa-p256.",
     rows=("leaf brainpoolP256r1 / secp256k1 (wrongly let in)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def let_in_by_mistake(file: CertificateFile) -> Iterator[Found]:
+def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
     if file.first and (kind := _roles.key_kind(file.first)) in _LET_IN:
-        yield Found(f"the {role_of(file)} has a key on {kind}, which stacks take for P-256")
+        yield Violation(f"the {role_of(file)} has a key on {kind}, which stacks take for P-256")
 
 
 @FAMILY.rule(
     "PQS104", Severity.ERROR, CertificateFile, "Fast DDS does not know how this is signed",
     why="Fast DDS tells the algorithm from the certificate's signature and knows SHA-256 with"
     " ECDSA or RSA (PKCS #1 v1.5) only. It prints an empty error.",
-    mend="Sign certificates with SHA-256: -sha256, and no -sigopt rsa_padding_mode:pss.",
+    fix="Sign certificates with SHA-256: -sha256, and no -sigopt rsa_padding_mode:pss.",
     stacks=(Target.FASTDDS,),
     rows=("certs signed ecdsa-with-SHA384 or SHA512", "certs signed RSASSA-PSS"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def signed_otherwise(file: CertificateFile) -> Iterator[Found]:
+def signed_otherwise(file: CertificateFile) -> Iterator[Violation]:
     role = role_of(file)
     name = _NOT_SHA256.get(file.first.signature_algorithm) if file.first else None
     if name and role is not Role.COUNTERSIGNER:
-        yield Found(f"the certificate of the {role} is signed with {name}, unknown to Fast DDS")
+        yield Violation(f"the certificate of the {role} is signed with {name}, unknown to Fast DDS")
 
 
 @FAMILY.rule(
     "PQS105", Severity.ERROR, CertificateFile, "signed with a broken hash",
     why="Two certificates with one SHA-1 or MD5 digest can be made; the second one would be"
     " signed by your CA without its knowledge.",
-    mend="Issue it again with SHA-256.",
+    fix="Issue it again with SHA-256.",
 )  # fmt: skip
-def broken_hash(file: CertificateFile) -> Iterator[Found]:
+def broken_hash(file: CertificateFile) -> Iterator[Violation]:
     name = _BROKEN.get(file.first.signature_algorithm) if file.first else None
     if name:
-        yield Found(f"the certificate of the {role_of(file)} is signed with {name}")
+        yield Violation(f"the certificate of the {role_of(file)} is signed with {name}")
 
 
 @FAMILY.rule(
     "PQS106", Severity.ERROR, CertificateFile, "a weak key",
     why="RSA keys below 2048 bits and curves below 256 have been or can be broken.",
-    mend="Make the key with ecdsa-p256, or rsa-2048 at least.",
+    fix="Make the key with ecdsa-p256, or rsa-2048 at least.",
 )  # fmt: skip
-def weak_key(file: CertificateFile) -> Iterator[Found]:
+def weak_key(file: CertificateFile) -> Iterator[Violation]:
     kind = _roles.key_kind(file.first) if file.first else ""
     bits = kind.removeprefix("rsa-")
     if kind == "ecdsa-p224" or (bits.isdigit() and int(bits) < WEAKEST_RSA):
-        yield Found(f"the key of the {role_of(file)} is weak: {kind}")
+        yield Violation(f"the key of the {role_of(file)} is weak: {kind}")
 
 
 @FAMILY.rule(
     "PQS107", Severity.ERROR, CertificateFile, "a certificate with an empty subject",
     why="No permissions document can name it: Cyclone DDS refuses it, and Fast DDS crashes"
     " (std::length_error).",
-    mend="Issue it with a common name, such as CN=/fleet/robot1.",
+    fix="Issue it with a common name, such as CN=/fleet/robot1.",
     rows=("cert with empty subject",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def empty_subject(file: CertificateFile) -> Iterator[Found]:
+def empty_subject(file: CertificateFile) -> Iterator[Violation]:
     if file.first and not file.first.subject_name:
-        yield Found(f"the certificate of the {role_of(file)} has an empty subject")
+        yield Violation(f"the certificate of the {role_of(file)} has an empty subject")
 
 
 @FAMILY.rule(
     "PQS110", Severity.ERROR, CertificateFile, "a certificate has expired",
     why="No stack starts with it. Only of an expired permissions CA does Cyclone DDS (master)"
     " not ask.",
-    mend="Renew it: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
+    fix="Renew it: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
     rows=("leaf expired / not yet valid; CA expired", "permissions CA expired"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def expired(file: CertificateFile) -> Iterator[Found]:
+def expired(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.now > file.first.not_after:
         end = file.first.not_after
-        yield Found(f"the certificate of the {role_of(file)} expired on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(
+            f"the certificate of the {role_of(file)} expired on {end:%Y-%m-%d %H:%M} UTC"
+        )
 
 
 @FAMILY.rule(
     "PQS111", Severity.WARNING, CertificateFile, "a certificate expires soon",
     why="From that day on participants that start, or start again, are refused.",
-    mend="Renew it before: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
+    fix="Renew it before: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
 )  # fmt: skip
-def expires_soon(file: CertificateFile) -> Iterator[Found]:
+def expires_soon(file: CertificateFile) -> Iterator[Violation]:
     if file.first and ends_soon(file.now, file.first.not_before, file.first.not_after):
         end = file.first.not_after
-        yield Found(f"the certificate of the {role_of(file)} expires on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(
+            f"the certificate of the {role_of(file)} expires on {end:%Y-%m-%d %H:%M} UTC"
+        )
 
 
 @FAMILY.rule(
     "PQS112", Severity.ERROR, CertificateFile, "a certificate is not valid yet",
     why="No stack starts with it until then.",
-    mend="Set the clock right, or issue it again; pqsec dates certificates a day back.",
+    fix="Set the clock right, or issue it again; pqsec dates certificates a day back.",
     rows=("leaf expired / not yet valid; CA expired",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def not_yet_valid(file: CertificateFile) -> Iterator[Found]:
+def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.now < file.first.not_before:
         start = file.first.not_before
-        yield Found(f"the {role_of(file)}'s certificate is valid from {start:%Y-%m-%d %H:%M} UTC")
+        yield Violation(
+            f"the {role_of(file)}'s certificate is valid from {start:%Y-%m-%d %H:%M} UTC"
+        )
 
 
 @FAMILY.rule(
     "PQS113", Severity.ERROR, CertificateFile, "a certificate outlives what stacks can count",
     why="Fast DDS (3.6.2) counts nanoseconds in 64 bits, which end in 2262: it says 'Local"
     " identity certificate has expired' and crashes.",
-    mend=f"Let it end in {LAST_YEAR} at the latest.",
+    fix=f"Let it end in {LAST_YEAR} at the latest.",
     stacks=(Target.FASTDDS,),
     rows=("cert notAfter 9999 (or 2500)",),
     measured="Fast DDS 3.6.2",
 )  # fmt: skip
-def ends_too_late(file: CertificateFile) -> Iterator[Found]:
+def ends_too_late(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.first.not_after.year > LAST_YEAR:
         year = file.first.not_after.year
-        yield Found(f"the certificate of the {role_of(file)} ends in {year}: Fast DDS crashes")
+        yield Violation(f"the certificate of the {role_of(file)} ends in {year}: Fast DDS crashes")
 
 
 @FAMILY.rule(
     "PQS150", Severity.ERROR, File, "ROS 2 cannot open an encrypted private key",
     why="No ROS 2 setting gives the passphrase to the middleware.",
-    mend="Keep the key unencrypted, mode 0600, on an encrypted disk.",
+    fix="Keep the key unencrypted, mode 0600, on an encrypted disk.",
     stacks=(Target.ROS2,), only_when_asked=True,
     rows=("wrong / missing password",),
     measured="source of rmw_dds_common (security.cpp)",
 )  # fmt: skip
-def encrypted_for_ros(file: File) -> Iterator[Found]:
+def encrypted_for_ros(file: File) -> Iterator[Violation]:
     if file.is_private_key and file.path.name in KEYS and is_encrypted(file.data):
-        yield Found("the participant's private key is encrypted, and ROS 2 cannot open it")
+        yield Violation("the participant's private key is encrypted, and ROS 2 cannot open it")
 
 
 def ends_soon(now: datetime, start: datetime, end: datetime) -> bool:

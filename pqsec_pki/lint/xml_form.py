@@ -6,7 +6,7 @@ from typing import Any
 
 from pqsec_pki.lint._elements import CHILDREN, NEW, SCHEMA_ATTRIBUTES
 from pqsec_pki.lint.document import Document, GovernanceFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 from pqsec_pki.lint.times import no_time
 from pqsec_pki.lint.xml_values import (
     lower_case,
@@ -32,24 +32,24 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     "PQS201", ERROR, Document, "a document cannot be read",
     why="It is not well-formed XML, or the S/MIME around it is broken: no stack starts with it."
     " A DOCTYPE is not read by pqsec either; it has no use here, and entities are an attack.",
-    mend="Write it again with `pqsec governance render` or `pqsec permissions render`, and sign"
+    fix="Write it again with `pqsec governance render` or `pqsec permissions render`, and sign"
     " it with `pqsec sign-governance` or `pqsec sign-permissions`.",
     rows=("PEM or DER p7 instead of S/MIME",), measured=_ALL_SIX,
 )  # fmt: skip
-def cannot_be_read(document: Document) -> Iterator[Found]:
+def cannot_be_read(document: Document) -> Iterator[Violation]:
     is_told = document.file.is_signed and document.xml is None  # by PQS331 and PQS333
     if document.reason and not is_told:
-        yield Found(f"cannot be read: {document.reason}")
+        yield Violation(f"cannot be read: {document.reason}")
 
 
 @FAMILY.rule(
     "PQS202", ERROR, Document, "a document breaks its schema",
     why="Each stack has its own hand-written reader, and what one takes by chance the next"
     " refuses. Only a valid document has one meaning.",
-    mend="Change what the message names; `pqsec validate` lists nothing more when it is done.",
+    fix="Change what the message names; `pqsec validate` lists nothing more when it is done.",
     rows=("missing liveliness element",), measured=_ALL_SIX,
 )  # fmt: skip
-def breaks_schema(document: Document) -> Iterator[Found]:
+def breaks_schema(document: Document) -> Iterator[Violation]:
     if not document.problems or type(document) is Document:
         return
     told = {found.line for check in _EXPLAINED for found in check(document)}
@@ -65,10 +65,10 @@ def breaks_schema(document: Document) -> Iterator[Found]:
     "PQS203", ERROR, Document, "a file is neither governance nor permissions",
     why="The root is <dds>, with <domain_access_rules> or <permissions> in it, in lower case and"
     " without a namespace. Cyclone DDS refuses a default xmlns; Fast DDS refuses upper case.",
-    mend="Name the elements as the standard does, and take xmlns=... off the root.",
+    fix="Name the elements as the standard does, and take xmlns=... off the root.",
     rows=("default xmlns", "upper-case tags"), measured=_ALL_SIX,
 )  # fmt: skip
-def neither(document: Document) -> Iterator[Found]:
+def neither(document: Document) -> Iterator[Violation]:
     if type(document) is not Document or document.root is None:
         return
     root = document.root
@@ -86,10 +86,10 @@ def neither(document: Document) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS204", ERROR, Document, "the XML starts with a byte order mark",
     why="Cyclone DDS refuses a document with a byte order mark.",
-    mend="Save it as UTF-8 without BOM.",
+    fix="Save it as UTF-8 without BOM.",
     stacks=(_CYCLONE,), rows=("UTF-8 BOM in XML",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
 )  # fmt: skip
-def byte_order_mark(document: Document) -> Iterator[Found]:
+def byte_order_mark(document: Document) -> Iterator[Violation]:
     if document.tree and document.tree.byte_order_mark:
         yield document.at(1, "starts with a byte order mark, which Cyclone DDS refuses")
 
@@ -97,10 +97,10 @@ def byte_order_mark(document: Document) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS205", WARNING, Document, "the XML is not in UTF-8",
     why="Cyclone DDS and Fast DDS look for ASCII tags in the bytes; no other encoding was tried.",
-    mend='Save it as UTF-8, and say so: <?xml version="1.0" encoding="UTF-8"?>.',
+    fix='Save it as UTF-8, and say so: <?xml version="1.0" encoding="UTF-8"?>.',
     measured="read in source, not run",
 )  # fmt: skip
-def not_utf8(document: Document) -> Iterator[Found]:
+def not_utf8(document: Document) -> Iterator[Violation]:
     if document.tree and document.tree.encoding not in {"UTF-8", "UTF8", "US-ASCII", "ASCII"}:
         yield document.at(1, f"is in {document.tree.encoding[:20]}; stacks want UTF-8")
 
@@ -109,11 +109,11 @@ def not_utf8(document: Document) -> Iterator[Found]:
     "PQS206", ERROR, Document, "an attribute that stacks do not know",
     why="Cyclone DDS refuses a document with any attribute it does not know; it knows the xsi"
     " attributes of the root and the name of a grant.",
-    mend="Take it out.",
+    fix="Take it out.",
     stacks=(_CYCLONE,), rows=("xsi:schemaLocation, or any other root attribute",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
 )  # fmt: skip
-def unknown_attribute(document: Document) -> Iterator[Found]:
+def unknown_attribute(document: Document) -> Iterator[Violation]:
     for node in document.root.walk() if document.root else ():
         known = SCHEMA_ATTRIBUTES if node is document.root else set()
         known = {"name"} if node.tag == "grant" else known
@@ -128,11 +128,11 @@ def unknown_attribute(document: Document) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS207", ERROR, GovernanceFile, "a comment directly before </dds>",
     why="Fast DDS takes the comment for a second set of rules and refuses the governance.",
-    mend="Move the comment into <domain_access_rules>, or above the root element.",
+    fix="Move the comment into <domain_access_rules>, or above the root element.",
     stacks=(_FAST,), rows=("comment directly before `</dds>` in governance",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
-def comment_at_the_end(document: GovernanceFile) -> Iterator[Found]:
+def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
     for comment in document.tree.comments if document.tree else ():
         if comment.inside == "dds" and comment.is_last and comment.after:
             yield document.at(comment.line, "Fast DDS refuses a comment directly before </dds>")
@@ -141,7 +141,7 @@ def comment_at_the_end(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS208", ERROR, Document, "elements out of order",
     why="Fast DDS wants them in the order of the schema and refuses any other.",
-    mend="Put them in the order of the schema; `pqsec ... render` writes it.",
+    fix="Put them in the order of the schema; `pqsec ... render` writes it.",
     stacks=(_FAST,),
     rows=(
         "governance elements out of XSD order",
@@ -149,7 +149,7 @@ def comment_at_the_end(document: GovernanceFile) -> Iterator[Found]:
     ),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2 refuse; Cyclone DDS takes it",
 )  # fmt: skip
-def out_of_order(document: Document) -> Iterator[Found]:
+def out_of_order(document: Document) -> Iterator[Violation]:
     for parent in document.all(*CHILDREN):
         steps = {tag: n for n, step in enumerate(CHILDREN[parent.tag]) for tag in step}
         known = [child for child in parent.children if child.tag in steps]
@@ -162,10 +162,10 @@ def out_of_order(document: Document) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS209", ERROR, Document, "an element that stacks do not know",
     why="Every stack refuses the whole document, a vendor's extension or a slip alike.",
-    mend="Take it out, or spell it as the schema does.",
+    fix="Take it out, or spell it as the schema does.",
     rows=("unknown/vendor element",), measured=_ALL_SIX,
 )  # fmt: skip
-def unknown_element(document: Document) -> Iterator[Found]:
+def unknown_element(document: Document) -> Iterator[Violation]:
     for parent in document.all(*CHILDREN):
         known = {tag for step in CHILDREN[parent.tag] for tag in step}
         for child in parent.children:
@@ -177,11 +177,11 @@ def unknown_element(document: Document) -> Iterator[Found]:
     "PQS210", ERROR, Document, "an element of DDS-Security 1.2",
     why="All six stacks measured are of 1.1 and refuse the whole document. RTI Connext 7.5 and"
     " later take it.",
-    mend="Take it out, or keep such a document for participants with RTI Connext only.",
+    fix="Take it out, or keep such a document for participants with RTI Connext only.",
     rows=("1.2 `enable_key_revision` / `rtps_psk_protection_kind` / allowed algorithms",),
     measured=_ALL_SIX,
 )  # fmt: skip
-def newer_element(document: Document) -> Iterator[Found]:
+def newer_element(document: Document) -> Iterator[Violation]:
     for node in document.all(*sorted(NEW)):
         yield document.at(node, f"<{node.tag}> is of DDS-Security 1.2, and stacks of 1.1 refuse it")
 
@@ -190,15 +190,15 @@ def newer_element(document: Document) -> Iterator[Found]:
     "PQS220", WARNING, Document, "what a document means was not checked",
     why="It breaks its schema. Stacks that take it all the same may find any hole in it; the rules"
     " about protection and permissions need a valid document.",
-    mend="Mend what else is told of it, and check again.",
+    fix="Mend what else is told of it, and check again.",
     rows=("booleans TRUE/FALSE, 1/0",),
 )  # fmt: skip
-def not_understood(document: Document) -> Iterator[Found]:
+def not_understood(document: Document) -> Iterator[Violation]:
     if document.problems and type(document) is not Document:
         yield document.at(document.root, "breaks its schema, so what it means was not checked")
 
 
-_EXPLAINED: tuple[Callable[[Any], Iterable[Found]], ...] = (
+_EXPLAINED: tuple[Callable[[Any], Iterable[Violation]], ...] = (
     unknown_attribute, out_of_order, unknown_element, newer_element, odd_boolean, spaces,
     lower_case, payload_origin, nameless_grant, no_default, no_domains, missing_element, no_time,
 )  # fmt: skip

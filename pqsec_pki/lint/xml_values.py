@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.lint._elements import BOOLEANS, KINDS, NAMES, NEEDED, WORDS
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
-from pqsec_pki.lint.rule import Family, Found, Severity, Target
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
 
 FAMILY = Family("documents")
 
@@ -17,10 +17,10 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     "PQS211", WARNING, Document, "a boolean that is not true or false",
     why="The schema has true, false, 1 and 0. All stacks measured take TRUE and 1 too, but no"
     " two readers agree on the rest.",
-    mend="Write true or false.",
+    fix="Write true or false.",
     rows=("booleans TRUE/FALSE, 1/0",), measured=_ALL_SIX,
 )  # fmt: skip
-def odd_boolean(document: Document) -> Iterator[Found]:
+def odd_boolean(document: Document) -> Iterator[Violation]:
     for node in document.all(*BOOLEANS):
         if node.value not in {"true", "false"} and node.value:
             yield document.at(node, f"<{node.tag}>: write true or false, not {node.value[:20]!a}")
@@ -29,12 +29,12 @@ def odd_boolean(document: Document) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS212", ERROR, Document, "spaces around a value",
     why="Fast DDS compares with the spaces: a kind or boolean is refused, a topic never matches.",
-    mend="Write the value directly between the tags, on one line.",
+    fix="Write the value directly between the tags, on one line.",
     stacks=(_FAST,),
     rows=("` true `, ` ENCRYPT `, spaces around topic",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS trims",
 )  # fmt: skip
-def spaces(document: Document) -> Iterator[Found]:
+def spaces(document: Document) -> Iterator[Violation]:
     for node in document.all(*BOOLEANS, *KINDS, *NAMES, "default", "id", "min", "max"):
         if node.text != node.value:
             yield document.at(node, f"<{node.tag}> has spaces or line ends around its value")
@@ -44,10 +44,10 @@ def spaces(document: Document) -> Iterator[Found]:
     "PQS213", ERROR, Document, "a word in lower case",
     why="No stack takes `encrypt` for ENCRYPT. Cyclone DDS takes `deny` or `allow` as default"
     " silently for DENY; Fast DDS refuses it.",
-    mend="Write it in capitals.",
+    fix="Write it in capitals.",
     rows=("`encrypt` lower case", "`<default>` missing or lower case"), measured=_ALL_SIX,
 )  # fmt: skip
-def lower_case(document: Document) -> Iterator[Found]:
+def lower_case(document: Document) -> Iterator[Violation]:
     for node in document.all(*KINDS, "default"):
         if node.value not in WORDS and node.value.upper() in WORDS:
             yield document.at(node, f"<{node.tag}>: write {node.value.upper()}, in capitals")
@@ -56,10 +56,10 @@ def lower_case(document: Document) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS214", ERROR, GovernanceFile, "a payload with origin authentication",
     why="data_protection_kind takes NONE, SIGN and ENCRYPT only: every stack refuses the rest.",
-    mend="Put the origin authentication on metadata_protection_kind.",
+    fix="Put the origin authentication on metadata_protection_kind.",
     rows=("data_protection_kind …_WITH_ORIGIN_AUTHENTICATION",), measured=_ALL_SIX,
 )  # fmt: skip
-def payload_origin(document: GovernanceFile) -> Iterator[Found]:
+def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
     for node in document.all("data_protection_kind"):
         if node.value.upper().endswith("_WITH_ORIGIN_AUTHENTICATION"):
             yield document.at(node, "payloads have no origin authentication: stacks refuse this")
@@ -68,11 +68,11 @@ def payload_origin(document: GovernanceFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS215", ERROR, PermissionsFile, "a grant without name",
     why="Fast DDS refuses the document; OpenDDS reads an attribute that is not there (source).",
-    mend='Give it one: <grant name="/talker">.',
+    fix='Give it one: <grant name="/talker">.',
     stacks=(_FAST, _OPENDDS),
     rows=("no grant name",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS takes it",
 )  # fmt: skip
-def nameless_grant(document: PermissionsFile) -> Iterator[Found]:
+def nameless_grant(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("grant"):
         if "name" not in dict(node.attributes):
             yield document.at(node, "the grant has no name attribute")
@@ -81,12 +81,12 @@ def nameless_grant(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS216", ERROR, PermissionsFile, "a grant without default",
     why="Cyclone DDS reads it as DENY; Fast DDS refuses the document.",
-    mend="End each grant with <default>DENY</default>.",
+    fix="End each grant with <default>DENY</default>.",
     stacks=(_FAST,),
     rows=("`<default>` missing or lower case",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS by source",
 )  # fmt: skip
-def no_default(document: PermissionsFile) -> Iterator[Found]:
+def no_default(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("grant"):
         if not node.child("default"):
             yield document.at(node, "the grant has no <default>")
@@ -95,11 +95,11 @@ def no_default(document: PermissionsFile) -> Iterator[Found]:
 @FAMILY.rule(
     "PQS217", ERROR, Document, "a rule that names no domains",
     why="Cyclone DDS crashes on a permissions rule without <domains>; Fast DDS refuses it.",
-    mend="Start the rule with <domains>, with at least one <id> or <id_range>.",
+    fix="Start the rule with <domains>, with at least one <id> or <id_range>.",
     rows=("rule without `<domains>`",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1 crash; Fast DDS refuses",
 )  # fmt: skip
-def no_domains(document: Document) -> Iterator[Found]:
+def no_domains(document: Document) -> Iterator[Violation]:
     for node in document.all("allow_rule", "deny_rule", "domain_rule"):
         domains = node.child("domains")
         if domains is None or not domains.children:
@@ -110,11 +110,11 @@ def no_domains(document: Document) -> Iterator[Found]:
     "PQS218", ERROR, Document, "an empty topic or expression",
     why="Cyclone DDS crashes on it, and so do Fast DDS 2.9.1 and 3.1.2 on an empty"
     " topic_expression: whoever signs such a document stops every participant.",
-    mend="Write the topic, or * for all.",
+    fix="Write the topic, or * for all.",
     rows=("empty `<topic_expression/>`", "empty `<topic/>`"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 2.9.1, 3.1.2 crash; 3.6.2 refuses",
 )  # fmt: skip
-def empty_expression(document: Document) -> Iterator[Found]:
+def empty_expression(document: Document) -> Iterator[Violation]:
     for node in document.all("topic_expression", "topic"):
         if not node.value:
             yield document.at(node, f"an empty <{node.tag}> crashes Cyclone DDS")
@@ -124,10 +124,10 @@ def empty_expression(document: Document) -> Iterator[Found]:
     "PQS219", ERROR, Document, "an element that must be there is missing",
     why="No stack has a default for it: Cyclone DDS and Fast DDS refuse the document. SROS2's"
     " older templates lack enable_liveliness_protection.",
-    mend="Add it in its place.",
+    fix="Add it in its place.",
     rows=("missing liveliness element",), measured=_ALL_SIX,
 )  # fmt: skip
-def missing_element(document: Document) -> Iterator[Found]:
+def missing_element(document: Document) -> Iterator[Violation]:
     for node in document.all(*NEEDED):
         there = {child.tag for child in node.children}
         for tag in NEEDED[node.tag]:

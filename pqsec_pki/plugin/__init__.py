@@ -5,16 +5,16 @@ to the agent, one process for each user, over a socket. The agent holds the iden
 and answers with the rooms of this package; private keys never enter the DDS process.
 """
 
+from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.build import LIBRARY, NAMES, Built, build
 from pqsec_pki.plugin.control import Status, agent_status, stop_agent
-from pqsec_pki.plugin.place import Place
 from pqsec_pki.plugin.units import home, units_folder
 
 __all__ = [
     "LIBRARY",
     "NAMES",
+    "AgentFolder",
     "Built",
-    "Place",
     "Status",
     "agent_status",
     "build",

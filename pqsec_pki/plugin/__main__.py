@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.plugin.place import Place
+from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.server import Agent
 
 IDLE_SECONDS = 300.0
@@ -59,7 +59,7 @@ def main(arguments: list[str]) -> int:
     place, *more = arguments[detach:]
     idle = float(more[0]) if more else IDLE_SECONDS
     try:
-        Agent(Place(Path(place)), idle, _now, _log).run(_detach if detach else lambda: None)
+        Agent(AgentFolder(Path(place)), idle, _now, _log).run(_detach if detach else lambda: None)
     except PqsecError as error:
         _log(str(error))
         return error.exit_code

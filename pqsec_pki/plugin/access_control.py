@@ -18,7 +18,7 @@ from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
-from pqsec_pki.plugin.rights import Own, Rights, Theirs, anywhere, end_of
+from pqsec_pki.plugin.rights import LocalRights, RemoteRights, Rights, anywhere, end_of
 from pqsec_pki.plugin.trust import Trust
 
 _PEERS = {PERMISSIONS: "the peer's permissions"}
@@ -54,7 +54,7 @@ class AccessControl:
             raise trust.refusal(
                 error.problems, trust.places(properties), hint=error.hint
             ) from error
-        rights = Own(
+        rights = LocalRights(
             subject=certificate.subject_name,
             domain=domain,
             governance=found.governance.value,
@@ -80,7 +80,7 @@ class AccessControl:
             grant = grant_of(certificate, granted, now)
         except VerificationError as error:
             raise trust.refusal(error.problems, _PEERS, hint=error.hint) from error
-        rights = Theirs(
+        rights = RemoteRights(
             subject=certificate.subject_name,
             domain=own.domain,
             governance=own.governance,
@@ -134,29 +134,29 @@ class AccessControl:
 
     def get_permissions_token(self, handle: int) -> tuple[int, DataHolder]:
         """Without properties, as Cyclone DDS sends it: Fast DDS 2.9.1 refuses the standard's."""
-        self._handles.get(handle, Own)
+        self._handles.get(handle, LocalRights)
         return _OK, PermissionsToken().to_holder()
 
     def get_permissions_credential_token(self, handle: int) -> tuple[int, DataHolder]:
         """The signed permissions document, for the handshake."""
-        document = self._handles.get(handle, Own).message.decode(errors=_TEXT)
+        document = self._handles.get(handle, LocalRights).message.decode(errors=_TEXT)
         return _OK, DataHolder(CREDENTIAL, ((CREDENTIAL_PROPERTY, document),))
 
     def get_participant_sec_attributes(self, handle: int) -> tuple[Any, ...]:
         """How the domain is protected."""
-        rule = self._handles.get(handle, Own).domain_rule
+        rule = self._handles.get(handle, LocalRights).domain_rule
         return _OK, *astuple(attributes.of_participant(rule))
 
     def get_topic_sec_attributes(self, handle: int, topic: str) -> tuple[Any, ...]:
         """How a topic is controlled."""
-        rights = self._handles.get(handle, Own)
+        rights = self._handles.get(handle, LocalRights)
         if topic in attributes.BUILTIN:
             return _OK, *astuple(attributes.TopicAttributes())
         return _OK, *astuple(attributes.of_topic(rights.topic_rule(topic)))
 
     def get_endpoint_sec_attributes(self, handle: int, topic: str) -> tuple[Any, ...]:
         """How a writer or reader of the topic is protected."""
-        rights = self._handles.get(handle, Own)
+        rights = self._handles.get(handle, LocalRights)
         if topic in attributes.BUILTIN:
             return _OK, *astuple(attributes.of_builtin(rights.domain_rule, topic))
         return _OK, *astuple(attributes.of_endpoint(rights.topic_rule(topic)))
@@ -166,8 +166,8 @@ class AccessControl:
         self._handles.drop(handle)
         return (_OK,)
 
-    def _own(self, identity_handle: int) -> Own:
-        for _, each in self._handles.all(Own):
+    def _own(self, identity_handle: int) -> LocalRights:
+        for _, each in self._handles.all(LocalRights):
             if each.identity == identity_handle:
                 return each
         raise VerificationError("a peer of a participant that the agent does not know")

@@ -33,11 +33,11 @@ from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
 from pqsec_pki.plugin.lists import NewestLists
-from pqsec_pki.plugin.meetings import Handshake, Meetings
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
-from pqsec_pki.plugin.recalls import Recalls
-from pqsec_pki.plugin.waiting import Waiting
+from pqsec_pki.plugin.peer_table import Handshake, PeerTable
+from pqsec_pki.plugin.pending import PendingReplies
+from pqsec_pki.plugin.revocation_watch import RevocationWatch
 
 NO_TOKEN = DataHolder("")
 """TOKEN_NIL: Cyclone DDS looks at the length of its class id, so it must have one."""
@@ -63,12 +63,12 @@ class Authentication:
     """The plugin of one DDS process and domain."""
 
     def __init__(
-        self, clock: Clock, note: Callable[[str], None], lists: NewestLists, answers: Waiting
+        self, clock: Clock, note: Callable[[str], None], lists: NewestLists, answers: PendingReplies
     ) -> None:
         self._now = clock
         self._handles = Handles()
-        self._meetings = Meetings(self._handles, answers, note)
-        self._recalls = Recalls(self._handles, self._meetings, lists, clock, note)
+        self._peers = PeerTable(self._handles, answers, note)
+        self._revocation_watch = RevocationWatch(self._handles, self._peers, lists, clock, note)
 
     def __len__(self) -> int:
         return len(self._handles)
@@ -80,7 +80,7 @@ class Authentication:
         find_revoked is to be called."""
         del domain
         local = Local.load(Properties(properties, folder), candidate, self._now())
-        local = self._recalls.admitted(local)
+        local = self._revocation_watch.admitted(local)
         end = end_of(local.certificate, local.anchors.issuer_of(local.certificate))
         return Result.OK, self._handles.add(local), local.guid, end, local.revoked is not None
 
@@ -113,14 +113,14 @@ class Authentication:
         local = self._handles.get(identity, Local)
         said = IdentityToken.from_holder(token)
         heard = AuthRequest.from_holder(auth_request) if auth_request.class_id else None
-        handle, relation = self._meetings.relation(identity, guid)
-        relation.said = said
+        handle, peer_state = self._peers.peer_state(identity, guid)
+        peer_state.said = said
         answer = NO_TOKEN
         if heard:
-            relation.heard = heard.future_challenge
+            peer_state.heard = heard.future_challenge
         else:
-            relation.announced = os.urandom(CHALLENGE_SIZE)
-            answer = AuthRequest(future_challenge=relation.announced).to_holder()
+            peer_state.announced = os.urandom(CHALLENGE_SIZE)
+            answer = AuthRequest(future_challenge=peer_state.announced).to_holder()
         first = initiates(local.guid, guid)
         result = Result.PENDING_HANDSHAKE_REQUEST if first else Result.PENDING_HANDSHAKE_MESSAGE
         return result, handle, answer
@@ -132,26 +132,26 @@ class Authentication:
 
         VerificationError, and none is sent, to a peer that may not know its key agreement.
         """
-        local, remote, relation = self._meetings.met(identity, peer)
-        _check_known(relation.said, local.agreement)
-        discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
-        request, state = begin(local.terms(discovered, relation.announced, data), local.agreement)
-        handle = self._meetings.asked(local, identity, peer, state)
+        local, remote, peer_state = self._peers.met(identity, peer)
+        _check_known(peer_state.said, local.agreement)
+        discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
+        request, state = begin(local.terms(discovered, peer_state.announced, data), local.agreement)
+        handle = self._peers.asked(local, identity, peer, state)
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
 
     def begin_handshake_reply(
         self, token: DataHolder, peer: int, identity: int, data: bytes
     ) -> tuple[Result, int, DataHolder]:
         """The handshake's handle, and the Reply."""
-        local, remote, relation = self._meetings.met(identity, peer)
+        local, remote, peer_state = self._peers.met(identity, peer)
         request, now = Request.from_holder(token), self._now()
         certificate = Peer.read(request.introduction).certificate
-        self._meetings.refuse_early(identity, certificate, now)
-        discovered = Discovered(guid=remote.guid, future_challenge=relation.heard)
-        terms = local.terms(discovered, relation.announced, data)
+        self._peers.refuse_early(identity, certificate, now)
+        discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
+        terms = local.terms(discovered, peer_state.announced, data)
         terms = replace(terms, own=replace(terms.own, ca=local.anchors.issuer_of(certificate)))
         reply, state = reply_to(terms, request, now=now)
-        handle = self._meetings.answered(local, identity, peer, state, now)
+        handle = self._peers.answered(local, identity, peer, state, now)
         return Result.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
 
     def process_handshake(self, token: DataHolder, handle: int) -> tuple[Result, DataHolder]:
@@ -160,7 +160,7 @@ class Authentication:
         is_final = token.class_id == Final.CLASS_ID
         if handshake.answer and (is_final or handshake.asked is None):
             done = handshake.answer.receive(Final.from_holder(token))
-            self._meetings.finished(handshake, done)
+            self._peers.finished(handshake, done)
             return Result.OK, NO_TOKEN
         if handshake.asked is None:
             raise LateError("the handshake is over: the message came late, or twice")
@@ -168,7 +168,7 @@ class Authentication:
         if reply.dh1 in handshake.earlier:
             raise LateError("a Reply to a Request that was given up for a later one: it came late")
         final, done = self._finish(handshake.local, handshake.asked, reply)
-        self._meetings.finished(handshake, done)
+        self._peers.finished(handshake, done)
         return Result.OK_FINAL_MESSAGE, final.to_holder()
 
     def get_shared_secret(self, handle: int) -> tuple[Result, int, int, bytes, bytes, bytes]:
@@ -178,7 +178,7 @@ class Authentication:
         """
         handshake, done = self._done(handle)
         certificate = done.peer.certificate
-        if self._handles.get(handshake.identity, Local).takes_back(certificate):
+        if self._handles.get(handshake.identity, Local).revokes(certificate):
             raise VerificationError(
                 f"the certificate of {certificate.subject_name} was revoked meanwhile"
             )
@@ -203,7 +203,7 @@ class Authentication:
 
     def finish(self) -> None:
         """The connection ends."""
-        self._meetings.drop_all()
+        self._peers.drop_all()
 
     def find_revoked(self) -> tuple[Result, int]:
         """A participant or a peer that is taken back since; 0 if there is no other.
@@ -211,16 +211,16 @@ class Authentication:
         Where a revocation list cannot be taken, the one before it still counts, and the
         refusal comes when all others are told.
         """
-        return Result.OK, self._recalls.next()
+        return Result.OK, self._revocation_watch.next()
 
     def return_handshake_handle(self, handle: int) -> tuple[Result]:
         """Cyclone DDS never calls it: a handshake goes with its identities."""
-        self._meetings.drop_handshake(handle)
+        self._peers.drop_handshake(handle)
         return (Result.OK,)
 
     def return_identity_handle(self, handle: int) -> tuple[Result]:
         """The participant is gone, or the peer."""
-        self._meetings.drop(handle)
+        self._peers.drop(handle)
         return (Result.OK,)
 
     def _finish(self, local: Local, state: RequestSent, reply: Reply) -> tuple[Final, Done]:

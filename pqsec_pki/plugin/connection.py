@@ -12,7 +12,7 @@ from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
-from pqsec_pki.plugin.waiting import Waiting
+from pqsec_pki.plugin.pending import PendingReplies
 
 _HEAD = 4
 _DONE, _REFUSED = 0, 1
@@ -24,7 +24,7 @@ class ProtocolError(PqsecError):
 
 
 @dataclass(frozen=True, slots=True)
-class House:
+class AgentContext:
     """What connections share: the clock, the log, what the command line may ask for, what is
     known of revocation lists, and what waits for a Final."""
 
@@ -33,14 +33,14 @@ class House:
     status: Callable[[], dict[str, Any]]
     stop: Callable[[], None]
     lists: NewestLists = field(default_factory=NewestLists)
-    answers: Waiting = field(default_factory=Waiting)
+    answers: PendingReplies = field(default_factory=PendingReplies)
 
 
 class Control:
     """The calls of the command line."""
 
-    def __init__(self, house: House) -> None:
-        self._house = house
+    def __init__(self, context: AgentContext) -> None:
+        self._context = context
 
     def __len__(self) -> int:
         return 0
@@ -49,20 +49,20 @@ class Control:
         """What the agent does, as JSON."""
         import json  # noqa: PLC0415 -- not for a host that waits for the agent to start
 
-        return 0, json.dumps(self._house.status() | {"version": __version__})
+        return 0, json.dumps(self._context.status() | {"version": __version__})
 
     def stop(self) -> tuple[int]:
         """End once this is answered."""
-        self._house.stop()
+        self._context.stop()
         return (0,)
 
 
 class Connection:
     """A DDS process and one plugin of it, or the command line."""
 
-    def __init__(self, house: House, who: str) -> None:
-        self._house, self._who = house, who
-        self._notes = Notes(who, house.log, house.clock)
+    def __init__(self, context: AgentContext, who: str) -> None:
+        self._context, self._who = context, who
+        self._notes = Notes(who, context.log, context.clock)
         self._inbox = bytearray()
         self._name = ""
         self._plugin: Authentication | AccessControl | Control | None = None
@@ -112,11 +112,11 @@ class Connection:
 
     def _new(self, name: str) -> Authentication | AccessControl | Control:
         if name == "authentication":
-            house = self._house
-            return Authentication(house.clock, self._notes.add, house.lists, house.answers)
+            context = self._context
+            return Authentication(context.clock, self._notes.add, context.lists, context.answers)
         if name == "access_control":
-            return AccessControl(self._house.clock)
-        return Control(self._house)
+            return AccessControl(self._context.clock)
+        return Control(self._context)
 
     def _called(self, frame: bytes) -> bytes:
         """An error of ours is a refusal too: a host must get an answer, and others theirs."""

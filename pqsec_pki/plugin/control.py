@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from pqsec_pki.errors import FileError, MalformedError, PqsecError
+from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION, Arguments
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
-from pqsec_pki.plugin.place import Place
 
 _SECONDS = 5.0
 
@@ -25,7 +25,7 @@ class Status:
 class Client:
     """A connection to the agent, as the shim has one."""
 
-    def __init__(self, place: Place, plugin: str) -> None:
+    def __init__(self, place: AgentFolder, plugin: str) -> None:
         self._plugin = plugin
         self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._link.settimeout(_SECONDS)
@@ -90,7 +90,7 @@ class Client:
         return found
 
 
-def agent_status(place: Place) -> Status | None:
+def agent_status(place: AgentFolder) -> Status | None:
     """What the agent says; None if none listens.
 
     FileError if it does not answer, or if its folder is not this user's alone.
@@ -111,7 +111,7 @@ def agent_status(place: Place) -> Status | None:
     return Status(found["process"], found["version"], found["socket"], tuple(found["connections"]))
 
 
-def stop_agent(place: Place) -> bool:
+def stop_agent(place: AgentFolder) -> bool:
     """Let the agent end, and its socket be gone; whether there was one."""
     if agent_status(place) is None:
         return False

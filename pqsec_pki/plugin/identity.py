@@ -25,7 +25,7 @@ _WAY_OUT = 'put all files of the enclave there, or say peers = "stock" in pqsec.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Speaker(Identity):
+class LocalIdentity(Identity):
     """An identity with the participant data that Cyclone DDS has written for it."""
 
     participant_data: bytes
@@ -95,7 +95,7 @@ class Local:
 
     def terms(self, discovered: Discovered, announced: bytes | None, data: bytes) -> Terms:
         """For a handshake with one peer; `data` is our participant data."""
-        own = Speaker(
+        own = LocalIdentity(
             certificate=self.certificate,
             key=self.key,
             ca=self.anchors.identity_ca,
@@ -123,7 +123,7 @@ class Local:
         """The same, for which `fresh` counts."""
         return replace(self, anchors=replace(self.anchors, revocation_list=fresh))
 
-    def takes_back(self, certificate: Certificate) -> bool:
+    def revokes(self, certificate: Certificate) -> bool:
         """Whether its revocation list, as it was read last, names the certificate."""
         return self.revoked is not None and self.revoked.revocation_of(certificate) is not None
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, shown
-from pqsec_pki.plugin.place import Place
+from pqsec_pki.plugin.agent_folder import AgentFolder
 
 BACKLOG = 128
 LOCK_SECONDS = 2.0
@@ -20,7 +20,7 @@ _FIRST_GIVEN = 3
 """The handle of the first socket that systemd hands over (sd_listen_fds(3))."""
 
 
-def given(environment: Mapping[str, str], place: Place) -> socket.socket | None:
+def given(environment: Mapping[str, str], place: AgentFolder) -> socket.socket | None:
     """The socket that systemd listens at for this process; None if it does not.
 
     FileError if it is not one where the library looks for the agent.

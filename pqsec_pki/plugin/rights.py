@@ -57,7 +57,7 @@ class Rights:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Own(Rights):
+class LocalRights(Rights):
     """Those of a local participant."""
 
     anchors: TrustAnchors
@@ -70,7 +70,7 @@ class Own(Rights):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Theirs(Rights):
+class RemoteRights(Rights):
     """Those of a peer."""
 
     side: ClassVar[Side] = Side.PEER

@@ -15,10 +15,10 @@ from typing import Any
 
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import listening
+from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CONTROL
-from pqsec_pki.plugin.connection import Connection, House, framed, refusal
+from pqsec_pki.plugin.connection import AgentContext, Connection, framed, refusal
 from pqsec_pki.plugin.notes import Clock, Log, Notes
-from pqsec_pki.plugin.place import Place
 
 MAX_CONNECTIONS = 512
 """Two for each domain of a DDS process."""
@@ -34,7 +34,7 @@ _PAUSE = 0.5
 """Seconds until the next connection is tried, when the system had no file left for one."""
 
 
-class _Guest:
+class _Client:
     """A connected socket: what it sent is in its connection, what it is owed here."""
 
     def __init__(self, link: socket.socket, connection: Connection) -> None:
@@ -45,11 +45,11 @@ class _Guest:
 class Agent:
     """Listens until it is told to stop, or nobody was connected for a while."""
 
-    def __init__(self, place: Place, idle: float, clock: Clock, log: Log) -> None:
+    def __init__(self, place: AgentFolder, idle: float, clock: Clock, log: Log) -> None:
         self._place, self._idle, self._log = place, idle, log
         self._notes = Notes("agent", log, clock)
-        self._house = House(clock, log, self._status, self._stop)
-        self._guests: set[_Guest] = set()
+        self._context = AgentContext(clock, log, self._status, self._stop)
+        self._guests: set[_Client] = set()
         self._most = MAX_CONNECTIONS
         self._deaf_until = 0.0
         self._parted = False
@@ -89,8 +89,8 @@ class Agent:
             self._serve(listener)
 
     def _end(self) -> None:
-        for guest in list(self._guests):
-            self._part(guest)
+        for client in list(self._guests):
+            self._part(client)
         self._log("ended")
 
     def _serve(self, listener: socket.socket) -> None:
@@ -144,43 +144,43 @@ class Agent:
                 link.send(framed(refusal(f"the agent is full: {why}")))
             link.close()
             return
-        guest = _Guest(link, Connection(self._house, listening.name_of(process)))
-        self._guests.add(guest)
-        self._selector.register(link, selectors.EVENT_READ, guest)
+        client = _Client(link, Connection(self._context, listening.name_of(process)))
+        self._guests.add(client)
+        self._selector.register(link, selectors.EVENT_READ, client)
 
-    def _attend(self, guest: _Guest, events: int) -> None:
+    def _attend(self, client: _Client, events: int) -> None:
         try:
             if events & selectors.EVENT_READ:
-                self._read(guest)
-            while guest.outbox:
-                del guest.outbox[: guest.link.send(guest.outbox)]
+                self._read(client)
+            while client.outbox:
+                del client.outbox[: client.link.send(client.outbox)]
         except BlockingIOError:
             pass
         except (OSError, PqsecError) as error:
             if not isinstance(error, ConnectionError):  # who hangs up has done nothing wrong
-                self._notes.add(f"{guest.connection.what[0]}: {error}")
-            self._part(guest)
+                self._notes.add(f"{client.connection.what[0]}: {error}")
+            self._part(client)
             return
         # Who does not read answers is not heard either, so what it is owed stays small.
-        waiting = selectors.EVENT_WRITE if guest.outbox else selectors.EVENT_READ
-        self._selector.modify(guest.link, waiting, guest)
+        waiting = selectors.EVENT_WRITE if client.outbox else selectors.EVENT_READ
+        self._selector.modify(client.link, waiting, client)
 
-    def _read(self, guest: _Guest) -> None:
-        octets = guest.link.recv(_AT_ONCE)
+    def _read(self, client: _Client) -> None:
+        octets = client.link.recv(_AT_ONCE)
         if not octets:
             raise ConnectionResetError
-        for answer in guest.connection.receive(octets):
-            guest.outbox += answer
+        for answer in client.connection.receive(octets):
+            client.outbox += answer
 
-    def _part(self, guest: _Guest) -> None:
-        self._guests.discard(guest)
-        guest.connection.finish()
+    def _part(self, client: _Client) -> None:
+        self._guests.discard(client)
+        client.connection.finish()
         self._parted = True
-        self._selector.unregister(guest.link)
-        guest.link.close()
+        self._selector.unregister(client.link)
+        client.link.close()
 
     def _status(self) -> dict[str, Any]:
-        found = [guest.connection.what for guest in self._guests]
+        found = [client.connection.what for client in self._guests]
         return {
             "process": os.getpid(),
             "socket": str(self._place.socket),

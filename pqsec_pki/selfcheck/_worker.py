@@ -14,14 +14,20 @@ from pqsec_pki.access.sharing import ParticipantDocuments
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck.meeting import Meeting, Occasion, Seated, fetched, vetted
-from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, Talk
+from pqsec_pki.selfcheck.handshake_check import (
+    HandshakeCheck,
+    HandshakeSetup,
+    LoadedParty,
+    check_party,
+    load_party,
+)
+from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, TopicFlow
 from pqsec_pki.selfcheck.shared_domains import documents_of, domains_of, talks_between
 from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gathering:
+class AllPairsJob:
     """Who is to meet, and how: all participants of a keystore, each two."""
 
     root: Path
@@ -35,7 +41,7 @@ class Gathering:
     """How the two of a pair behave; if they differ, each pair meets both ways round."""
 
 
-class Seat(NamedTuple):
+class PartyRef(NamedTuple):
     """A participant that behaves like that stack; both by name."""
 
     name: str
@@ -45,8 +51,8 @@ class Seat(NamedTuple):
 class Pair(NamedTuple):
     """Two that meet, and where."""
 
-    first: Seat
-    second: Seat
+    first: PartyRef
+    second: PartyRef
     domain: int
 
 
@@ -54,7 +60,7 @@ class Pair(NamedTuple):
 class Finding:
     """What is to be said of one by itself: where it may join, and what is wrong with it."""
 
-    seat: Seat
+    party: PartyRef
     domains: frozenset[int]
     failed: Step | None
 
@@ -66,7 +72,7 @@ class Result(NamedTuple):
     replier: str | None
     failed: Step | None
     milliseconds: float
-    talks: tuple[Talk, ...] = ()
+    talks: tuple[TopicFlow, ...] = ()
     """What each may publish and the other subscribe to, once they have met."""
 
     @property
@@ -79,64 +85,64 @@ class Result(NamedTuple):
 class Worker:
     """Does the work for one gathering, and remembers what it read."""
 
-    gathering: Gathering
-    occasion: Occasion
+    job: AllPairsJob
+    setup: HandshakeSetup
     _read: dict[str, Credentials] = field(default_factory=dict)
     _documents: dict[str, ParticipantDocuments] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, gathering: Gathering) -> "Worker":
+    def of(cls, job: AllPairsJob) -> "Worker":
         """KeystoreError if there is no keystore, UnknownAlgorithmError for an unknown name."""
-        wanted = gathering.key_agreement
-        occasion = Occasion(
-            keystore=Keystore.open(gathering.root),
-            domain=gathering.domain or 0,
-            now=gathering.now,
+        wanted = job.key_agreement
+        setup = HandshakeSetup(
+            keystore=Keystore.open(job.root),
+            domain=job.domain or 0,
+            now=job.now,
             agreement=None if wanted is None else KEY_AGREEMENTS.named(wanted),
         )
-        return cls(gathering, occasion)
+        return cls(job, setup)
 
-    def look_at(self, seats: Sequence[Seat]) -> list[Finding]:
+    def check_parties(self, parties: Sequence[PartyRef]) -> list[Finding]:
         """Each by itself."""
-        return [self._finding(seat) for seat in seats]
+        return [self._finding(party) for party in parties]
 
-    def let_meet(self, pairs: Sequence[Pair | None]) -> list[Result | None]:
+    def run_pairs(self, pairs: Sequence[Pair | None]) -> list[Result | None]:
         """Each two, whose own credentials are known to be sound; None where there are none."""
         return [self._result(pair) if pair else None for pair in pairs]
 
-    def _finding(self, seat: Seat) -> Finding:
+    def _finding(self, party: PartyRef) -> Finding:
         steps, domains = Steps(), frozenset[int]()
         with suppress(StoppedError):
-            participant = self._participant(seat.name, steps)
-            domains, named = domains_of(participant, self.gathering.now)
+            participant = self._participant(party.name, steps)
+            domains, named = domains_of(participant, self.job.now)
             # Where it may join none, one that is named tells why not.
-            occasion = replace(self.occasion, domain=min(domains or named or {0}))
-            vetted(occasion, Seated(participant, stack_named(seat.stack)), steps)
-            return Finding(seat, domains, None)
-        return Finding(seat, domains, steps.done[-1])
+            setup = replace(self.setup, domain=min(domains or named or {0}))
+            check_party(setup, LoadedParty(participant, stack_named(party.stack)), steps)
+            return Finding(party, domains, None)
+        return Finding(party, domains, steps.done[-1])
 
     def _result(self, pair: Pair) -> Result:
-        meeting = Meeting(replace(self.occasion, domain=pair.domain))
+        check = HandshakeCheck(replace(self.setup, domain=pair.domain))
         with suppress(StoppedError):
-            one, other = (self._seated(seat, meeting.steps) for seat in (pair.first, pair.second))
-            meeting.hold(meeting.seat(one, other))
-        found = meeting.report()
+            one, other = (self._loaded(party, check.steps) for party in (pair.first, pair.second))
+            check.perform(check.pair(one, other))
+        found = check.report()
         talks = () if found.failed else self._talks(pair)
         return Result(found.initiator, found.replier, found.failed, found.milliseconds, talks)
 
-    def _talks(self, pair: Pair) -> tuple[Talk, ...]:
+    def _talks(self, pair: Pair) -> tuple[TopicFlow, ...]:
         names = pair.first.name, pair.second.name
         for name in names:
             if name not in self._documents:
                 self._documents[name] = documents_of(self._read[name])
         one, other = ((name, self._documents[name]) for name in names)
-        return talks_between(one, other, pair.domain, self.gathering.now)
+        return talks_between(one, other, pair.domain, self.job.now)
 
-    def _seated(self, seat: Seat, steps: Steps) -> Seated:
-        return Seated(self._participant(seat.name, steps), stack_named(seat.stack))
+    def _loaded(self, party: PartyRef, steps: Steps) -> LoadedParty:
+        return LoadedParty(self._participant(party.name, steps), stack_named(party.stack))
 
     def _participant(self, name: str, steps: Steps) -> Credentials:
         """Read once."""
         if name not in self._read:
-            self._read[name] = fetched(self.occasion.keystore, name, steps)
+            self._read[name] = load_party(self.setup.keystore, name, steps)
         return self._read[name]

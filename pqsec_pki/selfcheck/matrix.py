@@ -15,8 +15,8 @@ from typing import Any
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, KeyAgreement, Profile
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, VerificationError
-from pqsec_pki.keystore import Keystore, Wish, issue
-from pqsec_pki.selfcheck.meeting import Guest, Occasion, meet
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.selfcheck.report import HANDSHAKE, Report
 
 FRAGMENT = 1344
@@ -90,14 +90,14 @@ def suites(now: datetime, rounds: int) -> Iterator[Suite]:
         with _temporary_folder() as folder:
             keystore = _keystore(folder / "keystore", profile, now)
             for agreement in KEY_AGREEMENTS:
-                occasion = Occasion(keystore=keystore, domain=0, now=now, agreement=agreement)
-                yield _measured([_met(occasion) for _ in range(rounds)], profile, agreement)
+                setup = HandshakeSetup(keystore=keystore, domain=0, now=now, agreement=agreement)
+                yield _measured([_met(setup) for _ in range(rounds)], profile, agreement)
 
 
-def _met(occasion: Occasion) -> Report:
-    report = meet(occasion, *(Guest(name=name) for name in NAMES))
+def _met(setup: HandshakeSetup) -> Report:
+    report = run_handshake(setup, *(HandshakeParty(name=name) for name in NAMES))
     if step := report.failed:
-        suite = f"profile {occasion.profile.name} with {report.key_agreement}"
+        suite = f"profile {setup.profile.name} with {report.key_agreement}"
         raise VerificationError(f"{suite}: {step.name}: {step.detail}", hint=step.hint)
     return report
 
@@ -143,6 +143,8 @@ def _keystore(root: Path, profile: Profile, now: datetime) -> Keystore:
     keystore = Keystore.create(
         root, profile, name="Matrix", domains=DOMAIN, validity=_YEAR, passphrase=None, now=now
     )
-    wishes = [Wish(name=name, domains=DOMAIN, publish=("x",), validity=_YEAR) for name in NAMES]
-    issue(keystore, keystore.unlock(None), wishes, now=now)
+    specs = [
+        ParticipantSpec(name=name, domains=DOMAIN, publish=("x",), validity=_YEAR) for name in NAMES
+    ]
+    issue(keystore, keystore.unlock(None), specs, now=now)
     return keystore

@@ -11,11 +11,20 @@ from dataclasses import dataclass
 from itertools import combinations, islice
 from typing import TypeVar
 
-from pqsec_pki.selfcheck._crew import Crew, crew
-from pqsec_pki.selfcheck._worker import Finding, Gathering, Pair, Result, Seat, Worker
+from pqsec_pki.selfcheck._pool import WorkerPool, worker_pool
+from pqsec_pki.selfcheck._worker import AllPairsJob, Finding, Pair, PartyRef, Result, Worker
 from pqsec_pki.selfcheck.report import Step
 
-__all__ = ["Finding", "Gathering", "Outcome", "Result", "Seat", "Survey", "count_pairs", "survey"]
+__all__ = [
+    "AllPairsJob",
+    "Finding",
+    "Outcome",
+    "PairsCheck",
+    "PartyRef",
+    "Result",
+    "check_pairs",
+    "count_pairs",
+]
 
 BLOCK = 16
 """Pairs, or participants, that a process is given at a time: an eighth of a second."""
@@ -50,17 +59,17 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class PairsCheck:
     """All participants of a keystore, each looked at by itself."""
 
-    findings: dict[Seat, Finding]
-    gathering: Gathering
-    _crew: Crew
+    findings: dict[PartyRef, Finding]
+    job: AllPairsJob
+    _pool: WorkerPool
 
     @property
     def names(self) -> list[str]:
         """The participants, sorted."""
-        return sorted({seat.name for seat in self.findings})
+        return sorted({party.name for party in self.findings})
 
     def outcomes(self) -> Iterator[Outcome]:
         """Each pair; the first of it behaves like the first of the gathering's stacks.
@@ -74,47 +83,47 @@ class Survey:
                 planned.append(block)
                 yield [_to_meet(each) for each in block]
 
-        for results in self._crew.map(Worker.let_meet, blocks()):
+        for results in self._pool.map(Worker.run_pairs, blocks()):
             for plan, result in zip(planned.popleft(), results, strict=True):
                 yield Outcome(plan.first, plan.second, plan.domain, result)
 
     def _plans(self) -> Iterator[Outcome]:
-        one, other = self.gathering.stacks
+        one, other = self.job.stacks
         for first, second in combinations(self.names, 2):
-            yield self._plan(Seat(first, one), Seat(second, other))
+            yield self._plan(PartyRef(first, one), PartyRef(second, other))
             if one != other:
-                yield self._plan(Seat(second, one), Seat(first, other))
+                yield self._plan(PartyRef(second, one), PartyRef(first, other))
 
-    def _plan(self, first: Seat, second: Seat) -> Outcome:
+    def _plan(self, first: PartyRef, second: PartyRef) -> Outcome:
         one, other = self.findings[first], self.findings[second]
-        shared, wanted = one.domains & other.domains, self.gathering.domain
+        shared, wanted = one.domains & other.domains, self.job.domain
         if wanted is not None:
             shared &= {wanted}
         return Outcome(one, other, min(shared, default=None))
 
 
-def count_pairs(names: Sequence[str], gathering: Gathering) -> int:
+def count_pairs(names: Sequence[str], job: AllPairsJob) -> int:
     """How many outcomes there will be."""
-    return len(names) * (len(names) - 1) // 2 * len(set(gathering.stacks))
+    return len(names) * (len(names) - 1) // 2 * len(set(job.stacks))
 
 
 @contextmanager
-def survey(
-    gathering: Gathering,
+def check_pairs(
+    job: AllPairsJob,
     names: Sequence[str],
     jobs: int,
     progress: Callable[[Iterable[Finding]], Iterable[Finding]] = iter,
-) -> Iterator[Survey]:
+) -> Iterator[PairsCheck]:
     """The participants called `names`, found sound or not, and `jobs` processes for the rest.
 
     KeystoreError if there is no keystore; PqsecError if a process is killed.
     """
-    useful = 1 + count_pairs(names, gathering) // WORTH_A_PROCESS
-    seats = (Seat(name, stack) for name in names for stack in dict.fromkeys(gathering.stacks))
-    with crew(gathering, min(jobs, useful)) as workers:
-        looks = workers.map(Worker.look_at, _blocks(seats))
-        findings = {each.seat: each for each in progress(each for look in looks for each in look)}
-        yield Survey(findings, gathering, workers)
+    useful = 1 + count_pairs(names, job) // WORTH_A_PROCESS
+    parties = (PartyRef(name, stack) for name in names for stack in dict.fromkeys(job.stacks))
+    with worker_pool(job, min(jobs, useful)) as workers:
+        looks = workers.map(Worker.check_parties, _blocks(parties))
+        findings = {each.party: each for each in progress(each for look in looks for each in look)}
+        yield PairsCheck(findings, job, workers)
 
 
 def _blocks(items: Iterable[Item]) -> Iterator[list[Item]]:
@@ -126,4 +135,4 @@ def _blocks(items: Iterable[Item]) -> Iterator[list[Item]]:
 def _to_meet(plan: Outcome) -> Pair | None:
     if plan.failed or plan.domain is None:
         return None
-    return Pair(plan.first.seat, plan.second.seat, plan.domain)
+    return Pair(plan.first.party, plan.second.party, plan.domain)

@@ -74,7 +74,7 @@ class Sent:
         return None if self.name == MESSAGE else GenericMessage.decode(self.data).tokens[0]
 
 
-class Talk(NamedTuple):
+class TopicFlow(NamedTuple):
     """The topics that one may publish and the other subscribe to."""
 
     sender: str
@@ -111,7 +111,7 @@ class Report:
     """Where they met; None if they share none, or it was not looked for."""
     shared: tuple[int, ...] = ()
     """The domains that both may join."""
-    talks: tuple[Talk, ...] = ()
+    talks: tuple[TopicFlow, ...] = ()
     """Both ways, once they have met."""
 
     @property
@@ -152,5 +152,5 @@ class Report:
             "milliseconds": self.milliseconds,
             "domain": self.domain,
             "shared_domains": list(self.shared),
-            "talks": [each.to_json() for each in self.talks],
+            "topic_flows": [each.to_json() for each in self.talks],
         }

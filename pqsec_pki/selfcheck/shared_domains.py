@@ -11,8 +11,16 @@ from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import Keystore, regular_name
-from pqsec_pki.selfcheck.meeting import Guest, Meeting, Occasion, Seated, fetched, meet, vetted
-from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, Talk
+from pqsec_pki.selfcheck.handshake_check import (
+    HandshakeCheck,
+    HandshakeParty,
+    HandshakeSetup,
+    LoadedParty,
+    check_party,
+    load_party,
+    run_handshake,
+)
+from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, TopicFlow
 from pqsec_pki.smime import document_in
 
 
@@ -32,7 +40,7 @@ class JoinableDomains:
         for name in map(regular_name, names):
             found[name] = frozenset()
             with suppress(StoppedError):
-                participant = fetched(keystore, name, Steps())
+                participant = load_party(keystore, name, Steps())
                 found[name], _ = domains_of(participant, now)
         somewhere = frozenset[int]().union(*found.values())
         return cls(found, min(somewhere or keystore.domains.ids()))
@@ -69,7 +77,12 @@ class JoinableDomains:
 
 
 def meet_on(
-    joinable: JoinableDomains, occasion: Occasion, first: Guest, second: Guest, *, anywhere: bool
+    joinable: JoinableDomains,
+    setup: HandshakeSetup,
+    first: HandshakeParty,
+    second: HandshakeParty,
+    *,
+    anywhere: bool,
 ) -> Report:
     """They meet, and it is told what they may say to each other.
 
@@ -77,27 +90,31 @@ def meet_on(
     `common domain` fails.
     """
     if joinable.is_split and anywhere:
-        return _apart(occasion, joinable, (first, second))
-    report = replace(meet(occasion, first, second), domain=occasion.domain, shared=joinable.shared)
+        return _apart(setup, joinable, (first, second))
+    report = replace(
+        run_handshake(setup, first, second), domain=setup.domain, shared=joinable.shared
+    )
     if not report.ok:
         return report
-    keystore = occasion.keystore
-    names = tuple(regular_name(guest.name) for guest in (first, second))
+    keystore = setup.keystore
+    names = tuple(regular_name(party.name) for party in (first, second))
     one, other = ((name, documents_of(keystore.participant(name))) for name in names)
-    return replace(report, talks=talks_between(one, other, occasion.domain, occasion.now))
+    return replace(report, talks=talks_between(one, other, setup.domain, setup.now))
 
 
-def _apart(occasion: Occasion, joinable: JoinableDomains, guests: Sequence[Guest]) -> Report:
+def _apart(
+    setup: HandshakeSetup, joinable: JoinableDomains, parties: Sequence[HandshakeParty]
+) -> Report:
     """Each where it may join, and that there is no domain for both."""
-    meeting = Meeting(occasion)
+    check = HandshakeCheck(setup)
     with suppress(StoppedError):
-        for guest, domains in zip(guests, joinable.domains.values(), strict=True):
-            participant = fetched(occasion.keystore, guest.name, meeting.steps)
-            here = replace(occasion, domain=min(domains))
-            vetted(here, Seated(participant, guest.stack), meeting.steps)
-        with meeting.steps.step("common domain"):
+        for party, domains in zip(parties, joinable.domains.values(), strict=True):
+            participant = load_party(setup.keystore, party.name, check.steps)
+            here = replace(setup, domain=min(domains))
+            check_party(here, LoadedParty(participant, party.stack), check.steps)
+        with check.steps.step("common domain"):
             joinable.refuse_split()
-    return meeting.report()
+    return check.report()
 
 
 def documents_of(participant: Credentials) -> ParticipantDocuments:
@@ -128,12 +145,12 @@ def talks_between(
     other: tuple[str, ParticipantDocuments],
     domain: int,
     now: datetime,
-) -> tuple[Talk, Talk]:
+) -> tuple[TopicFlow, TopicFlow]:
     """What each of two, by name, may publish and the other subscribe to."""
     (first, its), (second, others) = one, other
     return (
-        Talk(first, second, topics_between(its, others, domain=domain, now=now)),
-        Talk(second, first, topics_between(others, its, domain=domain, now=now)),
+        TopicFlow(first, second, topics_between(its, others, domain=domain, now=now)),
+        TopicFlow(second, first, topics_between(others, its, domain=domain, now=now)),
     )
 
 

@@ -27,17 +27,17 @@ from pqsec_pki.selfcheck._dissection import (
 )
 from pqsec_pki.selfcheck.report import MESSAGE, Report, Sent
 
-__all__ = ["Piece", "Told", "Trace", "trace"]
+__all__ = ["DecodedMessage", "Piece", "Trace", "trace"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class DecodedMessage:
     """One message, taken apart."""
 
     name: str
     sender: str
     receiver: str
-    heads: dict[str, str]
+    header: dict[str, str]
     """What stands around the token."""
     pieces: tuple[Piece, ...]
     sample: bytes = field(repr=False)
@@ -48,7 +48,7 @@ class Told:
             "name": self.name,
             "from": self.sender,
             "to": self.receiver,
-            **self.heads,
+            **self.header,
             "bytes": len(self.sample),
             "sample": self.sample.hex(),
             "pieces": [piece.to_json(show_secrets=False) for piece in self.pieces],
@@ -60,7 +60,7 @@ class Trace:
     """A handshake up to its end, or to where it failed."""
 
     report: Report
-    messages: tuple[Told, ...]
+    messages: tuple[DecodedMessage, ...]
     derived: tuple[Piece, ...]
     """What both sides have in the end, beside what was sent."""
 
@@ -76,7 +76,7 @@ class Trace:
 def trace(report: Report, describe: Describe) -> Trace:
     """What `report` has of messages and secrets, in words of `describe` where it has some."""
     dissection = Dissection(describe)
-    messages = tuple(_told(sent, dissection) for sent in report.sent)
+    messages = tuple(_decoded(sent, dissection) for sent in report.sent)
     transcript = dissection.transcript
     derived = [*_public(transcript)] if transcript else []
     if report.outcome:
@@ -84,19 +84,19 @@ def trace(report: Report, describe: Describe) -> Trace:
     return Trace(report=report, messages=messages, derived=tuple(derived))
 
 
-def _told(sent: Sent, dissection: Dissection) -> Told:
+def _decoded(sent: Sent, dissection: Dissection) -> DecodedMessage:
     token = sent.token
-    return Told(
+    return DecodedMessage(
         name=sent.name,
         sender=sent.sender,
         receiver=sent.receiver,
-        heads=_heads(GenericMessage.decode(sent.data)) if token else {},
+        header=_header(GenericMessage.decode(sent.data)) if token else {},
         pieces=tuple(dissection.pieces(token) if token else protected_pieces(sent.data)),
         sample=sent.data,
     )
 
 
-def _heads(message: GenericMessage) -> dict[str, str]:
+def _header(message: GenericMessage) -> dict[str, str]:
     return {
         "message_class": message.class_id,
         "source": message.source.hex(),

@@ -7,46 +7,46 @@ other, and a third one without credentials listens.
 
 from pqsec_pki.trial.building import BuildError, built
 from pqsec_pki.trial.installation import MACHINE, Installation, MissingStackError, find
-from pqsec_pki.trial.kits import STACKS
-from pqsec_pki.trial.meeting import (
-    STRANGER,
+from pqsec_pki.trial.peer import Act, PeerOutcome, Role
+from pqsec_pki.trial.peer_builds import STACKS
+from pqsec_pki.trial.plugin import AgentError, Plugin, plugin
+from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
+from pqsec_pki.trial.topics import TopicRoute, topic_route
+from pqsec_pki.trial.trial import (
+    UNAUTHENTICATED,
     Report,
     Trial,
     credentialed,
-    meet,
     refuse_untrusted,
-    stranger,
+    run_trial,
+    unauthenticated,
 )
-from pqsec_pki.trial.peer import Account, Act, Role
-from pqsec_pki.trial.plugin import AgentError, Plugin, plugin
-from pqsec_pki.trial.scene import Performance, Scene, mark, perform
-from pqsec_pki.trial.topics import Passage, passage
 
 __all__ = [
     "MACHINE",
     "STACKS",
-    "STRANGER",
-    "Account",
+    "UNAUTHENTICATED",
     "Act",
     "AgentError",
     "BuildError",
     "Installation",
     "MissingStackError",
-    "Passage",
-    "Performance",
+    "PeerOutcome",
     "Plugin",
     "Report",
     "Role",
-    "Scene",
+    "TopicRoute",
     "Trial",
+    "TrialRun",
+    "TrialSetup",
     "built",
     "credentialed",
     "find",
-    "mark",
-    "meet",
-    "passage",
-    "perform",
     "plugin",
     "refuse_untrusted",
-    "stranger",
+    "run_peers",
+    "run_trial",
+    "topic_route",
+    "unauthenticated",
+    "unique_text",
 ]

@@ -33,7 +33,7 @@ def built(installation: Installation) -> Path:
     with the compiler's words if it does not compile, FileError if the disk refuses, or if others
     may write to the cache.
     """
-    goal = cache() / f"{installation.kit.stack}-{installation.version}-{_digest(installation)}"
+    goal = cache() / f"{installation.build.stack}-{installation.version}-{_digest(installation)}"
     with disk_errors(goal):
         if not is_own(goal):
             with _workshop(installation) as folder:
@@ -90,9 +90,9 @@ def is_own(path: Path) -> bool:
 def _digest(installation: Installation) -> str:
     """What else the program depends on."""
     places = (installation.root, installation.prefix, installation.folder)
-    said = (*places, installation.library.build, installation.kit.commands)
+    said = (*places, installation.library.build, installation.build.commands)
     parts = [repr(each).encode() for each in said]
-    parts += map(source, installation.kit.sources)
+    parts += map(source, installation.build.sources)
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
 
@@ -101,14 +101,14 @@ def _workshop(installation: Installation) -> Iterator[Path]:
     """A folder with the sources, where the compiler can see it."""
     there = None if installation.root == MACHINE else installation.root / "tmp"
     with tempfile.TemporaryDirectory(prefix="pqsec-peer-", dir=there) as folder:
-        for name in installation.kit.sources:
+        for name in installation.build.sources:
             (Path(folder) / name).write_bytes(source(name))
         yield Path(folder)
 
 
 def _compile(installation: Installation, folder: Path) -> None:
     place = f"/{folder.relative_to(installation.root)}"
-    for command in installation.kit.commands:
+    for command in installation.build.commands:
         name = command[0].rpartition("/")[2]
         code, said = _run(name, installation.tool(command, place))
         if code:
@@ -116,7 +116,7 @@ def _compile(installation: Installation, folder: Path) -> None:
             words = (lines or said.splitlines() or ["it said nothing"])[0]
             raise BuildError(
                 f"{name} cannot compile the peer for {installation.title}: {shown(words, 300)}",
-                hint=f"is all of it installed? apt-get install {installation.kit.packages}",
+                hint=f"is all of it installed? apt-get install {installation.build.packages}",
             )
 
 

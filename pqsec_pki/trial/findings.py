@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pqsec_pki.errors import shown
-from pqsec_pki.trial.peer import Account, Act
+from pqsec_pki.trial.peer import Act, PeerOutcome
 from pqsec_pki.trial.words import words
 from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
 
@@ -28,21 +28,21 @@ class Finding:
 
 
 def findings(
-    accounts: Sequence[Account], *, stack: str, topic: str, by_standard: bool = False
+    outcomes: Sequence[PeerOutcome], *, stack: str, topic: str, by_standard: bool = False
 ) -> tuple[Finding, ...]:
     """What matters most of what the accounts tell, said once if both say it.
 
     `by_standard` if our plugin decided, and not the stack's own. Causes if there are any, else
     symptoms; words that are not known, as they are.
     """
-    reading = "" if by_standard else f" --as {stack}"
+    interpretation = "" if by_standard else f" --as {stack}"
     alike: dict[tuple[str, str | None, str | None], list[str]] = {}
-    for account in accounts:
-        for said in _matter(account, stack, topic, reading):
-            alike.setdefault(said, []).append(account.role.name)
+    for outcome in outcomes:
+        for said in _matter(outcome, stack, topic, interpretation):
+            alike.setdefault(said, []).append(outcome.role.name)
     if not alike:
-        names = tuple(account.role.name for account in accounts)
-        alike[_silence(names, reading)] = list(names)
+        names = tuple(outcome.role.name for outcome in outcomes)
+        alike[_silence(names, interpretation)] = list(names)
     return tuple(
         Finding(participants=tuple(who), said=said, cause=cause, remedy=remedy)
         for (said, cause, remedy), who in alike.items()
@@ -50,28 +50,28 @@ def findings(
 
 
 def _matter(
-    account: Account, stack: str, topic: str, reading: str
+    outcome: PeerOutcome, stack: str, topic: str, interpretation: str
 ) -> Iterator[tuple[str, str | None, str | None]]:
-    said = words(account.log)
+    said = words(outcome.log)
     known = recognise("\n".join(said), stack=stack)
     causes = [each for each in known if each.message.tells is Tells.CAUSE]
     symptoms = [each for each in known if each.message.tells is Tells.SYMPTOM]
-    joined_only = account.joined and account.refused is not None
+    joined_only = outcome.joined and outcome.refused is not None
     if causes:
         yield from map(_explained, _one_each(causes))
     elif symptoms and not joined_only:
         for each in _one_each(symptoms):
             yield shown(said[each.line - 1], _LONGEST), each.cause, each.remedy
-    elif account.refused:
-        yield _refusal(account, topic, reading)
+    elif outcome.refused:
+        yield _refusal(outcome, topic, interpretation)
     else:
         yield from ((shown(each, _LONGEST), None, None) for each in said[:_MOST])
-    if account.signal:
-        yield f"the stack crashed ({account.signal})", None, None
+    if outcome.signal:
+        yield f"the stack crashed ({outcome.signal})", None, None
 
 
-def _silence(names: Sequence[str], reading: str) -> tuple[str, None, str]:
-    question = f"pqsec verify-handshake {' '.join(names)}{reading}{reading}"
+def _silence(names: Sequence[str], interpretation: str) -> tuple[str, None, str]:
+    question = f"pqsec verify-handshake {' '.join(names)}{interpretation}{interpretation}"
     return (
         "no word of why",
         None,
@@ -88,15 +88,17 @@ def _explained(known: Recognised) -> tuple[str, str, str]:
     return known.said, known.cause, known.remedy
 
 
-def _refusal(account: Account, topic: str, reading: str) -> tuple[str, str | None, str | None]:
+def _refusal(
+    outcome: PeerOutcome, topic: str, interpretation: str
+) -> tuple[str, str | None, str | None]:
     """What the peer says of its stack, which itself says nothing of use."""
-    said = f"its own stack refused to make a {account.refused}"
-    if not account.joined:
-        target = reading.replace("--as", "--target")
+    said = f"its own stack refused to make a {outcome.refused}"
+    if not outcome.joined:
+        target = interpretation.replace("--as", "--target")
         return said, None, f"`pqsec check{target}` tells what is wrong with its files"
-    if account.refused == _NO_NAME:
+    if outcome.refused == _NO_NAME:
         return said, f"No topic can be called {shown(topic)} there.", "Name another with --topic."
-    name, may = account.role.name, "publish" if account.role.act is Act.SEND else "subscribe"
+    name, may = outcome.role.name, "publish" if outcome.role.act is Act.SEND else "subscribe"
     word = topic if fit_for_a_command(topic) else "TOPIC"  # it is there to be copied
-    question = f"pqsec explain --participant {name} --{may} {word}{reading}"
+    question = f"pqsec explain --participant {name} --{may} {word}{interpretation}"
     return said, f"Its permissions do not let it {may} {shown(topic)}.", f"`{question}` tells why."

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError, UsageError, shown
-from pqsec_pki.trial.kits import KITS, STACKS, Command, Kit
+from pqsec_pki.trial.peer_builds import PEER_BUILDS, STACKS, Command, PeerBuild
 from pqsec_pki.vendors.cyclone_plugins import agree, in_words
 from pqsec_pki.vendors.elf import Library, read_library, runs_here
 
@@ -33,7 +33,7 @@ class MissingStackError(PqsecError):
 class Installation:
     """One version of a stack, with its headers and libraries below `root`."""
 
-    kit: Kit
+    build: PeerBuild
     version: str
     """That of the library, which peers are linked to and run with."""
     root: Path
@@ -46,17 +46,17 @@ class Installation:
     @property
     def title(self) -> str:
         """As in `Cyclone DDS 0.10.2`."""
-        return f"{self.kit.title} {self.version}"
+        return f"{self.build.title} {self.version}"
 
     @property
     def soname(self) -> str:
         """The name by which the library is loaded."""
-        return self.library.soname or self.kit.library
+        return self.library.soname or self.build.library
 
     @property
     def plugins(self) -> Path | None:
         """The folder of the security plugins that belong to this library, if they are apart."""
-        return self.kit.plugins(self.root, self.library.path) if self.kit.plugins else None
+        return self.build.plugins(self.root, self.library.path) if self.build.plugins else None
 
     def tool(self, command: Command, folder: str) -> list[str]:
         """What runs a compiler's `command` in `folder`, a path below the root."""
@@ -115,39 +115,46 @@ def find(stack: str, root: Path = MACHINE) -> Installation:
     root = root.absolute()
     if unfit := sorted(set(_UNFIT) & set(str(root))):
         raise UsageError(f"{shown(str(root))}: nothing is loaded from a folder with {unfit[0]!r}")
-    kits = [kit for kit in KITS if kit.stack == stack]
+    peer_builds = [build for build in PEER_BUILDS if build.stack == stack]
     with disk_errors(root):
-        headers = next(_headers(kits, root), None)
+        headers = next(_headers(peer_builds, root), None)
         if headers is None:
             raise MissingStackError(
-                f"{kits[0].title} is not installed with its headers below {root}",
-                hint=" or: ".join(f"apt-get install {kit.packages}" for kit in reversed(kits)),
+                f"{peer_builds[0].title} is not installed with its headers below {root}",
+                hint=" or: ".join(
+                    f"apt-get install {build.packages}" for build in reversed(peer_builds)
+                ),
             )
         found = _whole(*headers, root)
         _refuse_missing_tools(found)
     return found
 
 
-def _headers(kits: list[Kit], root: Path) -> Iterator[tuple[Kit, str, str]]:
+def _headers(peer_builds: list[PeerBuild], root: Path) -> Iterator[tuple[PeerBuild, str, str]]:
     """(kit, version, prefix) of headers, those first that a compiler takes first."""
     for prefix in PREFIXES:
-        for kit in kits:
-            version = re.compile(rf'#define {kit.macro} "([0-9]{{1,4}}(?:\.[0-9]{{1,4}}){{0,3}})"')
+        for build in peer_builds:
+            version = re.compile(
+                rf'#define {build.macro} "([0-9]{{1,4}}(?:\.[0-9]{{1,4}}){{0,3}})"'
+            )
             folder = root / prefix / "include"
-            for path in [folder / kit.header, *sorted(folder.glob(f"*-linux-gnu*/{kit.header}"))]:
+            for path in [
+                folder / build.header,
+                *sorted(folder.glob(f"*-linux-gnu*/{build.header}")),
+            ]:
                 text = path.read_text(errors="replace") if path.is_file() else ""
                 if match := version.search(text):
-                    yield kit, match[1], prefix
+                    yield build, match[1], prefix
 
 
-def _whole(kit: Kit, version: str, prefix: str, root: Path) -> Installation:
+def _whole(build: PeerBuild, version: str, prefix: str, root: Path) -> Installation:
     """With the library of the same prefix; MissingStackError if it is of another version."""
-    headers = f"the headers of {kit.title} {version} are in {root / prefix / 'include'}"
-    hint = f"install all of one version there, or take the headers away: {kit.packages}"
-    found_in = next(_libraries(kit, root / prefix), None)
+    headers = f"the headers of {build.title} {version} are in {root / prefix / 'include'}"
+    hint = f"install all of one version there, or take the headers away: {build.packages}"
+    found_in = next(_libraries(build, root / prefix), None)
     if found_in is None:
         raise MissingStackError(
-            f"{headers}, and {kit.library} is not in {root / prefix / 'lib'}", hint=hint
+            f"{headers}, and {build.library} is not in {root / prefix / 'lib'}", hint=hint
         )
     folder, library = found_in
     told = tuple(map(int, version.split(".")))
@@ -161,14 +168,14 @@ def _whole(kit: Kit, version: str, prefix: str, root: Path) -> Installation:
             hint=f"`ldconfig -n {folder}` makes the link",
         )
     found = Installation(
-        kit=kit,
+        build=build,
         version=in_words(max(library.release, told, key=len)),
         root=root,
         prefix=prefix,
         folder=folder,
         library=library,
     )
-    if kit.plugins and found.plugins is None:
+    if build.plugins and found.plugins is None:
         raise MissingStackError(
             f"{found.title} in {folder} is here without security plugins of its own",
             hint="install them beside it: they are built with ENABLE_SECURITY",
@@ -176,11 +183,11 @@ def _whole(kit: Kit, version: str, prefix: str, root: Path) -> Installation:
     return found
 
 
-def _libraries(kit: Kit, prefix: Path) -> Iterator[tuple[Path, Library]]:
+def _libraries(build: PeerBuild, prefix: Path) -> Iterator[tuple[Path, Library]]:
     """(folder, library) of those below `prefix` that a peer could load."""
     for folder in folders_of_libraries(prefix):
-        if (folder / kit.library).is_file():
-            library = read_library(folder / kit.library)
+        if (folder / build.library).is_file():
+            library = read_library(folder / build.library)
             if runs_here(library):
                 yield folder, library
 
@@ -192,12 +199,12 @@ def _refuse_missing_tools(installation: Installation) -> None:
     own = str(installation.root / installation.prefix / "bin")
     missing = [
         tool.removeprefix("{bin}/")
-        for tool in installation.kit.tools
+        for tool in installation.build.tools
         if not shutil.which(tool.replace("{bin}", own), path=path)
     ]
     if missing:
         raise MissingStackError(
             f"{installation.title} is here, but not {' and '.join(missing)},"
             " which the peer of the trial is made with",
-            hint=f"apt-get install {installation.kit.packages}",
+            hint=f"apt-get install {installation.build.packages}",
         )

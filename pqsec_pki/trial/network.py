@@ -32,7 +32,7 @@ _BUFFER = 32 << 20
 """Bytes that the kernel keeps until they are read."""
 
 
-def alone(work: Callable[["Place"], Result]) -> Result:
+def alone(work: Callable[["Network"], Result]) -> Result:
     """`work`, done in a new network that has nothing but a loopback, if that may be had.
 
     Who is not root stays in the machine's network. Only processes and sockets that `work`
@@ -42,7 +42,7 @@ def alone(work: Callable[["Place"], Result]) -> Result:
     over = Event()
     # The namespace is the thread's; a process inherits that of the thread which starts it.
     with ThreadPoolExecutor(1) as thread:
-        done = thread.submit(lambda: work(Place(_leave_the_network(), over)))
+        done = thread.submit(lambda: work(Network(_leave_the_network(), over)))
         try:
             return done.result()
         finally:
@@ -50,7 +50,7 @@ def alone(work: Callable[["Place"], Result]) -> Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Network:
     """Where `work` is done."""
 
     is_alone: bool

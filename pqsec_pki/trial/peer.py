@@ -37,12 +37,12 @@ class Role:
     """With it the stack finds its configuration."""
     warnings: tuple[str, ...] = ()
     """What is to be said of its credentials."""
-    stranger: bool = False
+    unauthenticated: bool = False
     """Whether it has no credentials: nobody waits for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Account:
+class PeerOutcome:
     """How it went for one participant."""
 
     role: Role
@@ -76,12 +76,12 @@ class Peer:
         return self._process.poll() == _REFUSED
 
     @property
-    def account(self) -> Account:
+    def outcome(self) -> PeerOutcome:
         """How it has gone so far."""
         # pread: the participant writes on at the offset that both share.
         log = os.pread(self._said.fileno(), MAX_LOG, 0).decode(errors="replace")
         code = self._process.poll() or 0
-        return Account(
+        return PeerOutcome(
             role=self.role,
             joined="joined" in log.splitlines(),
             matched="matched" in log.splitlines(),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.plugin import LIBRARY, Place, agent_status, build
+from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
 from pqsec_pki.plugin.build import SOURCES, command
 from pqsec_pki.trial.building import cache, is_own
 
@@ -44,7 +44,7 @@ def plugin(runtime: Path = _RUNTIME) -> Iterator[Plugin]:
     """
     folder = _built()
     with disk_errors(folder), tempfile.TemporaryDirectory(prefix="pqsec-", dir=runtime) as own:
-        place = Place.of({"XDG_RUNTIME_DIR": own})
+        place = AgentFolder.of({"XDG_RUNTIME_DIR": own})
         place.prepare()
         with _agent(place):
             yield Plugin(folder, {"XDG_RUNTIME_DIR": own, "PQSEC_AGENT": ""})
@@ -72,7 +72,7 @@ def _digest() -> str:
 
 
 @contextmanager
-def _agent(place: Place) -> Iterator[None]:
+def _agent(place: AgentFolder) -> Iterator[None]:
     with place.log.open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 -- this interpreter
             [sys.executable, "-I", "-m", "pqsec_pki.plugin", str(place.socket), _IDLE],
@@ -90,7 +90,7 @@ def _agent(place: Place) -> Iterator[None]:
         process.wait()
 
 
-def _wait_for(process: "subprocess.Popen[bytes]", place: Place) -> None:
+def _wait_for(process: "subprocess.Popen[bytes]", place: AgentFolder) -> None:
     end = time.monotonic() + _START
     while agent_status(place) is None:
         if process.poll() is not None or time.monotonic() > end:

@@ -23,7 +23,7 @@ _PATTERN = set("*?[")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Passage:
+class TopicRoute:
     """Who sends to whom, on what."""
 
     sender: str
@@ -32,7 +32,9 @@ class Passage:
     topic: str
 
 
-def passage(keystore: Keystore, names: tuple[str, str], domain: int, now: datetime) -> Passage:
+def topic_route(
+    keystore: Keystore, names: tuple[str, str], domain: int, now: datetime
+) -> TopicRoute:
     """The first topic that the first one may send to the second, or else the other way round.
 
     A topic that goes one way only comes before those that both may publish, as all nodes of
@@ -52,7 +54,7 @@ def passage(keystore: Keystore, names: tuple[str, str], domain: int, now: dateti
             hint="`pqsec who-may` tells who may what; --topic tries one all the same",
         )
     _, sender, receiver, topic = min(ways, key=lambda way: way[0])
-    return Passage(sender=sender, receiver=receiver, domain=domain, topic=topic)
+    return TopicRoute(sender=sender, receiver=receiver, domain=domain, topic=topic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

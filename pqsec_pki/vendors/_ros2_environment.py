@@ -28,15 +28,15 @@ def environment(
 
     `keystore` is its absolute path.
     """
-    mend = _MEND.format(participant)
+    fix = _MEND.format(participant)
     for name, exact in EXACT.items():
         value = variables.get(name)
         problem = "" if value == exact else f"{_is(value, exact)}: {_WITHOUT[name]}"
-        yield Check(what=name, problem=problem, mend=mend)
-    yield Check(what=KEYSTORE, problem=_keystore(keystore, variables.get(KEYSTORE)), mend=mend)
+        yield Check(what=name, problem=problem, fix=fix)
+    yield Check(what=KEYSTORE, problem=_keystore(keystore, variables.get(KEYSTORE)), fix=fix)
     other = variables.get(OVERRIDE, "")
     problem = f"{_is(other)}, and wins over --enclave" if other not in {"", participant} else ""
-    yield Check(what=OVERRIDE, problem=problem, mend=f"unset {OVERRIDE}")
+    yield Check(what=OVERRIDE, problem=problem, fix=f"unset {OVERRIDE}")
 
 
 def near_misses(variables: Mapping[str, str]) -> Iterator[str]:

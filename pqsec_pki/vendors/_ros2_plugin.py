@@ -67,4 +67,4 @@ def loaded(environment: Mapping[str, str], participant: str) -> Iterator[Check]:
     value = environment.get(RMW)
     found = "is not set" if value is None else f"is {shown(value)!r}"
     problem = "" if value == CYCLONE else f"{found}, and only {CYCLONE} loads pqsec's plugin"
-    yield Check(what=RMW, problem=problem, mend=f'eval "$({export})"')
+    yield Check(what=RMW, problem=problem, fix=f'eval "$({export})"')

@@ -100,7 +100,7 @@ def preflight(
         enclave = Enclave.find(keystore, name)
         needs = Needs.of(enclave)
     except PqsecError as error:
-        yield Check(what="files", problem=str(error), mend=error.hint or "")
+        yield Check(what="files", problem=str(error), fix=error.hint or "")
         return
     yield Check(what="files")
     yield from _credentials(enclave, Options(plugin=own_plugin.folder_in(variables)), now)
@@ -164,11 +164,11 @@ def _credentials(enclave: Enclave, options: Options, now: datetime) -> Iterator[
     ]
     for each in errors:
         what = f"{each.path.name} ({each.rule.id})"
-        yield Check(what=what, problem=each.message, mend=each.rule.mend)
+        yield Check(what=what, problem=each.message, fix=each.rule.fix)
     if not errors:
         refusal = own_plugin.refusal(enclave, options, now)
-        mend = refusal.hint or "" if refusal else ""
-        yield Check(what="credentials", problem=str(refusal or ""), mend=mend)
+        fix = refusal.hint or "" if refusal else ""
+        yield Check(what="credentials", problem=str(refusal or ""), fix=fix)
 
 
 def _warnings(needs: Needs, domain: int | None, variables: Mapping[str, str]) -> Iterator[str]:
@@ -180,14 +180,14 @@ def _warnings(needs: Needs, domain: int | None, variables: Mapping[str, str]) ->
 def _life(needs: Needs, domain: int | None) -> Iterator[Check]:
     """Whether a participant and its nodes could live on that domain, None for no number."""
     if domain is None:
-        yield Check(what=DOMAIN, problem="is not a number", mend=f"unset {DOMAIN}, or set it to 0")
+        yield Check(what=DOMAIN, problem="is not a number", fix=f"unset {DOMAIN}, or set it to 0")
         return
     refusal = needs.may(Action.JOIN, domain)
     may = ", ".join(map(str, needs.domains)) or "none"
-    mend = f"set {DOMAIN} to a domain it may join: {may}"
-    yield Check(what=f"{DOMAIN} {domain}", problem=refusal, mend=mend)
+    fix = f"set {DOMAIN} to a domain it may join: {may}"
+    yield Check(what=f"{DOMAIN} {domain}", problem=refusal, fix=fix)
     if not refusal:
         for node in needs.nodes:
             how = "--policy FILE" if "*" in node else f"--ros-node {node}, with its own topics"
-            mend = f"pqsec issue {needs.enclave} --force {how}"
-            yield Check(what=f"node {node}", problem=needs.lack(node, domain), mend=mend)
+            fix = f"pqsec issue {needs.enclave} --force {how}"
+            yield Check(what=f"node {node}", problem=needs.lack(node, domain), fix=fix)

@@ -10,7 +10,7 @@ class Check:
     what: str
     problem: str = ""
     """What is wrong; empty if nothing is."""
-    mend: str = ""
+    fix: str = ""
     """The way out."""
 
     @property

@@ -176,7 +176,7 @@ def export(
 def _way_out(stack: Stack, errors: list[Finding]) -> str:
     if not errors:
         return "`pqsec check` tells more"
-    hint = errors[0].rule.mend
+    hint = errors[0].rule.fix
     if stack.loads_ours and own_plugin.is_of_others(errors[0]):
         hint += " Or run pqsec's plugin in it: --plugin."
     return hint

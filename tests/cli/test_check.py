@@ -91,7 +91,7 @@ def test_the_result_as_json_has_all_of_it(pqsec, flawed):
     assert finding["rule"] == "PQS251"
     assert finding["path"] == PERMISSIONS
     assert finding["line"] == 4
-    assert finding["mend"]
+    assert finding["fix"]
     result = pqsec(f"--json check --ignore PQS251=bench {PERMISSIONS}").done().json
     assert result["findings"] == []
     assert [each["reason"] for each in result["ignored"]] == ["bench"]
@@ -140,7 +140,7 @@ def test_a_rule_is_explained(pqsec):
 
 @pytest.mark.parametrize("id_", RULES)
 def test_every_rule_can_be_explained(pqsec, id_):
-    assert RULES[id_].mend in pqsec(f"check --explain {id_}").done().out
+    assert RULES[id_].fix in pqsec(f"check --explain {id_}").done().out
 
 
 def test_what_cannot_be_asked_for_is_refused(pqsec, keystore):

@@ -48,7 +48,7 @@ def test_plan_tells_and_changes_nothing(pqsec, domain, tmp_path):
     told = pqsec("-k k plan")
     assert (told.code, told.err) == (1, "")
     assert told.out.splitlines() == [
-        "make the CAs         (there is no keystore)",
+        "create the CAs       (there is no keystore)",
         "sign the governance  (there is no keystore)",
         "issue                /r1, /r2, /r3  (new)",
         "5 changes; 0 participants are as they should be",
@@ -58,7 +58,11 @@ def test_plan_tells_and_changes_nothing(pqsec, domain, tmp_path):
 
 def test_apply_does_it_and_then_there_is_nothing_to_do(pqsec, domain):
     done = pqsec("-k k apply domain.yaml --yes --no-passphrase").done()
-    assert done.out.splitlines() == ["make the CAs: done", "sign the governance: done", "issue: 3"]
+    assert done.out.splitlines() == [
+        "create the CAs: done",
+        "sign the governance: done",
+        "issue: 3",
+    ]
     assert "not encrypted" in done.err
     for line in ("plan", "apply --check", "apply"):
         told = pqsec(f"-k k {line}").done()
@@ -73,7 +77,7 @@ def test_check_is_for_ci(pqsec, applied, change, tmp_path):
     found = pqsec("-k k apply --check --json")
     assert found.code == 1
     assert found.json["steps"] == [
-        {"action": "permit", "name": f"/r{n}", "why": "its role (robot) was changed"}
+        {"action": "sign-permissions", "name": f"/r{n}", "why": "its role (robot) was changed"}
         for n in (1, 2, 3)
     ]
     assert snapshot(tmp_path / "k") == before
@@ -276,7 +280,7 @@ def test_another_key_is_certified_only_if_that_is_said(pqsec, robots):
     assert pqsec("-k k plan --new-keys --json").json["steps"] == [
         {"action": "replace", "name": "/r3", "why": "its request is for another key"}
     ]
-    assert pqsec("-k k apply --yes --new-keys").done().out == "issue anew: 1\n"
+    assert pqsec("-k k apply --yes --new-keys").done().out == "issue again: 1\n"
     pqsec("-k k plan").done()
 
 

@@ -231,7 +231,7 @@ def test_an_offline_ca_answers_and_may_be_asked_again(pqsec, asked, tmp_path):
     line = f"sign-request export r/{CSR} {TOPIC} --validity 30d -o asked --json"
     sha256 = pqsec(line).done().json["sha256"]
     shown = pqsec(f"-k k sign-request sign asked --show --sha256 {sha256} --json").done().json
-    assert shown["wishes"] == [
+    assert shown["participants"] == [
         {
             "name": ROBOT,
             "domains": "0",

@@ -18,7 +18,7 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from tests.cli.conftest import NAMES, PARTICIPANTS
 from tests.cli.test_verify import stripped
 
@@ -40,7 +40,7 @@ KEYS = {
     "milliseconds",
     "domain",
     "shared_domains",
-    "talks",
+    "topic_flows",
 }
 SIGNATURES = {
     "transition": "ECDSA-SHA256+ML-DSA-65",
@@ -262,8 +262,8 @@ def test_a_certificate_out_of_its_time_is_refused(fails, old_domain, profile, da
     k = old_domain(profile)
     moment = datetime.now(UTC) + timedelta(days=days)
     month = timedelta(days=30)
-    wish = Wish(name="/late", domains=k.domains, publish=("x",), validity=month)
-    issue(k, k.unlock(None), [wish], now=moment)
+    spec = ParticipantSpec(name="/late", domains=k.domains, publish=("x",), validity=month)
+    issue(k, k.unlock(None), [spec], now=moment)
     fails("identity of /late", words, line="-k k verify-handshake /talker /late")
 
 
@@ -289,11 +289,11 @@ def old_domain(tmp_path):
             passphrase=None,
             now=then,
         )
-        wishes = [
-            Wish(name=name, domains=domains, publish=("x",), validity=validity)
+        specs = [
+            ParticipantSpec(name=name, domains=domains, publish=("x",), validity=validity)
             for name in PARTICIPANTS
         ]
-        issue(k, k.unlock(None), wishes, now=then)
+        issue(k, k.unlock(None), specs, now=then)
         return k
 
     return make
@@ -592,7 +592,7 @@ def test_two_that_share_no_domain_are_told_so(pqsec, fleet, fails):
 
 
 def test_what_two_may_say_to_each_other_is_told(pqsec, fleet):
-    assert meet(pqsec, "/one /two")["talks"] == [
+    assert meet(pqsec, "/one /two")["topic_flows"] == [
         {"from": "/one", "to": "/two", "topics": ["rt/cmd"]},
         {"from": "/two", "to": "/one", "topics": ["rt/scan"]},
     ]
@@ -603,7 +603,7 @@ def test_what_two_may_say_to_each_other_is_told(pqsec, fleet):
 def test_two_that_meet_and_share_no_topic_are_told_so(pqsec, fleet):
     found = meet(pqsec, "/two /three")
     assert found["ok"] is True
-    assert [each["topics"] for each in found["talks"]] == [[], []]
+    assert [each["topics"] for each in found["topic_flows"]] == [[], []]
     told = pqsec("-k k verify-handshake /two /three").done().out
     assert "\n/two to /three: no topic\n/three to /two: no topic\n" in told
     assert "They share no topic: " in told
@@ -622,7 +622,7 @@ def test_all_pairs_tell_who_shares_no_topic_and_which_way(pqsec, fleet):
     assert "met: they meet, but " in said
     found = pqsec("-k k verify-handshake --all --json").done().json
     assert found["totals"]["no_common_topic"] == 1
-    talks = {tuple(each["pair"]): each["talks"] for each in found["pairs"]}
+    talks = {tuple(each["pair"]): each["topic_flows"] for each in found["pairs"]}
     assert talks["/ear", "/three"] == [
         {"from": "/ear", "to": "/three", "topics": []},
         {"from": "/three", "to": "/ear", "topics": ["rt/pose"]},

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.plugin import NAMES
+from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.control import Client
-from pqsec_pki.plugin.place import Place
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def foreground():
 
 def test_an_agent_runs_in_the_foreground_until_it_is_told_to_stop(pqsec, runtime):
     with foreground() as agent:
-        place = Place.of(os.environ)
+        place = AgentFolder.of(os.environ)
         while pqsec("agent status").code:
             assert agent.poll() is None
         client = Client(place, "authentication")

@@ -9,7 +9,7 @@ from threading import Thread
 
 import pytest
 
-from pqsec_pki.access import READINGS
+from pqsec_pki.access import INTERPRETATIONS
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.documents import (
     Criteria,
@@ -200,18 +200,20 @@ def test_stacks_that_decide_otherwise_are_told_with_the_reason(pqsec, put, rules
     differing = {other["as"] for other in found["others"] if other["differs"]}
     assert differing - {"opendds"} == otherwise - {"opendds"}
     said = pqsec(f"{FILES} --publish {asked}").out
-    for reading in READINGS[1:]:
-        assert (f"{reading.title} decides otherwise" in said) is (reading.name in differing)
+    for interpretation in INTERPRETATIONS[1:]:
+        assert (f"{interpretation.title} decides otherwise" in said) is (
+            interpretation.name in differing
+        )
     for other in found["others"]:
         assert (other["reason"] in said) or not other["differs"]
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
-def test_one_reading_alone_may_be_asked(pqsec, policy, reading):
-    found = pqsec(f"{FILES} --publish chatter --partition P --as {reading.name} --json").json
-    assert (found["as"], found["others"]) == (reading.name, [])
-    said = pqsec(f"{FILES} --publish chatter --partition P --as {reading.name}").out
-    assert f"by {reading.title}" in said
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
+def test_one_reading_alone_may_be_asked(pqsec, policy, interpretation):
+    found = pqsec(f"{FILES} --publish chatter --partition P --as {interpretation.name} --json").json
+    assert (found["as"], found["others"]) == (interpretation.name, [])
+    said = pqsec(f"{FILES} --publish chatter --partition P --as {interpretation.name}").out
+    assert f"by {interpretation.title}" in said
     assert "otherwise" not in said
 
 

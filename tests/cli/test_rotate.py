@@ -85,7 +85,7 @@ def test_who_stays_behind_is_told(pqsec, k):
 def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
     (k / "enclaves/talker/key.pem").unlink()
     pqsec("-k k ca rotate --apply --no-passphrase --profile pq").done()
-    assert "1 stranded, 1 valid" in pqsec("-k k status").done().out
+    assert "1 previous-ca, 1 valid" in pqsec("-k k status").done().out
     renewed = pqsec("-k k renew --all --json").done().json["issued"]
     assert [each["name"] for each in renewed] == ["/listener"]
     pqsec("-k k renew /talker").refused(3, "stayed behind with an earlier CA", hint="--csr")

@@ -18,7 +18,7 @@ NOBODY = 65534
 ROOT = os.geteuid() == 0
 LATE = ("jinja2", "lxml.etree", "sqlite3", "yaml")
 """What commands import when they need it."""
-NOTHING = ("none yet", "0 participants", "no change", "valid", "ok  ", "gone", "stranded")
+NOTHING = ("none yet", "0 participants", "no change", "valid", "ok  ", "gone", "previous-ca")
 """What an answer without those that cannot be read would say."""
 
 DOMAIN = """\

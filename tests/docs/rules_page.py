@@ -12,8 +12,9 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
+from tests.docs.stack_differences import HABITS, Habit  # noqa: E402
+
 from pqsec_pki.lint import RULES, Rule, Severity  # noqa: E402 -- after the path
-from tests.docs.dissent import HABITS, Habit  # noqa: E402
 
 PAGE = ROOT / "docs" / "rules.md"
 MEASURED = json.loads((Path(__file__).parent / "measured.json").read_text())
@@ -74,7 +75,7 @@ def _section(rule: Rule) -> str:
     asked = f", asked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
     kind = f"**{Severity(rule.severity)}**, {stacks}{asked if rule.only_when_asked else ''}."
     known = [f"Known from: {_plain(rule.measured)}."] if rule.measured else []
-    texts = [f"{kind} {_plain(rule.why)}", f"To mend it: {_plain(rule.mend)}", *known]
+    texts = [f"{kind} {_plain(rule.why)}", f"To mend it: {_plain(rule.fix)}", *known]
     return "\n\n".join([f"### {rule.id}: {_plain(rule.title)}", *map(_wrapped, texts)])
 
 

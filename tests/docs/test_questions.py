@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from pqsec_pki.access import READINGS, SPEC, Action, Question, Side, decide
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Question, Side, decide
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -16,7 +16,7 @@ from pqsec_pki.documents import (
 from tests.docs.tables import Document
 from tests.unit.test_diff import allow, deny, document, grant, topic_rule, with_rule
 
-STACKS = [reading.title for reading in READINGS if reading is not SPEC]
+STACKS = [interpretation.title for interpretation in INTERPRETATIONS if interpretation is not SPEC]
 TABLE = {row[""]: row for row in Document("questions.md").table("", "Standard", *STACKS)}
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -88,8 +88,10 @@ def test_who_differs_from_the_standard_is_said_to(name):
     governance = asked.pop("governance", GOVERNANCE)
     question = Question(now=NOW, **asked)
     answers = {
-        reading.title: decide(governance, permissions, question, reading, by=Side.PEER).allowed
-        for reading in READINGS
+        interpretation.title: decide(
+            governance, permissions, question, interpretation, by=Side.PEER
+        ).allowed
+        for interpretation in INTERPRETATIONS
     }
     standard = answers.pop(SPEC.title)
     differing = {title for title, allowed in answers.items() if allowed is not standard}

@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from pqsec_pki.access import READINGS, SPEC, Side
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Side
 from pqsec_pki.lint import RULES
-from tests.docs.dissent import HABITS
 from tests.docs.rules_page import MEASURED, PAGE, is_refused, page, rules_of
+from tests.docs.stack_differences import HABITS
 
 VARIANTS = {row["variant"] for row in MEASURED}
 FIELDS = (
@@ -36,18 +36,25 @@ def test_rules_stand_on_rows_that_were_measured():
     assert {row for rule in RULES.values() for row in rule.rows} - VARIANTS == set()
 
 
-def parts(reading):
+def parts(interpretation):
     """The reading, by the names that habits have for its fields."""
-    found = {field: getattr(reading, field) for field in FIELDS}
+    found = {field: getattr(interpretation, field) for field in FIELDS}
     for side in Side:
-        found |= {f"join {side}": reading.join[side], f"use {side}": reading.use[side]}
+        found |= {
+            f"join {side}": interpretation.join[side],
+            f"use {side}": interpretation.use[side],
+        }
     return found
 
 
-@pytest.mark.parametrize("reading", READINGS[1:], ids=lambda reading: reading.name)
-def test_each_divergence_of_a_reading_has_its_rule_or_a_reason_for_none(reading):
-    standard, own = parts(SPEC), parts(reading)
-    told = {field for habit in HABITS if habit.stack == reading.name for field in habit.fields}
+@pytest.mark.parametrize(
+    "interpretation", INTERPRETATIONS[1:], ids=lambda interpretation: interpretation.name
+)
+def test_each_divergence_of_a_reading_has_its_rule_or_a_reason_for_none(interpretation):
+    standard, own = parts(SPEC), parts(interpretation)
+    told = {
+        field for habit in HABITS if habit.stack == interpretation.name for field in habit.fields
+    }
     assert {field for field in own if own[field] != standard[field]} == told
 
 

@@ -45,9 +45,9 @@ from pqsec_pki.handshake.wire import (
     MAX_TOKENS,
     encode_properties,
 )
-from pqsec_pki.selfcheck.course import AROUND_TOKEN
-from pqsec_pki.selfcheck.encounter import _STATELESS_WRITER as STATELESS_WRITER
 from pqsec_pki.selfcheck.matrix import DATAGRAM, FRAGMENT, suites
+from pqsec_pki.selfcheck.run import AROUND_TOKEN
+from pqsec_pki.selfcheck.session import _STATELESS_WRITER as STATELESS_WRITER
 from tests.docs.tables import Document, missing, number
 from tests.vectors.handshake import make_pq
 

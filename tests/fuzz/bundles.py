@@ -20,7 +20,7 @@ from pqsec_pki.certificates import certificate_request
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import Bundle, SignRequest, accept, install, open_sealed, seal, sign
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Keystore, Wish, revoke
+from pqsec_pki.keystore import Keystore, ParticipantSpec, revoke
 from tests.fuzz import mutation
 from tests.unit.keystores import DAY, NOW, made
 
@@ -63,11 +63,11 @@ def asked():
         certificate_request(name, profile.participant_key.generate(), second.generate())
         for name, second in zip(names, [profile.alternative_key] * 2, strict=True)
     ]
-    wishes = [
-        Wish(name=name, domains=DomainSet.of(0), publish=("t",), validity=90 * DAY)
+    specs = [
+        ParticipantSpec(name=name, domains=DomainSet.of(0), publish=("t",), validity=90 * DAY)
         for name in names
     ]
-    return SignRequest(tuple(requests), tuple(wishes)).to_bytes(now=NOW)
+    return SignRequest(tuple(requests), tuple(specs)).to_bytes(now=NOW)
 
 
 @cache
@@ -109,7 +109,7 @@ def take_sealed(data):
 
 def take_request(data):
     found = SignRequest.from_bytes(data)
-    assert [wish.name for wish in found.admitted(keystore().profile)]
+    assert [spec.name for spec in found.admitted(keystore().profile)]
     return found
 
 
@@ -144,22 +144,22 @@ def spoilt(data, rng, spoil):
 
 def _members(data):
     """(name, content, what else its header says) of each."""
-    with tarfile.open(fileobj=io.BytesIO(gzip.decompress(data))) as archive:
+    with tarfile.open(fileobj=io.BytesIO(gzip.decompress(data))) as tarball:
         return [
-            (each.name, archive.extractfile(each).read() if each.isreg() else b"", {})
-            for each in archive
+            (each.name, tarball.extractfile(each).read() if each.isreg() else b"", {})
+            for each in tarball
         ]
 
 
 def _tar(members):
     out = io.BytesIO()
-    with tarfile.open(fileobj=out, mode="w", format=tarfile.GNU_FORMAT) as archive:
+    with tarfile.open(fileobj=out, mode="w", format=tarfile.GNU_FORMAT) as tarball:
         for name, content, header in members:
             member = tarfile.TarInfo(name)
             member.size, member.mode = len(content), 0o600
             for key, value in header.items():
                 setattr(member, key, value)
-            archive.addfile(member, io.BytesIO(content))
+            tarball.addfile(member, io.BytesIO(content))
     return out.getvalue()
 
 

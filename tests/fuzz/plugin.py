@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import DataHolder
 from pqsec_pki.plugin.calls import CALLS
-from pqsec_pki.plugin.connection import Connection, House
+from pqsec_pki.plugin.connection import AgentContext, Connection
 from tests.fuzz.people import NOW
 from tests.unit.keystores import made
 from tests.unit.plugin_wire import asked, greeting, properties
@@ -32,7 +32,7 @@ _SAMPLES = {
 def take(plugin: str, octets: bytes) -> None:
     """A connection that has heard the greeting hears `octets`; an error of its own is a finding."""
     log: list[str] = []
-    connection = Connection(House(lambda: NOW, log.append, dict, lambda: None), "fuzz")
+    connection = Connection(AgentContext(lambda: NOW, log.append, dict, lambda: None), "fuzz")
     heard = list(connection.receive(greeting(plugin) + octets))
     if any("Traceback" in line for line in log):
         raise AssertionError("\n".join(log))

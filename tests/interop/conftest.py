@@ -20,7 +20,7 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES, Family, Profile, profile_named
 from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
-from pqsec_pki.keystore import Authorities, Keystore, Wish, issue
+from pqsec_pki.keystore import Authorities, Keystore, ParticipantSpec, issue
 from tests.interop.cyclone import find_plugins
 from tests.interop.fastdds import build, find_compiler
 from tests.interop.fastdds_meeting import Both, meeting
@@ -71,8 +71,8 @@ class Lab:
         keystore = Keystore.create(root, profile, name="Lab", passphrase=None, **options)
         lab = cls(keystore, keystore.unlock(None), now)
         may = {"publish": (TOPIC,), "subscribe": (TOPIC,), "domains": DOMAINS, "validity": YEAR}
-        wishes = [Wish(name=name, **may) for name in ("/lab/alice", "/lab/bob")]
-        issue(keystore, lab.authorities, wishes, now=now)
+        specs = [ParticipantSpec(name=name, **may) for name in ("/lab/alice", "/lab/bob")]
+        issue(keystore, lab.authorities, specs, now=now)
         return lab
 
     @property

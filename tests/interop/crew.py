@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.documents import permissions_from_yaml
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.vendors import Options, export, stack_named, write
 from tests.interop.conftest import YEAR, Lab
 
@@ -51,11 +51,13 @@ class Crew:
 
     def issue(self, policy: bytes) -> None:
         """Make whom the policy names; who is there already gets what it says now."""
-        wishes = [
-            Wish(name=grant.name, domains=_domains(grant), validity=YEAR, grants=(grant,))
+        specs = [
+            ParticipantSpec(
+                name=grant.name, domains=_domains(grant), validity=YEAR, grants=(grant,)
+            )
             for grant in permissions_from_yaml(policy, now=self.lab.now).grants
         ]
-        issue(self.keystore, self.lab.authorities, wishes, now=self.lab.now, force=True)
+        issue(self.keystore, self.lab.authorities, specs, now=self.lab.now, force=True)
 
     def script(self, name: str, **options) -> Path:
         """The export's; what would be refused is written all the same."""

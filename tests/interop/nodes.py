@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from pqsec_pki.trial import Performance, Role, Scene, perform
+from pqsec_pki.trial import Role, TrialRun, TrialSetup, run_peers
 from pqsec_pki.trial.network import alone
-from pqsec_pki.trial.peer import Account, playing
+from pqsec_pki.trial.peer import PeerOutcome, playing
 from tests.interop.ros2 import Ros2
 
 TOPIC = "/chatter"
@@ -97,7 +97,7 @@ class Nodes:
         script: Path | None = None,
         enclave: str = "",
         text: str = "",
-        stranger: bool = False,
+        unauthenticated: bool = False,
         **more: str,
     ) -> Role:
         """A process with these nodes, after a shell has read `script`; `more` are variables.
@@ -119,37 +119,43 @@ class Nodes:
             "NODE_ARGUMENTS": f"--ros-args --enclave {enclave or nodes[0]}" if script else "",
         }
         variables |= more
-        return Role(name=nodes[0], act=does, text=text, environment=variables, stranger=stranger)
+        return Role(
+            name=nodes[0],
+            act=does,
+            text=text,
+            environment=variables,
+            unauthenticated=unauthenticated,
+        )
 
-    def perform(self, *roles: Role, topic: str = TOPIC, seconds: float = PATIENCE) -> Performance:
+    def run_peers(self, *roles: Role, topic: str = TOPIC, seconds: float = PATIENCE) -> TrialRun:
         """How it went, until the first process that is no stranger ended."""
-        scene = Scene(program=self._program, domain=0, topic=topic, timeout=seconds)
-        return perform(scene, roles)
+        scene = TrialSetup(program=self._program, domain=0, topic=topic, timeout=seconds)
+        return run_peers(scene, roles)
 
-    def one(self, role: Role, seconds: float = 0.2) -> Account:
+    def one(self, role: Role, seconds: float = 0.2) -> PeerOutcome:
         """What becomes of one process, for itself."""
         return self.beside(None, [role], seconds)[0]
 
     def beside(
         self, constant: Role | None, roles: Sequence[Role], *seconds: float
-    ) -> list[Account]:
+    ) -> list[PeerOutcome]:
         """What becomes of one process after the other, while `constant` goes on.
 
         The last account is that of `constant`, if there is one.
         """
         return alone(lambda _: self._beside(constant, roles, seconds))
 
-    def _beside(self, constant, roles, seconds) -> list[Account]:
+    def _beside(self, constant, roles, seconds) -> list[PeerOutcome]:
         with ExitStack() as stack:
             first = stack.enter_context(self._playing(constant, 600)) if constant else None
-            _wait(lambda: not first or first.ended or first.account.joined)
-            accounts = []
+            _wait(lambda: not first or first.ended or first.outcome.joined)
+            outcomes = []
             for role, life in zip(roles, seconds, strict=True):
                 with self._playing(role, life) as peer:
                     _wait(lambda peer=peer: peer.ended)
-                    assert peer.ended, f"it hangs: {peer.account}"
-                    accounts.append(peer.account)
-            return accounts + ([first.account] if first else [])
+                    assert peer.ended, f"it hangs: {peer.outcome}"
+                    outcomes.append(peer.outcome)
+            return outcomes + ([first.outcome] if first else [])
 
     def _playing(self, role: Role, seconds: float):
         return playing(self._program, role, domain=0, topic=TOPIC, seconds=seconds)
@@ -159,9 +165,9 @@ class Nodes:
         return ["sh", "-euc", _START, "node"]
 
 
-def ended(account: Account) -> bool:
+def ended(outcome: PeerOutcome) -> bool:
     """Whether the process came to its own end, all nodes destroyed."""
-    return account.signal is None and "ended" in account.log.splitlines()
+    return outcome.signal is None and "ended" in outcome.log.splitlines()
 
 
 def _wait(condition: Callable[[], bool]) -> None:

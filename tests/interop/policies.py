@@ -7,7 +7,7 @@ import random
 from datetime import UTC, datetime, timedelta
 from itertools import product
 
-from pqsec_pki.access import Action, Question, Reading
+from pqsec_pki.access import Action, Interpretation, Question
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -128,10 +128,10 @@ class Maker:
         )
 
 
-def questions(subject: str, domain: int, reading: Reading) -> list[Question]:
+def questions(subject: str, domain: int, interpretation: Interpretation) -> list[Question]:
     """All there are on that domain; about relaying only if the stack knows of it."""
     asked = {"subject": subject, "domain": domain, "now": datetime.now(UTC)}
-    actions = [Action.PUBLISH, Action.SUBSCRIBE] + [Action.RELAY] * reading.knows_relay
+    actions = [Action.PUBLISH, Action.SUBSCRIBE] + [Action.RELAY] * interpretation.knows_relay
     return [Question(action=Action.JOIN, **asked)] + [
         Question(action=action, topic=topic, partitions=partitions, **asked)
         for action, topic, partitions in product(actions, TOPICS, PARTITIONS)

@@ -81,8 +81,8 @@ SPELLINGS = (
 class Tally:
     """How often a stack agreed with its reading, by its answers."""
 
-    def __init__(self, reading) -> None:
-        self._reading = reading
+    def __init__(self, interpretation) -> None:
+        self._reading = interpretation
         self.answers = Counter()
 
     def compare(self, governance, permissions, question, side, refusal):
@@ -106,37 +106,37 @@ def folder(labs, tmp_path):
     return shutil.copytree(labs("classical").alice, tmp_path / "alice")
 
 
-@pytest.fixture(params=[CYCLONEDDS, FASTDDS], ids=lambda reading: reading.name)
+@pytest.fixture(params=[CYCLONEDDS, FASTDDS], ids=lambda interpretation: interpretation.name)
 def witness(request, labs, folder):
     """The reading of a stack, and witness(governance, permissions, domain), the stack itself."""
-    reading, sign = request.param, labs("classical").sign
-    library = request.getfixturevalue({CYCLONEDDS: "plugins", FASTDDS: "fastdds"}[reading])
-    start = {CYCLONEDDS: cyclone_access, FASTDDS: fastdds_access}[reading].access_control
+    interpretation, sign = request.param, labs("classical").sign
+    library = request.getfixturevalue({CYCLONEDDS: "plugins", FASTDDS: "fastdds"}[interpretation])
+    start = {CYCLONEDDS: cyclone_access, FASTDDS: fastdds_access}[interpretation].access_control
 
     def witness(governance, permissions, domain):
         (folder / "governance.p7s").write_bytes(sign(governance.to_xml()))
         (folder / "permissions.p7s").write_bytes(sign(permissions.to_xml()))
         return start(library, folder, domain)
 
-    witness.reading = reading
+    witness.interpretation = interpretation
     return witness
 
 
 def test_a_stack_answers_as_its_reading(witness):
-    tally = Tally(witness.reading)
+    tally = Tally(witness.interpretation)
     for seed in range(POLICIES):
         made = Maker(seed)
         documents = made.governance(), made.permissions(SUBJECT)
         for domain in DOMAINS:
             with witness(*documents, domain) as stack:
-                for question in questions(SUBJECT, domain, witness.reading):
+                for question in questions(SUBJECT, domain, witness.interpretation):
                     tally.compare(*documents, question, Side.OWN, stack.own(question))
                     tally.compare(*documents, question, Side.PEER, stack.peer(question))
     assert min(tally.answers[True], tally.answers[False]) > 1000, tally.answers
 
 
 def test_a_stack_finds_the_grants_of_a_subject_as_its_reading(witness, folder, now):
-    tally, governance = Tally(witness.reading), Governance.protected(DomainSet.of(0))
+    tally, governance = Tally(witness.interpretation), Governance.protected(DomainSet.of(0))
     for parts in SUBJECTS:
         identity = identity_of(parts, now)
         for name, content in identity.items():
@@ -164,7 +164,7 @@ RANGES = (
 
 @pytest.mark.parametrize("whose", ["governance", "permissions"])
 def test_a_stack_finds_a_domain_in_a_range_as_its_reading(witness, now, whose):
-    tally, grant = Tally(witness.reading), anything_for(SUBJECT, now)
+    tally, grant = Tally(witness.interpretation), anything_for(SUBJECT, now)
     for part in RANGES:
         domains = {"governance": EVERYWHERE, "permissions": EVERYWHERE}
         domains |= {whose: DomainSet(parts=(part,))}

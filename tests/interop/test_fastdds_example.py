@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors import Options, export, stack_named, write
 from tests.interop.conftest import LAB_PROFILES
@@ -54,11 +54,11 @@ def profiles(tmp_path, now):
     times = {"validity": timedelta(days=30), "domains": DomainSet.of(78)}
     made = {"name": "Lab", "passphrase": None, "now": now}
     keystore = Keystore.create(tmp_path / "k", LAB_PROFILES["classical"], **made, **times)
-    wishes = [
-        Wish(name="/talker", publish=("words",), **times),
-        Wish(name="/listener", subscribe=("words",), **times),
+    specs = [
+        ParticipantSpec(name="/talker", publish=("words",), **times),
+        ParticipantSpec(name="/listener", subscribe=("words",), **times),
     ]
-    issue(keystore, keystore.unlock(None), wishes, now=now)
+    issue(keystore, keystore.unlock(None), specs, now=now)
 
     def profile(name: str) -> Path:
         options = Options(version="3.1.2", loopback=True)

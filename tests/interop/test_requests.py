@@ -7,8 +7,8 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.certificates import CertificateRequest
-from pqsec_pki.enrolment import Bundle, admit, install, request
-from pqsec_pki.keystore import Wish, issue
+from pqsec_pki.enrolment import Bundle, install, request, validate_csrs
+from pqsec_pki.keystore import ParticipantSpec, issue
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR, Lab
 
 pytestmark = pytest.mark.interop
@@ -46,9 +46,11 @@ def test_a_robot_whose_keys_openssl_made_is_enrolled(openssl35, tmp_path, now, p
     openssl35("req", "-new", "-key", key, "-subj", r"/CN=\/lab\/robot", "-out", csr)
     asked = CertificateRequest.from_pem(csr.read_bytes())
     lab = Lab.create(tmp_path / "lab", LAB_PROFILES[profile], now)
-    keys = admit([asked], lab.keystore.profile, names=[NAME])
-    wish = Wish(name=NAME, domains=DOMAINS, publish=("t",), validity=YEAR, keys=keys[NAME])
-    issue(lab.keystore, lab.authorities, [wish], now=now)
+    keys = validate_csrs([asked], lab.keystore.profile, names=[NAME])
+    spec = ParticipantSpec(
+        name=NAME, domains=DOMAINS, publish=("t",), validity=YEAR, keys=keys[NAME]
+    )
+    issue(lab.keystore, lab.authorities, [spec], now=now)
     bundle = Bundle.of(lab.keystore, [NAME], now=now)
     (tmp_path / "bundle").write_bytes(bundle.to_bytes())
     install(tmp_path / "bundle", robot, bundle.roles, now=now)

@@ -31,17 +31,17 @@ from pqsec_pki.trial import (
     Act,
     Installation,
     MissingStackError,
-    Passage,
     Plugin,
-    Scene,
+    TopicRoute,
     Trial,
+    TrialSetup,
     built,
     credentialed,
     find,
-    mark,
-    meet,
-    perform,
     plugin,
+    run_peers,
+    run_trial,
+    unique_text,
 )
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
 
@@ -117,23 +117,23 @@ class Fleet:
 
     def refused(self, of_alice: str, of_bob: str) -> str:
         """What the stack said when the two did not meet."""
-        way = Passage(sender=ALICE, receiver=BOB, domain=0, topic=TOPIC)
-        report = meet(self.trial(self.mixed(of_alice, of_bob), good=False), way)
+        way = TopicRoute(sender=ALICE, receiver=BOB, domain=0, topic=TOPIC)
+        report = run_trial(self.trial(self.mixed(of_alice, of_bob), good=False), way)
         assert not report.accepted
         assert not report.sender.matched
-        return "\n".join(each.log for each in report.performance.accounts)
+        return "\n".join(each.log for each in report.trial_run.outcomes)
 
     def failures(self, *pairs: tuple[str, str]) -> list[str]:
         """What went wrong where samples should go both ways, and a stranger get none."""
         trials = [self.trial(self.mixed(*pair), good=True) for pair in pairs]
         ways = [
-            Passage(sender=sender, receiver=receiver, domain=0, topic=TOPIC)
+            TopicRoute(sender=sender, receiver=receiver, domain=0, topic=TOPIC)
             for sender, receiver in ((ALICE, BOB), (BOB, ALICE))
         ]
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            reports = pool.map(lambda one: meet(*one), product(trials, ways))
+            reports = pool.map(lambda one: run_trial(*one), product(trials, ways))
         return [
-            "\n".join(each.log for each in report.performance.accounts)
+            "\n".join(each.log for each in report.trial_run.outcomes)
             for report in reports
             if not report.ok
         ]
@@ -199,17 +199,17 @@ def test_no_configuration_has_cyclones_own_plugins_trust_a_folder(fleet, tmp_pat
         ca = fleet.rounds[each] / "public/identity_ca.cert.pem"
         shutil.copy(ca, trusted / f"{number}.pem")
     roles = [
-        credentialed(trial, ALICE, Act.SEND, tmp_path, mark()),
+        credentialed(trial, ALICE, Act.SEND, tmp_path, unique_text()),
         credentialed(trial, BOB, Act.RECEIVE, tmp_path),
     ]
     for path in tmp_path.glob("*/cyclonedds.xml"):
         element = f"<TrustedCADirectory>{trusted}</TrustedCADirectory></Authentication>"
         path.write_text(path.read_text().replace("</Authentication>", element))
     program = fleet.installation.peer(built(fleet.installation))
-    went = perform(Scene(program=program, domain=0, topic=TOPIC, timeout=LEAST), roles)
-    for account in went.accounts:
-        assert not account.joined
-        assert "Cannot specify both CRL and trusted_ca_list" in account.log
+    went = run_peers(TrialSetup(program=program, domain=0, topic=TOPIC, timeout=LEAST), roles)
+    for outcome in went.outcomes:
+        assert not outcome.joined
+        assert "Cannot specify both CRL and trusted_ca_list" in outcome.log
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.vendors import Options, export, stack_named, write
 from pqsec_pki.vendors.messages import recognise
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR, Lab
@@ -25,8 +25,8 @@ def keystore(tmp_path_factory, now) -> Keystore:
     lab = Lab.create(tmp_path_factory.mktemp("ros2") / "it's a $k", LAB_PROFILES["transition"], now)
     needs = ros.node_minimum("/lab/talker")
     topics = {"publish": (*needs.publish, "rt/chatter"), "subscribe": needs.subscribe}
-    wish = Wish(name="/lab/talker", domains=DOMAINS, validity=YEAR, **topics)
-    issue(lab.keystore, lab.authorities, [wish], now=now)
+    spec = ParticipantSpec(name="/lab/talker", domains=DOMAINS, validity=YEAR, **topics)
+    issue(lab.keystore, lab.authorities, [spec], now=now)
     return lab.keystore
 
 

@@ -11,7 +11,7 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import permissions_to_yaml, ros, sros2
 from pqsec_pki.keystore import revoke
-from pqsec_pki.trial import mark
+from pqsec_pki.trial import unique_text
 from pqsec_pki.vendors.enclave import SIX
 from pqsec_pki.vendors.messages import recognise
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR
@@ -51,60 +51,65 @@ def lives(nodes, role):
     return made
 
 
-def explained(account) -> list[str]:
-    return [found.message.texts[0] for found in recognise(account.log, stack="ros2")]
+def explained(outcome) -> list[str]:
+    return [found.message.texts[0] for found in recognise(outcome.log, stack="ros2")]
 
 
 def test_two_nodes_talk_and_nobody_can_read_it(nodes, role, crew, requires):
-    talker, listener = role(Does.SEND, "/talker", text=mark()), role(Does.RECEIVE, "/listener")
-    went = nodes.perform(talker, listener)
-    assert went.accounts[1].received == talker.text, went.accounts
-    for account in went.accounts:
-        folder = crew.keystore.root / "enclaves" / account.role.name.strip("/")
-        assert FOUND.format(folder=folder) in account.log
-    assert ended(went.accounts[1])
+    talker, listener = (
+        role(Does.SEND, "/talker", text=unique_text()),
+        role(Does.RECEIVE, "/listener"),
+    )
+    went = nodes.run_peers(talker, listener)
+    assert went.outcomes[1].received == talker.text, went.outcomes
+    for outcome in went.outcomes:
+        folder = crew.keystore.root / "enclaves" / outcome.role.name.strip("/")
+        assert FOUND.format(folder=folder) in outcome.log
+    assert ended(went.outcomes[1])
     wire = requires(went.wire, "a wire to watch", "run the tests as root")
     assert wire.packets
     assert not wire.readable
 
 
 def test_without_the_script_the_text_can_be_read(nodes, requires):
-    talker = nodes.role(Does.SEND, "/talker", text=mark())
-    went = nodes.perform(talker, nodes.role(Does.RECEIVE, "/listener"))
-    assert went.accounts[1].received == talker.text, went.accounts
+    talker = nodes.role(Does.SEND, "/talker", text=unique_text())
+    went = nodes.run_peers(talker, nodes.role(Does.RECEIVE, "/listener"))
+    assert went.outcomes[1].received == talker.text, went.outcomes
     assert requires(went.wire, "a wire to watch", "run the tests as root").readable
 
 
 def test_an_unsecured_node_gets_nothing_while_a_secured_one_does(nodes, role):
-    talker = role(Does.SEND, "/talker", text=mark())
-    plain = nodes.role(Does.RECEIVE, "/plain", stranger=True)
-    went = nodes.perform(talker, role(Does.RECEIVE, "/listener"), plain)
-    assert went.accounts[1].received == talker.text, went.accounts
-    assert went.accounts[2].joined
-    assert went.accounts[2].received is None
+    talker = role(Does.SEND, "/talker", text=unique_text())
+    plain = nodes.role(Does.RECEIVE, "/plain", unauthenticated=True)
+    went = nodes.run_peers(talker, role(Does.RECEIVE, "/listener"), plain)
+    assert went.outcomes[1].received == talker.text, went.outcomes
+    assert went.outcomes[2].joined
+    assert went.outcomes[2].received is None
 
 
 def test_a_secured_node_takes_nothing_from_an_unsecured_one(nodes, role):
-    plain = nodes.role(Does.SEND, "/plain", text=mark())
-    went = nodes.perform(plain, role(Does.RECEIVE, "/listener"), seconds=REFUSAL)
-    assert all(each.joined for each in went.accounts)
-    assert went.accounts[1].received is None
+    plain = nodes.role(Does.SEND, "/plain", text=unique_text())
+    went = nodes.run_peers(plain, role(Does.RECEIVE, "/listener"), seconds=REFUSAL)
+    assert all(each.joined for each in went.outcomes)
+    assert went.outcomes[1].received is None
 
 
 def test_a_node_of_another_keystore_with_the_same_names_gets_nothing(nodes, role, tmp_path, now):
     rogue = Crew.create(tmp_path, LAB_PROFILES["transition"], now)
     listener = nodes.role(Does.RECEIVE, "/listener", script=rogue.script("/listener"))
-    went = nodes.perform(role(Does.SEND, "/talker", text=mark()), listener, seconds=REFUSAL)
-    assert all(each.joined for each in went.accounts)
-    assert went.accounts[1].received is None
-    assert "unable to get local issuer certificate" in went.accounts[1].log
+    went = nodes.run_peers(
+        role(Does.SEND, "/talker", text=unique_text()), listener, seconds=REFUSAL
+    )
+    assert all(each.joined for each in went.outcomes)
+    assert went.outcomes[1].received is None
+    assert "unable to get local issuer certificate" in went.outcomes[1].log
 
 
 def test_a_topic_that_is_not_granted_ends_the_node(lives):
-    account = lives(Does.RECEIVE, "/stranger")
-    assert DENIED.format(topic="rt/chatter") in account.log
-    assert DENIED in explained(account)
-    assert not ended(account)
+    outcome = lives(Does.RECEIVE, "/stranger")
+    assert DENIED.format(topic="rt/chatter") in outcome.log
+    assert DENIED in explained(outcome)
+    assert not ended(outcome)
 
 
 def test_many_nodes_live_in_one_enclave(lives):
@@ -114,23 +119,23 @@ def test_many_nodes_live_in_one_enclave(lives):
 
 def test_nodes_live_whose_names_begin_as_a_pattern_says(lives):
     """Those of ROS 2's own command line have the number of their process in them."""
-    account = lives(Does.RECEIVE, "/_ros2cli_4242", enclave="/desk")
-    assert account.joined, account.log
-    assert ended(account)
+    outcome = lives(Does.RECEIVE, "/_ros2cli_4242", enclave="/desk")
+    assert outcome.joined, outcome.log
+    assert ended(outcome)
 
 
 def test_a_node_that_the_enclave_does_not_name_ends(lives):
-    account = lives(Does.IDLE, "/robot/drive", "/robot/spy", enclave="/robot/base")
-    assert account.refused
-    assert not ended(account)
+    outcome = lives(Does.IDLE, "/robot/drive", "/robot/spy", enclave="/robot/base")
+    assert outcome.refused
+    assert not ended(outcome)
 
 
 @pytest.mark.parametrize(
     ("does", "name"), [(Does.CLOCK, "/clocked"), (Does.MANAGED, "/managed")], ids=str
 )
 def test_the_words_of_a_policy_are_enough_for(lives, does, name):
-    account = lives(does, name)
-    assert ended(account), account.log
+    outcome = lives(does, name)
+    assert ended(outcome), outcome.log
 
 
 @pytest.mark.parametrize(
@@ -139,20 +144,20 @@ def test_the_words_of_a_policy_are_enough_for(lives, does, name):
     ids=str,
 )
 def test_without_these_words_the_node_ends(lives, does, topic):
-    account = lives(does, "/talker")
-    assert DENIED.format(topic=topic) in account.log
-    assert not ended(account)
+    outcome = lives(does, "/talker")
+    assert DENIED.format(topic=topic) in outcome.log
+    assert not ended(outcome)
 
 
 def test_parameters_of_another_node_can_be_read(nodes, role):
     server, client = role(Does.IDLE, "/talker"), role(Does.CALL, "/tuner")
-    went = nodes.perform(client, server, topic="/talker")
-    assert "use_sim_time" in (went.accounts[0].received or ""), went.accounts
+    went = nodes.run_peers(client, server, topic="/talker")
+    assert "use_sim_time" in (went.outcomes[0].received or ""), went.outcomes
 
 
 def test_an_action_works(nodes, role):
-    went = nodes.perform(role(Does.ACT, "/guest"), role(Does.SERVE, "/cook"), topic="/cook")
-    assert went.accounts[0].received == "[1, 1, 2]", went.accounts
+    went = nodes.run_peers(role(Does.ACT, "/guest"), role(Does.SERVE, "/cook"), topic="/cook")
+    assert went.outcomes[0].received == "[1, 1, 2]", went.outcomes
 
 
 @pytest.fixture(params=[True, False], ids=["completed", "as it is"])
@@ -173,9 +178,9 @@ def migrated(request, crew):
 def test_a_policy_of_sros2_is_enough_once_it_is_completed(lives, migrated):
     """It has what SROS2's samples have for each node; the nodes are in namespaces."""
     names = ["/robot1/planner", "/robot1/costmap/costmap", "/robot1/manager"]
-    account = lives(Does.MANAGED, *names, enclave="/robot1/nav")
-    assert ended(account) is migrated, account.log
-    assert migrated or DENIED.format(topic="rt/rosout") in account.log
+    outcome = lives(Does.MANAGED, *names, enclave="/robot1/nav")
+    assert ended(outcome) is migrated, outcome.log
+    assert migrated or DENIED.format(topic="rt/rosout") in outcome.log
 
 
 def test_a_node_that_was_revoked_is_let_in_by_none_with_the_list(nodes, tmp_path, now):
@@ -184,11 +189,11 @@ def test_a_node_that_was_revoked_is_let_in_by_none_with_the_list(nodes, tmp_path
     keystore, authorities = crew.keystore, crew.lab.authorities
     revoke(keystore, authorities, ["/talker"], reason=Reason.KEY_COMPROMISE, now=now)
     (keystore.root / "enclaves" / "talker" / "crl.pem").unlink()
-    talker = nodes.role(Does.SEND, "/talker", script=crew.script("/talker"), text=mark())
+    talker = nodes.role(Does.SEND, "/talker", script=crew.script("/talker"), text=unique_text())
     listener = nodes.role(Does.RECEIVE, "/listener", script=crew.script("/listener"))
-    went = nodes.perform(talker, listener, seconds=REFUSAL)
-    assert went.accounts[1].received is None
-    assert "certificate revoked" in went.accounts[1].log
+    went = nodes.run_peers(talker, listener, seconds=REFUSAL)
+    assert went.outcomes[1].received is None
+    assert "certificate revoked" in went.outcomes[1].log
 
 
 NEEDED = [
@@ -206,11 +211,11 @@ def test_a_node_without_one_of_its_topics_ends(lives, crew, way, topic):
     needs[way] = [each for each in needs[way] if each != topic]
     grant = f"name: /bare, publish: {list(needs['publish'])}, subscribe: {list(needs['subscribe'])}"
     crew.issue(f"grants: [{{{grant}}}]".encode())
-    account = lives(Does.IDLE, "/talker", enclave="/bare")
-    assert not ended(account), account.log
+    outcome = lives(Does.IDLE, "/talker", enclave="/bare")
+    assert not ended(outcome), outcome.log
     side = {"publish": "writer", "subscribe": "reader"}[way]
     denied = f"failed to create {side}" if topic == ros.DISCOVERY else DENIED.format(topic=topic)
-    assert denied in account.log
+    assert denied in outcome.log
 
 
 @pytest.mark.parametrize("name", SIX)
@@ -219,11 +224,11 @@ def test_one_of_the_six_files_is_missing_and_not_named(nodes, role, crew, name):
     file = crew.keystore.root / "enclaves" / "talker" / name
     away = file.rename(file.with_suffix(".away"))
     try:
-        account = nodes.one(starting)
+        outcome = nodes.one(starting)
     finally:
         away.rename(file)
-    assert "could not find all security files" in explained(account)
-    assert not ended(account)
+    assert "could not find all security files" in explained(outcome)
+    assert not ended(outcome)
 
 
 def test_an_encrypted_key_ends_the_node(nodes, role, crew):
@@ -232,14 +237,14 @@ def test_an_encrypted_key_ends_the_node(nodes, role, crew):
     plain = file.read_bytes()
     file.write_bytes(private_key_pem(load_private_key(plain), b"open sesame"))
     try:
-        account = nodes.one(starting)
+        outcome = nodes.one(starting)
     finally:
         file.write_bytes(plain)
-    assert account.refused
-    assert "decrypt" in account.log
+    assert outcome.refused
+    assert "decrypt" in outcome.log
 
 
 def test_a_domain_that_governance_does_not_have(lives):
-    account = lives(Does.IDLE, "/talker", ROS_DOMAIN_ID="99")
-    assert "Could not find domain 99 in governance" in account.log
-    assert not ended(account)
+    outcome = lives(Does.IDLE, "/talker", ROS_DOMAIN_ID="99")
+    assert "Could not find domain 99 in governance" in outcome.log
+    assert not ended(outcome)

@@ -18,14 +18,14 @@ from pqsec_pki.trial import (
     Act,
     Installation,
     MissingStackError,
-    Passage,
-    Scene,
+    TopicRoute,
+    TrialSetup,
     built,
     find,
-    mark,
-    meet,
-    perform,
-    stranger,
+    run_peers,
+    run_trial,
+    unauthenticated,
+    unique_text,
 )
 from pqsec_pki.trial.words import words
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
@@ -106,13 +106,13 @@ def runs(laboratory, installations) -> Runs:
 @pytest.mark.parametrize(("stack", "name"), PAIRS)
 def test_two_participants_meet_or_are_refused_as_they_should(installation, runs, stack, name):
     case, which, report = CASES[name], installation(stack), runs.report(stack, name)
-    told = "\n".join(f"-- {each.role.name}\n{each.log}" for each in report.performance.accounts)
+    told = "\n".join(f"-- {each.role.name}\n{each.log}" for each in report.trial_run.outcomes)
     expected = case.expected(which)
     if expected is None:
         assert report.accepted, told
-        assert report.stranger_heard is case.lets_strangers_hear(which), told
+        assert report.unauthenticated_heard is case.lets_strangers_hear(which), told
         return
-    assert report.stranger.received is None
+    assert report.unauthenticated.received is None
     assert report.receiver.received is None, told
     assert not report.sender.matched, told
     said = [*words(told), report.sender.refused or "", *(each.said for each in report.findings)]
@@ -135,7 +135,7 @@ def test_a_sample_can_be_read_on_the_wire_only_where_nothing_protects_it(
 ):
     installation(stack)
     reports = {name: runs.report(stack, name) for name in CASES}
-    seen = {name: each.performance.wire for name, each in reports.items() if each.accepted}
+    seen = {name: each.trial_run.wire for name, each in reports.items() if each.accepted}
     assert len(seen) >= 5
     for name, wire in seen.items():
         requires(wire, "a wire to watch", "run the tests as root")
@@ -149,21 +149,23 @@ def test_strangers_hear_each_other_and_can_be_read_on_the_wire(
     installation, requires, tmp_path, stack
 ):
     """What the other tests rely on: who has no credentials could hear, and the wire is seen."""
-    which, text = installation(stack), mark()
-    sending = stranger(which, Act.SEND, tmp_path, text)
-    listening = replace(stranger(which, Act.RECEIVE, tmp_path), stranger=False)  # it is waited for
+    which, text = installation(stack), unique_text()
+    sending = unauthenticated(which, Act.SEND, tmp_path, text)
+    listening = replace(
+        unauthenticated(which, Act.RECEIVE, tmp_path), unauthenticated=False
+    )  # it is waited for
     program = which.peer(built(which))
-    scene = Scene(program=program, domain=0, topic=TOPIC, timeout=LONGEST_MEETING)
-    performance = perform(scene, [sending, listening])
-    assert performance.accounts[1].received == text
-    wire = requires(performance.wire, "a wire to watch", "run the tests as root")
+    setup = TrialSetup(program=program, domain=0, topic=TOPIC, timeout=LONGEST_MEETING)
+    trial_run = run_peers(setup, [sending, listening])
+    assert trial_run.outcomes[1].received == text
+    wire = requires(trial_run.wire, "a wire to watch", "run the tests as root")
     assert wire.readable > 0
 
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_stranger_that_sends_is_not_heard(installation, runs, stack):
     installation(stack)
-    sender, receiver = runs.stranger(stack).accounts
+    sender, receiver = runs.unauthenticated(stack).outcomes
     assert sender.joined
     assert receiver.joined
     assert (sender.matched, receiver.received) == (False, None)
@@ -171,9 +173,9 @@ def test_a_stranger_that_sends_is_not_heard(installation, runs, stack):
 
 def test_transition_is_not_exported_for_a_fast_dds_that_cannot_send_it(installation, laboratory):
     trial = laboratory.trial(installation("fastdds trixie"), CASES["transition"], timeout=1)
-    way = Passage(sender=SENDER, receiver=RECEIVER, domain=0, topic=TOPIC)
+    way = TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=TOPIC)
     with pytest.raises(VerificationError, match="8192"):
-        meet(trial, way)
+        run_trial(trial, way)
 
 
 def test_the_table_in_the_documents_is_what_was_measured(installation, runs):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.algorithms import load_private_key, private_key_pem
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.trial import MACHINE, STACKS, MissingStackError, built, find
 from tests.docs.tables import Document
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, YEAR
@@ -34,11 +34,11 @@ def domain(tmp_path_factory, now):
         options = {"domains": DOMAINS, "validity": 10 * YEAR, "now": now, "passphrase": None}
         keystore = Keystore.create(folder / "k", profile, name="Lab", **options)
         may = {"domains": DOMAINS, "validity": YEAR}
-        wishes = [
-            Wish(name="/talker", publish=(TOPIC,), **may),
-            Wish(name="/listener", subscribe=(TOPIC,), **may),
+        specs = [
+            ParticipantSpec(name="/talker", publish=(TOPIC,), **may),
+            ParticipantSpec(name="/listener", subscribe=(TOPIC,), **may),
         ]
-        issue(keystore, keystore.unlock(None), wishes, now=now)
+        issue(keystore, keystore.unlock(None), specs, now=now)
         return folder
 
     return make
@@ -105,7 +105,7 @@ def test_json_says_the_same_as_the_exit_code(pqsec, stack, more, code, accepted)
     told = json.loads(printed)
     assert done == code
     assert (told["ok"], told["accepted"]) == (code == 0, accepted)
-    assert told["stranger_heard"] is (False if accepted else None)
+    assert told["unauthenticated_heard"] is (False if accepted else None)
     assert told["stack"] == stack
     assert (told["topic"] == TOPIC) is accepted
     # Who listens cannot be asked to send, unless the user insists on the topic.

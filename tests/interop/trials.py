@@ -18,21 +18,21 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.certificates import Certificate, RevokedCertificate, revocation_list
 from pqsec_pki.documents import Governance, Preset, ProtectionKind, preset_named
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.trial import (
     Act,
     Installation,
-    Passage,
-    Performance,
     Report,
-    Scene,
+    TopicRoute,
     Trial,
+    TrialRun,
+    TrialSetup,
     built,
     credentialed,
-    mark,
-    meet,
-    perform,
-    stranger,
+    run_peers,
+    run_trial,
+    unauthenticated,
+    unique_text,
 )
 from tests.interop.conftest import DOMAINS, TOPIC, Lab
 
@@ -71,12 +71,12 @@ class Case:
 
     def lets_strangers_hear(self, installation: Installation) -> bool:
         """Whether one without credentials gets the sample."""
-        name = f"{installation.kit.stack} {installation.version}"
+        name = f"{installation.build.stack} {installation.version}"
         return self.is_open and name not in self.closed_all_the_same
 
     def expected(self, installation: Installation) -> str | None:
         """What the stack must say; None if the two must meet."""
-        stack, version = installation.kit.stack, installation.version
+        stack, version = installation.build.stack, installation.version
         return self.refused.get(f"{stack} {version}", self.refused.get(stack))
 
 
@@ -112,10 +112,10 @@ def revoke_the_sender(lab: Lab, root: Path, now: datetime) -> None:
 def let_the_sender_expire(lab: Lab, root: Path, now: datetime) -> None:
     """Issued when the lab was made, and for too short a time."""
     keystore = Keystore.open(root)
-    wish = Wish(
+    spec = ParticipantSpec(
         name=SENDER, publish=(TOPIC,), subscribe=(TOPIC,), domains=DOMAINS, validity=30 * DAY
     )
-    issue(keystore, lab.authorities, [wish], now=lab.now, force=True)
+    issue(keystore, lab.authorities, [spec], now=lab.now, force=True)
 
 
 def alter_the_permissions(lab: Lab, root: Path, now: datetime) -> None:
@@ -147,10 +147,10 @@ def let_strangers_in(lab: Lab, root: Path, now: datetime) -> None:
 def keep_a_laxer_governance(lab: Lab, root: Path, now: datetime) -> None:
     """The sender's own stack lets it use any topic; the receiver may use that one."""
     keystore, topics = Keystore.open(root), (TOPIC, OTHER)
-    wish = Wish(
+    spec = ParticipantSpec(
         name=RECEIVER, publish=topics, subscribe=topics, domains=DOMAINS, validity=365 * DAY
     )
-    issue(keystore, lab.authorities, [wish], now=lab.now, force=True)
+    issue(keystore, lab.authorities, [spec], now=lab.now, force=True)
     path = _folder(root, SENDER) / "governance.p7s"
     path.unlink()  # a link to the one of all
     path.write_bytes(_governance(lab, now, preset_named("strict"), **UNCONTROLLED))
@@ -251,13 +251,13 @@ class Runs:
     def report(self, stack: str, name: str) -> Report:
         return self._begun[stack, name].result(PATIENCE)
 
-    def stranger(self, stack: str) -> Performance:
+    def unauthenticated(self, stack: str) -> TrialRun:
         """Who has no credentials sends, and a participant listens."""
         return self._strangers[stack].result(PATIENCE)
 
     def wait(self, stack: str) -> float:
         """Seconds after which two who have not met will not; many times what it takes them."""
-        return max(LEAST_WAIT, 6 * self.report(stack, CONTROL).performance.seconds)
+        return max(LEAST_WAIT, 6 * self.report(stack, CONTROL).trial_run.seconds)
 
     def _run(self, stack: str, name: str) -> Report:
         case, installation = CASES[name], self._installations[stack]
@@ -269,20 +269,20 @@ class Runs:
             timeout=LONGEST_MEETING if good else self.wait(stack),
             anyway=not good,
         )
-        way = Passage(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
-        return meet(trial, way)
+        way = TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
+        return run_trial(trial, way)
 
-    def _stranger(self, stack: str) -> Performance:
+    def _stranger(self, stack: str) -> TrialRun:
         installation, case = self._installations[stack], CASES[CONTROL]
         trial = self._laboratory.trial(installation, case, timeout=self.wait(stack))
         folder = Path(mkdtemp(dir=self._laboratory.folder))
         roles = [
-            stranger(installation, Act.SEND, folder, mark()),
+            unauthenticated(installation, Act.SEND, folder, unique_text()),
             credentialed(trial, RECEIVER, Act.RECEIVE, folder),
         ]
         program = installation.peer(built(installation))
-        scene = Scene(program=program, domain=0, topic=TOPIC, timeout=trial.timeout)
-        return perform(scene, roles)
+        setup = TrialSetup(program=program, domain=0, topic=TOPIC, timeout=trial.timeout)
+        return run_peers(setup, roles)
 
 
 def table(runs: Runs, installations: Mapping[str, Installation]) -> str:
@@ -292,7 +292,7 @@ def table(runs: Runs, installations: Mapping[str, Installation]) -> str:
     for name, case in CASES.items():
         reports = [runs.report(stack, name) for stack in installations]
         lines.append([case.title, *(cell(report, case) for report in reports)])
-    heard = [runs.stranger(stack).accounts[1].received for stack in installations]
+    heard = [runs.unauthenticated(stack).outcomes[1].received for stack in installations]
     lines.append(["sender without credentials", *("nothing" if h is None else h for h in heard)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
@@ -300,5 +300,9 @@ def table(runs: Runs, installations: Mapping[str, Installation]) -> str:
 def cell(report: Report, case: Case) -> str:
     """What came of a case, for the table."""
     if report.accepted:
-        return "meet, and the stranger hears it" if report.stranger_heard else "meet"
+        return (
+            "meet, and an unauthenticated participant hears it"
+            if report.unauthenticated_heard
+            else "meet"
+        )
     return f"refused: `{case.expected(report.installation)}`"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pqsec_pki.access import READINGS, SPEC, Action, Question, Side, decide
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Question, Side, decide
 from pqsec_pki.access import _patterns as patterns
 from pqsec_pki.documents import (
     Criteria,
@@ -78,7 +78,7 @@ QUESTIONS = st.builds(
     topic=NAMES,
     partitions=PARTITIONS,
 )
-READING = st.sampled_from(READINGS)
+READING = st.sampled_from(INTERPRETATIONS)
 
 
 def of(*grants):
@@ -86,15 +86,15 @@ def of(*grants):
 
 
 @given(GOVERNANCES, GRANTS, QUESTIONS, READING)
-def test_it_comes_to_that_if_both_sides_let_it(governance, grant, question, reading):
-    both = decide(governance, of(grant), question, reading)
-    sides = [decide(governance, of(grant), question, reading, by=side) for side in Side]
+def test_it_comes_to_that_if_both_sides_let_it(governance, grant, question, interpretation):
+    both = decide(governance, of(grant), question, interpretation)
+    sides = [decide(governance, of(grant), question, interpretation, by=side) for side in Side]
     assert both.allowed is all(side.allowed for side in sides)
 
 
 @given(GOVERNANCES, GRANTS, QUESTIONS, READING)
-def test_what_decided_is_in_the_documents(governance, grant, question, reading):
-    decision = decide(governance, of(grant), question, reading)
+def test_what_decided_is_in_the_documents(governance, grant, question, interpretation):
+    decision = decide(governance, of(grant), question, interpretation)
     [rule] = governance.domain_rules
     parts = (grant, *grant.rules, rule, *rule.topic_rules)
     assert any(decision.decided_by is part for part in parts)
@@ -126,9 +126,9 @@ def test_an_allow_rule_at_the_end_only_adds(governance, grant, question):
 
 
 @given(GOVERNANCES, GRANTS, QUESTIONS, READING)
-def test_the_order_of_partitions_does_not_count(governance, grant, question, reading):
+def test_the_order_of_partitions_does_not_count(governance, grant, question, interpretation):
     turned = replace(question, partitions=question.partitions[::-1])
-    decisions = [decide(governance, of(grant), each, reading) for each in (question, turned)]
+    decisions = [decide(governance, of(grant), each, interpretation) for each in (question, turned)]
     assert decisions[0].allowed is decisions[1].allowed
 
 
@@ -152,13 +152,13 @@ ANY_TEXT = st.text(st.characters() | st.sampled_from("*?[]!^-\\:.=ab"), max_size
 
 @given(pattern=ANY_TEXT, name=ANY_TEXT)
 def test_any_text_is_a_pattern(pattern, name):
-    for reading in READINGS:
-        assert reading.covers(pattern, name) in {True, False}
-        assert reading.governs(pattern, name) in {True, False}
+    for interpretation in INTERPRETATIONS:
+        assert interpretation.covers(pattern, name) in {True, False}
+        assert interpretation.governs(pattern, name) in {True, False}
 
 
 @given(ANY_TEXT.filter(bool), ANY_TEXT, ANY_TEXT, READING)
-def test_no_text_breaks_a_decision(topic, text, subject, reading):
+def test_no_text_breaks_a_decision(topic, text, subject, interpretation):
     criteria = (Criteria(topics=(text,), partitions=(topic,)),)
     rule = Rule(allow=True, domains=ALL, publish=criteria)
     try:
@@ -171,7 +171,7 @@ def test_no_text_breaks_a_decision(topic, text, subject, reading):
         )
         asked = {"domain": 0, "now": NOW, "action": Action.PUBLISH, "topic": topic}
         question = Question(subject=subject, partitions=(text,), **asked)
-        decide(Governance.protected(ALL), of(grant), question, reading)
+        decide(Governance.protected(ALL), of(grant), question, interpretation)
     except PqsecError:
         pass
 

@@ -157,7 +157,7 @@ def test_a_change_is_told_where_any_set_of_partitions_and_tags_finds_one(
         ask(before, now, **subject, **each) is not ask(after, now, **subject, **each)
         for each in [{"action": Action.JOIN}, *asked]
     )
-    by_standard = [change for change in difference.changes if change.reading == "spec"]
+    by_standard = [change for change in difference.changes if change.interpretation == "spec"]
     assert difference.complete
     assert bool(by_standard) is differs
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pqsec_pki.domain import Action, make, perform, plan, read_domain
+from pqsec_pki.domain import Action, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore, audit
 from tests.unit.domains import DAY, NOW
@@ -49,7 +49,7 @@ ROUND = st.tuples(
 
 def opened(desired, root, now):
     if not root.exists():
-        make(desired, root, passphrase=None, now=now)
+        create_keystore(desired, root, passphrase=None, now=now)
     return Keystore.open(root)
 
 
@@ -59,7 +59,7 @@ def interrupted(desired, keystore, now, count, order):
     # A renewal carries on what was permitted, so it never comes first.
     place = {action: n for n, action in enumerate([*order, Action.RENEW])}
     steps = tuple(sorted(found.steps, key=lambda step: place[step.action]))
-    batches = perform(
+    batches = apply_plan(
         desired, keystore, keystore.unlock(None), replace(found, steps=steps), now=now
     )
     for _, _ in zip(range(count), batches, strict=False):
@@ -86,7 +86,7 @@ def test_apply_converges_from_anywhere(rounds):
             now += passed
 
             found = plan(desired, keystore, now=now)
-            batches = perform(desired, keystore, keystore.unlock(None), found, now=now)
+            batches = apply_plan(desired, keystore, keystore.unlock(None), found, now=now)
             assert [step for batch in batches for step in batch] == list(found.steps)
             left = plan(desired, keystore, now=now)
             assert left.in_order, left
@@ -151,7 +151,7 @@ def test_whatever_stands_in_the_files_nothing_but_our_errors_comes_out(edits, li
         assert all(line.startswith(folder) for line in told), told
         for member in members:
             with suppress(PqsecError):
-                member.wish()
+                member.spec()
 
 
 def read_or_refused(file):

@@ -16,14 +16,14 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import (
     Bundle,
     SignRequest,
-    admit,
-    archive,
     open_sealed,
     seal,
+    tarball,
+    validate_csrs,
     verify_bundle,
 )
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Wish
+from pqsec_pki.keystore import ParticipantSpec
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 
@@ -56,8 +56,8 @@ def asked():
     request = certificate_request(
         "/a", PROFILE.participant_key.generate(), PROFILE.alternative_key.generate()
     )
-    wish = Wish(name="/a", domains=DomainSet.of(0), publish=("t",), validity=YEAR)
-    return SignRequest((request,), (wish,))
+    spec = ParticipantSpec(name="/a", domains=DomainSet.of(0), publish=("t",), validity=YEAR)
+    return SignRequest((request,), (spec,))
 
 
 def mutated(data, changes):
@@ -87,11 +87,11 @@ def test_a_tar_that_was_altered_is_refused_or_has_the_files_that_it_had(changes)
 @hostile
 @given(st.integers(0, 6), mutations)
 def test_a_file_that_was_altered_with_its_hash_is_refused_or_holds(number, changes):
-    files = archive.unpack(bundle().to_bytes())
+    files = tarball.unpack(bundle().to_bytes())
     name = sorted(files)[number % len(files)]
     files[name] = mutated(files[name], changes)
     if name == "manifest.json":
-        ours(lambda: Bundle.from_bytes(archive.pack(files)))
+        ours(lambda: Bundle.from_bytes(tarball.pack(files)))
         return
     enclave = dict(bundle().enclaves["/a"]) | {name.rpartition("/")[2]: files[name]}
     altered = Bundle(NOW, {"/a": enclave})
@@ -108,10 +108,10 @@ json_values = st.recursive(
 @hostile
 @given(st.sampled_from(["format", "kind", "files", "names", "created", "ca_sha256"]), json_values)
 def test_a_manifest_may_say_anything(key, value):
-    files = archive.unpack(bundle().to_bytes())
+    files = tarball.unpack(bundle().to_bytes())
     manifest = json.loads(files["manifest.json"]) | {key: value}
     files["manifest.json"] = json.dumps(manifest).encode()
-    ours(lambda: Bundle.from_bytes(archive.pack(files)))
+    ours(lambda: Bundle.from_bytes(tarball.pack(files)))
 
 
 @hostile
@@ -119,11 +119,11 @@ def test_a_manifest_may_say_anything(key, value):
     st.sampled_from([*("name", "domains", "publish", "subscribe", "validity_hours")]), json_values
 )
 def test_a_wish_may_say_anything(key, value):
-    files = archive.unpack(asked().to_bytes(now=NOW))
+    files = tarball.unpack(asked().to_bytes(now=NOW))
     manifest = json.loads(files["manifest.json"])
     manifest["wishes"][0][key] = value
     files["manifest.json"] = json.dumps(manifest).encode()
-    found = ours(lambda: SignRequest.from_bytes(archive.pack(files)))
+    found = ours(lambda: SignRequest.from_bytes(tarball.pack(files)))
     if found:
         ours(lambda: found.admitted(PROFILE))
 
@@ -135,7 +135,7 @@ def test_a_request_that_was_altered_is_never_admitted(changes):
     altered = mutated(der, changes)
     request = ours(lambda: CertificateRequest.from_der(altered))
     if request and altered != der:
-        assert ours(lambda: admit([request], PROFILE, names=["/a"])) is None
+        assert ours(lambda: validate_csrs([request], PROFILE, names=["/a"])) is None
 
 
 @hostile
@@ -149,6 +149,6 @@ def test_a_sealed_bundle_that_was_altered_is_not_opened(changes):
 @hostile
 @given(st.binary(max_size=300))
 def test_any_bytes_are_refused_in_our_words(data):
-    for read in (Bundle.from_bytes, SignRequest.from_bytes, archive.unpack):
+    for read in (Bundle.from_bytes, SignRequest.from_bytes, tarball.unpack):
         assert ours(lambda read=read: read(data)) is None
         assert ours(lambda read=read: read(gzip.compress(data, mtime=0))) in (None, {})

@@ -21,7 +21,12 @@ def globs(*tokens):
 PLAIN = globs("a", "b", "*", "?")
 RULES = st.lists(globs("a", "b", "*", "?", "[ab]", "[!a]", "[^b]", "\\a"), max_size=4)
 ODD = globs("a", "b", "*", "?", "[ab]", "[!a]", "[^b]", "[a", "]", "\\*", "\\")
-READINGS = (patterns.posix, patterns.posix_without_escapes, patterns.opendds, patterns.cyclonedds)
+INTERPRETATIONS = (
+    patterns.posix,
+    patterns.posix_without_escapes,
+    patterns.opendds,
+    patterns.cyclonedds,
+)
 
 
 @cache
@@ -57,7 +62,7 @@ def test_a_bracket_is_never_less_than_any_stack_takes_it_for(expression, rules):
     """Nor less than the name that it is to a stack without brackets."""
     found = of_all(rules, ODD_NAMES)
     is_within, is_met = within(expression, rules, Budget()), meets(expression, rules, Budget())
-    for covers in READINGS:
+    for covers in INTERPRETATIONS:
         stands_for = covered(expression, ODD_NAMES, covers)
         assert not is_within or stands_for <= found
         assert is_met or not stands_for & found

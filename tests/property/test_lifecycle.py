@@ -11,9 +11,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import (
+    ParticipantSpec,
     Renewal,
     State,
-    Wish,
     audit,
     issue,
     renew,
@@ -21,7 +21,7 @@ from pqsec_pki.keystore import (
     revoke,
     status,
 )
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from tests.unit.keystores import DAY, NOW, made
 
 NAMES = ("/a", "/b", "/fleet/c")
@@ -58,10 +58,12 @@ class Life(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(NAMES), days=st.integers(1, 300), after=st.booleans())
     def issue(self, name, days, after):
-        wish = Wish(name=name, domains=self.keystore.domains, publish=("x",), validity=days * DAY)
+        spec = ParticipantSpec(
+            name=name, domains=self.keystore.domains, publish=("x",), validity=days * DAY
+        )
         options = {"now": self.now, "force": True, "after_revocation": after}
         try:
-            self.note(issue(self.keystore, self.authorities, [wish], **options))
+            self.note(issue(self.keystore, self.authorities, [spec], **options))
         except KeystoreError:
             assert self.newest(name) in self.revoked
             assert not after
@@ -125,8 +127,8 @@ class Life(RuleBasedStateMachine):
         )
         crl = self.keystore.revocation_list
         in_force = crl is None or self.now <= crl.next_update
-        occasion = Occasion(keystore=self.keystore, domain=0, now=self.now)
-        report = meet(occasion, Guest(name=first), Guest(name=second))
+        setup = HandshakeSetup(keystore=self.keystore, domain=0, now=self.now)
+        report = run_handshake(setup, HandshakeParty(name=first), HandshakeParty(name=second))
         assert report.ok == (good and in_force), report.failed
 
 

@@ -10,7 +10,7 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.access import READINGS, SPEC, Action, Policy, Question
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Policy, Question
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -22,7 +22,7 @@ from pqsec_pki.documents import (
     Rule,
 )
 from pqsec_pki.lint import Target, check
-from tests.docs.dissent import HABITS
+from tests.docs.stack_differences import HABITS
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -94,35 +94,42 @@ QUESTIONS = [
 ]
 
 
-@pytest.mark.parametrize("reading", READINGS[1:], ids=lambda reading: reading.name)
-def test_a_stack_that_reads_otherwise_is_told_of(reading, tmp_path):
-    chance = random.Random(reading.name)  # noqa: S311 -- the same policies every time
-    ours = {id_ for habit in HABITS if habit.stack in {reading.name, "all"} for id_ in habit.rules}
+@pytest.mark.parametrize(
+    "interpretation", INTERPRETATIONS[1:], ids=lambda interpretation: interpretation.name
+)
+def test_a_stack_that_reads_otherwise_is_told_of(interpretation, tmp_path):
+    chance = random.Random(interpretation.name)  # noqa: S311 -- the same policies every time
+    ours = {
+        id_
+        for habit in HABITS
+        if habit.stack in {interpretation.name, "all"}
+        for id_ in habit.rules
+    }
     quiet = loud = 0
     for _ in range(POLICIES):
         policy = governance(chance), permissions(chance)
         for name, document in zip(("governance.xml", "permissions.xml"), policy, strict=True):
             (tmp_path / name).write_bytes(document.to_xml())
-        findings = check([tmp_path], now=NOW, targets=[Target(reading.name)]).findings
+        findings = check([tmp_path], now=NOW, targets=[Target(interpretation.name)]).findings
         if ours & {each.rule.id for each in findings}:
-            loud += differs(policy, reading)
+            loud += differs(policy, interpretation)
         else:
             quiet += 1
-            assert not differs(policy, reading), policy
+            assert not differs(policy, interpretation), policy
     assert quiet > ENOUGH
     assert loud > ENOUGH
 
 
-def differs(policy, reading):
+def differs(policy, interpretation):
     """Whether the stack gives another answer than the standard to some question."""
-    one, other = Policy(*policy, SPEC), Policy(*policy, reading)
+    one, other = Policy(*policy, SPEC), Policy(*policy, interpretation)
     return any(
         one.decide(question).allowed != other.decide(question).allowed for question in QUESTIONS
     )
 
 
 def test_what_pqs230_advises_lets_opendds_make_participants():
-    opendds = READINGS[-1]
+    opendds = INTERPRETATIONS[-1]
     grant = Grant.least(
         subject_name=SUBJECT, not_before=NOW - YEAR, not_after=NOW + YEAR, domains=DOMAINS[0],
         publish=("a",),
@@ -133,5 +140,5 @@ def test_what_pqs230_advises_lets_opendds_make_participants():
     for rule, is_let_in in ((MODEL, False), (advised, True)):
         policy = Governance(domain_rules=(rule,)), Permissions(grants=(grant,))
         assert Policy(*policy, opendds).decide(join).allowed is is_let_in
-        others = [Policy(*policy, each) for each in READINGS[:-1]]
+        others = [Policy(*policy, each) for each in INTERPRETATIONS[:-1]]
         assert all(each.decide(join).allowed for each in others)

@@ -4,7 +4,7 @@ import shutil
 from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.documents import Permissions
-from pqsec_pki.domain import Plan, make, perform, plan, read_domain
+from pqsec_pki.domain import Plan, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.smime import document_in
 
@@ -71,13 +71,13 @@ class Scene:
     def apply(self, now=NOW, **options):
         found = self.plan(now, **options)
         if not self.root.exists():
-            make(read_domain(self.file), self.root, passphrase=None, now=now)
+            create_keystore(read_domain(self.file), self.root, passphrase=None, now=now)
         assert self.take(found, now) == [(step.action, step.name) for step in found.steps]
 
     def take(self, found, now=NOW):
         """The steps of a plan that are taken; fewer, if another command was at work since."""
         desired, keystore = read_domain(self.file), self.keystore
-        batches = perform(desired, keystore, keystore.unlock(None), found, now=now)
+        batches = apply_plan(desired, keystore, keystore.unlock(None), found, now=now)
         return [(step.action, step.name) for batch in batches for step in batch]
 
     def file_of(self, name, file):

@@ -4,8 +4,8 @@ from dataclasses import replace
 from datetime import timedelta
 
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.enrolment import Bundle, admit, request
-from pqsec_pki.keystore import Wish, issue
+from pqsec_pki.enrolment import Bundle, request, validate_csrs
+from pqsec_pki.keystore import ParticipantSpec, issue
 from tests.unit.killing import NOW, YEAR
 
 ROBOT = "/fleet/robot1"
@@ -17,19 +17,19 @@ def asked_of(keystore, root, name=ROBOT):
     return request(name, keystore.profile, root, force=True).request
 
 
-def answered(keystore, *requests, now=NOW, **wish):
+def answered(keystore, *requests, now=NOW, **spec):
     """The bundle that answers these requests; `wish` says what is allowed."""
     names = [each.common_name for each in requests]
-    keys = admit(requests, keystore.profile, names=names)
-    wishes = [
-        Wish(
-            **{"domains": DomainSet.of(0), "publish": ("t",), "validity": YEAR, **wish},
+    keys = validate_csrs(requests, keystore.profile, names=names)
+    specs = [
+        ParticipantSpec(
+            **{"domains": DomainSet.of(0), "publish": ("t",), "validity": YEAR, **spec},
             name=name,
             keys=keys[name],
         )
         for name in names
     ]
-    issue(keystore, keystore.unlock(None), wishes, now=now, force=True)
+    issue(keystore, keystore.unlock(None), specs, now=now, force=True)
     return Bundle.of(keystore, names, now=now)
 
 

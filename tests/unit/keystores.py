@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, Wish, _journal, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, _journal, issue
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -29,11 +29,11 @@ def made(root, profile, domains="0", names=TWO):
 
 def add(keystore, *, now=NOW, **names):
     """Issue participants for 90 days: name=domains."""
-    wishes = [
-        Wish(name=name, domains=DomainSet.parse(on), publish=("x",), validity=90 * DAY)
+    specs = [
+        ParticipantSpec(name=name, domains=DomainSet.parse(on), publish=("x",), validity=90 * DAY)
         for name, on in names.items()
     ]
-    issue(keystore, keystore.unlock(None), wishes, now=now)
+    issue(keystore, keystore.unlock(None), specs, now=now)
 
 
 def enter(keystore, entries):

@@ -24,7 +24,7 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
-from pqsec_pki.keystore import Keystore, Wish, audit, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, audit, issue
 from pqsec_pki.smime import Require, verify
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
@@ -49,8 +49,8 @@ def create(root):
 
 def issue_to(root, *names, force=False):
     keystore = Keystore.open(root, to_change=True)
-    wishes = [Wish(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
-    return issue(keystore, keystore.unlock(None), wishes, now=NOW, force=force)
+    specs = [ParticipantSpec(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
+    return issue(keystore, keystore.unlock(None), specs, now=NOW, force=force)
 
 
 # Killing

@@ -8,10 +8,10 @@ from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import NO_TOKEN, Authentication, Result
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
-from pqsec_pki.plugin.connection import Connection, House
+from pqsec_pki.plugin.connection import AgentContext, Connection
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.octets import Reader, Writer
-from pqsec_pki.plugin.waiting import Waiting
+from pqsec_pki.plugin.pending import PendingReplies
 from tests.unit.keystores import NOW
 
 _KNOWN = ",".join(row.wire_name for row in KEY_AGREEMENTS)
@@ -63,7 +63,7 @@ class Shim:
         """`shared` is what it has in common with the agent's other connections."""
         self.plugin, self.log = plugin, []
         self.now = now
-        house = House(lambda: self.now, self.log.append, dict, lambda: None, **shared)
+        house = AgentContext(lambda: self.now, self.log.append, dict, lambda: None, **shared)
         self.connection = Connection(house, "test[1]")
         (answer,) = self.connection.receive(greeting(plugin))
         assert answer == framed(b"\0")
@@ -135,7 +135,7 @@ def refusals(folder, now=NOW, **more):
     if (folder / "crl.pem").exists():
         more = {"org.eclipse.cyclonedds.sec.auth.crl": "file:crl.pem"} | more
     pairs, where = properties(folder, **more)
-    identity = Authentication(lambda: now, lambda _: None, NewestLists(), Waiting())
+    identity = Authentication(lambda: now, lambda _: None, NewestLists(), PendingReplies())
     found = []
     for call in (
         lambda: identity.validate_local_identity(0, where, pairs, new_guid()),

@@ -21,19 +21,19 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import (
     Keystore,
+    ParticipantSpec,
     Rollover,
-    Wish,
     adopt,
     audit,
-    foresee,
     issue,
+    plan_rollover,
     renew,
     revoke,
     rotate,
     status,
 )
 from pqsec_pki.lint import Severity, check
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import verify
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.sros2_keystore import NO_CA, SROS2, permissions
@@ -131,8 +131,10 @@ def test_the_way_out_is_to_rotate(sros2, profile, destroy):
         one = new.participant(name)
         verify_chain(one.certificate, new.identity_ca, now=NOW)
         assert (one.certificate.spki == old.spki) == (profile == "classical")
-    occasion = Occasion(keystore=new, domain=0, now=NOW)
-    assert meet(occasion, Guest(name="/talker"), Guest(name="/fleet/robot1")).ok
+    setup = HandshakeSetup(keystore=new, domain=0, now=NOW)
+    assert run_handshake(
+        setup, HandshakeParty(name="/talker"), HandshakeParty(name="/fleet/robot1")
+    ).ok
     audit(new)
     assert not list(sros2.root.glob("p*/ca.*")), "SROS2's CA is still there"
     kept = {path.name for path in done.archive.glob("*.key.pem")}
@@ -140,11 +142,11 @@ def test_the_way_out_is_to_rotate(sros2, profile, destroy):
         set() if destroy else {"ca.key.pem", "identity_ca.key.pem", "permissions_ca.key.pem"}
     )
     assert (sros2.root / "private").stat().st_mode & 0o777 == 0o700
-    issue(new, new.unlock(None), [wish("/new")], now=NOW)
+    issue(new, new.unlock(None), [spec("/new")], now=NOW)
 
 
-def wish(name):
-    return Wish(name=name, domains=DomainSet.of(0), publish=("x",), validity=90 * DAY)
+def spec(name):
+    return ParticipantSpec(name=name, domains=DomainSet.of(0), publish=("x",), validity=90 * DAY)
 
 
 def test_a_keystore_of_ours_that_lost_its_settings_and_ledger_is_adopted(tmp_path):
@@ -184,7 +186,7 @@ def test_any_composite_keys_are_hybrid_and_one_that_is_not_makes_it_pq(tmp_path)
         options = {"domains": DomainSet.of(0), "validity": 900 * DAY, "now": NOW}
         root = tmp_path / str(number)
         keystore = Keystore.create(root, profile, name="Test", passphrase=None, **options)
-        issue(keystore, keystore.unlock(None), [wish("/talker")], now=NOW)
+        issue(keystore, keystore.unlock(None), [spec("/talker")], now=NOW)
         (root / "pqsec.json").unlink()
         (root / "private/ledger.sqlite3").unlink()
         assert adopt(root, now=NOW).keystore.profile.name == name
@@ -297,7 +299,7 @@ def test_a_participant_whose_key_is_of_no_known_kind_gets_one_that_is(sros2):
     strange(sros2, "/talker", "enclaves/talker/cert.pem")
     done = adopt(sros2.root, now=NOW)
     assert (done.refused, done.participants) == ({}, ["/fleet/robot1", "/talker"])
-    told = foresee(done.keystore, Rollover(profile=done.keystore.profile), now=NOW)
+    told = plan_rollover(done.keystore, Rollover(profile=done.keystore.profile), now=NOW)
     assert told.rekeyed == ("/talker",)
     rotate(done.keystore, Rollover(profile=done.keystore.profile), passphrase=None, now=NOW)
     done.keystore.participant("/talker")
@@ -392,7 +394,7 @@ def test_an_encrypted_key_is_no_matter_and_either_asks_for_the_passphrase(tmp_pa
         done = adopt(keystore.root, now=NOW)
         assert done.refused == {}
         assert done.keystore.is_locked
-        issue(done.keystore, done.keystore.unlock(b"secret"), [wish("/new")], now=NOW)
+        issue(done.keystore, done.keystore.unlock(b"secret"), [spec("/new")], now=NOW)
 
 
 def test_two_participants_with_one_serial_number_are_told(sros2):

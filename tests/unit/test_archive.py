@@ -7,8 +7,8 @@ import tarfile
 
 import pytest
 
-from pqsec_pki.enrolment import archive
-from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.enrolment import tarball
+from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.errors import MalformedError, VerificationError
 
 FILES = {"a/b.pem": b"one", "manifest.json": b"{}", "c+d": b""}
@@ -28,13 +28,13 @@ def packed(*members, **options):
 
 
 def test_files_come_back_and_the_same_files_are_the_same_bytes():
-    data = archive.pack(FILES)
-    assert archive.unpack(data) == FILES
-    assert archive.pack(dict(reversed(FILES.items()))) == data
+    data = tarball.pack(FILES)
+    assert tarball.unpack(data) == FILES
+    assert tarball.pack(dict(reversed(FILES.items()))) == data
 
 
 def test_other_tools_read_it():
-    with tarfile.open(fileobj=io.BytesIO(archive.pack(FILES))) as tar:
+    with tarfile.open(fileobj=io.BytesIO(tarball.pack(FILES))) as tar:
         assert tar.getnames() == sorted(FILES)
         assert {member.mtime for member in tar} == {0}
 
@@ -48,7 +48,7 @@ def test_other_tools_read_it():
 )
 def test_a_name_that_leads_elsewhere_is_refused(name):
     with pytest.raises(MalformedError, match=r"has a file called|not a plain file"):
-        archive.unpack(packed((name, b"x")))
+        tarball.unpack(packed((name, b"x")))
 
 
 @pytest.mark.parametrize(
@@ -66,43 +66,43 @@ def test_a_name_that_leads_elsewhere_is_refused(name):
 )
 def test_what_is_not_a_plain_file_is_refused(kind, what):
     with pytest.raises(MalformedError, match="not a plain file"):
-        archive.unpack(packed(("a", b"", {"type": kind, "linkname": "/etc/passwd"})))
+        tarball.unpack(packed(("a", b"", {"type": kind, "linkname": "/etc/passwd"})))
 
 
 def test_a_header_that_overrules_the_name_is_refused():
     member = ("a", b"x", {"pax_headers": {"path": "../b"}})
     with pytest.raises(MalformedError, match="not a plain file"):
-        archive.unpack(packed(member, format=tarfile.PAX_FORMAT))
+        tarball.unpack(packed(member, format=tarfile.PAX_FORMAT))
 
 
 def test_two_files_of_one_name_are_refused():
     with pytest.raises(MalformedError, match="has a twice"):
-        archive.unpack(packed(("a", b"1"), ("a", b"2")))
+        tarball.unpack(packed(("a", b"1"), ("a", b"2")))
 
 
 def test_more_files_than_the_limit_are_refused(monkeypatch):
-    monkeypatch.setattr(archive, "MAX_MEMBERS", 2)
-    archive.unpack(packed(("a", b""), ("b", b"")))
+    monkeypatch.setattr(tarball, "MAX_MEMBERS", 2)
+    tarball.unpack(packed(("a", b""), ("b", b"")))
     with pytest.raises(MalformedError, match="more than 2 files"):
-        archive.unpack(packed(("a", b""), ("b", b""), ("c", b"")))
+        tarball.unpack(packed(("a", b""), ("b", b""), ("c", b"")))
 
 
 def test_a_little_that_unpacks_to_too_much_is_refused():
-    assert archive.unpack(gzip.compress(bytes(archive.MAX_CONTENT), mtime=0)) == {}
-    bomb = gzip.compress(bytes(archive.MAX_CONTENT + 1), mtime=0)
+    assert tarball.unpack(gzip.compress(bytes(tarball.MAX_CONTENT), mtime=0)) == {}
+    bomb = gzip.compress(bytes(tarball.MAX_CONTENT + 1), mtime=0)
     assert len(bomb) < 100_000
     with pytest.raises(MalformedError, match="of more than"):
-        archive.unpack(bomb)
+        tarball.unpack(bomb)
 
 
 def test_an_archive_over_the_limit_is_not_looked_at():
     with pytest.raises(MalformedError, match="no plain gzip header"):
-        archive.unpack(bytes(archive.MAX_ARCHIVE))
+        tarball.unpack(bytes(tarball.MAX_ARCHIVE))
     with pytest.raises(MalformedError, match="larger than"):
-        archive.unpack(bytes(archive.MAX_ARCHIVE + 1))
+        tarball.unpack(bytes(tarball.MAX_ARCHIVE + 1))
 
 
-GOOD = archive.pack(FILES)
+GOOD = tarball.pack(FILES)
 
 
 @pytest.mark.parametrize(
@@ -121,28 +121,28 @@ GOOD = archive.pack(FILES)
 )
 def test_what_is_no_archive_is_refused(data, words):
     with pytest.raises(MalformedError, match=words):
-        archive.unpack(data)
+        tarball.unpack(data)
 
 
 def test_a_header_that_promises_more_than_there_is_is_refused():
     raw = gzip.decompress(packed(("a", b"x" * 600)))
     with pytest.raises(MalformedError, match=r"not an archive|ends within a"):
-        archive.unpack(gzip.compress(raw[:700], mtime=0))
+        tarball.unpack(gzip.compress(raw[:700], mtime=0))
 
 
 # Parcels
 
-PARCEL = Parcel("letter", {"names": ["/a"], "at": "2026-01-01T00:00:00+01:00"}, {"a": b"1"})
+PARCEL = Archive("letter", {"names": ["/a"], "at": "2026-01-01T00:00:00+01:00"}, {"a": b"1"})
 
 
 def repacked(**changes):
     """PARCEL with files replaced, left out (None) or added after its manifest was written."""
-    files = archive.unpack(PARCEL.pack()) | changes
-    return archive.pack({name: data for name, data in files.items() if data is not None})
+    files = tarball.unpack(PARCEL.pack()) | changes
+    return tarball.pack({name: data for name, data in files.items() if data is not None})
 
 
 def test_a_parcel_comes_back_with_what_its_manifest_says():
-    found = Parcel.unpack(PARCEL.pack(), "letter")
+    found = Archive.unpack(PARCEL.pack(), "letter")
     assert found.files == PARCEL.files
     assert found.texts("names") == ("/a",)
     assert found.time("at").isoformat() == "2025-12-31T23:00:00+00:00"
@@ -158,7 +158,7 @@ def test_a_parcel_comes_back_with_what_its_manifest_says():
 )
 def test_a_parcel_whose_files_are_not_the_manifests_is_refused(changes, words):
     with pytest.raises(VerificationError, match=words):
-        Parcel.unpack(repacked(**changes), "letter")
+        Archive.unpack(repacked(**changes), "letter")
 
 
 @pytest.mark.parametrize(
@@ -175,13 +175,13 @@ def test_a_parcel_whose_files_are_not_the_manifests_is_refused(changes, words):
 )
 def test_a_manifest_that_cannot_be_read_is_refused(manifest, words):
     with pytest.raises(MalformedError, match=words):
-        Parcel.unpack(repacked(**{"manifest.json": manifest}), "letter")
+        Archive.unpack(repacked(**{"manifest.json": manifest}), "letter")
 
 
 @pytest.mark.parametrize("value", [None, 3, ["/a", 3], {"a": 1}])
 def test_a_manifest_that_says_something_else_than_texts_is_refused(value):
-    parcel = Parcel("letter", json.loads(json.dumps({"names": value})), {})
-    found = Parcel.unpack(parcel.pack(), "letter")
+    parcel = Archive("letter", json.loads(json.dumps({"names": value})), {})
+    found = Archive.unpack(parcel.pack(), "letter")
     for ask in (found.text, found.texts, found.time):
         with pytest.raises(MalformedError, match="does not say names"):
             ask("names")

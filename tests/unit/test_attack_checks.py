@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, KeyAgreement, KeyPair
-from pqsec_pki.attacks._scene import Scene
+from pqsec_pki.attacks._context import AttackContext
 from pqsec_pki.attacks.attack import CERTIFICATE
 from pqsec_pki.attacks.table import ATTACKS
 from pqsec_pki.errors import PqsecError, problems_of
@@ -27,8 +27,9 @@ from pqsec_pki.handshake import (
 from pqsec_pki.handshake.states import RequestSent
 from pqsec_pki.handshake.wire import MAX_SAMPLE
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck import Occasion, course
-from pqsec_pki.selfcheck.meeting import Meeting
+from pqsec_pki.selfcheck import HandshakeSetup
+from pqsec_pki.selfcheck import run as selfcheck_run
+from pqsec_pki.selfcheck.handshake_check import HandshakeCheck
 from pqsec_pki.selfcheck.report import Steps, StoppedError
 from tests.unit.test_attacks import GUESTS, NOW, made
 
@@ -96,9 +97,9 @@ def to_a_new_key(agreement, _):
 class Checks:
     """The handshake's; those in `removed` find nothing wrong. One function for each check."""
 
-    def __init__(self, patch, scene):
+    def __init__(self, patch, context):
         self.patch, self.removed = patch, set()
-        self.known = [Peer.read(introduction(scene, each)) for each in ("request", "reply")]
+        self.known = [Peer.read(introduction(context, each)) for each in ("request", "reply")]
         for place, name in (
             (messages, "_class_problems"),  # C3
             (messages, "_double_problems"),  # C5
@@ -111,13 +112,13 @@ class Checks:
         ):
             self.listing(place, name)
         for code, place, name, instead in (
-            (Code.C2, course, "_check_envelope", lambda *_: None),
+            (Code.C2, selfcheck_run, "_check_envelope", lambda *_: None),
             (Code.C4, messages, "_missing_problems", filled),
             (Code.C8, Policy, "agreement", any_agreement),
             (Code.C17, KeyAgreement, "encapsulate", to_a_new_key),
             (Code.C22, KeyPair, "decapsulate", lambda *_: os.urandom(32)),
-            (Code.C25, course, "check_permissions", lambda *_: "not judged"),
-            (Code.C26, course, "confirmed", lambda *_: None),
+            (Code.C25, selfcheck_run, "check_permissions", lambda *_: "not judged"),
+            (Code.C26, selfcheck_run, "confirmed", lambda *_: None),
             (Code.OTHER, states, "_check_signature", lambda *_: None),  # C21, C24
             (Code.OTHER, Peer, "read", self.somebody),  # C9, and C11 without a GUID
         ):
@@ -192,41 +193,41 @@ class Checks:
         self.patch.setattr(wire, "MAX_SAMPLE", limit)
 
 
-def introduction(scene, message):
-    return Introduction(*[scene.value(message, name) for name in Introduction.NAMES])
+def introduction(context, message):
+    return Introduction(*[context.value(message, name) for name in Introduction.NAMES])
 
 
 def refusal(attempt):
     """The codes of whoever refuses it; empty if nobody does."""
-    run = course.Course(attempt.encounter, Steps())
+    run = selfcheck_run.HandshakeRun(attempt.session, Steps())
     with suppress(StoppedError):
-        run.run()
+        run.perform()
     step = run.steps.done[-1]
     # An attacker does not stop itself; nor is a step refused that did not run.
     return frozenset() if step.ok else step.codes
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
+def context(tmp_path_factory):
     """Two of that profile who met."""
 
     @cache
     def find(profile):
         keystore = made(tmp_path_factory.mktemp(profile) / "k", profile)
-        meeting = Meeting(Occasion(keystore=keystore, domain=0, now=NOW))
-        encounter = meeting.prepare(*GUESTS)
-        meeting.hold(encounter)
-        return Scene(encounter=encounter, recorded=meeting.report().sent)
+        meeting = HandshakeCheck(HandshakeSetup(keystore=keystore, domain=0, now=NOW))
+        session = meeting.prepare(*GUESTS)
+        meeting.perform(session)
+        return AttackContext(session=session, recorded=meeting.report().sent)
 
     return find
 
 
-def peeled(attack, scene, checks):
+def peeled(attack, context, checks):
     """For each attempt the checks that refused it, one after the other, until none did."""
     layers = defaultdict(list)
     for _ in range(MOST_ROUNDS):
         checks.without(set())
-        attempts, again = attack.act(scene), False
+        attempts, again = attack.act(context), False
         for at, attempt in enumerate(attempts):
             checks.without(set().union(*layers[at]))
             codes = refusal(attempt)
@@ -241,12 +242,12 @@ def peeled(attack, scene, checks):
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda row: row.name)
-def test_an_attack_succeeds_without_the_checks_that_its_row_names(scene, monkeypatch, attack):
+def test_an_attack_succeeds_without_the_checks_that_its_row_names(context, monkeypatch, attack):
     """Each attempt is tried again without what refused it, until nothing does."""
     first, later = set(), set()
     for profile in ("transition", "classical"):
-        found = scene(profile)
-        if attack.pointless(found.encounter):
+        found = context(profile)
+        if attack.not_applicable(found.session):
             continue
         with monkeypatch.context() as patch:
             layers = peeled(attack, found, Checks(patch, found))

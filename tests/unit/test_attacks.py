@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, profile_named
-from pqsec_pki.attacks._scene import Attempt, Scene, showing
+from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks.attack import CERTIFICATE, DOCUMENT, Attack, Attacker
-from pqsec_pki.attacks.siege import attempted, withstand
+from pqsec_pki.attacks.run import attempted, run_attacks
 from pqsec_pki.attacks.table import ATTACKS, attack_named
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck import Guest, Occasion, stack_named
-from pqsec_pki.selfcheck.meeting import Meeting
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, stack_named
+from pqsec_pki.selfcheck.handshake_check import HandshakeCheck
 from pqsec_pki.smime import Signer, sign
 
 # cryptography warns of what it will refuse some day, and a spoilt certificate may have that.
@@ -265,54 +265,56 @@ def made(root, profile):
     unlocked = keystore.unlock(None)
     # The listener's certificate begins later and ends earlier.
     for name, now, validity in (("/talker", NOW, YEAR), ("/listener", NOW + HOUR, YEAR / 2)):
-        wish = Wish(name=name, domains=DOMAIN, publish=("rt/chatter",), validity=validity)
-        issue(keystore, unlocked, [wish], now=now)
+        spec = ParticipantSpec(
+            name=name, domains=DOMAIN, publish=("rt/chatter",), validity=validity
+        )
+        issue(keystore, unlocked, [spec], now=now)
     return keystore
 
 
 @pytest.fixture(scope="module")
-def occasion(tmp_path_factory):
+def setup(tmp_path_factory):
     """occasion("pq"): two of that profile would meet. The CA's keys are not there."""
 
     @cache
     def make(profile):
         keystore = made(tmp_path_factory.mktemp(profile) / "k", profile)
         shutil.rmtree(keystore.root / "private")
-        return Occasion(keystore=keystore, domain=0, now=NOW)
+        return HandshakeSetup(keystore=keystore, domain=0, now=NOW)
 
     return make
 
 
-GUESTS = Guest(name="/talker"), Guest(name="/listener")
+GUESTS = HandshakeParty(name="/talker"), HandshakeParty(name="/listener")
 
 
 @pytest.fixture(scope="module")
-def siege(occasion):
+def attack_report(setup):
     """siege("pq"): all attacks on two of that profile."""
-    return cache(lambda profile: withstand(occasion(profile), *GUESTS, ATTACKS))
+    return cache(lambda profile: run_attacks(setup(profile), *GUESTS, ATTACKS))
 
 
 @pytest.fixture
-def scene(occasion):
+def context(setup):
     """scene("pq"): what an attacker of two of that profile finds."""
 
     def find(profile):
-        meeting = Meeting(occasion(profile))
-        encounter = meeting.prepare(*GUESTS)
-        meeting.hold(encounter)
-        return Scene(encounter=encounter, recorded=meeting.report().sent)
+        meeting = HandshakeCheck(setup(profile))
+        session = meeting.prepare(*GUESTS)
+        meeting.perform(session)
+        return AttackContext(session=session, recorded=meeting.report().sent)
 
     return find
 
 
-def judge(step, siege):
+def judge(step, attack_report):
     """Who refuses at that step."""
     words = step.split()
     if "admits" in words:
         return words[0]
     if "message" in words:
         return words[-1]
-    return siege.control.initiator if step == "final" else siege.control.replier
+    return attack_report.control.initiator if step == "final" else attack_report.control.replier
 
 
 def fits(result, expected):
@@ -323,9 +325,9 @@ def fits(result, expected):
 
 @each_profile
 @pytest.mark.parametrize("name", ALL)
-def test_an_attack_is_refused_where_the_table_says(siege, profile, name):
-    siege = siege(profile)
-    [outcome] = [each for each in siege.outcomes if each.attack.name == name]
+def test_an_attack_is_refused_where_the_table_says(attack_report, profile, name):
+    attack_report = attack_report(profile)
+    [outcome] = [each for each in attack_report.outcomes if each.attack.name == name]
     assert outcome.ok
     if name in FOR_TWO_KEYS and profile != "transition":
         assert outcome.skipped == f"participants of profile {profile} have one key"
@@ -333,9 +335,9 @@ def test_an_attack_is_refused_where_the_table_says(siege, profile, name):
     for result in outcome.results:
         assert result.refused
         assert any(fits(result, each) for each in EXPECTED[name]), result
-        assert result.by == judge(result.step.name, siege)
-        assert not ("as initiator" in result.what and result.by == siege.control.initiator)
-        assert not ("as replier" in result.what and result.by == siege.control.replier)
+        assert result.by == judge(result.step.name, attack_report)
+        assert not ("as initiator" in result.what and result.by == attack_report.control.initiator)
+        assert not ("as replier" in result.what and result.by == attack_report.control.replier)
     assert all(
         any(re.search(what, result.what) for result in outcome.results)
         for what, *_ in EXPECTED[name]
@@ -343,8 +345,8 @@ def test_an_attack_is_refused_where_the_table_says(siege, profile, name):
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda row: row.name)
-def test_a_row_names_the_steps_that_refuse_it_and_no_others(siege, attack):
-    sieges = [siege(profile) for profile in NAMES]
+def test_a_row_names_the_steps_that_refuse_it_and_no_others(attack_report, attack):
+    sieges = [attack_report(profile) for profile in NAMES]
     results = [
         result
         for each in sieges
@@ -375,18 +377,18 @@ def test_an_unknown_attack_is_told_with_those_there_are():
 # Would they show it?
 
 
-def trusting(scene, **policy):
+def trusting(context, **policy):
     """The same two, who insist on less."""
     one, other = (
         replace(side, terms=replace(side.terms, policy=replace(side.terms.policy, **policy)))
-        for side in scene.encounter.sides
+        for side in context.session.sides
     )
-    return replace(scene, encounter=replace(scene.encounter, initiator=one, replier=other))
+    return replace(context, session=replace(context.session, initiator=one, replier=other))
 
 
-def through(name, scene):
+def through(name, context):
     """What of that attack gets through."""
-    results = attempted(attack_named(name), scene).results
+    results = attempted(attack_named(name), context).results
     assert all((each.by, each.step) == (None, None) for each in results if not each.refused)
     return [each.what for each in results if not each.refused]
 
@@ -399,20 +401,20 @@ def through(name, scene):
         ("downgrade", {"agreements": tuple(KEY_AGREEMENTS)}, "ecdh-p256 in the request"),
     ],
 )
-def test_an_attack_gets_through_where_the_policy_lets_it(scene, name, policy, what):
-    found = through(name, trusting(scene("transition"), **policy))
+def test_an_attack_gets_through_where_the_policy_lets_it(context, name, policy, what):
+    found = through(name, trusting(context("transition"), **policy))
     assert found
     assert any(each.startswith(what) for each in found)
 
 
 @pytest.mark.parametrize("row", list(KEY_AGREEMENTS), ids=lambda row: row.name)
-def test_attacks_on_a_key_agreement_are_refused_whichever_it_is(occasion, row):
+def test_attacks_on_a_key_agreement_are_refused_whichever_it_is(setup, row):
     names = ("change-request", "change-reply", "key-in-the-middle", "downgrade")
     attacks = [attack_named(name) for name in (*names, "bad-public-key", "bad-ciphertext")]
-    siege = withstand(replace(occasion("classical"), agreement=row), *GUESTS, attacks)
-    assert siege.control.key_agreement == row.wire_name
-    assert siege.ok, siege.verdict
-    for outcome in siege.outcomes:
+    attack_report = run_attacks(replace(setup("classical"), agreement=row), *GUESTS, attacks)
+    assert attack_report.control.key_agreement == row.wire_name
+    assert attack_report.ok, attack_report.verdict
+    for outcome in attack_report.outcomes:
         for result in outcome.results:
             assert any(fits(result, each) for each in EXPECTED[outcome.attack.name]), result
 
@@ -420,16 +422,16 @@ def test_attacks_on_a_key_agreement_are_refused_whichever_it_is(occasion, row):
 # What is made of it
 
 
-def nothing_done(scene):
+def nothing_done(context):
     """An attacker who lets everything pass."""
-    yield scene.between("nothing")
+    yield context.between("nothing")
 
 
-def stops_itself(scene):
+def stops_itself(context):
     """An attacker who finds the other's certificate wrong."""
-    one, _ = scene.encounter.sides
+    one, _ = context.session.sides
     another_ca = one.participant.permissions_ca
-    posed = replace(scene.encounter, initiator=showing(one, ca=another_ca))
+    posed = replace(context.session, initiator=with_identity(one, ca=another_ca))
     yield Attempt("with another CA", posed, one.name)
 
 
@@ -445,11 +447,13 @@ def harmless(act, *checks):
 
 
 @pytest.mark.parametrize("act", [nothing_done, stops_itself])
-def test_what_nobody_refuses_got_through(occasion, act):
-    siege = withstand(occasion("classical"), *GUESTS, [harmless(act), attack_named("replay")])
-    assert not siege.ok
-    assert siege.verdict == "1 of 2 attacks got through: harmless"
-    bad, good = siege.to_json()["attacks"]
+def test_what_nobody_refuses_got_through(setup, act):
+    attack_report = run_attacks(
+        setup("classical"), *GUESTS, [harmless(act), attack_named("replay")]
+    )
+    assert not attack_report.ok
+    assert attack_report.verdict == "1 of 2 attacks got through: harmless"
+    bad, good = attack_report.to_json()["attacks"]
     assert (bad["ok"], bad["refused"], good["ok"], good["refused"]) == (False, 0, True, 7)
     [attempt] = bad["attempts"]
     assert attempt | {"what": ""} == {
@@ -466,59 +470,59 @@ def test_what_nobody_refuses_got_through(occasion, act):
 
 
 @pytest.mark.parametrize("due", [Code.C26, Code.EXPIRED])
-def test_what_another_check_refuses_than_is_due_got_through(occasion, due):
+def test_what_another_check_refuses_than_is_due_got_through(setup, due):
     """So an attack cannot seem to be refused while the check that it tries is broken."""
     attack = attack_named("reflect-message")
-    siege = withstand(occasion("classical"), *GUESTS, [replace(attack, checks=(due,))])
-    assert siege.ok is (due is Code.C26)
-    [result] = siege.outcomes[0].results
-    assert (result.refused, result.step.codes) == (siege.ok, {Code.C26})
+    attack_report = run_attacks(setup("classical"), *GUESTS, [replace(attack, checks=(due,))])
+    assert attack_report.ok is (due is Code.C26)
+    [result] = attack_report.outcomes[0].results
+    assert (result.refused, result.step.codes) == (attack_report.ok, {Code.C26})
 
 
 @pytest.mark.parametrize("row", list(KEY_AGREEMENTS), ids=lambda row: row.name)
-def test_an_insider_in_the_middle_has_two_share_a_key_only_with_a_plain_suite(occasion, row):
+def test_an_insider_in_the_middle_has_two_share_a_key_only_with_a_plain_suite(setup, row):
     """And the first protected message tells (docs/wire.md, 15)."""
     attacks = [attack_named("insider-in-the-middle")]
-    siege = withstand(replace(occasion("classical"), agreement=row), *GUESTS, attacks)
-    assert siege.ok, siege.verdict
-    [result] = siege.outcomes[0].results
+    attack_report = run_attacks(replace(setup("classical"), agreement=row), *GUESTS, attacks)
+    assert attack_report.ok, attack_report.verdict
+    [result] = attack_report.outcomes[0].results
     assert result.shares_key is not row.binds_transcript
     cause = OTHER_KEYS if row.binds_transcript else "is for another participant$"
     assert re.search(cause, result.step.detail)
 
 
-def test_an_attack_without_attempts_proves_nothing(occasion):
-    siege = withstand(occasion("classical"), *GUESTS, [harmless(lambda _: iter(()))])
-    assert not siege.ok
-    assert siege.outcomes[0].example is None
+def test_an_attack_without_attempts_proves_nothing(setup):
+    attack_report = run_attacks(setup("classical"), *GUESTS, [harmless(lambda _: iter(()))])
+    assert not attack_report.ok
+    assert attack_report.outcomes[0].example is None
 
 
-def test_where_the_two_do_not_meet_nothing_is_tried(occasion):
+def test_where_the_two_do_not_meet_nothing_is_tried(setup):
     told = []
-    elsewhere = replace(occasion("classical"), domain=5)
-    siege = withstand(elsewhere, *GUESTS, ATTACKS, told.append)
-    assert not siege.ok
-    assert siege.outcomes == ()
+    elsewhere = replace(setup("classical"), domain=5)
+    attack_report = run_attacks(elsewhere, *GUESTS, ATTACKS, told.append)
+    assert not attack_report.ok
+    assert attack_report.outcomes == ()
     assert told == []
-    assert siege.verdict.startswith(
+    assert attack_report.verdict.startswith(
         "they do not meet without an attacker, so attacks prove nothing"
     )
-    assert "documents of /talker failed: /talker may not join domain 5" in siege.verdict
+    assert "documents of /talker failed: /talker may not join domain 5" in attack_report.verdict
 
 
-def test_each_attack_is_told_once_it_is_over(occasion):
+def test_each_attack_is_told_once_it_is_over(setup):
     told = []
     attacks = [attack_named(name) for name in ("reflect", "broken-ca")]
-    siege = withstand(occasion("pq"), *GUESTS, attacks, told.append)
-    assert tuple(told) == siege.outcomes
-    assert siege.verdict == "1 attack in 2 attempts, all refused"
-    reflect, skipped = json.loads(json.dumps(siege.to_json()))["attacks"]
+    attack_report = run_attacks(setup("pq"), *GUESTS, attacks, told.append)
+    assert tuple(told) == attack_report.outcomes
+    assert attack_report.verdict == "1 attack in 2 attempts, all refused"
+    reflect, skipped = json.loads(json.dumps(attack_report.to_json()))["attacks"]
     assert reflect["attempts"][0] == {
         "what": "its own credentials, in the request",
         "refused": True,
         "by": "/listener",
         "step": "reply",
-        "cause": siege.outcomes[0].example.step.detail,
+        "cause": attack_report.outcomes[0].example.step.detail,
         "checks": ["C12", "C13"],
         "shares_key": False,
     }
@@ -534,27 +538,29 @@ def test_permissions_that_are_for_both_are_not_borrowed(tmp_path):
     for folder in folders:
         signed = sign(both.to_xml(), Signer(ca.certificate, ca.key), now=NOW)
         (folder / "permissions.p7s").write_bytes(signed)
-    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
-    siege = withstand(occasion, *GUESTS, ATTACKS)
-    assert siege.ok, siege.verdict
-    [borrowed] = [each for each in siege.outcomes if each.attack.name == "borrowed-permissions"]
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=NOW)
+    attack_report = run_attacks(setup, *GUESTS, ATTACKS)
+    assert attack_report.ok, attack_report.verdict
+    [borrowed] = [
+        each for each in attack_report.outcomes if each.attack.name == "borrowed-permissions"
+    ]
     assert borrowed.skipped == "the permissions of /listener are for /talker too"
 
 
-def test_a_stock_stack_is_not_attacked(occasion):
-    stock = Guest(name="/listener", stack=stack_named("cyclonedds"))
+def test_a_stock_stack_is_not_attacked(setup):
+    stock = HandshakeParty(name="/listener", stack=stack_named("cyclonedds"))
     with pytest.raises(UsageError, match="not on that of Cyclone DDS"):
-        withstand(occasion("classical"), GUESTS[0], stock, ATTACKS)
+        run_attacks(setup("classical"), GUESTS[0], stock, ATTACKS)
 
 
-def test_nothing_in_the_keystore_is_changed(occasion):
+def test_nothing_in_the_keystore_is_changed(setup):
     def content(root):
         return {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
-    occasion = occasion("classical")
-    before = content(occasion.keystore.root)
-    assert withstand(occasion, *GUESTS, ATTACKS).ok
-    assert content(occasion.keystore.root) == before
+    setup = setup("classical")
+    before = content(setup.keystore.root)
+    assert run_attacks(setup, *GUESTS, ATTACKS).ok
+    assert content(setup.keystore.root) == before
 
 
 def numbers(codes):

@@ -9,9 +9,18 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from pqsec_pki.algorithms import load_public_key, profile_named
 from pqsec_pki.certificates import Reason, certificate_request
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.enrolment import SignRequest, admit, sign
+from pqsec_pki.enrolment import SignRequest, sign, validate_csrs
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.keystore import PublicKeys, Renewal, Wish, audit, issue, key_hashes, renew, revoke
+from pqsec_pki.keystore import (
+    ParticipantSpec,
+    PublicKeys,
+    Renewal,
+    audit,
+    issue,
+    key_hashes,
+    renew,
+    revoke,
+)
 from tests.interop.der import Der
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
@@ -36,13 +45,13 @@ class Robot:
     def request(self, name=ROBOT):
         return certificate_request(name, self.key, self.second)
 
-    def wish(self, keystore, name=ROBOT):
-        keys = admit([self.request(name)], keystore.profile, names=[name])[name]
-        return Wish(name=name, domains=DomainSet.of(0), validity=YEAR, keys=keys)
+    def spec(self, keystore, name=ROBOT):
+        keys = validate_csrs([self.request(name)], keystore.profile, names=[name])[name]
+        return ParticipantSpec(name=name, domains=DomainSet.of(0), validity=YEAR, keys=keys)
 
 
-def issued(keystore, *wishes, **options):
-    return issue(keystore, keystore.unlock(None), wishes, now=NOW, **options)
+def issued(keystore, *specs, **options):
+    return issue(keystore, keystore.unlock(None), specs, now=NOW, **options)
 
 
 def revoked(keystore, subject=ROBOT, reason=Reason.KEY_COMPROMISE):
@@ -53,7 +62,7 @@ def revoked(keystore, subject=ROBOT, reason=Reason.KEY_COMPROMISE):
 def robot(keystore):
     """One whose key was stolen, and its certificate revoked for it."""
     found = Robot(keystore.profile)
-    issued(keystore, found.wish(keystore))
+    issued(keystore, found.spec(keystore))
     revoked(keystore)
     return found
 
@@ -62,24 +71,24 @@ def robot(keystore):
 def test_its_key_is_refused_under_any_name_unless_told(keystore, robot, name):
     lines = len(keystore.ledger())
     with pytest.raises(VerificationError, match=r"key was revoked as compromised, .* of /fleet/ro"):
-        issued(keystore, robot.wish(keystore, name), **LENIENT)
+        issued(keystore, robot.spec(keystore, name), **LENIENT)
     assert len(keystore.ledger()) == lines
-    issued(keystore, robot.wish(keystore, name), **LENIENT, compromised_keys=True)
+    issued(keystore, robot.spec(keystore, name), **LENIENT, compromised_keys=True)
     audit(keystore)
 
 
 def test_another_key_of_the_same_robot_is_taken(keystore, robot):
-    issued(keystore, Robot(keystore.profile).wish(keystore), **LENIENT)
+    issued(keystore, Robot(keystore.profile).spec(keystore), **LENIENT)
 
 
 def test_what_becomes_known_later_counts(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     robot = Robot(keystore.profile)
-    issued(keystore, robot.wish(keystore))
+    issued(keystore, robot.spec(keystore))
     for reason in (Reason.UNSPECIFIED, Reason.KEY_COMPROMISE):
         revoked(keystore, reason=reason)
     with pytest.raises(VerificationError, match="compromised"):
-        issued(keystore, robot.wish(keystore), **LENIENT)
+        issued(keystore, robot.spec(keystore), **LENIENT)
 
 
 @pytest.mark.parametrize("keystore", ["transition"], indirect=True)
@@ -89,13 +98,13 @@ def test_each_of_two_keys_counts(keystore, robot):
         mixed = Robot(keystore.profile)
         mixed.key, mixed.second = key, second
         with pytest.raises(VerificationError, match="compromised"):
-            issued(keystore, mixed.wish(keystore), **LENIENT)
+            issued(keystore, mixed.spec(keystore), **LENIENT)
 
 
 def test_the_same_point_in_another_form_is_the_same_key(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     robot = Robot(keystore.profile)
-    issued(keystore, robot.wish(keystore))
+    issued(keystore, robot.spec(keystore))
     revoked(keystore)
     handle = robot.key.public_key.handle
     point = handle.public_bytes(Encoding.X962, PublicFormat.CompressedPoint)
@@ -104,22 +113,22 @@ def test_the_same_point_in_another_form_is_the_same_key(tmp_path):
     short = load_public_key(Der.of(0x30, algorithm + Der.of(3, b"\0" + point)))
     assert short.spki != whole
     assert key_hashes(short) == key_hashes(robot.key.public_key)
-    wish = replace(robot.wish(keystore), keys=PublicKeys(short, None, "0" * 64, b"x"))
+    spec = replace(robot.spec(keystore), keys=PublicKeys(short, None, "0" * 64, b"x"))
     with pytest.raises(VerificationError, match="compromised"):
-        issued(keystore, wish, **LENIENT)
+        issued(keystore, spec, **LENIENT)
 
 
 @pytest.mark.parametrize("reason", [each for each in Reason if each != Reason.KEY_COMPROMISE])
 def test_other_reasons_say_nothing_of_the_key(tmp_path, reason):
     keystore = made(tmp_path / "k", "classical")
     robot = Robot(keystore.profile)
-    issued(keystore, robot.wish(keystore))
+    issued(keystore, robot.spec(keystore))
     revoked(keystore, reason=reason)
-    issued(keystore, robot.wish(keystore), **LENIENT)
+    issued(keystore, robot.spec(keystore), **LENIENT)
 
 
 def test_a_renewal_does_not_keep_it(keystore):
-    [first] = issued(keystore, Robot(keystore.profile).wish(keystore))
+    [first] = issued(keystore, Robot(keystore.profile).spec(keystore))
     authorities = keystore.unlock(None)
     renew(keystore, authorities, [ROBOT], now=NOW)
     revoked(keystore, first.serial)  # the newest is another certificate of the same key
@@ -142,8 +151,8 @@ def test_a_key_that_was_made_here_is_renewed_to_another(tmp_path):
 
 def test_cas_without_a_network_refuse_it_too(keystore, robot):
     request = robot.request("/fleet/robot2")
-    wish = Wish(name="/fleet/robot2", domains=DomainSet.of(0), validity=YEAR)
-    asked = SignRequest.from_bytes(SignRequest((request,), (wish,)).to_bytes(now=NOW))
+    spec = ParticipantSpec(name="/fleet/robot2", domains=DomainSet.of(0), validity=YEAR)
+    asked = SignRequest.from_bytes(SignRequest((request,), (spec,)).to_bytes(now=NOW))
     authorities = keystore.unlock(None)
     with pytest.raises(VerificationError, match="compromised"):
         sign(asked, keystore, authorities, now=NOW)
@@ -155,44 +164,44 @@ def test_cas_without_a_network_refuse_it_too(keystore, robot):
 
 def test_two_robots_of_one_disk_do_not_share_a_key(keystore):
     robot = Robot(keystore.profile)
-    issued(keystore, robot.wish(keystore))
+    issued(keystore, robot.spec(keystore))
     with pytest.raises(
         VerificationError, match="/copy: its key is that of /fleet/robot1"
     ) as caught:
-        issued(keystore, robot.wish(keystore, "/copy"))
+        issued(keystore, robot.spec(keystore, "/copy"))
     assert "revoke the old one first" in caught.value.hint
-    issued(keystore, robot.wish(keystore), force=True)  # itself, again
+    issued(keystore, robot.spec(keystore), force=True)  # itself, again
     revoked(keystore, reason=Reason.SUPERSEDED)
-    issued(keystore, robot.wish(keystore, "/copy"))
+    issued(keystore, robot.spec(keystore, "/copy"))
 
 
 def test_an_earlier_certificate_keeps_its_key_from_others_until_it_is_revoked(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     first = Robot(keystore.profile)
-    [old] = issued(keystore, first.wish(keystore))
-    issued(keystore, Robot(keystore.profile).wish(keystore), force=True)
+    [old] = issued(keystore, first.spec(keystore))
+    issued(keystore, Robot(keystore.profile).spec(keystore), force=True)
     with pytest.raises(VerificationError, match="/copy: its key is that of /fleet/robot1"):
-        issued(keystore, first.wish(keystore, "/copy"))
+        issued(keystore, first.spec(keystore, "/copy"))
     revoked(keystore, old.serial, Reason.SUPERSEDED)
-    issued(keystore, first.wish(keystore, "/copy"))
+    issued(keystore, first.spec(keystore, "/copy"))
 
 
 def test_two_requests_of_one_key_are_not_answered_together(keystore):
     robot = Robot(keystore.profile)
     with pytest.raises(VerificationError, match="/b: its key is that of /a"):
-        issued(keystore, robot.wish(keystore, "/a"), robot.wish(keystore, "/b"))
+        issued(keystore, robot.spec(keystore, "/a"), robot.spec(keystore, "/b"))
     assert not keystore.has("/a")
 
 
 def test_who_has_expired_keeps_no_key_from_another(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     robot = Robot(keystore.profile)
-    issued(keystore, robot.wish(keystore))
-    wishes = [robot.wish(keystore, "/copy")]
+    issued(keystore, robot.spec(keystore))
+    specs = [robot.spec(keystore, "/copy")]
     authorities = keystore.unlock(None)
     with pytest.raises(VerificationError, match="that of /fleet/robot1"):
-        issue(keystore, authorities, wishes, now=NOW + YEAR - timedelta(seconds=1))
-    assert issue(keystore, authorities, wishes, now=NOW + YEAR + timedelta(seconds=1))
+        issue(keystore, authorities, specs, now=NOW + YEAR - timedelta(seconds=1))
+    assert issue(keystore, authorities, specs, now=NOW + YEAR + timedelta(seconds=1))
 
 
 def test_a_ledger_of_before_is_helped_by_the_certificate_that_is_there(tmp_path, monkeypatch):
@@ -200,8 +209,8 @@ def test_a_ledger_of_before_is_helped_by_the_certificate_that_is_there(tmp_path,
     robot = Robot(profile_named("classical"))
     with monkeypatch.context() as before:
         before.setattr("pqsec_pki.keystore._entries.keys_detail", lambda _: {})
-        issued(keystore, robot.wish(keystore))
+        issued(keystore, robot.spec(keystore))
     assert "keys" not in keystore.ledger()[-2].details
     revoked(keystore)
     with pytest.raises(VerificationError, match="compromised"):
-        issued(keystore, robot.wish(keystore), **LENIENT)
+        issued(keystore, robot.spec(keystore), **LENIENT)

@@ -8,8 +8,8 @@ import pytest
 from pqsec_pki.access import (
     CYCLONEDDS,
     FASTDDS,
+    INTERPRETATIONS,
     OPENDDS,
-    READINGS,
     SPEC,
     Action,
     Policy,
@@ -17,7 +17,7 @@ from pqsec_pki.access import (
     Question,
     Side,
     decide,
-    reading_named,
+    interpretation_named,
 )
 from pqsec_pki.access import _patterns as patterns
 from pqsec_pki.access._expressions import Budget, meets, within
@@ -89,9 +89,9 @@ def question(action=PUBLISH, topic="a", **more):
     return Question(topic=None if action is JOIN else topic, **asked)
 
 
-def ask(*rules, by=None, reading=SPEC, governed=None, default=DefaultAction.DENY, **asked):
+def ask(*rules, by=None, interpretation=SPEC, governed=None, default=DefaultAction.DENY, **asked):
     permissions = Permissions(grants=(grant(*rules, default=default),))
-    return decide(governed or governance(), permissions, question(**asked), reading, by=by)
+    return decide(governed or governance(), permissions, question(**asked), interpretation, by=by)
 
 
 # The standard.
@@ -359,14 +359,14 @@ def test_a_topic_may_be_announced_in_the_clear_where_others_are_not():
     assert not [words for words in joining.words if words.startswith("payload")]
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
-def test_many_questions_of_one_policy_are_answered_as_one_by_one(reading):
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
+def test_many_questions_of_one_policy_are_answered_as_one_by_one(interpretation):
     permissions = Permissions(grants=(grant(allow(*criteria("a")), deny(*criteria("b"))),))
-    policy = Policy(governance(), permissions, reading)
+    policy = Policy(governance(), permissions, interpretation)
     for domain in (0, 5):
         for topic in "abc":
             asked = question(topic=topic, domain=domain)
-            assert policy.decide(asked) == decide(governance(), permissions, asked, reading)
+            assert policy.decide(asked) == decide(governance(), permissions, asked, interpretation)
 
 
 # The stacks. A case is what is asked of which documents, and who says yes.
@@ -514,7 +514,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_who_says_yes(case):
     rules, asked, wanted = CASES[case]
-    said = [each.name for each in READINGS if ask(*rules, reading=each, **asked).allowed]
+    said = [
+        each.name for each in INTERPRETATIONS if ask(*rules, interpretation=each, **asked).allowed
+    ]
     assert said == wanted.split()
 
 
@@ -536,15 +538,19 @@ def test_whose_grant_it_is(named):
     asked = question(subject="CN=/robot,O=Lab")
     permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
     found = [
-        each.name for each in READINGS if decide(governance(), permissions, asked, each).allowed
+        each.name
+        for each in INTERPRETATIONS
+        if decide(governance(), permissions, asked, each).allowed
     ]
     assert found == SUBJECTS[named].split()
 
 
 def test_a_subject_that_ends_in_a_separator_is_whole_for_every_stack():
     permissions = Permissions(grants=(grant(allow(*criteria("a")), subject="CN=/robot/"),))
-    for reading in READINGS:
-        assert decide(governance(), permissions, question(subject="CN=/robot/"), reading).allowed
+    for interpretation in INTERPRETATIONS:
+        assert decide(
+            governance(), permissions, question(subject="CN=/robot/"), interpretation
+        ).allowed
 
 
 def test_a_subject_outside_ascii_is_spelled_for_each_stack():
@@ -552,7 +558,9 @@ def test_a_subject_outside_ascii_is_spelled_for_each_stack():
     for named, wanted in (("CN=ñ", ["spec", "fastdds"]), ("CN=\\C3\\B1", None)):
         permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
         found = [
-            each.name for each in READINGS if decide(governance(), permissions, asked, each).allowed
+            each.name
+            for each in INTERPRETATIONS
+            if decide(governance(), permissions, asked, each).allowed
         ]
         assert found == (wanted or ["spec", "cyclonedds", "opendds"])
 
@@ -572,27 +580,31 @@ def test_a_grant_in_force(times, wanted):
     permissions = Permissions(grants=(grant(allow(*criteria("a")), start=start, end=end),))
     said = [
         each.name
-        for each in READINGS
+        for each in INTERPRETATIONS
         if decide(governance(), permissions, question(), each).allowed
     ]
     assert said == wanted.split()
 
 
 def test_a_grant_for_ever_is_over_for_cyclone_dds():
-    for year, wanted in ((2262, list(READINGS)), (2263, [SPEC, FASTDDS, OPENDDS])):
+    for year, wanted in ((2262, list(INTERPRETATIONS)), (2263, [SPEC, FASTDDS, OPENDDS])):
         rules = allow(*criteria("a"))
         ends = grant(rules, end=datetime(year, 1, 1, tzinfo=UTC))
         permissions = Permissions(grants=(ends,))
         assert wanted == [
-            each for each in READINGS if decide(governance(), permissions, question(), each).allowed
+            each
+            for each in INTERPRETATIONS
+            if decide(governance(), permissions, question(), each).allowed
         ]
 
 
 def test_of_two_grants_only_fast_dds_takes_the_one_in_force():
     expired = grant(allow(*criteria("a")), end=NOW - DAY / 2)
     permissions = Permissions(grants=(expired, grant(allow(*criteria("a")))))
-    decisions = {each: decide(governance(), permissions, question(), each) for each in READINGS}
-    assert [each for each in READINGS if decisions[each].allowed] == [FASTDDS]
+    decisions = {
+        each: decide(governance(), permissions, question(), each) for each in INTERPRETATIONS
+    }
+    assert [each for each in INTERPRETATIONS if decisions[each].allowed] == [FASTDDS]
     assert decisions[SPEC].reason.startswith("grant 'g' ended at 2026-05-31")
 
 
@@ -626,22 +638,24 @@ def test_opendds_looks_at_no_time_where_governance_opens_the_topic():
 def test_what_opendds_makes_of_an_open_bracket_is_left_to_chance():
     for pattern in ("[P-", "rt/[a", "[!]", "[]", "a[b]["):
         of_partitions = ask(
-            allow(*criteria("a", partitions=(pattern, ""))), reading=OPENDDS, by=Side.PEER
+            allow(*criteria("a", partitions=(pattern, ""))), interpretation=OPENDDS, by=Side.PEER
         )
-        of_topics = ask(allow(*criteria("a", pattern)), reading=OPENDDS, by=Side.PEER)
+        of_topics = ask(allow(*criteria("a", pattern)), interpretation=OPENDDS, by=Side.PEER)
         governed = governance(topics(pattern))
-        of_governance = ask(allow(*criteria("a")), reading=OPENDDS, governed=governed, by=Side.PEER)
+        of_governance = ask(
+            allow(*criteria("a")), interpretation=OPENDDS, governed=governed, by=Side.PEER
+        )
         for decision in (of_partitions, of_topics, of_governance):
             assert not decision.allowed
             assert "left to chance" in decision.reason
     for pattern in ("[P]", "\\[", "[]]", "]"):
-        assert ask(allow(*criteria("a", pattern)), reading=OPENDDS, by=Side.PEER).allowed
+        assert ask(allow(*criteria("a", pattern)), interpretation=OPENDDS, by=Side.PEER).allowed
 
 
 def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
     rule = allow(*criteria("a"), domains=ELSEWHERE)
-    assert ask(rule, reading=FASTDDS, by=Side.OWN).allowed
-    assert not ask(rule, reading=FASTDDS, by=Side.PEER).allowed
+    assert ask(rule, interpretation=FASTDDS, by=Side.OWN).allowed
+    assert not ask(rule, interpretation=FASTDDS, by=Side.PEER).allowed
 
 
 @pytest.mark.parametrize(
@@ -720,12 +734,12 @@ def test_a_pattern_covers_a_name(pattern, name):
     )
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
 @pytest.mark.parametrize("pattern", ["*a" * 100 + "b", "*a?" * 80 + "b", "*[!b]" * 60 + "b"])
 @pytest.mark.timeout(120)  # what tries all ways takes years
-def test_a_hostile_pattern_costs_little(reading, pattern):
+def test_a_hostile_pattern_costs_little(interpretation, pattern):
     hostile = tuple(f"{pattern}{number}" for number in range(200))
-    decision = ask(allow(*criteria(*hostile)), reading=reading, topic="a" * 256)
+    decision = ask(allow(*criteria(*hostile)), interpretation=interpretation, topic="a" * 256)
     assert not decision.allowed
 
 
@@ -752,14 +766,14 @@ def test_joining_is_asked_without_a_topic():
         Question(subject=SUBJECT, domain=0, action=JOIN, now=NOW, topic="a")
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
-def test_a_subject_that_is_no_name_is_refused(reading):
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
+def test_a_subject_that_is_no_name_is_refused(interpretation):
     with pytest.raises(MalformedError):
-        ask(allow(*criteria("a")), reading=reading, subject="gibberish")
+        ask(allow(*criteria("a")), interpretation=interpretation, subject="gibberish")
 
 
 def test_a_reading_is_found_by_its_name():
-    assert tuple(reading_named(name) for name in ALL_NAMES) == READINGS
+    assert tuple(interpretation_named(name) for name in ALL_NAMES) == INTERPRETATIONS
     with pytest.raises(UsageError) as error:
-        reading_named("connext")
+        interpretation_named("connext")
     assert "cyclonedds" in error.value.hint

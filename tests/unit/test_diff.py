@@ -51,7 +51,7 @@ def document(*rules, **more):
 def told(difference):
     """What changes by the standard."""
     assert difference.complete
-    standard = (change for change in difference.changes if change.reading == "spec")
+    standard = (change for change in difference.changes if change.interpretation == "spec")
     return [f"{change.sense}: {change.text}" for change in standard]
 
 
@@ -238,7 +238,7 @@ def test_a_change_of_form_that_changes_no_right_is_none(old, new):
 )
 def test_what_changes_for_a_stack_alone_is_told_as_that(old, new, words):
     changes = permissions_diff(document(*old), document(*new)).changes
-    alone = [change for change in changes if change.reading != "spec"]
+    alone = [change for change in changes if change.interpretation != "spec"]
     assert [f"{change.sense}: {change.text}" for change in alone] == words
 
 
@@ -310,7 +310,9 @@ def test_a_grant_that_only_stacks_may_find_an_owner_for_is_not_hidden(old, new, 
         for subjects in (old, new)
     )
     changes = permissions_diff(*documents).changes
-    assert {(change.sense, change.reading) for change in changes} <= {(Sense.OTHER, "stacks")}
+    assert {(change.sense, change.interpretation) for change in changes} <= {
+        (Sense.OTHER, "stacks")
+    }
     assert len(changes) == len(words)
     assert all(map(str.startswith, (change.text for change in changes), words))
 

@@ -11,14 +11,14 @@ import pytest
 
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
-from pqsec_pki.domain import Action, Plan, make, perform, plan, read_domain
+from pqsec_pki.domain import Action, Plan, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.domain.apply import BATCH
 from pqsec_pki.errors import InvalidDocumentError, KeystoreError
 from pqsec_pki.keystore import (
     Keystore,
+    ParticipantSpec,
     Rollover,
     Scope,
-    Wish,
     audit,
     begin_overlap,
     cancel_overlap,
@@ -38,7 +38,7 @@ from tests.unit.killing import create as create_transition
 def test_from_nothing_all_is_made_and_then_nothing_is_left(tmp_path):
     scene = Scene(tmp_path)
     assert scene.steps() == [
-        *((Action.MAKE, ""), (Action.GOVERN, "")),
+        *((Action.CREATE_CAS, ""), (Action.SIGN_GOVERNANCE, "")),
         *((Action.ISSUE, name) for name in ("/r1", "/r2", "/r3", "/monitor")),
     ]
     scene.apply()
@@ -72,9 +72,9 @@ def test_a_thousand_are_made_in_batches_and_found_in_order(tmp_path):
     scene.change("1..3", "0001..1000")
     scene.change("transition", "classical")
     desired, sizes = read_domain(scene.file), []
-    keystore = make(desired, scene.root, passphrase=None, now=NOW)
+    keystore = create_keystore(desired, scene.root, passphrase=None, now=NOW)
     found = scene.plan()
-    for batch in perform(desired, keystore, keystore.unlock(None), found, now=NOW):
+    for batch in apply_plan(desired, keystore, keystore.unlock(None), found, now=NOW):
         sizes.append(len(batch))
         assert len(scene.plan().steps) == len(found.steps) - sum(sizes)
     assert sizes == [BATCH, BATCH, 1]
@@ -99,7 +99,7 @@ def test_a_new_name_is_issued_and_nobody_else_touched(scene):
 def test_another_role_needs_new_permissions_and_no_new_certificate(scene):
     before = scene.keystore.participant("/r1")
     scene.change("rt/cmd", "rt/order")
-    assert scene.steps() == [(Action.PERMIT, f"/r{n}") for n in (1, 2, 3)]
+    assert scene.steps() == [(Action.SIGN_PERMISSIONS, f"/r{n}") for n in (1, 2, 3)]
     assert set(scene.whys().values()) == {"its role (robot) was changed"}
     scene.apply()
     assert scene.plan().in_order
@@ -117,7 +117,7 @@ def test_another_role_needs_new_permissions_and_no_new_certificate(scene):
 
 def test_a_changed_governance_is_signed_anew(scene):
     scene.change("name: Lab", "name: Lab\ngovernance: authenticated\ndomains: 0-3")
-    assert scene.steps()[0] == (Action.GOVERN, "")
+    assert scene.steps()[0] == (Action.SIGN_GOVERNANCE, "")
     assert scene.whys()[""] == "it was changed"
     scene.apply()
     assert scene.plan().in_order
@@ -201,7 +201,7 @@ def test_what_is_due_and_changed_is_signed_and_then_renewed(scene):
     now = NOW + 100 * DAY
     scene.change("rt/cmd", "rt/order")
     actions = [action for action, name in scene.steps(now) if name == "/r1"]
-    assert actions == [Action.PERMIT, Action.RENEW]
+    assert actions == [Action.SIGN_PERMISSIONS, Action.RENEW]
     scene.apply(now)
     assert scene.plan(now).in_order
     assert scene.allowed("/r1") == [["rt/r1/pose"], ["rt/order"]]
@@ -221,7 +221,7 @@ def test_a_list_that_is_due_is_made_anew(scene):
     revoke(keystore, keystore.unlock(None), ["/r3"], now=NOW, validity=31 * DAY)
     assert scene.plan().in_order
     now = NOW + 2 * DAY
-    assert scene.steps(now) == [(Action.LIST, "")]
+    assert scene.steps(now) == [(Action.RENEW_CRL, "")]
     scene.apply(now)
     assert scene.plan(now).in_order
     assert scene.keystore.revocation_list.number == 2
@@ -245,13 +245,21 @@ def swap(path):
         ("cert.pem", os.unlink, (Action.REPLACE, "its certificate is gone")),
         ("cert.pem", damage, (Action.REPLACE, "its certificate is not the one issued last")),
         ("cert.pem", swap, (Action.REPLACE, "its certificate is not the one issued last")),
-        ("permissions.p7s", os.unlink, (Action.PERMIT, "its permissions are not the ones signed")),
+        (
+            "permissions.p7s",
+            os.unlink,
+            (Action.SIGN_PERMISSIONS, "its permissions are not the ones signed"),
+        ),
         (
             "permissions.p7s",
             damage,
-            (Action.PERMIT, "its permissions are not the ones signed last"),
+            (Action.SIGN_PERMISSIONS, "its permissions are not the ones signed last"),
         ),
-        ("permissions.p7s", swap, (Action.PERMIT, "its permissions are not the ones signed last")),
+        (
+            "permissions.p7s",
+            swap,
+            (Action.SIGN_PERMISSIONS, "its permissions are not the ones signed last"),
+        ),
     ],
 )
 @pytest.mark.parametrize("looked", [False, True])
@@ -278,7 +286,7 @@ def test_an_old_file_that_is_put_back_is_seen(scene):
     stat = old.stat()
     kept.replace(old)
     os.utime(old, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert scene.steps() == [(Action.PERMIT, "/r1")]
+    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
 
 
 def test_permissions_that_were_signed_by_hand_are_replaced_renewed_or_not(scene):
@@ -287,10 +295,10 @@ def test_permissions_that_were_signed_by_hand_are_replaced_renewed_or_not(scene)
     xml = Permissions.from_xml(document_in(path.read_bytes())).to_xml().replace(b"rt/cmd", b"*")
     scene.file_of("/r1", "permissions.xml").write_bytes(xml)
     sign_document(keystore, Kind.PERMISSIONS, xml, path, keystore.unlock(None), now=NOW, force=True)
-    assert scene.steps() == [(Action.PERMIT, "/r1")]
+    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
     renew(keystore, keystore.unlock(None), ["/r1"], now=NOW)
     assert scene.allowed("/r1")[1] == ["*"]
-    assert scene.steps() == [(Action.PERMIT, "/r1")]
+    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
     scene.apply()
     assert scene.allowed("/r1")[1] == ["rt/cmd"]
 
@@ -316,7 +324,7 @@ def test_who_was_revoked_by_hand_is_told(scene):
 @pytest.mark.parametrize("what", [damage, os.unlink])
 def test_a_governance_that_is_not_the_one_signed_is_signed_anew(scene, what):
     what(scene.root / "enclaves/governance.p7s")
-    assert scene.steps() == [(Action.GOVERN, "")]
+    assert scene.steps() == [(Action.SIGN_GOVERNANCE, "")]
     assert scene.whys()[""] == "the file there is not the one signed last"
     scene.apply()
     assert scene.plan().in_order
@@ -338,8 +346,10 @@ def test_a_keystore_made_by_hand_is_taken_over(tmp_path):
 
 
 def issue_plain(keystore, *names):
-    wishes = [Wish(name=name, domains=DomainSet.of(0), validity=90 * DAY) for name in names]
-    issue(keystore, keystore.unlock(None), wishes, now=NOW)
+    specs = [
+        ParticipantSpec(name=name, domains=DomainSet.of(0), validity=90 * DAY) for name in names
+    ]
+    issue(keystore, keystore.unlock(None), specs, now=NOW)
 
 
 # The memory of what was seen
@@ -353,7 +363,7 @@ def test_a_damaged_memory_only_costs_time(scene, content):
     memory = scene.root / "private/seen.json"
     memory.write_bytes(content)
     damage(scene.file_of("/r1", "permissions.p7s"))
-    assert scene.steps() == [(Action.PERMIT, "/r1")]
+    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
     assert memory.stat().st_mode & 0o777 == 0o600
     assert set(json.loads(memory.read_bytes())) == set(NAMES) - {"/r1"}
 
@@ -364,7 +374,7 @@ def test_a_keystore_that_was_copied_is_looked_at_anew(scene, tmp_path):
     shutil.copytree(scene.root, goal, symlinks=True)
     damage(goal / "enclaves/r1/permissions.p7s")
     found = plan(read_domain(scene.file), Keystore.open(goal), now=NOW)
-    assert [(step.action, step.name) for step in found.steps] == [(Action.PERMIT, "/r1")]
+    assert [(step.action, step.name) for step in found.steps] == [(Action.SIGN_PERMISSIONS, "/r1")]
 
 
 # Refusals
@@ -373,7 +383,7 @@ def test_a_keystore_that_was_copied_is_looked_at_anew(scene, tmp_path):
 @pytest.mark.parametrize("details", ['{"mark": 5}', '{"mark": ["x"]}', "no JSON", "[1]"])
 def test_a_line_with_other_details_is_of_no_use(scene, details):
     alter(scene.root, "UPDATE ledger SET details = ? WHERE name = '/r1'", details)
-    assert scene.steps() == [(Action.PERMIT, "/r1")]
+    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
 
 
 def test_a_damaged_time_in_the_ledger_is_an_error_of_ours(scene):

@@ -46,7 +46,7 @@ def problems(read, tmp_path):
 
 def topics(member, side="publish"):
     """The topics of the one rule of its one grant."""
-    [grant] = member.wish().grants
+    [grant] = member.spec().grants
     [rule] = grant.rules
     return [topic for criteria in getattr(rule, side) for topic in criteria.topics]
 
@@ -120,7 +120,7 @@ def test_blanks_are_filled_wherever_a_text_stands(read):
         "    publish: [{topics: 'rt/$$x', partitions: $zone}]\n"
         "participants:\n- {name: /fleet/one, role: r, values: {zone: '7'}}\n"
     )
-    [grant] = found.members["/fleet/one"].wish().grants
+    [grant] = found.members["/fleet/one"].spec().grants
     [rule] = grant.rules
     nodes, special = sorted(rule.publish, key=lambda each: bool(each.partitions))
     assert {"rt/fleet/one/driver/out", "rt/fleet/map"} < set(nodes.topics)
@@ -134,7 +134,7 @@ def test_a_participant_may_say_itself_what_it_may_do(read):
     )
     assert topics(found.members["/a"], "subscribe") == ["rt//a"]
     assert str(found.members["/a"].domains) == "5"
-    [grant] = found.members["/b"].wish().grants
+    [grant] = found.members["/b"].spec().grants
     assert [(rule.allow, str(rule.domains)) for rule in grant.rules] == [(False, "0"), (True, "9")]
 
 
@@ -153,8 +153,10 @@ def test_governance_may_be_a_preset_a_file_or_stand_there(read, text):
     files = {"g_yaml": "{preset: authenticated, domains: 0-3}", "g_xml": same.to_xml()}
     found = read(text, **files)
     assert found.governance == same
-    assert found.governance_mark == read("governance: authenticated\ndomains: 0-3").governance_mark
-    assert found.governance_mark != read("governance: strict\ndomains: 0-3").governance_mark
+    assert (
+        found.governance_digest == read("governance: authenticated\ndomains: 0-3").governance_digest
+    )
+    assert found.governance_digest != read("governance: strict\ndomains: 0-3").governance_digest
 
 
 # Marks
@@ -166,7 +168,7 @@ ROLE = (
 
 
 def mark(found, name="/a"):
-    return found.members[name].mark
+    return found.members[name].config_digest
 
 
 @pytest.mark.parametrize(
@@ -218,7 +220,7 @@ def test_the_edition_is_that_of_what_roles_mean_today(read):
         "clients: u, action_servers: v, action_clients: w, parameters_of: /x, lifecycle_of: /y, "
         "lifecycle: true, use_sim_time: true}]\nparticipants: [{name: /a, role: r}]"
     )
-    rules = repr(found.members["/a"].wish().grants[0].rules)
+    rules = repr(found.members["/a"].spec().grants[0].rules)
     meaning = hashlib.sha256(rules.encode()).hexdigest()[:16]
     assert (EDITION, meaning) == (1, "53f0751a64093979")
 

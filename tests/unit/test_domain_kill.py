@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from pqsec_pki.domain import Action, apply, make, read_domain
+from pqsec_pki.domain import Action, apply, create_keystore, read_domain
 from pqsec_pki.keystore import audit, revoke
 from tests.unit.domains import DAY, FILE, NOW, Scene
 from tests.unit.killing import at_once, check_no_halves, check_whole, copies, drafts
@@ -19,7 +19,7 @@ from tests.unit.killing import at_once, check_no_halves, check_whole, copies, dr
 pytestmark = pytest.mark.slow
 
 BEFORE = NOW - 60 * DAY
-NOT_MET = {Action.MAKE, Action.LIST}
+NOT_MET = {Action.CREATE_CAS, Action.RENEW_CRL}
 """Of the actions, at the start below."""
 EVERY = 9
 """Of how many calls one is killed: what they belong to has its own sweeps."""
@@ -120,7 +120,7 @@ def test_a_process_that_is_killed_is_ended_by_the_next(place):
 @pytest.mark.parametrize("count", [2, 4])
 def test_several_at_once_lose_nothing(place, count):
     scene = Scene(place, FILE.replace("1..3", "1..8"))
-    make(read_domain(scene.file), scene.root, passphrase=None, now=NOW)
+    create_keystore(read_domain(scene.file), scene.root, passphrase=None, now=NOW)
     found = scene.plan()
     assert at_once(*[lambda: scene.take(found)] * count) == [0] * count
     assert scene.plan().in_order

@@ -3,7 +3,7 @@
 import pytest
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.domain import Action, perform, read_domain
+from pqsec_pki.domain import Action, apply_plan, read_domain
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import Rollover, audit, revoke, rotate
 from tests.unit.domains import DAY, NAMES, NOW, damage
@@ -44,7 +44,7 @@ def nothing(scene):
     [
         (drop_certificate, 0, Action.REPLACE),
         (spoil_certificate, 0, Action.REPLACE),
-        (another_role, 0, Action.PERMIT),
+        (another_role, 0, Action.SIGN_PERMISSIONS),
         (one_more, 0, Action.ISSUE),
         (one_less, 0, Action.REVOKE),
         (nothing, 70, Action.RENEW),
@@ -78,7 +78,7 @@ def test_what_is_left_of_the_plan_is_done(scene):
     scene.write(text.replace("1..3", "1..2"))
     scene.apply()  # the other command knows of /r1 and /r2
     scene.write(text)
-    assert scene.take(found) == [(Action.PERMIT, "/r3")]
+    assert scene.take(found) == [(Action.SIGN_PERMISSIONS, "/r3")]
     assert scene.plan().in_order
 
 
@@ -99,7 +99,7 @@ def test_new_cas_meanwhile_end_it(scene):
     terms = Rollover(profile=profile_named("classical"))
     rotate(scene.keystore, terms, passphrase=None, now=NOW)
     with pytest.raises(KeystoreError, match="has made way for another CA meanwhile"):
-        list(perform(desired, keystore, authorities, found, now=NOW))
+        list(apply_plan(desired, keystore, authorities, found, now=NOW))
     assert scene.allowed("/r1")[1] == ["rt/cmd"]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.certificates import Reason, certificate_request
-from pqsec_pki.domain import Action, Plan, make, read_domain
+from pqsec_pki.domain import Action, Plan, create_keystore, read_domain
 from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
 from pqsec_pki.errors import ExistsError, InvalidDocumentError, KeystoreError, VerificationError
 from pqsec_pki.keystore import Rollover, audit, renew, revoke, rotate, status
@@ -163,7 +163,7 @@ def test_a_request_for_another_key_than_was_planned_is_not_answered(tmp_path):
     planned = fleet.ask("/r2")
     found = fleet.plan()
     fleet.ask("/r2")  # the folder is open to others, and they were quick
-    make(read_domain(fleet.file), fleet.root, passphrase=None, now=NOW)
+    create_keystore(read_domain(fleet.file), fleet.root, passphrase=None, now=NOW)
     with pytest.raises(VerificationError, match="another key than when the plan was made"):
         fleet.take(found)
     assert fleet.keystore.names() == ["/made", "/r1"]
@@ -178,7 +178,7 @@ def test_a_request_that_has_gone_since_the_plan_keeps_nobody_else_from_it(tmp_pa
     fleet.ask("/r2")
     found = fleet.plan()
     (fleet.inbox / "r1.csr").unlink()
-    make(read_domain(fleet.file), fleet.root, passphrase=None, now=NOW)
+    create_keystore(read_domain(fleet.file), fleet.root, passphrase=None, now=NOW)
     with pytest.raises(KeystoreError, match=r"r1\.csr: there is no file"):
         fleet.take(found)
     assert fleet.keystore.names() == ["/made", "/r2"]

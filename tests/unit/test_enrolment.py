@@ -28,16 +28,16 @@ from pqsec_pki.credentials import IDENTITY_CA, PERMISSIONS_ALT_CA
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.enrolment import (
     Bundle,
-    admit,
-    archive,
     is_sealed,
     open_sealed,
     request,
     seal,
+    tarball,
+    validate_csrs,
     verify_bundle,
 )
-from pqsec_pki.enrolment.admission import NAMELESS
-from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.enrolment.archive import Archive
+from pqsec_pki.enrolment.csr_validation import NAMELESS
 from pqsec_pki.errors import (
     ExistsError,
     FileError,
@@ -47,7 +47,16 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import Authorities, Keystore, Renewal, Wish, audit, issue, renew, revoke
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    ParticipantSpec,
+    Renewal,
+    audit,
+    issue,
+    renew,
+    revoke,
+)
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
@@ -102,7 +111,9 @@ def test_a_request_leaves_keys_for_their_owner_only_and_proves_that_they_are_the
     keys = {"key.pem": 0o600} | ({"alt.key.pem": 0o600} if profile.alternative_key else {})
     assert modes == keys | {"request.csr": 0o644}
     assert {stat.S_IMODE(each.stat().st_mode) for each in (folder, tmp_path / "robot")} == {0o700}
-    assert admit([found.request], profile, names=[ROBOT])[ROBOT].key.spki == found.request.spki
+    assert (
+        validate_csrs([found.request], profile, names=[ROBOT])[ROBOT].key.spki == found.request.spki
+    )
 
 
 def test_a_second_request_takes_nobodys_keys_away_unless_told(tmp_path):
@@ -132,7 +143,7 @@ def test_a_second_request_takes_nobodys_keys_away_unless_told(tmp_path):
 )
 def test_a_request_whose_name_is_allowed_is_admitted(name, choice):
     asked = signed_request(name)
-    assert admit([asked], PROFILES[0], **choice)[name].request == asked.fingerprint
+    assert validate_csrs([asked], PROFILES[0], **choice)[name].request == asked.fingerprint
 
 
 @pytest.mark.parametrize(
@@ -152,27 +163,29 @@ def test_a_request_whose_name_is_allowed_is_admitted(name, choice):
 )
 def test_a_request_with_a_name_that_is_not_allowed_is_refused(name, choice, words):
     with pytest.raises(VerificationError, match=words):
-        admit([signed_request(name)], PROFILES[0], **choice)
+        validate_csrs([signed_request(name)], PROFILES[0], **choice)
 
 
 def test_a_request_may_not_choose_its_own_name():
     with pytest.raises(UsageError, match="may not choose its own name"):
-        admit([signed_request()], PROFILES[0])
+        validate_csrs([signed_request()], PROFILES[0])
     with pytest.raises(UsageError, match="begin with a slash"):
-        admit([signed_request()], PROFILES[0], patterns=["*"])
+        validate_csrs([signed_request()], PROFILES[0], patterns=["*"])
 
 
 def test_requests_are_answered_once_each_and_all():
     asked = signed_request()
     with pytest.raises(VerificationError, match="2 requests are for /fleet/robot1"):
-        admit([asked, signed_request()], PROFILES[0], names=[ROBOT])
+        validate_csrs([asked, signed_request()], PROFILES[0], names=[ROBOT])
     with pytest.raises(VerificationError, match="no request is for /other"):
-        admit([asked], PROFILES[0], names=[ROBOT, "/other"])
+        validate_csrs([asked], PROFILES[0], names=[ROBOT, "/other"])
 
 
 def test_requests_without_a_name_are_each_told_and_not_taken_for_one_name_twice():
     with pytest.raises(VerificationError) as caught:
-        admit([signed_request("Fleet Robot"), signed_request("x y")], PROFILES[0], names=[ROBOT])
+        validate_csrs(
+            [signed_request("Fleet Robot"), signed_request("x y")], PROFILES[0], names=[ROBOT]
+        )
     assert [line.partition(": ")[2] for line in caught.value.lines[:2]] == [NAMELESS] * 2
     assert caught.value.lines[2:] == (f"no request is for {ROBOT}",)
 
@@ -181,17 +194,17 @@ def test_requests_without_a_name_are_each_told_and_not_taken_for_one_name_twice(
 def test_a_request_with_keys_of_another_profile_is_refused(profile):
     for other in (each for each in PROFILES if each is not profile):
         with pytest.raises(VerificationError, match=f"; profile {profile.name} here has"):
-            admit([signed_request(profile=other)], profile, names=[ROBOT])
+            validate_csrs([signed_request(profile=other)], profile, names=[ROBOT])
 
 
 def test_a_request_whose_proof_is_not_its_keys_is_refused():
     asked, other = signed_request(), signed_request()
     bad = replace(asked, signature=other.signature)
     with pytest.raises(VerificationError, match="no proof that whoever asks has the key"):
-        admit([bad], PROFILES[0], names=[ROBOT])
+        validate_csrs([bad], PROFILES[0], names=[ROBOT])
     bad = replace(asked, alternative=replace(asked.alternative, signature=bytes(3309)))
     with pytest.raises(VerificationError, match=r"no proof .* the alternative key"):
-        admit([bad], PROFILES[0], names=[ROBOT])
+        validate_csrs([bad], PROFILES[0], names=[ROBOT])
 
 
 def test_a_request_for_a_key_of_an_unknown_kind_is_refused():
@@ -200,7 +213,7 @@ def test_a_request_for_a_key_of_an_unknown_kind_is_refused():
     made = x509.CertificateSigningRequestBuilder().subject_name(name).sign(key, hashes.SHA256())
     asked = CertificateRequest.from_der(made.public_bytes(Encoding.DER))
     with pytest.raises(VerificationError, match="no signature algorithm here is for"):
-        admit([asked], PROFILES[0], names=[ROBOT])
+        validate_csrs([asked], PROFILES[0], names=[ROBOT])
 
 
 def test_a_request_with_more_than_a_name_is_refused():
@@ -214,14 +227,14 @@ def test_a_request_with_more_than_a_name_is_refused():
         made = builder.sign(key, hashes.SHA256())
         asked = CertificateRequest.from_der(made.public_bytes(Encoding.DER))
         with pytest.raises(VerificationError, match="not the CN of a participant alone"):
-            admit([asked], profile_named("classical"), names=[ROBOT])
+            validate_csrs([asked], profile_named("classical"), names=[ROBOT])
 
 
 def test_every_flaw_of_every_request_is_told_at_once():
     first, second = signed_request("/a"), signed_request("/b", PROFILES[-1])
     bad = replace(first, signature=b"x")
     with pytest.raises(VerificationError) as caught:
-        admit([bad, second], PROFILES[0], names=["/a", "/c"])
+        validate_csrs([bad, second], PROFILES[0], names=["/a", "/c"])
     assert len(caught.value.lines) == 4
 
 
@@ -248,8 +261,8 @@ def test_keys_that_were_made_here_go_when_a_request_is_answered_and_come_back(tm
     assert (folder / "key.pem").exists()
     answered(keystore, asked_of(keystore, tmp_path / "robot"))
     assert {each.name for each in folder.iterdir()} & {"key.pem", "alt.key.pem"} == set()
-    wish = Wish(name=ROBOT, domains=DomainSet.of(0), validity=YEAR)
-    issue(keystore, keystore.unlock(None), [wish], now=NOW, force=True)
+    spec = ParticipantSpec(name=ROBOT, domains=DomainSet.of(0), validity=YEAR)
+    issue(keystore, keystore.unlock(None), [spec], now=NOW, force=True)
     assert not (folder / "request.pem").exists()
     one = keystore.participant(ROBOT)
     assert one.key.public_key.spki == one.certificate.spki
@@ -277,7 +290,7 @@ def test_a_bundle_is_the_same_bytes_for_the_same_participant(keystores, good):
 
 
 def test_a_bundle_says_in_its_manifest_what_it_holds(good):
-    files = archive.unpack(good.to_bytes())
+    files = tarball.unpack(good.to_bytes())
     manifest = json.loads(files.pop("manifest.json"))
     assert manifest["kind"] == "bundle"
     assert manifest["names"] == [ROBOT]
@@ -291,7 +304,7 @@ def test_a_bundle_never_holds_a_key_of_a_ca(keystores, profile):
     keystore = keystores(profile.name)
     bundle = Bundle.of(keystore, ["/listener"], now=NOW)
     assert bundle.has_keys
-    content = b"".join(archive.unpack(bundle.to_bytes()).values())
+    content = b"".join(tarball.unpack(bundle.to_bytes()).values())
     for key in (keystore.root / "private").glob("*.pem"):
         secret = b"".join(key.read_bytes().splitlines()[1:-1])
         assert secret not in content.replace(b"\n", b"")
@@ -321,22 +334,22 @@ def test_a_bundle_for_nobody_or_for_who_is_not_there_is_refused(keystores):
     ],
 )
 def test_a_bundle_with_anything_else_in_it_is_refused(good, names, path, words):
-    parcel = Parcel.unpack(good.to_bytes(), "bundle")
+    parcel = Archive.unpack(good.to_bytes(), "bundle")
     files = {**parcel.files, **({path: b"x"} if path else {})}
-    bad = Parcel("bundle", {**parcel.about, "names": names}, files)
+    bad = Archive("bundle", {**parcel.about, "names": names}, files)
     with pytest.raises(MalformedError, match=words):
         Bundle.from_bytes(bad.pack())
 
 
 def test_a_bundle_that_is_empty_is_refused():
-    empty = Parcel("bundle", {"names": [], "ca_sha256": [], "created": NOW.isoformat()}, {})
+    empty = Archive("bundle", {"names": [], "ca_sha256": [], "created": NOW.isoformat()}, {})
     with pytest.raises(MalformedError, match="the bundle is for nobody"):
         Bundle.from_bytes(empty.pack())
 
 
 def test_a_manifest_that_names_other_cas_is_refused(good):
-    parcel = Parcel.unpack(good.to_bytes(), "bundle")
-    bad = Parcel("bundle", {**parcel.about, "ca_sha256": ["00" * 32]}, parcel.files)
+    parcel = Archive.unpack(good.to_bytes(), "bundle")
+    bad = Archive("bundle", {**parcel.about, "ca_sha256": ["00" * 32]}, parcel.files)
     with pytest.raises(MalformedError, match="names other CAs"):
         Bundle.from_bytes(bad.pack())
 

@@ -6,8 +6,8 @@ import tarfile
 
 import pytest
 
-from pqsec_pki.enrolment import archive
-from pqsec_pki.enrolment.parcel import MAX_MANIFEST, Parcel
+from pqsec_pki.enrolment import tarball
+from pqsec_pki.enrolment.archive import MAX_MANIFEST, Archive
 from pqsec_pki.errors import MalformedError
 
 END = bytes(1024)
@@ -72,38 +72,38 @@ TRICKS = {
 @pytest.mark.parametrize(("trick", "words"), TRICKS.values(), ids=TRICKS)
 def test_a_trick_is_refused(trick, words):
     with pytest.raises(MalformedError, match=words):
-        archive.unpack(gzip.compress(GOOD + trick, mtime=0))
+        tarball.unpack(gzip.compress(GOOD + trick, mtime=0))
 
 
 def test_without_a_trick_it_is_read():
-    assert archive.unpack(gzip.compress(GOOD + member() + END, mtime=0)) == {"good": b"x", "b": b""}
+    assert tarball.unpack(gzip.compress(GOOD + member() + END, mtime=0)) == {"good": b"x", "b": b""}
 
 
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (gzip.compress(bytes(archive.MAX_CONTENT + 1), mtime=0), "more than 67108864 bytes"),
+        (gzip.compress(bytes(tarball.MAX_CONTENT + 1), mtime=0), "more than 67108864 bytes"),
         (gzip.compress(GOOD + END, mtime=0)[:-1], "cut short"),
         (gzip.compress(GOOD + END, mtime=0) + b"x", "something follows"),
         (gzip.compress(GOOD + END, mtime=0) * 2, "something follows"),
         (gzip.compress(GOOD + END, mtime=1), "no plain gzip header"),
-        (bytes(archive.MAX_ARCHIVE + 1), "larger than"),
+        (bytes(tarball.MAX_ARCHIVE + 1), "larger than"),
     ],
     ids=["bomb", "cut", "tail", "two", "time", "large"],
 )
 def test_what_gzip_can_do_to_hide_more_is_refused(data, words):
     with pytest.raises(MalformedError, match=words):
-        archive.unpack(data)
+        tarball.unpack(data)
 
 
 def test_more_files_than_any_bundle_has_are_refused():
-    names = (member(name=f"n{number}") for number in range(archive.MAX_MEMBERS + 1))
+    names = (member(name=f"n{number}") for number in range(tarball.MAX_MEMBERS + 1))
     with pytest.raises(MalformedError, match="more than 20000 files"):
-        archive.unpack(gzip.compress(b"".join(names) + END, 1, mtime=0))
+        tarball.unpack(gzip.compress(b"".join(names) + END, 1, mtime=0))
 
 
 def test_a_manifest_that_would_fill_the_memory_is_not_parsed():
     text = json.dumps({"format": 1, "kind": "bundle", "files": {}, "x": " " * MAX_MANIFEST})
-    data = archive.pack({"manifest.json": text.encode()})
+    data = tarball.pack({"manifest.json": text.encode()})
     with pytest.raises(MalformedError, match="a manifest of more than"):
-        Parcel.unpack(data, "bundle")
+        Archive.unpack(data, "bundle")

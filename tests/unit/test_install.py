@@ -15,7 +15,7 @@ from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey, profile_na
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.enrolment import Bundle, install, make_sealing_key, request, rollback, seal
-from pqsec_pki.enrolment.place import Place, changing
+from pqsec_pki.enrolment.credential_store import CredentialStore, changing
 from pqsec_pki.enrolment.trust import ROLES, pins_of
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
 from pqsec_pki.errors import (
@@ -82,7 +82,7 @@ def put(robot, which="1", pins=None, **options):
 
 def installed(robot):
     """The fingerprint of the certificate that is in use, once all around it holds; or None."""
-    current = Place(robot).current
+    current = CredentialStore(robot).current
     if current is None:
         return None
     found = Bundle(LATER, current.enclaves)
@@ -185,7 +185,7 @@ def test_a_first_installation_trusts_each_ca_in_its_role_only(robot, bundles):
     with pytest.raises(VerificationError) as caught:
         put(robot, "3", pins)
     assert caught.value.codes == {Code.CA_UNKNOWN}
-    assert Place(robot).current is None
+    assert CredentialStore(robot).current is None
 
 
 def test_what_an_older_pqsec_installed_tells_all_that_a_trust_state_says(place):
@@ -236,7 +236,7 @@ def test_a_bundle_is_written_again_from_what_was_verified(robot, bundles):
     )
     (robot.parent / "3.bundle").write_bytes(noisy.to_bytes())
     put(robot, "3")
-    there = Place(robot).current.enclaves[ROBOT]
+    there = CredentialStore(robot).current.enclaves[ROBOT]
     for file in ("cert.pem", "permissions.p7s"):
         assert there[file] == bundles[1].enclaves[ROBOT][file]
 
@@ -254,7 +254,7 @@ def test_nothing_is_trusted_without_being_told(robot, bundles):
         put(robot, trust_first=False)
     with pytest.raises(VerificationError, match="not one that is trusted"):
         put(robot, "1", {IDENTITY_CA: pins[IDENTITY_CA]})
-    assert Place(robot).current is None
+    assert CredentialStore(robot).current is None
     put(robot, "1", pins, trust_first=False)
     assert installed(robot)
 
@@ -468,7 +468,7 @@ def pair(keystore, place):
 
 
 def enclaves(robot):
-    return {name: set(files) for name, files in Place(robot).current.enclaves.items()}
+    return {name: set(files) for name, files in CredentialStore(robot).current.enclaves.items()}
 
 
 def test_another_bundle_for_the_same_robot_lets_what_is_installed_be(pair):
@@ -478,7 +478,7 @@ def test_another_bundle_for_the_same_robot_lets_what_is_installed_be(pair):
     assert enclaves(pair) == {"/hand": head[1], head[0]: head[1]}
     assert put(pair, "2").already
     assert put(pair, "1").already
-    for name, files in Place(pair).current.enclaves.items():
+    for name, files in CredentialStore(pair).current.enclaves.items():
         [found] = verify_bundle(
             Bundle(LATER, {name: files}), pins_in_files(files), now=LATER
         ).verified
@@ -505,7 +505,7 @@ def test_a_newer_revocation_list_is_for_all_that_is_installed(keystore, pair, pl
     path.write_bytes(Bundle.of(keystore, ["/hand"], now=LATER).to_bytes())
     put(pair, "2")
     assert enclaves(pair)["/head"] == before | {"crl.pem"}
-    lists = {files["crl.pem"] for files in Place(pair).current.enclaves.values()}
+    lists = {files["crl.pem"] for files in CredentialStore(pair).current.enclaves.values()}
     assert lists == {keystore.revocation_list_path.read_bytes()}
 
 
@@ -921,7 +921,7 @@ def test_what_is_believed_does_not_change_where_the_disk_refuses_the_set(
     def refuse(*_):
         raise OSError(errno.ENOSPC, "no space left on device")
 
-    monkeypatch.setattr(Place, "_draft", refuse)
+    monkeypatch.setattr(CredentialStore, "_draft", refuse)
     with pytest.raises(FileError):
         put(robot, "2")
     assert snapshot(robot) == before

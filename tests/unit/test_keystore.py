@@ -27,7 +27,7 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import (
     Keystore,
-    Wish,
+    ParticipantSpec,
     _lock,
     adopt,
     audit,
@@ -60,14 +60,14 @@ def create(root, profile=CLASSICAL, **options):
     return Keystore.create(root, profile, **(given | options))
 
 
-def wish(name, **options):
+def spec(name, **options):
     given = {"domains": DomainSet.of(0), "publish": ("rt/chatter",), "validity": YEAR}
-    return Wish(name=name, **(given | options))
+    return ParticipantSpec(name=name, **(given | options))
 
 
 def issue_to(keystore, *names, now=NOW, force=False, **options):
-    wishes = [wish(name, **options) for name in names]
-    return issue(keystore, keystore.unlock(None), wishes, now=now, force=force)
+    specs = [spec(name, **options) for name in names]
+    return issue(keystore, keystore.unlock(None), specs, now=now, force=force)
 
 
 @pytest.fixture
@@ -385,7 +385,7 @@ def test_a_locked_keystore_opens_with_its_passphrase_only(root):
         assert "passphrase" in caught.value.hint
         assert ".key.pem" in str(caught.value)
     authorities = keystore.unlock(b"horse")
-    issue(keystore, authorities, [wish("/talker")], now=NOW)
+    issue(keystore, authorities, [spec("/talker")], now=NOW)
     check_whole(keystore, "/talker")
     assert "Key(" not in repr(authorities)
     assert "Key(" not in repr(keystore.participant("/talker"))
@@ -458,13 +458,13 @@ def test_a_participant_that_another_command_is_issuing_is_not_replaced(keystore,
             os._exit(9)
 
         os.rename = kill_after
-        issue(keystore, authorities, [wish("/talker")], now=NOW)
+        issue(keystore, authorities, [spec("/talker")], now=NOW)
         os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
     assert (root / ".journal").is_dir()
     theirs = [path.read_bytes() for path in (root / ".journal").rglob("cert.pem")]
     with pytest.raises(ExistsError, match="already issued: /talker"):
-        issue(keystore, authorities, [wish("/talker")], now=NOW)
+        issue(keystore, authorities, [spec("/talker")], now=NOW)
     assert [(root / "enclaves/talker/cert.pem").read_bytes()] == theirs
     check_whole(keystore, "/talker")
 
@@ -489,9 +489,9 @@ def test_a_name_that_cannot_be_a_folder_and_a_common_name_is_refused(keystore, r
 
 def test_one_bad_wish_among_good_ones_makes_none(keystore, root):
     before = tree(root)
-    wishes = [wish("/a"), wish("/b", validity=timedelta(days=10**6)), wish("/c")]
+    specs = [spec("/a"), spec("/b", validity=timedelta(days=10**6)), spec("/c")]
     with pytest.raises(UsageError, match="reaches beyond 2261"):
-        issue(keystore, keystore.unlock(None), wishes, now=NOW)
+        issue(keystore, keystore.unlock(None), specs, now=NOW)
     assert tree(root) == before
     assert list(root.glob(".draft-*")) == []
     assert [entry.kind for entry in keystore.ledger()].count("participant") == 0
@@ -747,7 +747,7 @@ def test_a_full_disk_leaves_nothing_half_made(keystore, root):
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
         with pytest.raises(FileError, match=r"file too large|disk i/o error"):
-            issue(keystore, authorities, [wish("/talker")], now=NOW)
+            issue(keystore, authorities, [spec("/talker")], now=NOW)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert tree(root) == before
@@ -786,7 +786,7 @@ def test_a_folder_where_nothing_may_be_written_is_refused(keystore, root):
     if os.getuid() == 0:
         os.chown(root, NOBODY, NOBODY)
     root.chmod(0o555)
-    told = as_nobody(root, lambda: issue(here, authorities, [wish("/talker")], now=NOW))
+    told = as_nobody(root, lambda: issue(here, authorities, [spec("/talker")], now=NOW))
     assert told.startswith("FileError")
     assert told.endswith("permission denied")
     told = as_nobody(root, lambda: create(Path("new")))

@@ -336,5 +336,5 @@ def test_rules_are_found_by_their_id_and_say_what_they_must():
         assert rule.id == id_
         assert rule.title[0].islower() or not rule.title[0].isalpha() or rule.title.isascii()
         assert rule.why.endswith(".")
-        assert rule.mend.endswith((".", ">", "?"))
+        assert rule.fix.endswith((".", ">", "?"))
         assert rule.stacks or not rule.only_when_asked

@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.access import CYCLONEDDS, FASTDDS, READINGS, Action, Question, decide
+from pqsec_pki.access import CYCLONEDDS, FASTDDS, INTERPRETATIONS, Action, Question, decide
 from pqsec_pki.access.matrix import Member, topics_named, who_may
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Governance, Permissions
 from tests.interop.policies import TOPICS, Maker
@@ -65,16 +65,16 @@ def test_a_pattern_is_not_asked_with_a_topic_that_some_rule_names():
 
 
 @pytest.mark.parametrize(
-    ("reading", "topics", "topic"),
+    ("interpretation", "topics", "topic"),
     [
         (CYCLONEDDS, (topic_rule(),), "DCPSParticipant"),
         (FASTDDS, (topic_rule("open", enable_write_access_control=False),), "\\*"),
     ],
     ids=["a builtin topic", "a topic that is a pattern"],
 )
-def test_a_topic_that_a_stack_opens_is_everybodys(reading, topics, topic):
+def test_a_topic_that_a_stack_opens_is_everybodys(interpretation, topics, topic):
     governance = with_rule(topics=topics)
-    [row] = who_may(governance, [TALKER], [topic], domain=0, now=NOW, reading=reading)
+    [row] = who_may(governance, [TALKER], [topic], domain=0, now=NOW, interpretation=interpretation)
     assert row.publishers == ("/talker",)
 
 
@@ -106,9 +106,9 @@ def test_nobody_may_after_the_end():
     assert (row.publishers, row.subscribers) == ((), ())
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
 @pytest.mark.parametrize("seed", range(25))
-def test_the_matrix_is_what_the_engine_decides_one_by_one(reading, seed):
+def test_the_matrix_is_what_the_engine_decides_one_by_one(interpretation, seed):
     maker, now = Maker(seed), datetime.now(UTC)
     governance = maker.governance()
     members = [
@@ -116,7 +116,7 @@ def test_the_matrix_is_what_the_engine_decides_one_by_one(reading, seed):
         for name in ("/a", "/b")
     ]
     plain = [topic for topic in TOPICS if not set(topic) & set("*[")]
-    found = who_may(governance, members, plain, domain=0, now=now, reading=reading)
+    found = who_may(governance, members, plain, domain=0, now=now, interpretation=interpretation)
     for row, each in product(found, members):
         for action, names in (
             (Action.PUBLISH, row.publishers),
@@ -125,7 +125,7 @@ def test_the_matrix_is_what_the_engine_decides_one_by_one(reading, seed):
             question = Question(
                 subject=each.subject, domain=0, action=action, topic=row.topic, now=now
             )
-            decision = decide(governance, each.permissions, question, reading)
+            decision = decide(governance, each.permissions, question, interpretation)
             assert decision.allowed is (each.name in names), (row, question, decision)
 
 

@@ -13,15 +13,15 @@ from pqsec_pki.enrolment import (
     Bundle,
     SignRequest,
     accept,
-    archive,
     install,
     offline,
     request,
     sign,
+    tarball,
 )
-from pqsec_pki.enrolment.parcel import Parcel
+from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.errors import ExistsError, MalformedError, PqsecError, VerificationError
-from pqsec_pki.keystore import Wish, audit, revoke
+from pqsec_pki.keystore import ParticipantSpec, audit, revoke
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 
@@ -47,8 +47,8 @@ def keystore(tmp_path):
 def collected(tmp_path, *names):
     """The file that the machine with the network makes."""
     robots = {name: request(name, PROFILE, tmp_path / name[1:], force=True) for name in names}
-    wishes = [
-        Wish(
+    specs = [
+        ParticipantSpec(
             name=name,
             domains=DomainSet.parse("0,2-5"),
             publish=("t",),
@@ -59,7 +59,7 @@ def collected(tmp_path, *names):
         for name in names
     ]
     requests = tuple(each.request for each in robots.values())
-    return SignRequest(requests, tuple(wishes)).to_bytes(now=NOW)
+    return SignRequest(requests, tuple(specs)).to_bytes(now=NOW)
 
 
 @pytest.fixture
@@ -74,9 +74,9 @@ def answer_to(keystore, data, now=NOW, **options):
 
 def test_a_request_says_the_same_when_it_is_read(exported):
     found = SignRequest.from_bytes(exported)
-    assert [wish.name for wish in found.wishes] == list(NAMES)
+    assert [spec.name for spec in found.specs] == list(NAMES)
     assert found.sha256 == hashlib.sha256(exported).hexdigest()
-    first, second = found.wishes
+    first, second = found.specs
     assert (str(first.domains), first.publish, first.subscribe) == (
         *("0,2-5", ("t",), ("command/*", "é")),
     )
@@ -154,10 +154,10 @@ def test_an_answer_of_other_cas_is_refused_where_they_are_named(tmp_path, keysto
 
 def altered(answer, change):
     """The answer with its parcel changed, and a manifest to match."""
-    parcel = Parcel.unpack(answer, "sign answer")
+    parcel = Archive.unpack(answer, "sign answer")
     about, files = dict(parcel.about), dict(parcel.files)
     change(about, files)
-    return Parcel("sign answer", about, files).pack()
+    return Archive("sign answer", about, files).pack()
 
 
 FILES = [f"bundles/fleet+robot{number}.bundle" for number in (1, 2)]
@@ -185,7 +185,7 @@ def test_an_answer_that_does_not_fit_is_refused(tmp_path, keystore, exported, ch
 def test_a_certificate_for_another_key_than_was_asked_for_is_refused(tmp_path, keystore, exported):
     answer = answer_to(keystore, exported)
     other = answer_to(made(tmp_path / "k", "transition", names=()), collected(tmp_path, *NAMES))
-    files = Parcel.unpack(other, "sign answer").files
+    files = Archive.unpack(other, "sign answer").files
     bad = altered(answer, lambda about, ours: ours.update(files))
     with pytest.raises(VerificationError, match="for another key than was asked for"):
         accept(bad, SignRequest.from_bytes(exported), tmp_path, now=NOW)
@@ -197,8 +197,8 @@ def test_a_certificate_for_another_second_key_is_refused(tmp_path, keystore):
         for each in (PROFILE.participant_key, PROFILE.alternative_key, PROFILE.alternative_key)
     )
     ours, other = (certificate_request(NAMES[0], key, second) for second in seconds)
-    wish = Wish(name=NAMES[0], domains=DomainSet.of(0), publish=("t",), validity=YEAR)
-    data = SignRequest((ours,), (wish,)).to_bytes(now=NOW)
+    spec = ParticipantSpec(name=NAMES[0], domains=DomainSet.of(0), publish=("t",), validity=YEAR)
+    data = SignRequest((ours,), (spec,)).to_bytes(now=NOW)
     asked = SignRequest.from_bytes(data)
     answer = answer_to(keystore, data)
     with pytest.raises(VerificationError, match="for another key than was asked for"):
@@ -219,36 +219,36 @@ def test_an_answer_never_holds_a_private_key(tmp_path, keystore, exported):
     answer_to(keystore, exported)
     stray = keystore.root / "enclaves/fleet/robot1/key.pem"
     stray.write_bytes((tmp_path / "fleet/robot1/requests/fleet+robot1/key.pem").read_bytes())
-    files = Parcel.unpack(answer_to(keystore, exported), "sign answer").files
+    files = Archive.unpack(answer_to(keystore, exported), "sign answer").files
     assert not any(Bundle.from_bytes(data).has_keys for data in files.values())
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda wish: wish.update(name="/other"), "cannot be read"),
-        (lambda wish: wish.update(name="fleet/robot1"), "not how participants are named"),
-        (lambda wish: wish.update(name="/fleet//robot1"), "not how participants are named"),
-        (lambda wish: wish.update(name="/fleet/robot1\0"), "cannot be met"),
-        (lambda wish: wish.update(name=f"/{'x' * 300}"), "cannot be met"),
-        (lambda wish: wish.update(domains="x"), "cannot be met"),
-        (lambda wish: wish.update(validity_hours="many"), "cannot be read"),
-        (lambda wish: wish.update(validity_hours=10**12), "cannot be read"),
-        (lambda wish: wish.update(publish=3), "cannot be read"),
-        (lambda wish: wish.update(publish="t"), "cannot be read"),
-        (lambda wish: wish.pop("subscribe"), "cannot be read"),
+        (lambda spec: spec.update(name="/other"), "cannot be read"),
+        (lambda spec: spec.update(name="fleet/robot1"), "not how participants are named"),
+        (lambda spec: spec.update(name="/fleet//robot1"), "not how participants are named"),
+        (lambda spec: spec.update(name="/fleet/robot1\0"), "cannot be met"),
+        (lambda spec: spec.update(name=f"/{'x' * 300}"), "cannot be met"),
+        (lambda spec: spec.update(domains="x"), "cannot be met"),
+        (lambda spec: spec.update(validity_hours="many"), "cannot be read"),
+        (lambda spec: spec.update(validity_hours=10**12), "cannot be read"),
+        (lambda spec: spec.update(publish=3), "cannot be read"),
+        (lambda spec: spec.update(publish="t"), "cannot be read"),
+        (lambda spec: spec.pop("subscribe"), "cannot be read"),
     ],
 )
 def test_a_request_that_cannot_be_read_is_refused(exported, change, words):
-    parcel = Parcel.unpack(exported, "sign request")
+    parcel = Archive.unpack(exported, "sign request")
     change(parcel.about["wishes"][0])
     with pytest.raises(MalformedError, match=words):
-        SignRequest.from_bytes(Parcel(parcel.kind, parcel.about, parcel.files).pack())
+        SignRequest.from_bytes(Archive(parcel.kind, parcel.about, parcel.files).pack())
 
 
-@pytest.mark.parametrize("wishes", [None, 3, [], "abc", [3], [None]])
-def test_wishes_that_are_none_are_refused(wishes):
-    data = Parcel("sign request", {"wishes": wishes}, {}).pack()
+@pytest.mark.parametrize("specs", [None, 3, [], "abc", [3], [None]])
+def test_wishes_that_are_none_are_refused(specs):
+    data = Archive("sign request", {"wishes": specs}, {}).pack()
     with pytest.raises(MalformedError, match=r"cannot be read|asks for nothing"):
         SignRequest.from_bytes(data)
 
@@ -280,6 +280,6 @@ def test_a_bit_that_flips_in_a_file_is_seen_or_changes_nothing(keystore, exporte
             found = SignRequest.from_bytes(bytes(bad))
         except PqsecError:
             continue
-        assert found.wishes == replace(whole, sha256="").wishes
+        assert found.specs == replace(whole, sha256="").specs
         assert [each.der for each in found.requests] == [each.der for each in whole.requests]
-    assert archive.unpack(exported)
+    assert tarball.unpack(exported)

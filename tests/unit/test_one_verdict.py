@@ -14,7 +14,7 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
-from pqsec_pki.cli._documents import papers_of
+from pqsec_pki.cli._documents import policy_input_of
 from pqsec_pki.credentials import (
     CERTIFICATE,
     FILES,
@@ -33,7 +33,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Authorities, Keystore, enclave_files
 from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import Signer, document_in, sign
 from pqsec_pki.trial import refuse_untrusted
 from pqsec_pki.vendors import Options, export, stack_named
@@ -463,11 +463,11 @@ def bundling(_, keystore, now):
 
 @reader
 def the_self_check(_, keystore, now):
-    occasion = Occasion(keystore=keystore, domain=0, now=now)
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
     found = set()
 
     def ask():
-        report = meet(occasion, Guest(name=NAME), Guest(name=PEER))
+        report = run_handshake(setup, HandshakeParty(name=NAME), HandshakeParty(name=PEER))
         found.update(report.failed.codes if report.failed else ())
 
     return codes_of(ask) | found
@@ -501,7 +501,7 @@ def trying(_, keystore, now):
 @reader
 def the_questions(_, keystore, now):
     """explain, and what asks like it; a file that is not there is the reader's own error."""
-    return codes_of(lambda: papers_of(keystore, NAME, now))
+    return codes_of(lambda: policy_input_of(keystore, NAME, now))
 
 
 def placed(lab, files, folder):

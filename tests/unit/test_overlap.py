@@ -18,7 +18,7 @@ from pqsec_pki.keystore import (
     cancel_overlap,
     change_passphrase,
     finish_overlap,
-    foresee,
+    plan_rollover,
     renew,
     renew_list,
     revoke,
@@ -323,7 +323,7 @@ def permissions_rotated(keystore):
 
 
 def foreseen(keystore):
-    foresee(keystore, Rollover(profile=keystore.profile), now=LATER)
+    plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER)
 
 
 def revoked(keystore):

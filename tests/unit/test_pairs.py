@@ -7,17 +7,17 @@ from itertools import combinations, islice
 import pytest
 
 from pqsec_pki.errors import KeystoreError, PqsecError, UnknownAlgorithmError
-from pqsec_pki.selfcheck import Guest, Occasion, Step, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, Step, run_handshake
 from pqsec_pki.selfcheck._worker import Worker
 from pqsec_pki.selfcheck.pairs import (
     BLOCK,
     WORTH_A_PROCESS,
-    Gathering,
-    Seat,
+    AllPairsJob,
+    PartyRef,
+    check_pairs,
     count_pairs,
-    survey,
 )
-from pqsec_pki.selfcheck.tally import Cause, Tally, faults
+from pqsec_pki.selfcheck.summary import Cause, Summary, faults
 from tests.unit.keystores import DAY, NOW, TWO, add, adopt, made, take
 
 FOUR = {"/a": "0-1", "/b": "1-3", "/c": "2", "/d": "7"}
@@ -35,8 +35,8 @@ def keystore(tmp_path):
 
 @contextmanager
 def surveyed(keystore, jobs=1, now=NOW, **options):
-    gathering = Gathering(root=keystore.root, now=now, **options)
-    with survey(gathering, keystore.names(), jobs) as found:
+    job = AllPairsJob(root=keystore.root, now=now, **options)
+    with check_pairs(job, keystore.names(), jobs) as found:
         yield found
 
 
@@ -44,22 +44,22 @@ def told(keystore, **options):
     """(names, domain, ok) of each pair."""
     with surveyed(keystore, **options) as found:
         return [
-            (each.first.seat.name, each.second.seat.name, each.domain, each.ok)
+            (each.first.party.name, each.second.party.name, each.domain, each.ok)
             for each in found.outcomes()
         ]
 
 
 def tallied(keystore, **options):
     """The tally, and the faults of participants by themselves."""
-    tally = Tally()
+    summary = Summary()
     with surveyed(keystore, **options) as found:
         for outcome in found.outcomes():
-            tally.add(outcome)
-        return tally, faults(found.findings.values())
+            summary.add(outcome)
+        return summary, faults(found.findings.values())
 
 
-def counts(tally):
-    return tally.met, tally.failed, tally.apart, tally.tried
+def counts(summary):
+    return summary.met, summary.failed, summary.apart, summary.tried
 
 
 # Who meets, and where
@@ -91,13 +91,17 @@ def test_a_domain_that_governance_does_not_have_is_none(keystore):
 
 
 def test_domain_zero_can_be_named(keystore):
-    tally, _ = tallied(keystore(names={"/a": "0-1", "/b": "1"}), domain=0)
-    assert counts(tally) == (0, 0, 1, 0)
+    summary, _ = tallied(keystore(names={"/a": "0-1", "/b": "1"}), domain=0)
+    assert counts(summary) == (0, 0, 1, 0)
 
 
 def test_a_pair_meets_as_it_does_alone(keystore):
     keystore = keystore("transition")
-    alone = meet(Occasion(keystore=keystore, domain=1, now=NOW), Guest(name="/a"), Guest(name="/b"))
+    alone = run_handshake(
+        HandshakeSetup(keystore=keystore, domain=1, now=NOW),
+        HandshakeParty(name="/a"),
+        HandshakeParty(name="/b"),
+    )
     with surveyed(keystore) as found:
         result = next(found.outcomes()).result
     assert (result.initiator, result.replier) == (alone.initiator, alone.replier)
@@ -107,15 +111,15 @@ def test_a_pair_meets_as_it_does_alone(keystore):
 
 def test_the_key_agreement_is_the_one_that_is_asked_for(keystore, tmp_path):
     keystore = keystore(names=TWO)
-    tally, _ = tallied(keystore, key_agreement="mlkem768")
-    assert counts(tally) == (1, 0, 0, 1)
+    summary, _ = tallied(keystore, key_agreement="mlkem768")
+    assert counts(summary) == (1, 0, 0, 1)
     with pytest.raises(UnknownAlgorithmError):
         tallied(keystore, key_agreement="kyber")
 
 
 def test_a_folder_without_a_keystore_is_refused(tmp_path):
-    gathering = Gathering(root=tmp_path, now=NOW)
-    with pytest.raises(KeystoreError), survey(gathering, ["/a", "/b"], 1):
+    job = AllPairsJob(root=tmp_path, now=NOW)
+    with pytest.raises(KeystoreError), check_pairs(job, ["/a", "/b"], 1):
         pass
 
 
@@ -124,43 +128,45 @@ def test_a_folder_without_a_keystore_is_refused(tmp_path):
 
 def test_with_one_stack_each_pair_meets_both_ways_round(keystore):
     with surveyed(keystore(names=TWO), stacks=("pqsec", "opendds")) as found:
-        seats = [(each.first.seat, each.second.seat) for each in found.outcomes()]
+        parties = [(each.first.party, each.second.party) for each in found.outcomes()]
     one, other = TWO
-    assert seats == [
-        (Seat(one, "pqsec"), Seat(other, "opendds")),
-        (Seat(other, "pqsec"), Seat(one, "opendds")),
+    assert parties == [
+        (PartyRef(one, "pqsec"), PartyRef(other, "opendds")),
+        (PartyRef(other, "pqsec"), PartyRef(one, "opendds")),
     ]
 
 
 def test_two_of_one_stack_meet_once(keystore):
-    tally, _ = tallied(keystore(names=TWO), stacks=("opendds", "opendds"))
-    assert counts(tally) == (1, 0, 0, 1)
+    summary, _ = tallied(keystore(names=TWO), stacks=("opendds", "opendds"))
+    assert counts(summary) == (1, 0, 0, 1)
 
 
 def test_between_cyclone_dds_and_fast_dds_one_way_round_fails_in_each_pair(keystore):
     """Who initiates hangs on the names, so it is another side in each of the two."""
     keystore = keystore(names=("/a", "/b", "/c"))
-    tally, alone = tallied(keystore, stacks=("cyclonedds", "fastdds"))
-    assert counts(tally) == (3, 3, 0, 6)
+    summary, alone = tallied(keystore, stacks=("cyclonedds", "fastdds"))
+    assert counts(summary) == (3, 3, 0, 6)
     assert alone == {}
-    [(cause, outcomes)] = tally.causes.items()
+    [(cause, outcomes)] = summary.causes.items()
     assert cause.step == "reply"
     assert cause.words.startswith("Cyclone DDS (the replier) refuses: ")
     assert "only where Cyclone DDS initiates" in cause.hint
     assert len(outcomes) == 3
     for outcome in outcomes:
-        stacks = dict([outcome.first.seat, outcome.second.seat])
+        stacks = dict([outcome.first.party, outcome.second.party])
         assert stacks[outcome.result.initiator] == "fastdds"
 
 
 def test_a_stack_that_takes_none_of_the_keys_is_told_once(keystore):
-    tally, alone = tallied(keystore("pq", names=("/a", "/b", "/c")), stacks=("pqsec", "cyclonedds"))
-    assert counts(tally) == (0, 6, 0, 0)
-    assert tally.causes == {}
+    summary, alone = tallied(
+        keystore("pq", names=("/a", "/b", "/c")), stacks=("pqsec", "cyclonedds")
+    )
+    assert counts(summary) == (0, 6, 0, 0)
+    assert summary.causes == {}
     [((stack, cause), findings)] = alone.items()
     assert (stack, cause.step) == ("cyclonedds", "identity of NAME")
     assert "Cyclone DDS takes no ml-dsa-65 key of a participant" in cause.words
-    assert [each.seat.name for each in findings] == ["/a", "/b", "/c"]
+    assert [each.party.name for each in findings] == ["/a", "/b", "/c"]
 
 
 # What stands in the way
@@ -168,15 +174,15 @@ def test_a_stack_that_takes_none_of_the_keys_is_told_once(keystore):
 
 def alone_at_fault(keystore, now=NOW):
     """The one cause why one participant meets nobody, and its name."""
-    tally, alone = tallied(keystore, now=now)
+    summary, alone = tallied(keystore, now=now)
     names = keystore.names()
     pairs = len(names) - 1
     rest = len(list(combinations(names, 2))) - pairs
-    assert counts(tally) == (rest, pairs, 0, rest)
-    assert tally.causes == {}
+    assert counts(summary) == (rest, pairs, 0, rest)
+    assert summary.causes == {}
     [((_, cause), [finding])] = alone.items()
-    assert finding.failed.name == cause.step.replace("NAME", finding.seat.name)
-    return cause, finding.seat.name
+    assert finding.failed.name == cause.step.replace("NAME", finding.party.name)
+    return cause, finding.party.name
 
 
 @pytest.fixture
@@ -232,20 +238,20 @@ def test_two_cas_of_one_name_fail_where_they_meet(keystore):
     ours = keystore(domains="0", names=names)
     other = keystore(domains="0", names=names, folder="other")
     adopt(ours, other, "/c")
-    tally, alone = tallied(ours)
+    summary, alone = tallied(ours)
     assert alone == {}
-    assert counts(tally) == (1, 2, 0, 3)
-    assert {name for each in tally.causes.values() for pair in each for name in pair_of(pair)} == {
-        *names
-    }
-    for cause in tally.causes:
+    assert counts(summary) == (1, 2, 0, 3)
+    assert {
+        name for each in summary.causes.values() for pair in each for name in pair_of(pair)
+    } == {*names}
+    for cause in summary.causes:
         assert cause.step == "reply"
         assert "the certificate of CN=the initiator is not signed by this CA" in cause.words
-    assert len(tally.causes) == 1
+    assert len(summary.causes) == 1
 
 
 def pair_of(outcome):
-    return outcome.first.seat.name, outcome.second.seat.name
+    return outcome.first.party.name, outcome.second.party.name
 
 
 def test_a_participant_that_vanishes_after_the_first_look_is_told(keystore):
@@ -259,18 +265,18 @@ def test_a_participant_that_vanishes_after_the_first_look_is_told(keystore):
 
 
 def test_nothing_tried_is_no_proof(keystore):
-    tally, _ = tallied(keystore(names={"/a": "1", "/b": "2"}))
-    assert counts(tally) == (0, 0, 1, 0)
-    assert tally.ok is False
-    tally, _ = tallied(keystore(names=TWO, folder="other"))
-    assert tally.ok is True
+    summary, _ = tallied(keystore(names={"/a": "1", "/b": "2"}))
+    assert counts(summary) == (0, 0, 1, 0)
+    assert summary.ok is False
+    summary, _ = tallied(keystore(names=TWO, folder="other"))
+    assert summary.ok is True
 
 
 def test_sizes_do_not_part_what_has_one_cause(keystore):
     keystore = keystore("transition", "0", ("/a", "/a-long-one", "/b", "/c"))
-    tally, _ = tallied(keystore, stacks=("fastdds-3.1", "fastdds-3.1"))
-    assert counts(tally) == (0, 6, 0, 6)
-    [cause] = tally.causes
+    summary, _ = tallied(keystore, stacks=("fastdds-3.1", "fastdds-3.1"))
+    assert counts(summary) == (0, 6, 0, 6)
+    [cause] = summary.causes
     assert cause.words.startswith("Fast DDS 3.1 (the initiator) refuses: a message of ... bytes: ")
 
 
@@ -308,7 +314,7 @@ def many(tmp_path_factory):
 
 @pytest.mark.slow
 def test_two_processes_say_what_one_says(many):
-    assert count_pairs(many.names(), Gathering(root=many.root, now=NOW)) >= WORTH_A_PROCESS
+    assert count_pairs(many.names(), AllPairsJob(root=many.root, now=NOW)) >= WORTH_A_PROCESS
     with surveyed(many, jobs=2) as found:
         two = [(pair_of(each), each.ok, each.result.initiator) for each in found.outcomes()]
         assert len(multiprocessing.active_children()) == 2
@@ -327,11 +333,11 @@ def test_a_fault_is_told_by_other_processes_too(many, tmp_path):
     kept = path.read_bytes()
     path.write_text("gone")
     try:
-        tally, alone = tallied(many, jobs=2)
+        summary, alone = tallied(many, jobs=2)
     finally:
         path.write_bytes(kept)
-    assert counts(tally) == (66, 12, 0, 66)
-    assert [each.seat.name for [each] in alone.values()] == ["/n3"]
+    assert counts(summary) == (66, 12, 0, 66)
+    assert [each.party.name for [each] in alone.values()] == ["/n3"]
 
 
 @pytest.mark.slow
@@ -362,17 +368,17 @@ def test_few_pairs_are_not_worth_a_process(keystore):
 
 def test_results_come_while_the_rest_is_still_to_be_done(keystore, monkeypatch):
     blocks = []
-    meet_really = Worker.let_meet
+    meet_really = Worker.run_pairs
 
     def counted(worker, pairs):
         blocks.append(len(pairs))
         return meet_really(worker, pairs)
 
-    monkeypatch.setattr(Worker, "let_meet", counted)
+    monkeypatch.setattr(Worker, "run_pairs", counted)
     names = [f"/n{number}" for number in range(8)]
     with surveyed(keystore(names=names, domains="0")) as found:
         outcomes = found.outcomes()
         assert next(outcomes).ok
         assert blocks == [BLOCK]
-        assert len(list(outcomes)) == count_pairs(names, found.gathering) - 1
+        assert len(list(outcomes)) == count_pairs(names, found.job) - 1
     assert blocks == [BLOCK, 28 - BLOCK]

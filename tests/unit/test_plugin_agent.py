@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import FileError, MalformedError
-from pqsec_pki.plugin import Place, agent_status, listening, stop_agent
-from pqsec_pki.plugin import place as place_module
+from pqsec_pki.plugin import AgentFolder, agent_status, listening, stop_agent
+from pqsec_pki.plugin import agent_folder as place_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.control import Client
 from pqsec_pki.plugin.listening import peer
@@ -32,7 +32,7 @@ PATIENCE = 120
 def place():
     """A place of this test's own; a socket's path must be short."""
     folder = Path(tempfile.mkdtemp(prefix="pqsec-"))
-    yield Place(folder / "agent.sock")
+    yield AgentFolder(folder / "agent.sock")
     shutil.rmtree(folder)
 
 
@@ -279,7 +279,7 @@ def run_user(tmp_path, monkeypatch):
 
 
 def folder_for(**environment):
-    return Place.of({name: str(value) for name, value in environment.items()}).folder
+    return AgentFolder.of({name: str(value) for name, value in environment.items()}).folder
 
 
 def test_the_place_is_where_the_user_alone_can_be_first(tmp_path, run_user):
@@ -328,9 +328,9 @@ def test_another_user_who_is_first_in_tmp_keeps_nobody_from_an_agent(tmp_path, r
     (tmp_path / "home").mkdir()
     found = folder_for(HOME=tmp_path / "home")
     assert found == tmp_path / "home" / ".pqsec"
-    Place(found / "agent.sock").prepare()
+    AgentFolder(found / "agent.sock").prepare()
     with pytest.raises(FileError, match="not a folder of this user's alone") as refusal:
-        Place(folder / "agent.sock").prepare()
+        AgentFolder(folder / "agent.sock").prepare()
     assert "HOME or XDG_RUNTIME_DIR" in refusal.value.hint
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from pqsec_pki.plugin.authentication import Authentication
 from pqsec_pki.plugin.calls import VERSION
-from pqsec_pki.plugin.connection import Connection, House, ProtocolError
+from pqsec_pki.plugin.connection import AgentContext, Connection, ProtocolError
 from pqsec_pki.plugin.octets import MAX_FRAME, Reader
 from tests.unit.keystores import NOW
 from tests.unit.plugin_wire import RefusedError, Shim, asked, framed, greeting
@@ -13,7 +13,7 @@ from tests.unit.plugin_wire import RefusedError, Shim, asked, framed, greeting
 @pytest.fixture
 def fresh():
     """A connection that has heard nothing yet."""
-    return Connection(House(lambda: NOW, print, dict, lambda: None), "test[1]")
+    return Connection(AgentContext(lambda: NOW, print, dict, lambda: None), "test[1]")
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_the_command_line_of_another_version_can_still_stop_it(fresh):
 def test_frames_may_come_in_pieces_and_several_at_once(fresh):
     octets = greeting("authentication") + asked("authentication", "get_identity_token", 7) * 2
     answers = [answer for octet in octets for answer in fresh.receive(bytes([octet]))]
-    together = Connection(House(lambda: NOW, print, dict, lambda: None), "test[1]")
+    together = Connection(AgentContext(lambda: NOW, print, dict, lambda: None), "test[1]")
     assert answers == list(together.receive(octets))
     assert len(answers) == 3
 

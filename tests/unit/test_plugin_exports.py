@@ -11,7 +11,7 @@ from lxml import etree
 from pqsec_pki.algorithms import PROFILES, load_private_key, private_key_pem, profile_named
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import FileError, UsageError, VerificationError
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.lint import RULES, Finding
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.vendors import Options, export, stack_named
@@ -38,8 +38,8 @@ def model(tmp_path_factory):
             made = Keystore.create(root, profile_named(profile), name="Lab", **options)
             life = ros.node_minimum(NAME)
             may = {"publish": (*life.publish, "x"), "subscribe": life.subscribe}
-            wish = Wish(name=NAME, domains=zero, validity=DAY, **may)
-            issue(made, made.unlock(None), [wish], now=NOW)
+            spec = ParticipantSpec(name=NAME, domains=zero, validity=DAY, **may)
+            issue(made, made.unlock(None), [spec], now=NOW)
             found[profile] = made
         return found[profile]
 
@@ -293,7 +293,7 @@ def test_the_preflight_sees_that_nobody_loads_the_plugin(model, folder, value):
     variables = environment(exported("ros2", keystore, folder)) | {"RMW_IMPLEMENTATION": value}
     found = checks(keystore, **{k: v for k, v in variables.items() if v is not None})
     assert "only rmw_cyclonedds_cpp loads" in found["RMW_IMPLEMENTATION"].problem
-    assert f"--plugins {shlex.quote(str(folder))}" in found["RMW_IMPLEMENTATION"].mend
+    assert f"--plugins {shlex.quote(str(folder))}" in found["RMW_IMPLEMENTATION"].fix
 
 
 def test_the_preflight_sees_whose_plugin_comes_first(model, folder, tmp_path):

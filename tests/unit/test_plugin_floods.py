@@ -11,9 +11,9 @@ import pytest
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import DataHolder, ReplySent, adjusted_guid, participant_data
-from pqsec_pki.plugin import waiting
+from pqsec_pki.plugin import pending
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
-from pqsec_pki.plugin.waiting import BURST, COST, PER_SECOND, Rates, Waiting
+from pqsec_pki.plugin.pending import BURST, COST, PER_SECOND, PendingReplies, Rates
 from tests.unit.keystores import NOW, made
 from tests.unit.plugin_wire import (
     IDENTITY,
@@ -73,14 +73,14 @@ class Forger:
 
 
 def test_forged_requests_hold_so_much_and_no_more_and_a_participant_is_still_served(enclaves):
-    answers = Waiting()
+    answers = PendingReplies()
     shim = Shim("authentication", answers=answers)
     victim = (shim, *shim.identity(enclaves["listener"]))
     forger = Forger(enclaves["eve"], victim)
     final, handle = half_shaken(side(enclaves["talker"]), victim)
     for _ in range(150):
         forger.send(size=LARGE)
-    assert 0.9 * waiting.MAX_HELD < answers.held <= waiting.MAX_HELD
+    assert 0.9 * pending.MAX_HELD < answers.held <= pending.MAX_HELD
     assert shim.call("process_handshake", final, handle) == [Result.OK, NO_TOKEN]
     assert shaken(victim, side(enclaves["talker"]))
     assert sum("hold more than" in line for line in shim.log) == 1
@@ -88,7 +88,7 @@ def test_forged_requests_hold_so_much_and_no_more_and_a_participant_is_still_ser
 
 def test_documents_that_end_in_nul_hold_no_more_than_is_counted(enclaves):
     """What is kept is the document without its NULs: that is to be one object, not what came."""
-    answers = Waiting()
+    answers = PendingReplies()
     shim = Shim("authentication", answers=answers)
     forger = Forger(enclaves["eve"], (shim, *shim.identity(enclaves["listener"])))
     document = os.urandom(LARGE - 1) + b"x"
@@ -99,20 +99,20 @@ def test_documents_that_end_in_nul_hold_no_more_than_is_counted(enclaves):
     kept = [each.peer.permissions for each in states if each.peer.permissions == document]
     assert len(kept) == count
     held = sum({id(each): len(each) for each in kept}.values())
-    assert held <= waiting.MAX_HELD
+    assert held <= pending.MAX_HELD
     assert answers.held == count * COST + held
     with pytest.raises(ValueError, match="not the peer's"):
         states[-1].sharing(states[-1].peer.permissions + b"\0")
 
 
 def test_a_flood_in_one_name_on_one_connection_is_the_whole_agents(enclaves):
-    answers = Waiting()
+    answers = PendingReplies()
     for name in ("listener", "talker"):
         shim = Shim("authentication", answers=answers)
         forger = Forger(enclaves["eve"], (shim, *shim.identity(enclaves[name])))
         for _ in range(50):
             forger.send(size=LARGE)
-    assert answers.held <= waiting.MAX_HELD
+    assert answers.held <= pending.MAX_HELD
 
 
 def test_of_a_name_that_is_forged_the_real_one_is_not_the_first_to_go(enclaves):
@@ -128,7 +128,7 @@ def test_of_a_name_that_is_forged_the_real_one_is_not_the_first_to_go(enclaves):
 def test_a_handshake_that_had_to_make_room_is_unknown_and_takes_no_handle(enclaves, monkeypatch):
     victim = side(enclaves["listener"])
     forger = Forger(enclaves["talker"], victim)
-    monkeypatch.setattr(waiting, "MAX_HELD", 10 * COST)
+    monkeypatch.setattr(pending, "MAX_HELD", 10 * COST)
     begun = [forger.send(size=100) for _ in range(20)]
     with pytest.raises(RefusedError, match="unknown to the agent"):
         victim[0].call("process_handshake", NO_TOKEN, begun[0])
@@ -138,8 +138,8 @@ def test_a_handshake_that_had_to_make_room_is_unknown_and_takes_no_handle(enclav
 
 def kept(*wanted, limit, monkeypatch):
     """Which numbers are left of `wanted`, pairs of a certificate and a document."""
-    monkeypatch.setattr(waiting, "MAX_HELD", limit)
-    answers, left = Waiting(), set()
+    monkeypatch.setattr(pending, "MAX_HELD", limit)
+    answers, left = PendingReplies(), set()
     for number, (who, document) in enumerate(wanted, 1):
         left.add(number)
         assert answers.add(who, document, lambda number=number: left.remove(number)) == number
@@ -166,7 +166,7 @@ def test_who_has_to_make_room(names, monkeypatch):
 
 def test_equal_documents_of_one_name_are_kept_and_counted_once(names, monkeypatch):
     one, other, _ = names
-    answers = Waiting()
+    answers = PendingReplies()
     documents = [os.urandom(8) * 1000 for _ in range(2)]
     numbers = []
     for who, document in ((one, 0), (one, 0), (other, 0), (one, 1)):
@@ -184,7 +184,7 @@ def test_equal_documents_of_one_name_are_kept_and_counted_once(names, monkeypatc
 
 def test_processes_with_one_identity_cost_one_document(enclaves):
     """Their certificate and document are kept once, however often they come."""
-    answers = Waiting()
+    answers = PendingReplies()
     shim = Shim("authentication", answers=answers)
     victim = (shim, *shim.identity(enclaves["listener"]))
     document = Shim("access_control")
@@ -234,7 +234,7 @@ def test_a_name_is_answered_so_often_and_then_again_after_a_while(names):
 
 
 def test_requests_that_are_refused_do_not_count_against_their_name(enclaves, monkeypatch):
-    monkeypatch.setattr(waiting, "BURST", 2)
+    monkeypatch.setattr(pending, "BURST", 2)
     victim = side(enclaves["listener"])
     forger = Forger(enclaves["talker"], victim)
     heard = forger.heard
@@ -297,7 +297,7 @@ def test_a_flood_does_not_undo_a_finished_handshake_that_was_begun_again(enclave
     victim, guid, (peer, handle), _ = finished(enclaves)
     secret = victim[0].call("get_shared_secret", handle)
     forger = Forger(enclaves["talker"], victim)
-    monkeypatch.setattr(waiting, "MAX_HELD", 10 * COST)
+    monkeypatch.setattr(pending, "MAX_HELD", 10 * COST)
     forger.answered(guid, peer, size=LARGE)
     for _ in range(20):
         forger.send(size=100)
@@ -393,7 +393,7 @@ def come_and_go(enclaves, answers):
 
 
 def test_hosts_that_have_gone_leave_nothing_behind(enclaves):
-    answers = Waiting()
+    answers = PendingReplies()
     for _ in range(KEPT):
         come_and_go(enclaves, answers)
     before = census()
@@ -425,7 +425,7 @@ def test_participants_that_have_gone_leave_nothing_behind_in_a_host_that_stays(e
 
 
 def test_peers_that_have_gone_leave_nothing_behind_in_a_host_that_stays(enclaves):
-    answers = Waiting()
+    answers = PendingReplies()
     shim = Shim("authentication", answers=answers)
     victim = (shim, *shim.identity(enclaves["listener"]))
 

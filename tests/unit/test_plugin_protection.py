@@ -7,7 +7,7 @@ import pytest
 from pqsec_pki.documents import DomainSet, Governance, Grant, Permissions, ProtectionKind
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.plugin import attributes
-from pqsec_pki.plugin.rights import Theirs
+from pqsec_pki.plugin.rights import RemoteRights
 from pqsec_pki.problems import Code
 from tests.unit.keystores import DAY, NOW
 
@@ -61,7 +61,9 @@ def rights(domain, *expressions):
         subject_name="CN=x", not_before=NOW - DAY, not_after=NOW + DAY, domains=DomainSet.of(0)
     )
     permissions = Permissions(grants=(grant,))
-    return Theirs(subject="CN=x", domain=domain, governance=governance, permissions=permissions)
+    return RemoteRights(
+        subject="CN=x", domain=domain, governance=governance, permissions=permissions
+    )
 
 
 def test_the_first_topic_rule_that_covers_a_topic_protects_it():

@@ -9,7 +9,7 @@ import pytest
 from pqsec_pki.certificates import Authority
 from pqsec_pki.handshake import participant_data
 from pqsec_pki.keystore import revoke
-from pqsec_pki.plugin import handles, meetings, notes
+from pqsec_pki.plugin import handles, notes, peer_table
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.notes import Notes
 from tests.unit.keystores import DAY, NOW, made
@@ -196,7 +196,7 @@ def test_nobody_is_met_once_the_ca_has_ended(brief):
 
 
 def test_a_flood_of_strangers_evicts_only_strangers_and_is_told(keystore, monkeypatch):
-    monkeypatch.setattr(meetings, "MAX_WAITING", 3)
+    monkeypatch.setattr(peer_table, "MAX_WAITING", 3)
     (listener, identity, talker), _ = both(keystore)
     crowd = [
         listener.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())[1]
@@ -218,7 +218,7 @@ def test_a_flood_of_strangers_evicts_only_strangers_and_is_told(keystore, monkey
 
 def test_a_flood_leaves_room_where_a_process_has_many_participants(keystore, monkeypatch):
     """Each of them begins a handshake with each stranger."""
-    monkeypatch.setattr(meetings, "MAX_WAITING", 8)
+    monkeypatch.setattr(peer_table, "MAX_WAITING", 8)
     monkeypatch.setattr(handles, "MAX_OBJECTS", 32)
     monkeypatch.setattr(handles, "SPARE", 2)
     (listener, identity, _), _ = both(keystore)

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import ExistsError, FileError
-from pqsec_pki.plugin import Place, agent_status, stop_agent, units_folder
+from pqsec_pki.plugin import AgentFolder, agent_status, stop_agent, units_folder
 from pqsec_pki.plugin.units import planned_units, write_units
 
 PATIENCE = 120
@@ -38,7 +38,7 @@ def runtime():
 
 @pytest.fixture
 def place(runtime):
-    return Place.of({"XDG_RUNTIME_DIR": str(runtime)})
+    return AgentFolder.of({"XDG_RUNTIME_DIR": str(runtime)})
 
 
 def bound(path, kind=socket.SOCK_STREAM):

@@ -184,11 +184,12 @@ FLEET = """
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, Wish, issue, renew
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue, renew
 now = datetime(2026, 11, 21, 12, tzinfo=UTC)
 keystore = Keystore.open(Path(sys.argv[1]))
 names = [f"/fleet/robot{n}" for n in range(50)]
-wishes = [Wish(name=n, domains=DomainSet.of(0), validity=timedelta(days=9)) for n in names]
+domains, life = DomainSet.of(0), timedelta(days=9)
+specs = [ParticipantSpec(name=n, domains=domains, validity=life) for n in names]
 authorities = keystore.unlock(None)
 processes = []
 """
@@ -204,7 +205,7 @@ def fleet(tmp_path):
 def test_a_fleet_that_several_processes_made_is_whole(fleet):
     """No two keys or serial numbers are the same: a fork has random octets of its own."""
     script = """
-        issue(keystore, authorities, wishes, now=now)
+        issue(keystore, authorities, specs, now=now)
         renew(keystore, authorities, names, now=now)
         print(json.dumps(None))
     """
@@ -225,7 +226,7 @@ def test_a_fleet_whose_maker_is_killed_can_be_made_by_the_next(fleet, wait):
     """Who comes next waits until the last of the killed one's processes has ended."""
     script = """
         print("ready", flush=True)
-        issue(keystore, authorities, wishes, now=now, force=True)
+        issue(keystore, authorities, specs, now=now, force=True)
     """
     command = [sys.executable, "-c", BEGIN + FLEET + textwrap.dedent(script), fleet]
     first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -235,7 +236,7 @@ def test_a_fleet_whose_maker_is_killed_can_be_made_by_the_next(fleet, wait):
     first.wait()
     first.stdout.close()
     script = """
-        issue(keystore, authorities, wishes, now=now, force=True)
+        issue(keystore, authorities, specs, now=now, force=True)
         print(json.dumps(len(keystore.names())))
     """
     assert run(FLEET + textwrap.dedent(script), fleet) == 50

@@ -18,8 +18,8 @@ from pqsec_pki.errors import (
     VerificationError,
 )
 from pqsec_pki.keystore import (
+    ParticipantSpec,
     Renewal,
-    Wish,
     audit,
     issue,
     load_certificate,
@@ -28,7 +28,7 @@ from pqsec_pki.keystore import (
     sign_document,
     status,
 )
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import verify
 from tests.unit.keystores import DAY, NOW, enter, made
 
@@ -85,8 +85,8 @@ def test_a_renewed_participant_is_whole_and_allowed_the_same(tmp_path, profile, 
     assert grant == replace(allowed[0], **window)
     # Past the end of the old ones, it meets the one renewed with it.
     renewed(keystore, "/listener", rekey=rekey)
-    occasion = Occasion(keystore=keystore, domain=3, now=NOW + 120 * DAY)
-    assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
+    setup = HandshakeSetup(keystore=keystore, domain=3, now=NOW + 120 * DAY)
+    assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")).ok
     audit(keystore)
 
 
@@ -96,8 +96,10 @@ def test_a_participant_that_starts_amid_a_renewal_with_old_keys_has_files_that_f
     renewed(keystore, "/talker", rekey=False)
     (folder(keystore) / "cert.pem").write_bytes(certificate)
     for now in (NOW + 59 * DAY, LATER):
-        occasion = Occasion(keystore=keystore, domain=0, now=now + DAY / 2)
-        assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
+        setup = HandshakeSetup(keystore=keystore, domain=0, now=now + DAY / 2)
+        assert run_handshake(
+            setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")
+        ).ok
 
 
 def test_a_validity_may_be_named_and_is_cut_at_the_end_of_the_ca(keystore):
@@ -208,7 +210,7 @@ def test_permissions_that_were_altered_are_not_signed_again(keystore):
 
 def test_permissions_of_an_earlier_time_are_not_brought_back(keystore):
     wide = (folder(keystore) / "permissions.p7s").read_bytes()
-    narrow = Wish(name="/talker", domains=DomainSet.of(0), validity=90 * DAY)
+    narrow = ParticipantSpec(name="/talker", domains=DomainSet.of(0), validity=90 * DAY)
     issue(keystore, keystore.unlock(None), [narrow], now=NOW, force=True)
     (folder(keystore) / "permissions.p7s").write_bytes(wide)
     with pytest.raises(KeystoreError, match="is not the newest permissions"):

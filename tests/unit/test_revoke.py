@@ -11,14 +11,14 @@ from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import (
     LIST_VALIDITY,
     Keystore,
-    Wish,
+    ParticipantSpec,
     audit,
     issue,
     renew,
     renew_list,
     revoke,
 )
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from tests.unit.keystores import DAY, NOW, add, made
 
 NAMES = [profile.name for profile in PROFILES]
@@ -42,13 +42,13 @@ def listed(keystore):
 
 
 def meeting(keystore, first="/talker", second="/listener", now=NOW):
-    occasion = Occasion(keystore=keystore, domain=0, now=now)
-    return meet(occasion, Guest(name=first), Guest(name=second))
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
+    return run_handshake(setup, HandshakeParty(name=first), HandshakeParty(name=second))
 
 
 def again(keystore, name, **options):
-    wish = Wish(name=name, domains=keystore.domains, publish=("x",), validity=90 * DAY)
-    return issue(keystore, keystore.unlock(None), [wish], now=NOW, **options)
+    spec = ParticipantSpec(name=name, domains=keystore.domains, publish=("x",), validity=90 * DAY)
+    return issue(keystore, keystore.unlock(None), [spec], now=NOW, **options)
 
 
 # What is meant

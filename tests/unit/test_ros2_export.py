@@ -10,7 +10,7 @@ import pytest
 from pqsec_pki.algorithms import load_private_key, private_key_pem, profile_named
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, VerificationError
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.vendors import Options, export, stack_named, write
 from pqsec_pki.vendors.enclave import SIX
 from pqsec_pki.vendors.ros2 import preflight
@@ -28,14 +28,14 @@ class Domain:
     now: object
 
     def issue(self, name="/talker", needs=LIFE, domains="0", *, more=()):
-        wish = Wish(
+        spec = ParticipantSpec(
             name=name,
             publish=(*needs.publish, *more),
             subscribe=needs.subscribe,
             domains=DomainSet.parse(domains),
             validity=DAY,
         )
-        issue(self.keystore, self.keystore.unlock(None), [wish], now=self.now)
+        issue(self.keystore, self.keystore.unlock(None), [spec], now=self.now)
         return self.keystore.root / f"enclaves{name}"
 
     def export(self, name="/talker", **options):

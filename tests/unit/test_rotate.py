@@ -21,23 +21,23 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import (
     Keystore,
+    ParticipantSpec,
     Renewal,
     Rollover,
     Scope,
-    Wish,
     audit,
-    foresee,
-    govern,
-    holdings,
     issue,
+    participant_states,
+    plan_rollover,
     renew,
     revoke,
     rotate,
     sign_document,
+    sign_governance,
     status,
 )
 from pqsec_pki.lint import Severity, check
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import verify
 from tests.unit.keystores import DAY, NOW, TWO, add, made
 
@@ -81,8 +81,8 @@ def assert_whole(keystore, names=TWO):
         assert (one.alternative_key is not None) == twice
         folder = keystore.root / f"enclaves{name}"
         assert not [path for path in folder.iterdir() if not path.exists()], "a link leads nowhere"
-    occasion = Occasion(keystore=keystore, domain=0, now=LATER)
-    assert meet(occasion, *(Guest(name=name) for name in names[:2])).ok
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=LATER)
+    assert run_handshake(setup, *(HandshakeParty(name=name) for name in names[:2])).ok
     audit(keystore)
     assert errors_in(keystore) == []
     assert Keystore.open(keystore.root) == keystore
@@ -147,14 +147,16 @@ def test_a_governance_that_was_changed_is_signed_as_it_was(keystore):
 def test_what_a_domain_file_wanted_is_still_found_in_the_ledger(keystore):
     governance = Governance.protected(DomainSet.of(0))
     authorities = keystore.unlock(None)
-    govern(keystore, authorities, governance, now=NOW, mark="governance's")
-    wish = Wish(name="/marked", domains=DomainSet.of(0), validity=90 * DAY, mark="its own")
-    issue(keystore, authorities, [wish], now=NOW)
-    before = holdings(keystore)
-    after = holdings(rotated(keystore).keystore)
-    assert after.governance_mark == before.governance_mark == "governance's"
-    marks = {name: each.mark for name, each in after.participants.items()}
-    assert marks == {name: each.mark for name, each in before.participants.items()}
+    sign_governance(keystore, authorities, governance, now=NOW, config_digest="governance's")
+    spec = ParticipantSpec(
+        name="/marked", domains=DomainSet.of(0), validity=90 * DAY, config_digest="its own"
+    )
+    issue(keystore, authorities, [spec], now=NOW)
+    before = participant_states(keystore)
+    after = participant_states(rotated(keystore).keystore)
+    assert after.governance_digest == before.governance_digest == "governance's"
+    marks = {name: each.config_digest for name, each in after.participants.items()}
+    assert marks == {name: each.config_digest for name, each in before.participants.items()}
     assert marks["/marked"] == "its own"
 
 
@@ -278,9 +280,11 @@ def test_the_revoked_stay_behind_and_the_new_list_is_empty(keystore):
     assert new.participant("/stolen").certificate.der == stolen.der
     with pytest.raises(VerificationError):
         verify_chain(stolen, new.identity_ca, now=LATER)
-    occasion = Occasion(keystore=new, domain=0, now=LATER)
-    assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
-    assert not meet(occasion, Guest(name="/talker"), Guest(name="/stolen")).ok
+    setup = HandshakeSetup(keystore=new, domain=0, now=LATER)
+    assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")).ok
+    assert not run_handshake(
+        setup, HandshakeParty(name="/talker"), HandshakeParty(name="/stolen")
+    ).ok
     audit(new)
 
 
@@ -301,7 +305,7 @@ def test_a_key_that_is_elsewhere_and_of_another_kind_stays_behind(keystore):
     assert "needs a new request" in done.left_out["/talker"]
     assert [each.name for each in done.issued] == ["/listener"]
     states = {each.name: each.state for each in status(done.keystore, now=LATER).participants}
-    assert states == {"/talker": "stranded", "/listener": "valid"}
+    assert states == {"/talker": "previous-ca", "/listener": "valid"}
 
 
 def test_whose_policy_has_ended_stays_behind_and_is_in_nobodys_way(keystore):
@@ -315,14 +319,16 @@ def test_whose_policy_has_ended_stays_behind_and_is_in_nobodys_way(keystore):
     )
     for name, late in (("/ended", timedelta()), ("/goes/on", 40 * DAY)):
         allowed_until = replace(grant, not_after=end + late)
-        wish = Wish(name=name, domains=DomainSet.of(0), validity=90 * DAY, grants=(allowed_until,))
-        issue(keystore, keystore.unlock(None), [wish], now=NOW)
-    told = foresee(keystore, Rollover(profile=keystore.profile), now=LATER).left_out
+        spec = ParticipantSpec(
+            name=name, domains=DomainSet.of(0), validity=90 * DAY, grants=(allowed_until,)
+        )
+        issue(keystore, keystore.unlock(None), [spec], now=NOW)
+    told = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER).left_out
     done = rotated(keystore)
     assert done.left_out == told == {"/ended": f"what it was allowed ended on {end:%Y-%m-%d}"}
     assert sorted(each.name for each in done.issued) == sorted([*TWO, "/goes/on"])
-    occasion = Occasion(keystore=done.keystore, domain=0, now=LATER)
-    assert meet(occasion, Guest(name="/talker"), Guest(name="/goes/on")).ok
+    setup = HandshakeSetup(keystore=done.keystore, domain=0, now=LATER)
+    assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/goes/on")).ok
     audit(done.keystore)
 
 
@@ -335,7 +341,7 @@ def test_a_key_that_was_revoked_as_compromised_is_not_certified_again(keystore, 
     revoke(keystore, authorities, [serial], reason=Reason.KEY_COMPROMISE, now=NOW)
     if elsewhere:
         (keystore.root / "enclaves/talker/key.pem").unlink()
-    told = foresee(keystore, Rollover(profile=keystore.profile), now=LATER)
+    told = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER)
     done = rotated(keystore)
     assert done.left_out == told.left_out
     if elsewhere:
@@ -349,7 +355,7 @@ def test_a_key_that_was_revoked_as_compromised_is_not_certified_again(keystore, 
 def test_who_stayed_behind_once_is_in_nobodys_way_later(keystore):
     (keystore.root / "enclaves/talker/key.pem").unlink()
     pq = rotated(keystore, "pq").keystore
-    told = foresee(pq, Rollover(profile=profile_named("classical")), now=LATER).left_out
+    told = plan_rollover(pq, Rollover(profile=profile_named("classical")), now=LATER).left_out
     done = rotated(pq, "classical")  # the profile that its key is of
     assert done.left_out == told
     assert done.left_out == {"/talker": "it stayed behind before: an earlier CA issued it"}
@@ -427,7 +433,7 @@ def copied(keystore):
 )
 def test_the_plan_tells_what_would_stop_it(keystore, flaw, words, hint):
     flaw(keystore)
-    for work in (rotated, lambda k: foresee(k, Rollover(profile=k.profile), now=LATER)):
+    for work in (rotated, lambda k: plan_rollover(k, Rollover(profile=k.profile), now=LATER)):
         with pytest.raises(PqsecError, match=words) as caught:
             work(keystore)
         assert hint in caught.value.hint

@@ -10,10 +10,10 @@ from pqsec_pki.algorithms import SIGNATURES, private_key_pem, profile_named
 from pqsec_pki.certificates import Authority
 from pqsec_pki.credentials import _signed_documents as signed
 from pqsec_pki.documents import DomainSet, Governance, Permissions
-from pqsec_pki.keystore import Keystore, Wish, issue
+from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
 from pqsec_pki.keystore.issuing import permissions_for
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck import Guest, Occasion, meet
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import Signer, sign
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
@@ -21,8 +21,8 @@ YEAR = timedelta(days=365)
 DOMAIN = DomainSet.of(0)
 
 
-def wish(name):
-    return Wish(name=name, domains=DOMAIN, publish=("rt/chatter",), validity=YEAR)
+def spec(name):
+    return ParticipantSpec(name=name, domains=DOMAIN, publish=("rt/chatter",), validity=YEAR)
 
 
 @pytest.fixture
@@ -37,15 +37,15 @@ def made(tmp_path):
             passphrase=None,
             now=NOW,
         )
-        issue(keystore, keystore.unlock(None), [wish("/talker"), wish("/listener")], now=NOW)
+        issue(keystore, keystore.unlock(None), [spec("/talker"), spec("/listener")], now=NOW)
         return keystore
 
     return make
 
 
 def failing(keystore):
-    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
-    report = meet(occasion, Guest(name="/talker"), Guest(name="/listener"))
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=NOW)
+    report = run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener"))
     assert not report.ok
     return report.steps[-1]
 
@@ -60,7 +60,7 @@ def sign_all_again(keystore, signer, counter=None):
     (root / "enclaves/governance.p7s").write_bytes(signed(Governance.protected(DOMAIN).to_xml()))
     for name in keystore.names():
         certificate = keystore.participant(name).certificate
-        permissions = permissions_for(wish(name), certificate).to_xml()
+        permissions = permissions_for(spec(name), certificate).to_xml()
         (root / f"enclaves{name}/permissions.p7s").write_bytes(signed(permissions))
 
 
@@ -97,8 +97,8 @@ def test_every_signature_that_is_pinned_must_be_there(made, profile):
     permissions = keystore.unlock(None).permissions
     main, second = Signer(permissions.certificate, permissions.key), pinned_beside(keystore)
     sign_all_again(keystore, main, second)
-    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
-    assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=NOW)
+    assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")).ok
     sign_all_again(keystore, main)
     step = failing(keystore)
     assert step.name == "documents of /talker"
@@ -174,7 +174,7 @@ def test_each_document_is_verified_once_per_reader(made, monkeypatch):
     monkeypatch.setattr(signed, "verify", counted("signatures", signed.verify))
     for kind in (Governance, Permissions):
         monkeypatch.setattr(kind, "from_xml", counted("schemas", kind.from_xml))
-    occasion = Occasion(keystore=keystore, domain=0, now=NOW)
-    assert meet(occasion, Guest(name="/talker"), Guest(name="/listener")).ok
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=NOW)
+    assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")).ok
     assert 0 < calls["signatures"] <= 6
     assert 0 < calls["schemas"] <= 6

@@ -6,7 +6,7 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import State, Wish, issue, renew, renew_list, revoke, status
+from pqsec_pki.keystore import ParticipantSpec, State, issue, renew, renew_list, revoke, status
 from tests.unit.keystores import DAY, NOW, made
 
 
@@ -14,11 +14,13 @@ from tests.unit.keystores import DAY, NOW, made
 def keystore(tmp_path):
     """Participants that were issued for so many days as their names say."""
     keystore = made(tmp_path / "k", "classical", domains="0-3", names=())
-    wishes = [
-        Wish(name=f"/p{days}", domains=keystore.domains, publish=("x",), validity=days * DAY)
+    specs = [
+        ParticipantSpec(
+            name=f"/p{days}", domains=keystore.domains, publish=("x",), validity=days * DAY
+        )
         for days in (300, 9, 90)
     ]
-    issue(keystore, keystore.unlock(None), wishes, now=NOW)
+    issue(keystore, keystore.unlock(None), specs, now=NOW)
     return keystore
 
 
@@ -67,7 +69,7 @@ def test_who_is_revoked_or_gone_comes_last_and_is_not_due(keystore):
     assert found == {"/p300": "due", "/p9": "revoked", "/p90": "gone"}
     assert list(found) == ["/p300", "/p9", "/p90"]
     assert standing.due == ["/p300"]
-    counts = {"expired": 0, "stranded": 0, "due": 1, "valid": 0, "revoked": 1, "gone": 1}
+    counts = {"expired": 0, "previous-ca": 0, "due": 1, "valid": 0, "revoked": 1, "gone": 1}
     assert standing.counts() == counts
 
 

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, SIGNATURES
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.handshake import GenericMessage, adjusted_guid
-from pqsec_pki.selfcheck import Guest, Occasion, meet, stack_named
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake, stack_named
 from pqsec_pki.selfcheck.trace import trace
 from tests.unit.keystores import NOW, made
 
@@ -36,7 +36,7 @@ def traced(keystores):
     """traced("pq", kem=..., stacks=...) is the trace of a handshake between the two."""
 
     def make(profile, kem=None, stacks=("pqsec", "pqsec"), domain=0):
-        occasion = Occasion(
+        setup = HandshakeSetup(
             keystore=keystores[profile],
             domain=domain,
             now=NOW,
@@ -44,10 +44,10 @@ def traced(keystores):
         )
         # /talker initiates: its GUID is the smaller one.
         guests = [
-            Guest(name=name, stack=stack_named(stack))
+            HandshakeParty(name=name, stack=stack_named(stack))
             for name, stack in zip(("/talker", "/listener"), stacks, strict=True)
         ]
-        return trace(meet(occasion, *guests), lambda data: [f"{len(data)} bytes described"])
+        return trace(run_handshake(setup, *guests), lambda data: [f"{len(data)} bytes described"])
 
     return make
 

@@ -12,25 +12,25 @@ import pytest
 
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, UsageError
-from pqsec_pki.keystore import Wish, issue
+from pqsec_pki.keystore import ParticipantSpec, issue
 from pqsec_pki.trial import (
     Act,
     BuildError,
     MissingStackError,
-    Passage,
-    Performance,
     Report,
     Role,
-    Scene,
+    TopicRoute,
+    TrialRun,
+    TrialSetup,
     built,
     find,
-    mark,
-    passage,
-    perform,
+    run_peers,
+    topic_route,
+    unique_text,
 )
 from pqsec_pki.trial.findings import findings
 from pqsec_pki.trial.network import Wire
-from pqsec_pki.trial.peer import MAX_LOG, Account
+from pqsec_pki.trial.peer import MAX_LOG, PeerOutcome
 from pqsec_pki.trial.words import words
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.unit.keystores import NOW, made
@@ -115,7 +115,7 @@ def test_of_two_cyclones_one_is_taken_whole(root):
     assert found.title == "Cyclone DDS 11.0.1"
     assert found.library.path == local / "lib/libddsc.so.11.0.1"
     assert found.plugins == local / "lib"
-    idlc, compiler = (found.tool(command, "/tmp/x") for command in found.kit.commands)
+    idlc, compiler = (found.tool(command, "/tmp/x") for command in found.build.commands)
     assert "/usr/local/bin/idlc" in idlc
     assert {"-I/usr/local/include", "-L/usr/local/lib", str(local / "lib")} <= set(compiler)
 
@@ -378,7 +378,7 @@ LISTEN = "print('joined', flush=True); time.sleep(3600)"
 
 
 @pytest.fixture
-def scene(tmp_path):
+def setup(tmp_path):
     """scene(send, receive) has peers of this Python, and says how long it took."""
 
     def play(send, receive=LISTEN, *, timeout=120.0, strangers=()):
@@ -395,21 +395,26 @@ def scene(tmp_path):
         roles = [
             Role(name="/a", act=Act.SEND, text="x", environment={"PEER": "a"}),
             Role(name="/b", act=Act.RECEIVE, environment={"PEER": "b"}),
-            *(Role(name=n, act=Act.RECEIVE, environment={}, stranger=True) for n in strangers),
+            *(
+                Role(name=n, act=Act.RECEIVE, environment={}, unauthenticated=True)
+                for n in strangers
+            ),
         ]
-        scene = Scene(program=[sys.executable, str(script)], domain=3, topic="T", timeout=timeout)
-        return perform(scene, roles)
+        setup = TrialSetup(
+            program=[sys.executable, str(script)], domain=3, topic="T", timeout=timeout
+        )
+        return run_peers(setup, roles)
 
     return play
 
 
-def test_it_is_over_when_the_receiver_has_received(scene):
-    done = scene(
+def test_it_is_over_when_the_receiver_has_received(setup):
+    done = setup(
         "print('joined\\nmatched', flush=True); spoken(); time.sleep(60)",
         "wait(); print('received x')",
         timeout=60,
     )
-    sender, receiver = done.accounts
+    sender, receiver = done.outcomes
     assert (receiver.received, receiver.refused, receiver.signal) == ("x", None, None)
     assert (sender.joined, sender.matched, sender.received, sender.signal) == (
         True,
@@ -420,59 +425,59 @@ def test_it_is_over_when_the_receiver_has_received(scene):
     assert done.seconds < 60
 
 
-def test_it_is_over_at_once_when_a_stack_refuses(scene):
-    done = scene("print('refused participant: Error'); sys.exit(3)", timeout=60)
-    assert done.accounts[0].refused == "participant: Error"
+def test_it_is_over_at_once_when_a_stack_refuses(setup):
+    done = setup("print('refused participant: Error'); sys.exit(3)", timeout=60)
+    assert done.outcomes[0].refused == "participant: Error"
     assert done.seconds < 60
 
 
-def test_when_one_stack_refuses_the_other_may_say_so_too(scene):
+def test_when_one_stack_refuses_the_other_may_say_so_too(setup):
     late = "time.sleep(0.4); print('refused reader: Error'); sys.exit(3)"
-    done = scene("print('refused writer: Error'); sys.exit(3)", late)
-    assert [each.refused for each in done.accounts] == ["writer: Error", "reader: Error"]
+    done = setup("print('refused writer: Error'); sys.exit(3)", late)
+    assert [each.refused for each in done.outcomes] == ["writer: Error", "reader: Error"]
 
 
-def test_a_crash_is_told(scene):
-    done = scene("os.abort()")
-    assert done.accounts[0].signal == "SIGABRT"
-    assert done.accounts[1].signal is None
+def test_a_crash_is_told(setup):
+    done = setup("os.abort()")
+    assert done.outcomes[0].signal == "SIGABRT"
+    assert done.outcomes[1].signal is None
 
 
-def test_it_is_over_when_the_time_is(scene):
-    done = scene(LISTEN, timeout=0.5)
+def test_it_is_over_when_the_time_is(setup):
+    done = setup(LISTEN, timeout=0.5)
     assert done.seconds == 0.5
 
 
-def test_nobody_waits_for_a_stranger(scene):
-    done = scene(
+def test_nobody_waits_for_a_stranger(setup):
+    done = setup(
         LISTEN,
         "print('received x') if 'PEER' not in os.environ else time.sleep(60)",
         timeout=5,
         strangers=["?"],
     )
     assert done.seconds == 5
-    assert done.accounts[2].received == "x"
+    assert done.outcomes[2].received == "x"
 
 
-def test_a_stranger_is_given_time_after_the_others(scene):
+def test_a_stranger_is_given_time_after_the_others(setup):
     """Else it would hear nothing only for want of time."""
     late = "time.sleep(0 if 'PEER' in os.environ else 0.6); print('received x')"
-    done = scene(LISTEN, late, strangers=["?"])
-    assert done.accounts[2].received == "x"
+    done = setup(LISTEN, late, strangers=["?"])
+    assert done.outcomes[2].received == "x"
 
 
-def test_what_a_peer_is_told(scene):
-    done = scene(
+def test_what_a_peer_is_told(setup):
+    done = setup(
         "print(act, domain, topic, text, os.environ['PEER'], flush=True); spoken(); time.sleep(60)",
         "wait(); print('received it')",
     )
-    assert done.accounts[0].log == "send 3 T x a\n"
+    assert done.outcomes[0].log == "send 3 T x a\n"
 
 
-def test_nothing_is_left_running(scene):
+def test_nothing_is_left_running(setup):
     child = "p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True); time.sleep(60)"
-    done = scene(child, timeout=5)
-    assert_ends(int(done.accounts[0].log))
+    done = setup(child, timeout=5)
+    assert_ends(int(done.outcomes[0].log))
 
 
 def assert_ends(pid):
@@ -487,13 +492,13 @@ def _state(pid):
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
-def test_a_log_without_end_does_not_fill_the_memory(scene):
+def test_a_log_without_end_does_not_fill_the_memory(setup):
     flood = "os.write(1, b'z' * (3 << 20)); time.sleep(60)"
-    assert len(scene(flood, timeout=5).accounts[0].log) == 1 << 20
+    assert len(setup(flood, timeout=5).outcomes[0].log) == 1 << 20
 
 
 def test_marks_differ():
-    assert mark() != mark()
+    assert unique_text() != unique_text()
 
 
 # Words
@@ -536,19 +541,19 @@ def test_words_are_not_too_many():
     assert len(words("\n".join(map(str, range(1000))))) == 50
 
 
-def account(log="", act=Act.SEND, name="/a", **how):
+def outcome(log="", act=Act.SEND, name="/a", **how):
     facts = dict.fromkeys(("received", "refused", "signal"))
     facts |= {"joined": True, "matched": False} | how
     role = Role(name=name, act=act, text="x", environment={})
-    return Account(role=role, log=log, **facts)
+    return PeerOutcome(role=role, log=log, **facts)
 
 
-def explained(*accounts, stack="fastdds"):
-    return findings(accounts, stack=stack, topic="rt/x")
+def explained(*outcomes, stack="fastdds"):
+    return findings(outcomes, stack=stack, topic="rt/x")
 
 
 def test_a_known_message_has_a_cause_and_a_remedy_and_is_said_once():
-    both = [account(FAST), account(FAST, name="/b")]
+    both = [outcome(FAST), outcome(FAST, name="/b")]
     (found,) = explained(*both)
     assert found.participants == ("/a", "/b")
     assert "not allowed with its own" in found.said
@@ -559,7 +564,7 @@ def test_a_known_message_has_a_cause_and_a_remedy_and_is_said_once():
 def test_a_topic_that_is_refused_without_words_is_a_matter_of_permissions():
     refused = "topic: Not Allowed By Security"
     (found,) = explained(
-        account(CYCLONE_LOG.splitlines()[0], Act.RECEIVE, refused=refused), stack="cyclonedds"
+        outcome(CYCLONE_LOG.splitlines()[0], Act.RECEIVE, refused=refused), stack="cyclonedds"
     )
     assert refused in found.said
     assert "subscribe rt/x" in found.cause
@@ -568,25 +573,25 @@ def test_a_topic_that_is_refused_without_words_is_a_matter_of_permissions():
 
 def test_a_topic_that_is_no_word_for_a_shell_is_not_to_be_copied():
     topic = "x;`id`$(id)\n--y"
-    refused = account(refused="topic: Not Allowed By Security")
+    refused = outcome(refused="topic: Not Allowed By Security")
     (found,) = findings([refused], stack="cyclonedds", topic=topic)
     assert found.remedy.startswith("`pqsec explain --participant /a --publish TOPIC --as ")
     assert "\n" not in found.cause
 
 
 def test_a_name_that_no_topic_can_have_is_no_matter_of_permissions():
-    (found,) = explained(account(refused="topic: Bad Parameter"), stack="cyclonedds")
+    (found,) = explained(outcome(refused="topic: Bad Parameter"), stack="cyclonedds")
     assert "permissions" not in found.cause
     assert "--topic" in found.remedy
 
 
 def test_a_participant_that_is_refused_without_words_is_for_the_check():
-    (found,) = explained(account("", refused="participant: Error", joined=False))
+    (found,) = explained(outcome("", refused="participant: Error", joined=False))
     assert "pqsec check --target fastdds" in found.remedy
 
 
 def test_words_that_nobody_knows_are_quoted():
-    (found,) = explained(account("[SECURITY Error] colourless green ideas\x07 sleep"))
+    (found,) = explained(outcome("[SECURITY Error] colourless green ideas\x07 sleep"))
     assert (found.said, found.cause) == (
         "[SECURITY Error] colourless green ideas\\u0007 sleep",
         None,
@@ -594,13 +599,13 @@ def test_words_that_nobody_knows_are_quoted():
 
 
 def test_silence_is_a_finding():
-    (found,) = explained(account(""), account("", name="/b"))
+    (found,) = explained(outcome(""), outcome("", name="/b"))
     assert found.participants == ("/a", "/b")
     assert "pqsec verify-handshake /a /b --as fastdds" in found.remedy
 
 
 def test_a_crash_is_a_finding():
-    (found,) = explained(account("", signal="SIGSEGV"))
+    (found,) = explained(outcome("", signal="SIGSEGV"))
     assert "SIGSEGV" in found.said
 
 
@@ -609,24 +614,24 @@ def test_a_crash_is_a_finding():
 HEARD = {"received": "x", "joined": True}
 
 
-def report(*, receiver=HEARD, stranger=None, wire=None):
-    way = Passage(sender="/a", receiver="/b", domain=0, topic="T")
-    accounts = (
-        account(),
-        account(act=Act.RECEIVE, name="/b", **receiver),
-        account(act=Act.RECEIVE, name="?", **(stranger or {})),
+def report(*, receiver=HEARD, unauthenticated=None, wire=None):
+    way = TopicRoute(sender="/a", receiver="/b", domain=0, topic="T")
+    outcomes = (
+        outcome(),
+        outcome(act=Act.RECEIVE, name="/b", **receiver),
+        outcome(act=Act.RECEIVE, name="?", **(unauthenticated or {})),
     )
-    performance = Performance(accounts=accounts, seconds=1.0, wire=wire, alone=True)
+    trial_run = TrialRun(outcomes=outcomes, seconds=1.0, wire=wire, alone=True)
     return Report(
         installation=None,
-        passage=way,
-        performance=performance,
-        **dict(zip(("sender", "receiver", "stranger"), accounts, strict=True)),
+        topic_route=way,
+        trial_run=trial_run,
+        **dict(zip(("sender", "receiver", "unauthenticated"), outcomes, strict=True)),
     )
 
 
 @pytest.mark.parametrize(
-    ("receiver", "stranger", "accepted", "heard"),
+    ("receiver", "unauthenticated", "accepted", "heard"),
     [
         (HEARD, {}, True, False),
         (HEARD, {"received": "x"}, True, True),
@@ -638,10 +643,10 @@ def report(*, receiver=HEARD, stranger=None, wire=None):
     ],
 )
 def test_only_a_sample_that_arrived_and_a_stranger_that_could_hear_are_good(
-    receiver, stranger, accepted, heard
+    receiver, unauthenticated, accepted, heard
 ):
-    made_of = report(receiver=receiver, stranger=stranger)
-    assert (made_of.accepted, made_of.stranger_heard) == (accepted, heard)
+    made_of = report(receiver=receiver, unauthenticated=unauthenticated)
+    assert (made_of.accepted, made_of.unauthenticated_heard) == (accepted, heard)
     assert made_of.ok is (accepted and heard is False)
 
 
@@ -667,15 +672,15 @@ def test_the_wire_is_judged_by_what_was_seen(seen, readable):
 def way(tmp_path):
     """way({name: (publish, subscribe)}, domain) is who sends what to whom."""
 
-    def of(wishes, domain=0):
+    def of(specs, domain=0):
         keystore = made(tmp_path / "k", "classical", names=())
         fixed = {"domains": DomainSet.of(0), "validity": timedelta(days=30)}
         wished = [
-            Wish(name=name, publish=publish, subscribe=subscribe, **fixed)
-            for name, (publish, subscribe) in wishes.items()
+            ParticipantSpec(name=name, publish=publish, subscribe=subscribe, **fixed)
+            for name, (publish, subscribe) in specs.items()
         ]
         issue(keystore, keystore.unlock(None), wished, now=NOW)
-        found = passage(keystore, tuple(wishes), domain, NOW)
+        found = topic_route(keystore, tuple(specs), domain, NOW)
         return found.sender, found.receiver, found.topic
 
     return of

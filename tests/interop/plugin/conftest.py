@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.plugin import Place, agent_status, build, stop_agent
+from pqsec_pki.plugin import AgentFolder, agent_status, build, stop_agent
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Shim:
     """A folder with the library, named as Cyclone DDS's own plugins are, and its agent."""
 
     folder: Path
-    place: Place
+    place: AgentFolder
 
     def wait_for_agent(self) -> int:
         """The process of the agent, once one runs."""
@@ -63,7 +63,7 @@ def shim(compiler, tmp_path_factory) -> Iterator[Shim]:
     os.environ["XDG_RUNTIME_DIR"] = str(runtime)
     try:
         built = build(tmp_path_factory.mktemp("plugin"))
-        place = Place.of(os.environ)
+        place = AgentFolder.of(os.environ)
         yield Shim(built.library.parent, place)
         stop_agent(place)
     finally:

@@ -6,7 +6,15 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from pqsec_pki.trial import Installation, MissingStackError, Performance, Role, Scene, find, perform
+from pqsec_pki.trial import (
+    Installation,
+    MissingStackError,
+    Role,
+    TrialRun,
+    TrialSetup,
+    find,
+    run_peers,
+)
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.processes import DOMAIN, PATIENCE
 
@@ -29,10 +37,12 @@ def python_peer() -> list[str] | None:
     return [str(python), str(PEER)] if python.exists() else None
 
 
-def perform_each(*casts: tuple[Role, list[str]], seconds: float = PATIENCE) -> Performance:
+def perform_each(*casts: tuple[Role, list[str]], seconds: float = PATIENCE) -> TrialRun:
     """How it went, each role played by a program of its own."""
     roles = [
         replace(role, environment={**role.environment, "PROGRAM": shlex.join(program)})
         for role, program in casts
     ]
-    return perform(Scene(program=_AS_TOLD, domain=DOMAIN, topic=TOPIC, timeout=seconds), roles)
+    return run_peers(
+        TrialSetup(program=_AS_TOLD, domain=DOMAIN, topic=TOPIC, timeout=seconds), roles
+    )

@@ -3,7 +3,16 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from pqsec_pki.trial import Act, Installation, Performance, Role, Scene, built, mark, perform
+from pqsec_pki.trial import (
+    Act,
+    Installation,
+    Role,
+    TrialRun,
+    TrialSetup,
+    built,
+    run_peers,
+    unique_text,
+)
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.conftest import Shim
 
@@ -90,28 +99,28 @@ class Stage:
     def sender(self, enclave: Path, **choices) -> Role:
         """One that sends a text which is nowhere by chance."""
         environment = self.environment(enclave, **choices)
-        return Role(name="sender", act=Act.SEND, text=mark(), environment=environment)
+        return Role(name="sender", act=Act.SEND, text=unique_text(), environment=environment)
 
     def receiver(self, enclave: Path, **choices) -> Role:
         environment = self.environment(enclave, **choices)
         return Role(name="receiver", act=Act.RECEIVE, environment=environment)
 
-    def perform(self, *roles: Role, topic: str = TOPIC, seconds: float = PATIENCE) -> Performance:
+    def run_peers(self, *roles: Role, topic: str = TOPIC, seconds: float = PATIENCE) -> TrialRun:
         """How it went."""
-        scene = Scene(program=self.program, domain=DOMAIN, topic=topic, timeout=seconds)
-        return perform(scene, roles)
+        scene = TrialSetup(program=self.program, domain=DOMAIN, topic=topic, timeout=seconds)
+        return run_peers(scene, roles)
 
 
-def met(performance: Performance) -> bool:
+def met(trial_run: TrialRun) -> bool:
     """Whether the second got what the first sent, and nobody could read it on the way."""
-    sender, receiver, *others = performance.accounts
-    log = "\n".join(each.log for each in performance.accounts)
-    wire = performance.wire
-    assert not any(each.signal for each in performance.accounts), log
+    sender, receiver, *others = trial_run.outcomes
+    log = "\n".join(each.log for each in trial_run.outcomes)
+    wire = trial_run.wire
+    assert not any(each.signal for each in trial_run.outcomes), log
     assert wire is None or (wire.packets and not wire.readable), log
     assert not any(each.received for each in others), log
     return receiver.received == sender.role.text
 
 
-def logs(performance: Performance) -> str:
-    return "\n".join(each.log for each in performance.accounts)
+def logs(trial_run: TrialRun) -> str:
+    return "\n".join(each.log for each in trial_run.outcomes)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.trial import MissingStackError, Role, find, stranger
+from pqsec_pki.trial import MissingStackError, Role, find, unauthenticated
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.conftest import LAB_PROFILES, TOPIC
 from tests.interop.plugin.processes import DOMAIN, REFUSAL, Stage, logs, met
@@ -45,10 +45,10 @@ def stage(installation, shim, plugins, tmp_path) -> Stage:
 @pytest.mark.parametrize("profile", LAB_PROFILES)
 def test_data_flows_between_two_and_a_stranger_gets_nothing(stage, labs, profile):
     lab = labs(profile)
-    outsider = stranger(stage.installation, stage.receiver(lab.bob).act, stage.folder)
-    went = stage.perform(stage.sender(lab.alice), stage.receiver(lab.bob), outsider)
+    outsider = unauthenticated(stage.installation, stage.receiver(lab.bob).act, stage.folder)
+    went = stage.run_peers(stage.sender(lab.alice), stage.receiver(lab.bob), outsider)
     assert met(went), logs(went)
-    assert went.accounts[2].joined
+    assert went.outcomes[2].joined
 
 
 @pytest.mark.parametrize("profile", ["transition", "pq"])
@@ -59,7 +59,7 @@ def test_the_same_library_runs_in_a_newer_cyclone(requires, shim, labs, tmp_path
     except MissingStackError as error:
         requires(None, "Cyclone DDS in Debian trixie", f"run .ci/trixie ({error})")
     stage = Stage(newer, shim, installed_plugins(TRIXIE), tmp_path)
-    went = stage.perform(stage.sender(labs(profile).alice), stage.receiver(labs(profile).bob))
+    went = stage.run_peers(stage.sender(labs(profile).alice), stage.receiver(labs(profile).bob))
     assert met(went), logs(went)
 
 
@@ -71,7 +71,7 @@ def test_data_flows_to_and_from_cyclones_own_plugins(
     lab = labs(profile)
     alice, bob = (settings(each, STOCK_PEERS) for each in (lab.alice, lab.bob))
     other = CYCLONES if plugins_of_sender != CYCLONES else OURS
-    went = stage.perform(
+    went = stage.run_peers(
         stage.sender(alice, plugins=plugins_of_sender), stage.receiver(bob, plugins=other)
     )
     assert met(went), logs(went)
@@ -80,7 +80,7 @@ def test_data_flows_to_and_from_cyclones_own_plugins(
 def test_the_links_take_the_place_of_cyclones_own_by_name(stage, labs):
     """Which is all that can be done where ROS 2 names the libraries."""
     lab = labs("pq")
-    went = stage.perform(stage.sender(lab.alice, plugins="named named"), stage.receiver(lab.bob))
+    went = stage.run_peers(stage.sender(lab.alice, plugins="named named"), stage.receiver(lab.bob))
     assert met(went), logs(went)
 
 
@@ -92,7 +92,7 @@ def test_the_configuration_in_the_documentation_is_one(stage, labs):
         path = stage.folder / f"{folder.name}.xml"
         path.write_text(text.replace("ENCLAVE", str(folder)))
         roles.append(replace(make(folder), environment={"CYCLONEDDS_URI": path.as_uri()}))
-    went = stage.perform(*roles)
+    went = stage.run_peers(*roles)
     assert met(went), logs(went)
 
 
@@ -105,48 +105,50 @@ def test_a_post_quantum_identity_works_with_cyclones_access_control(stage, labs,
         for name in names:
             (folder / name).unlink()
             (folder / name).write_bytes((source / name).read_bytes())
-    went = stage.perform(stage.sender(alice, plugins=OWN_AC), stage.receiver(bob, plugins=OWN_AC))
+    went = stage.run_peers(stage.sender(alice, plugins=OWN_AC), stage.receiver(bob, plugins=OWN_AC))
     assert met(went), logs(went)
 
 
 def test_nothing_comes_from_one_without_credentials(stage, labs):
-    outsider = stranger(stage.installation, stage.sender(labs("pq").alice).act, stage.folder, "x")
-    went = stage.perform(outsider, stage.receiver(labs("pq").bob), seconds=REFUSAL)
-    assert went.accounts[1].joined
-    assert went.accounts[1].received is None
+    outsider = unauthenticated(
+        stage.installation, stage.sender(labs("pq").alice).act, stage.folder, "x"
+    )
+    went = stage.run_peers(outsider, stage.receiver(labs("pq").bob), seconds=REFUSAL)
+    assert went.outcomes[1].joined
+    assert went.outcomes[1].received is None
 
 
 def test_nothing_passes_between_two_cas_of_the_same_name(stage, labs, other_labs):
-    went = stage.perform(
+    went = stage.run_peers(
         stage.sender(labs("pq").alice), stage.receiver(other_labs("pq").bob), seconds=REFUSAL
     )
-    assert all(each.joined for each in went.accounts)
+    assert all(each.joined for each in went.outcomes)
     assert not met(went)
     assert "is not signed by this CA" in logs(went)
 
 
 def test_nothing_passes_to_one_with_cyclones_own_plugin_unless_allowed(stage, labs):
     lab = labs("transition")
-    went = stage.perform(
+    went = stage.run_peers(
         stage.sender(lab.alice), stage.receiver(lab.bob, plugins=CYCLONES), seconds=REFUSAL
     )
-    assert all(each.joined for each in went.accounts)
+    assert all(each.joined for each in went.outcomes)
     assert not met(went)
 
 
 def test_a_topic_that_is_not_granted_cannot_be_made(stage, labs):
     lab = labs("pq")
-    went = stage.perform(
+    went = stage.run_peers(
         stage.sender(lab.alice), stage.receiver(lab.bob), topic="rt/secret", seconds=REFUSAL
     )
-    assert went.accounts[0].refused
-    assert went.accounts[0].refused.startswith("topic")
+    assert went.outcomes[0].refused
+    assert went.outcomes[0].refused.startswith("topic")
     assert "check_create_topic refused" in stage.shim.log
 
 
 def test_two_meet_though_packets_are_lost(stage, labs):
     lab = labs("pq")
-    went = stage.perform(
+    went = stage.run_peers(
         stage.sender(lab.alice, loss=0.02), stage.receiver(lab.bob, loss=0.02), seconds=60
     )
     assert met(went), logs(went)

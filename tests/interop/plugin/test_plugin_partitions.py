@@ -112,7 +112,7 @@ def meet(writer, reader):
     return fnmatchcase(name, re.sub(r"([\[\]])", r"[\1]", pattern))
 
 
-def allowed(permissions, action, now, reading, **more):
+def allowed(permissions, action, now, interpretation, **more):
     """The partitions in which they let an endpoint be."""
     governance = Governance.protected(DOMAINS)
     [grant] = permissions.grants
@@ -124,7 +124,7 @@ def allowed(permissions, action, now, reading, **more):
             governance,
             permissions,
             Question(topic=TOPIC, partitions=(each,), **asked),
-            reading,
+            interpretation,
             **more,
         ).allowed
     }
@@ -156,7 +156,7 @@ def run(program, folder, sender, receiver, wanted):
 
 
 OURS, CYCLONES = "ours ours", "ours cyclones"
-READINGS = {OURS: SPEC, CYCLONES: CYCLONEDDS}
+INTERPRETATIONS = {OURS: SPEC, CYCLONES: CYCLONEDDS}
 NAMES = {"alice": Action.PUBLISH, "bob": Action.SUBSCRIBE}
 
 
@@ -176,8 +176,8 @@ def test_a_sample_passes_where_own_stack_and_peer_allow_it(
             lab.enclave(name, permissions), plugins=plugins[name]
         )
         asked = permissions, action, lab.now
-        made[name] = allowed(*asked, READINGS[plugins[name]], by=Side.OWN)
-        heard[name] = made[name] & allowed(*asked, READINGS[plugins[other]], by=Side.PEER)
+        made[name] = allowed(*asked, INTERPRETATIONS[plugins[name]], by=Side.OWN)
+        heard[name] = made[name] & allowed(*asked, INTERPRETATIONS[plugins[other]], by=Side.PEER)
     wanted = {
         (reader, writer)
         for writer, reader in product(heard["alice"], heard["bob"])

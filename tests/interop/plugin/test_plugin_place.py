@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.plugin import Place, stop_agent
-from pqsec_pki.plugin import place as place_module
+from pqsec_pki.plugin import AgentFolder, stop_agent
+from pqsec_pki.plugin import agent_folder as place_module
 from pqsec_pki.plugin.build import SOURCES
 from pqsec_pki.plugin.control import Client
 from tests.interop.cyclone import RefusedError, participant
@@ -76,7 +76,7 @@ def test_library_and_agent_agree_where_it_is(asked, run_user, tmp_path, edges):
                 environment = {"HOME": each}
                 if runtime is not None:
                     environment["XDG_RUNTIME_DIR"] = runtime
-                place = Place.of(environment)
+                place = AgentFolder.of(environment)
                 said, ended = asked(environment)
                 if ended or Path(said) != place.socket:
                     differ.append((environment, str(place.socket), said))

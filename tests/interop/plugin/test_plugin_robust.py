@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.keystore import Wish, issue
+from pqsec_pki.keystore import ParticipantSpec, issue
 from pqsec_pki.plugin.build import SOURCES, command
 from pqsec_pki.trial import MissingStackError, find
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, Lab
@@ -197,8 +197,8 @@ def brief(tmp_path):
     """A lab, and the enclave of one who is good for a short time from now."""
     start = datetime.now(UTC)
     lab = Lab.create(tmp_path / "lab", LAB_PROFILES["pq"], start)
-    wish = {"domains": DOMAINS, "publish": (TOPIC,), "validity": BRIEF}
-    issue(lab.keystore, lab.authorities, [Wish(name="/lab/brief", **wish)], now=start)
+    spec = {"domains": DOMAINS, "publish": (TOPIC,), "validity": BRIEF}
+    issue(lab.keystore, lab.authorities, [ParticipantSpec(name="/lab/brief", **spec)], now=start)
     return lab, lab.alice.with_name("brief")
 
 

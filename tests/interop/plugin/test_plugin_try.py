@@ -17,25 +17,25 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.plugin import LIBRARY, Place, agent_status
+from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status
 from pqsec_pki.trial import (
     MACHINE,
     Act,
     AgentError,
     Installation,
     MissingStackError,
-    Passage,
     Plugin,
     Report,
-    Scene,
+    TopicRoute,
     Trial,
+    TrialSetup,
     built,
     credentialed,
     find,
-    mark,
-    meet,
-    perform,
     plugin,
+    run_peers,
+    run_trial,
+    unique_text,
 )
 from pqsec_pki.vendors import Options, export, stack_named
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
@@ -132,7 +132,9 @@ def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
 
     def run(where: str, case: Case, stock: tuple[str, ...], **how) -> Report:
         trial = laboratory.trial(there(where), case, plugin=ours, stock=stock, **how)
-        return meet(trial, Passage(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic))
+        return run_trial(
+            trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
+        )
 
     for where in ROOTS:
         built(there(where))
@@ -147,7 +149,7 @@ def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
 
 
 def logs(report: Report) -> str:
-    return "\n".join(f"-- {each.role.name}\n{each.log}" for each in report.performance.accounts)
+    return "\n".join(f"-- {each.role.name}\n{each.log}" for each in report.trial_run.outcomes)
 
 
 @pytest.mark.parametrize("name", MET)
@@ -155,7 +157,7 @@ def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
     report = reports(name)
     assert report.ok, logs(report)
     assert set(report.plugged) == {SENDER, RECEIVER} - set(MET[name][2])
-    wire = requires(report.performance.wire, "a wire to watch", "run the tests as root")
+    wire = requires(report.trial_run.wire, "a wire to watch", "run the tests as root")
     assert wire.packets > 100
     assert report.readable is False
 
@@ -164,8 +166,8 @@ def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
 def test_nothing_passes_and_it_is_said_why(reports, name):
     report, said = reports(name), REFUSED[name][2]
     assert report.receiver.received is None, logs(report)
-    assert report.stranger.received is None
-    assert not any(each.signal for each in report.performance.accounts)
+    assert report.unauthenticated.received is None
+    assert not any(each.signal for each in report.trial_run.outcomes)
     told = [each for each in report.findings if said in each.said]
     assert told, logs(report)
     assert all(each.cause and each.remedy for each in told)
@@ -179,7 +181,7 @@ def test_the_script_for_ros_2_puts_the_plugin_in_the_place_of_cyclones_own(
     cyclone = there("bookworm")
     trial = laboratory.trial(cyclone, Case("", profile="pq"), timeout=PATIENCE, plugin=ours)
     roles = []
-    for name, act, text in ((SENDER, Act.SEND, mark()), (RECEIVER, Act.RECEIVE, "")):
+    for name, act, text in ((SENDER, Act.SEND, unique_text()), (RECEIVER, Act.RECEIVE, "")):
         role = credentialed(trial, name, act, laboratory.folder / act.value, text)
         configuration = Path(role.environment["CYCLONEDDS_URI"].removeprefix("file://"))
         _name_the_libraries(configuration)
@@ -188,8 +190,8 @@ def test_the_script_for_ros_2_puts_the_plugin_in_the_place_of_cyclones_own(
         script = str(made.files[made.main])
         roles.append(replace(role, environment=role.environment | _sourced(script, role)))
     program = cyclone.peer(built(cyclone))
-    went = perform(Scene(program=program, domain=0, topic=TOPIC, timeout=PATIENCE), roles)
-    assert went.accounts[1].received == roles[0].text, went.accounts[1].log
+    went = run_peers(TrialSetup(program=program, domain=0, topic=TOPIC, timeout=PATIENCE), roles)
+    assert went.outcomes[1].received == roles[0].text, went.outcomes[1].log
     assert not requires(went.wire, "a wire to watch", "run the tests as root").readable
 
 
@@ -240,7 +242,7 @@ def test_a_process_in_another_root_asks_the_agent_outside(there, labs, ours, sha
     shutil.copytree(ours.folder, shared / "plugin", symlinks=True)
     shutil.copy(built(newer), shared / "peer")
     trial = Trial(
-        installation=replace(newer, kit=replace(newer.kit, plugins=lambda *_: own)),
+        installation=replace(newer, build=replace(newer.build, plugins=lambda *_: own)),
         keystore=Keystore.open(shared / "keystore"),
         timeout=PATIENCE,
         now=now,
@@ -248,12 +250,14 @@ def test_a_process_in_another_root_asks_the_agent_outside(there, labs, ours, sha
     with plugin(shared) as outside:
         trial = replace(trial, plugin=replace(outside, folder=shared / "plugin"))
         roles = [
-            credentialed(trial, SENDER, Act.SEND, shared, mark()),
+            credentialed(trial, SENDER, Act.SEND, shared, unique_text()),
             credentialed(trial, RECEIVER, Act.RECEIVE, shared),
         ]
         program = ["chroot", str(TRIXIE), str(shared / "peer")]
-        went = perform(Scene(program=program, domain=0, topic=TOPIC, timeout=PATIENCE), roles)
-    assert went.accounts[1].received == roles[0].text, went.accounts
+        went = run_peers(
+            TrialSetup(program=program, domain=0, topic=TOPIC, timeout=PATIENCE), roles
+        )
+    assert went.outcomes[1].received == roles[0].text, went.outcomes
 
 
 def test_the_users_own_agent_is_left_alone(laboratory, there, compiler, tmp_path, monkeypatch):
@@ -263,10 +267,10 @@ def test_the_users_own_agent_is_left_alone(laboratory, there, compiler, tmp_path
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     monkeypatch.setenv("PQSEC_AGENT", "private")
     with plugin() as found:
-        place = Place.of(found.environment)
+        place = AgentFolder.of(found.environment)
         trial = laboratory.trial(cyclone, Case("", profile="pq"), timeout=PATIENCE, plugin=found)
-        way = Passage(sender=SENDER, receiver=RECEIVER, domain=0, topic=TOPIC)
-        assert meet(trial, way).ok
+        way = TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=TOPIC)
+        assert run_trial(trial, way).ok
         assert agent_status(place)
         assert place.log.read_text().count("listening at ") == 1  # and no private one
     assert not place.folder.exists()

@@ -1,0 +1,121 @@
+"""What a reading of the documents is, and a question as it looks to one."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from typing import TypeAlias
+
+from pqsec_pki.access._expressions import Budget
+from pqsec_pki.access._patterns import Covers
+from pqsec_pki.access._subjects import IsFor
+from pqsec_pki.access.decision import Decision
+from pqsec_pki.access.question import Action, Question
+from pqsec_pki.documents import (
+    Criteria,
+    DomainRule,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+    Rule,
+    TopicRule,
+)
+
+
+class Side(StrEnum):
+    """Who judges: a participant's own stack, and every peer that meets it."""
+
+    OWN = "own"
+    PEER = "peer"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Interpretation:
+    """How one stack understands the documents; a row that acts.
+
+    The checks of `join` are made for each question, those of `use` for each that has a
+    topic; all must say yes. Of the two sides each matters: the own stack makes the
+    endpoint, and its peers talk to it.
+    """
+
+    name: str
+    """As in `--as`."""
+    title: str
+    """Whose reading it is, with the version it was compared with."""
+    covers: Covers
+    """A topic or partition pattern of permissions, and a name."""
+    governs: Covers
+    """A topic_expression of governance, and a name."""
+    is_for: IsFor
+    includes: Callable[[DomainSet, int], bool]
+    in_force: Callable[[Grant, datetime], bool]
+    skips_grants_out_of_force: bool
+    """Whether a later grant for the subject takes the place of one not in force."""
+    knows_relay: bool
+    partitions_met: "Callable[[EvaluationContext, Criteria, Rule], bool]"
+    tags_met: "Callable[[EvaluationContext, Criteria, Rule], bool]"
+    flaw: Callable[[Governance, Permissions], str]
+    """Why the stack cannot read these documents at all; empty if it can."""
+    join: "dict[Side, tuple[Check, ...]]"
+    use: "dict[Side, tuple[Check, ...]]"
+
+    def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
+        """The grant that counts for the subject, if there is one."""
+        own = [
+            each for each in permissions.grants if self.is_for(each.subject_name, question.subject)
+        ]
+        if self.skips_grants_out_of_force:
+            own.sort(key=lambda each: not self.in_force(each, question.now))
+        return own[0] if own else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluationContext:
+    """A question, and what a reading finds for it in the documents."""
+
+    question: Question
+    interpretation: Interpretation
+    domain_rules: tuple[DomainRule, ...]
+    """Those that name the domain; the first governs."""
+    grant: Grant
+    """The subject's."""
+    budget: Budget = field(default_factory=Budget)
+    """Steps that are left for comparing partitions."""
+
+    @property
+    def topic_rules(self) -> Iterator[TopicRule]:
+        """Those of the first governing rule that cover the topic."""
+        for rule in self.domain_rules[:1]:
+            yield from self.covering(rule)
+
+    def covering(self, domain_rule: DomainRule) -> Iterator[TopicRule]:
+        """The topic rules that cover the topic, in order."""
+        for rule in domain_rule.topic_rules:
+            if self.interpretation.governs(rule.topic_expression, self.question.topic or ""):
+                yield rule
+
+    @property
+    def rules(self) -> Iterator[Rule]:
+        """The rules of the grant for the domain, in order."""
+        for rule in self.grant.rules:
+            if self.interpretation.includes(rule.domains, self.question.domain):
+                yield rule
+
+    def criteria(self, rule: Rule, action: Action) -> tuple[Criteria, ...]:
+        """What the rule says of an action."""
+        match action:
+            case Action.PUBLISH:
+                return rule.publish
+            case Action.SUBSCRIBE:
+                return rule.subscribe
+            case _:
+                return rule.relay if self.interpretation.knows_relay else ()
+
+    def has_topic(self, criteria: Criteria) -> bool:
+        """Whether one of its patterns covers the topic."""
+        topic = self.question.topic or ""
+        return any(self.interpretation.covers(pattern, topic) for pattern in criteria.topics)
+
+
+Check: TypeAlias = Callable[[EvaluationContext], Decision]

@@ -1,0 +1,117 @@
+"""How the standard and the stacks read the documents: a row each.
+
+Where a row has a function of its own, the function says how it differs and how that is
+known: measured with the stack itself, or read in its source.
+"""
+
+from pqsec_pki.access import _criteria, _patterns, _stacks, _subjects, _values
+from pqsec_pki.access._checks import (
+    endpoint,
+    governed,
+    in_force,
+    own_participant,
+    remote_participant,
+)
+from pqsec_pki.access.interpretation import Check, Interpretation, Side
+from pqsec_pki.errors import UsageError
+
+
+def _both(*checks: Check) -> dict[Side, tuple[Check, ...]]:
+    return dict.fromkeys(Side, checks)
+
+
+SPEC = Interpretation(
+    name="spec",
+    title="DDS-Security 1.1",
+    covers=_patterns.posix,
+    governs=_patterns.posix,
+    is_for=_subjects.standard,
+    includes=_values.standard_includes,
+    in_force=_values.standard_in_force,
+    skips_grants_out_of_force=False,
+    knows_relay=True,
+    partitions_met=_criteria.standard_partitions,
+    tags_met=_criteria.standard_tags,
+    flaw=_values.no_flaw,
+    join={
+        Side.OWN: (governed, in_force, own_participant),
+        Side.PEER: (governed, in_force, remote_participant),
+    },
+    use=_both(endpoint),
+)
+
+CYCLONEDDS = Interpretation(
+    name="cyclonedds",
+    title="Cyclone DDS 0.10.2",
+    covers=_patterns.cyclonedds,
+    governs=_patterns.cyclonedds,
+    is_for=_subjects.cyclonedds,
+    includes=_values.cyclonedds_includes,
+    in_force=_values.cyclonedds_in_force,
+    skips_grants_out_of_force=False,
+    knows_relay=False,
+    partitions_met=_criteria.cyclonedds_partitions,
+    tags_met=_criteria.no_tags,
+    flaw=_values.cyclonedds_flaw,
+    join={
+        Side.OWN: (governed, in_force, own_participant),
+        Side.PEER: (governed, in_force, remote_participant),
+    },
+    use=_both(_stacks.cyclonedds_topic, _stacks.cyclonedds_endpoint),
+)
+
+FASTDDS = Interpretation(
+    name="fastdds",
+    title="Fast DDS 2.9.1",
+    covers=_patterns.posix_without_escapes,
+    governs=_patterns.either_way,
+    is_for=_subjects.fastdds,
+    includes=_values.fastdds_includes,
+    in_force=_values.fastdds_in_force,
+    skips_grants_out_of_force=True,
+    knows_relay=True,
+    partitions_met=_criteria.cyclonedds_partitions,
+    tags_met=_criteria.no_tags,
+    flaw=_values.empty_topic_flaw,
+    # A domain that governance does not name counts as one with join access control.
+    join={
+        Side.OWN: (in_force, _stacks.fastdds_own_participant),
+        Side.PEER: (in_force, _stacks.fastdds_remote_participant),
+    },
+    use={
+        Side.OWN: (_stacks.fastdds_own_endpoint,),
+        Side.PEER: (_stacks.fastdds_remote_endpoint,),
+    },
+)
+
+OPENDDS = Interpretation(
+    name="opendds",
+    title="OpenDDS 3.34",
+    covers=_patterns.opendds,
+    governs=_patterns.opendds,
+    is_for=_subjects.opendds,
+    includes=_values.standard_includes,
+    in_force=_values.standard_in_force,
+    skips_grants_out_of_force=False,
+    knows_relay=False,
+    partitions_met=_criteria.opendds_partitions,
+    tags_met=_criteria.no_tags,
+    flaw=_values.opendds_flaw,
+    # The times of a grant are looked at for endpoints only, and within their checks.
+    join={
+        Side.OWN: (governed, _stacks.opendds_own_participant),
+        Side.PEER: (governed, _stacks.opendds_remote_participant),
+    },
+    use=_both(_stacks.opendds_topic, _stacks.opendds_endpoint),
+)
+
+INTERPRETATIONS = (SPEC, CYCLONEDDS, FASTDDS, OPENDDS)
+
+
+def interpretation_named(name: str) -> Interpretation:
+    """The row of that name; UsageError with the names there are."""
+    for interpretation in INTERPRETATIONS:
+        if interpretation.name == name:
+            return interpretation
+    names = ", ".join(interpretation.name for interpretation in INTERPRETATIONS)
+    raise UsageError(f"no reading is named '{name}'", hint=f"they are {names}")

@@ -1,0 +1,88 @@
+"""What a role leaves open: `$name` in its texts, filled in for each participant."""
+
+import hashlib
+import json
+import re
+from collections.abc import Collection, Iterator, Mapping
+from string import Template
+
+from pqsec_pki.documents.parts_yaml import Item, Items, Table, Text, refused
+
+OWN = ("name", "base", "parent")
+"""What is known of each participant: /fleet/robot1, robot1 and /fleet."""
+
+
+_UNFIT = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What XML cannot carry (XML 1.0, 2.2)."""
+
+
+def fit(item: Text) -> str:
+    """The text; InvalidDocumentError for a character that no permissions document can hold."""
+    if found := _UNFIT.search(item.text):
+        raise refused(item, f"the character {found[0]!r}, which XML cannot carry")
+    return item.text
+
+
+def own_values(name: str) -> dict[str, str]:
+    """The values of OWN for the participant called `name`; the parent of /talker is empty."""
+    parent, _, base = name.rpartition("/")
+    return {"name": name, "base": base, "parent": parent}
+
+
+def placeholders_in(item: Item) -> frozenset[str]:
+    """The names behind a `$`; InvalidDocumentError for a `$` that no name follows, and as `fit`."""
+    found: set[str] = set()
+    for each in _texts(item):
+        template = Template(fit(each))
+        if not template.is_valid():
+            raise refused(each, "a $ that no name follows; write $$ for the character")
+        found.update(template.get_identifiers())
+    return frozenset(found)
+
+
+def filled(item: Item, values: Mapping[str, str]) -> Item:
+    """The item with values in its blanks; each line stays what it was."""
+    match item:
+        case Text():
+            text = Template(item.text).substitute(values)
+            return item if text == item.text else Text(item.line, text, plain=False)
+        case Items():
+            return Items(item.line, [filled(each, values) for each in item.items])
+        case Table():
+            entries = item.entries.items()
+            return Table(
+                item.line, {k: (key, filled(value, values)) for k, (key, value) in entries}
+            )
+
+
+def without(item: Table, keys: Collection[str]) -> Table:
+    """The mapping less these keys."""
+    entries = {key: entry for key, entry in item.entries.items() if key not in keys}
+    return Table(item.line, entries)
+
+
+def digest_of(item: Item) -> str:
+    """SHA-256, in hex, of what the item says: not of its lines, comments and order of keys."""
+    return hashlib.sha256(json.dumps(_plain(item), sort_keys=True).encode()).hexdigest()
+
+
+def _plain(item: Item) -> object:
+    match item:
+        case Text():
+            return item.text
+        case Items():
+            return [_plain(each) for each in item.items]
+        case Table():
+            return {key: _plain(value) for key, (_, value) in item.entries.items()}
+
+
+def _texts(item: Item) -> Iterator[Text]:
+    match item:
+        case Text():
+            yield item
+        case Items():
+            for each in item.items:
+                yield from _texts(each)
+        case Table():
+            for _, value in item.entries.values():
+                yield from _texts(value)

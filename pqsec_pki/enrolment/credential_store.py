@@ -1,0 +1,225 @@
+"""Where a robot keeps what it runs with: sets of credentials, and which one is current.
+
+current -> sets/3   what processes read; one rename changes all of it
+sets/<n>/           enclaves/<path>/..., and installed.json: what came before it
+requests/<name>/    key.pem [alt.key.pem] request.csr, until the answer is installed
+trust.json          the CAs that are trusted, and how new the newest was that was ever installed
+bundle.key.pem      what sealed bundles are opened with, where it was made
+
+A set never changes once it is there. The one before the current is kept.
+"""
+
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import (
+    PRIVATE_MODE,
+    PUBLIC_MODE,
+    create,
+    disk_errors,
+    read,
+    sync_filesystem,
+    sync_folder,
+    walk,
+)
+from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
+from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
+from pqsec_pki.enrolment.bundle import flat_name
+from pqsec_pki.enrolment.trust import TrustState
+from pqsec_pki.errors import KeystoreError, located
+
+CURRENT, SETS, REQUESTS = "current", "sets", "requests"
+RECORD = "installed.json"
+TRUST = "trust.json"
+FORMAT = 1
+_NUMBER = re.compile("[1-9][0-9]{0,8}")
+
+Enclaves = Mapping[str, Mapping[str, bytes]]
+"""Files by name, by the name of their participant."""
+
+
+@dataclass(frozen=True, slots=True)
+class InstalledSet:
+    """A set of credentials that is there."""
+
+    path: Path
+    at: datetime
+    """When it was installed."""
+    previous: str | None
+    """The name of the set that it took the place of."""
+
+    @property
+    def enclaves(self) -> Enclaves:
+        """The files in it; FileError if they cannot be read."""
+        root = self.path / ENCLAVES
+        folders = sorted(folder for folder, names in walk(root) if CERTIFICATE in names)
+        return {f"/{each.relative_to(root).as_posix()}": _files_in(each) for each in folders}
+
+
+@dataclass(frozen=True, slots=True)
+class CredentialStore:
+    """The folder `root` of a robot."""
+
+    root: Path
+
+    @property
+    def current(self) -> InstalledSet | None:
+        """The set that is in use, if there is one; KeystoreError if it is damaged."""
+        link = self.root / CURRENT
+        if not os.path.lexists(link):
+            return None
+        folder, _, name = str(link.readlink() if link.is_symlink() else "").partition("/")
+        if folder != SETS or not _NUMBER.fullmatch(name):
+            raise KeystoreError(
+                f"{link} is not a link that pqsec made", hint="install into another --dir"
+            )
+        return self.set_named(name)
+
+    @property
+    def trust_state(self) -> TrustState | None:
+        """The trust state that was saved here, if any; KeystoreError if it is damaged."""
+        path = self.root / TRUST
+        if not os.path.lexists(path):
+            return None
+        with located(path):
+            return TrustState.from_json(read(path))
+
+    def trust(self, state: TrustState) -> None:
+        """Save the trust state, in one step."""
+        data, path = state.to_json(), self.root / TRUST
+        if os.path.lexists(path) and read(path) == data:
+            return
+        draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        create(draft, data, mode=PRIVATE_MODE)
+        draft.rename(path)
+        sync_folder(self.root)
+
+    def set_named(self, name: str) -> InstalledSet:
+        """That set; KeystoreError if it is damaged, FileError if it is not there."""
+        path = self.root / SETS / name
+        try:
+            record = json.loads(read(path / RECORD))
+            if record["format"] != FORMAT:
+                raise KeystoreError(f"{path}: made by another version of pqsec")
+            at, previous = datetime.fromisoformat(record["at"]), _set_name(record["previous"])
+            return InstalledSet(path, at, previous)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise KeystoreError(f"{path / RECORD} cannot be read: {error}") from error
+
+    def keys(self, name: str) -> Iterator[Mapping[str, bytes]]:
+        """Files with keys that were made or installed here for `name`: of requests, then of sets.
+
+        Empty where there are none.
+        """
+        yield _files_in(self.request_folder(name))
+        for each in sorted(self._sets(), reverse=True):
+            yield _files_in(self.root / SETS / str(each) / ENCLAVES / name.removeprefix("/"))
+
+    def request_folder(self, name: str) -> Path:
+        """Where the keys for `name` wait for their certificate."""
+        return self.root / REQUESTS / flat_name(name)
+
+    def put(self, enclaves: Enclaves, state: TrustState, now: datetime) -> None:
+        """Make a set of these files and let it be the current one; all of it or nothing.
+
+        The trust state is saved once the set is whole and before it becomes current, so that a
+        kill between the two leaves marks that are no lower than what is installed.
+        """
+        before = self.current
+        draft = self._draft(enclaves, before.path.name if before else None, now)
+        self.trust(state)
+        name = str(max(self._sets(), default=0) + 1)
+        draft.rename(self.root / SETS / name)
+        self.point_to(name)
+
+    def point_to(self, name: str) -> None:
+        """Let that set be the current one: one rename."""
+        link = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        link.symlink_to(f"{SETS}/{name}")
+        sync_filesystem(self.root)
+        link.rename(self.root / CURRENT)
+        sync_folder(self.root)
+
+    def tidy(self, answered: Mapping[str, Mapping[str, bytes]]) -> None:
+        """Remove what nothing needs any more: requests `answered` with these keys, old sets."""
+        for name, keys in answered.items():
+            folder = self.request_folder(name)
+            if folder.is_dir() and _files_in(folder).get(KEY) == keys.get(KEY):
+                self.remove(folder)
+        current = self.current
+        kept = {current.path.name, current.previous} if current else set()
+        for number in self._sets():
+            if str(number) not in kept:
+                self.remove(self.root / SETS / str(number))
+
+    def remove(self, folder: Path) -> None:
+        """Take `folder` away in one step, then delete it."""
+        spent = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        folder.rename(spent)
+        shutil.rmtree(spent)
+
+    def _draft(self, enclaves: Enclaves, previous: str | None, now: datetime) -> Path:
+        make_private(self.root / SETS)
+        draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        make_private(draft)
+        for name, files in enclaves.items():
+            folder = draft / ENCLAVES / name.removeprefix("/")
+            make_private(folder)
+            for file, data in files.items():
+                create(folder / file, data, mode=PRIVATE_MODE if file in KEYS else PUBLIC_MODE)
+        at = now.isoformat(timespec="seconds")
+        record = {"format": FORMAT, "at": at, "previous": previous}
+        create(draft / RECORD, json.dumps(record, indent=2).encode() + b"\n", mode=PUBLIC_MODE)
+        return draft
+
+    def _sets(self) -> list[int]:
+        folder = self.root / SETS
+        there = list(folder.iterdir()) if folder.is_dir() else []
+        return [int(each.name) for each in there if _NUMBER.fullmatch(each.name)]
+
+
+@contextmanager
+def changing(root: Path) -> Iterator[CredentialStore]:
+    """The place at `root`, for one process at a time, without leftovers of killed ones.
+
+    A folder that was made for it goes again if nothing came of it. FileError if the disk
+    refuses, KeystoreError if another process is at work there, or somebody else could change
+    what is there, or put another folder in its place.
+    """
+    with disk_errors(root):
+        refuse_outsiders(root)
+        new = not root.exists()
+        make_private(root)
+        try:
+            with locked(root):
+                sweep(root)
+                try:
+                    yield CredentialStore(root)
+                except BaseException:
+                    with suppress(OSError):  # then the next one sweeps
+                        sweep(root)
+                    raise
+        except BaseException:
+            if new:
+                with suppress(OSError):  # something is in it
+                    root.rmdir()
+            raise
+
+
+def _set_name(text: str | None) -> str | None:
+    """What a record says came before; ValueError if no set could be called so."""
+    if text is not None and not _NUMBER.fullmatch(text):
+        raise ValueError(f"a set called {text!r}")
+    return text
+
+
+def _files_in(folder: Path) -> dict[str, bytes]:
+    return {name: read(folder / name) for name in FILES if (folder / name).is_file()}

@@ -1,0 +1,53 @@
+"""Wishes as they travel to CAs without a network: values for JSON, a policy in its own file."""
+
+from collections.abc import Mapping
+from datetime import timedelta
+from typing import Any
+
+from pqsec_pki.certificates import common_name
+from pqsec_pki.documents import DomainSet, Permissions
+from pqsec_pki.enrolment.bundle import flat_name
+from pqsec_pki.keystore import ParticipantSpec, regular_name
+
+
+def spec_value(spec: ParticipantSpec) -> dict[str, Any]:
+    """The wish for JSON; its grants, if it has any, go into the file policy_file."""
+    return {
+        "name": spec.name,
+        "domains": str(spec.domains),
+        "publish": list(spec.publish),
+        "subscribe": list(spec.subscribe),
+        "validity_hours": spec.validity // timedelta(hours=1),
+    }
+
+
+def read_spec(value: Mapping[str, Any], files: Mapping[str, bytes]) -> ParticipantSpec:
+    """The wish in `value`; what a policy asks for is in one of `files`.
+
+    KeyError, TypeError, ValueError, AttributeError, OverflowError or PqsecError for
+    anything else.
+    """
+    name = str(value["name"])
+    if regular_name(name) != name:
+        raise ValueError(f"{name!r} is not how participants are named")
+    common_name(name)  # refuses what no certificate can carry
+    policy = files.get(policy_file(name))
+    return ParticipantSpec(
+        name=name,
+        domains=DomainSet.parse(str(value["domains"])),
+        publish=_texts(value["publish"]),
+        subscribe=_texts(value["subscribe"]),
+        validity=timedelta(hours=int(value["validity_hours"])),
+        grants=Permissions.from_xml(policy).grants if policy else (),
+    )
+
+
+def policy_file(name: str) -> str:
+    """Where the permissions lie that a policy asks for."""
+    return f"policies/{flat_name(name)}.xml"
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise TypeError(f"{value!r} is no list")
+    return tuple(map(str, value))

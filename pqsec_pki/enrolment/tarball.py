@@ -1,0 +1,100 @@
+"""Files in one file: tar in gzip, the same bytes for the same files.
+
+Read with care, because it comes from elsewhere: plain files only, under relative names,
+few and small, and nothing is unpacked to the disk.
+"""
+
+import gzip
+import io
+import re
+import tarfile
+import zlib
+from collections.abc import Iterator, Mapping
+
+from pqsec_pki.errors import MalformedError, shown
+
+MAX_ARCHIVE = 32 << 20
+"""Bytes, packed. A participant with profile cnsa2 has 60 kB."""
+MAX_CONTENT = 64 << 20
+"""Bytes, unpacked: deflate could make a thousand of one."""
+MAX_MEMBERS = 20_000
+"""Files: two thousand participants and more."""
+_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*(/[A-Za-z0-9_+-][A-Za-z0-9_.+-]*)*")
+"""Relative; no part begins with a dot, so none is `.` or `..`."""
+_GZIP = bytes.fromhex("1f8b0800000000")
+"""Deflate, no name, no time; what follows says how hard it was pressed, and where."""
+_GZIPPED = 31
+"""zlib's word for gzip alone."""
+_UNREADABLE = (
+    *(tarfile.TarError, ValueError, EOFError, OSError, RecursionError),
+    *(LookupError, ArithmeticError),  # a sparse map that is cut, a size past every limit
+)
+"""What tarfile raises on archives that nobody packed."""
+
+
+def pack(files: Mapping[str, bytes]) -> bytes:
+    """The archive of `files`, by name."""
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w", format=tarfile.USTAR_FORMAT) as tarball:
+        for name in sorted(files):
+            member = tarfile.TarInfo(name)
+            member.size, member.mode = len(files[name]), 0o600
+            tarball.addfile(member, io.BytesIO(files[name]))
+    return gzip.compress(out.getvalue(), mtime=0)
+
+
+def unpack(data: bytes) -> dict[str, bytes]:
+    """The files in archive `data`, by name.
+
+    MalformedError if it is none, is too large, or has anything but plain files with
+    plain names.
+    """
+    content = _inflated(data)
+    files: dict[str, bytes] = {}
+    end = 0
+    try:
+        with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as tarball:
+            for member in _members(tarball):
+                if member.name in files:
+                    raise MalformedError(f"the archive has {member.name} twice")
+                file = tarball.extractfile(member)
+                files[member.name] = file.read() if file else b""
+                if len(files[member.name]) != member.size:
+                    raise MalformedError(f"the archive ends within {member.name}")
+                end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
+    except _UNREADABLE as error:
+        raise MalformedError(f"not an archive: {error}") from error
+    if content[end:].strip(b"\0"):  # where tarfile cannot read on, it says that there is no more
+        raise MalformedError("the archive has something after its last file")
+    return files
+
+
+def _inflated(data: bytes) -> bytes:
+    if len(data) > MAX_ARCHIVE:
+        raise MalformedError(f"an archive larger than {MAX_ARCHIVE} bytes")
+    if not data.startswith(_GZIP):
+        raise MalformedError("not an archive of pqsec: no plain gzip header")
+    machine = zlib.decompressobj(_GZIPPED)
+    try:
+        content = machine.decompress(data, MAX_CONTENT + 1)
+    except zlib.error as error:
+        raise MalformedError(f"the archive is damaged: {error}") from error
+    if len(content) > MAX_CONTENT:
+        raise MalformedError(f"an archive of more than {MAX_CONTENT} bytes")
+    if not machine.eof:
+        raise MalformedError("the archive is cut short")
+    if machine.unused_data:
+        raise MalformedError("something follows the archive")
+    return content
+
+
+def _members(tarball: tarfile.TarFile) -> Iterator[tarfile.TarInfo]:
+    for count, member in enumerate(tarball, start=1):
+        if count > MAX_MEMBERS:
+            raise MalformedError(f"an archive of more than {MAX_MEMBERS} files")
+        # Not isreg(): that takes sparse files too, whose size is anybody's word.
+        if member.type != tarfile.REGTYPE or member.pax_headers or member.sparse is not None:
+            raise MalformedError(f"{shown(member.name)} in the archive is not a plain file")
+        if not _NAME.fullmatch(member.name):
+            raise MalformedError(f"the archive has a file called {shown(member.name)!r}")
+        yield member

@@ -1,0 +1,128 @@
+"""Making what one participant runs with; issuing and renewing differ in what they start from."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from pqsec_pki.algorithms import PublicKey, private_key_pem
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import Permissions
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._entries import certificate_entry, document_entry
+from pqsec_pki.keystore._transaction import StagedFolder
+from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.keystore import Keystore
+
+
+class PublicKeys(NamedTuple):
+    """What a participant's certificate is for; `csr`, that the keys were made elsewhere."""
+
+    key: PublicKey
+    alternative: PublicKey | None
+    request: str | None = None
+    """SHA-256 of what asks for them, as the ledger will have it."""
+    csr: bytes | None = None
+    """The request itself, in PEM: whoever made it has the private keys."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Issued:
+    """What was made for one participant."""
+
+    name: str
+    folder: Path
+    serial: str
+    not_after: datetime
+    shortened: bool
+    """Whether it ends earlier than asked, because the identity CA does."""
+    certificate_size: int
+    """Bytes of cert.pem; it travels in every handshake."""
+    permissions_size: int
+    """Bytes of permissions.p7s; it travels in every handshake."""
+    entries: tuple[Entry, Entry] = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Issuer:
+    """A keystore with its CAs at work, at one moment."""
+
+    keystore: Keystore
+    authorities: Authorities
+    now: datetime
+
+    def new_keys(self, folder: StagedFolder) -> PublicKeys:
+        """Made as the profile wants them; the private halves into key.pem and alt.key.pem."""
+        profile = self.keystore.profile
+        first = profile.participant_key.generate()
+        second = profile.alternative_key.generate() if profile.alternative_key else None
+        for name, key in ((_layout.KEY, first), (_layout.ALT_KEY, second)):
+            if key:
+                folder.private(name, private_key_pem(key))
+        return PublicKeys(first.public_key, second.public_key if second else None)
+
+    def stage(  # noqa: PLR0913 -- what it is made from, all by the room itself
+        self,
+        folder: StagedFolder,
+        name: str,
+        certificate: Certificate,
+        permissions: Permissions,
+        *,
+        asked: datetime,
+        config_digest: str = "",
+        request: str | None = None,
+    ) -> Issued:
+        """Certificate and signed permissions into `folder`; `asked` is when it should end.
+
+        `mark` and `request`, the hash of what it answers, go into the ledger as they are.
+        """
+        told = {"mark": config_digest, "request": request or ""}
+        document = permissions.to_xml()
+        signed = self.authorities.sign(document, now=self.now)
+        folder.public(_layout.CERTIFICATE, certificate.pem)
+        folder.public(_layout.PERMISSIONS_XML, document)
+        folder.public(_layout.PERMISSIONS, signed)
+        return Issued(
+            name=name,
+            folder=self.keystore.root / _layout.enclave_folder(name),
+            serial=f"{certificate.serial_number:x}",
+            not_after=certificate.not_after,
+            shortened=certificate.not_after < asked,
+            certificate_size=len(certificate.pem),
+            permissions_size=len(signed),
+            entries=(
+                self._certificate_entry(name, certificate, permissions, told),
+                document_entry("permissions", name, signed, self.now),
+            ),
+        )
+
+    def _certificate_entry(
+        self, name: str, certificate: Certificate, permissions: Permissions, told: dict[str, str]
+    ) -> Entry:
+        return certificate_entry(
+            "participant",
+            name,
+            certificate,
+            self.now,
+            issuer=self.authorities.identity.certificate,
+            details={
+                "profile": self.keystore.profile.name,
+                "domains": domains_of(permissions, certificate.subject_name),
+            }
+            | {key: text for key, text in told.items() if text},
+        )
+
+
+def domains_of(permissions: Permissions, subject: str) -> str:
+    """Where the subject is allowed anything: 0,2-5; nothing if nowhere."""
+    parts: Iterable[object] = (
+        part
+        for grant in permissions.grants
+        if grant.subject_name == subject
+        for rule in grant.rules
+        if rule.allow
+        for part in rule.domains.parts
+    )
+    return ",".join(dict.fromkeys(map(str, parts)))

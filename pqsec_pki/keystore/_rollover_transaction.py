@@ -1,0 +1,160 @@
+"""A rollover at work: each of its parts drafted, in the one change that holds them all."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki._processes import shared_out
+from pqsec_pki.certificates import Authority
+from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._entries import document_entry
+from pqsec_pki.keystore._inspector import Inspector
+from pqsec_pki.keystore._issuer import Issued, Issuer
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._settings import settings_file
+from pqsec_pki.keystore._transaction import StagedFolder, Transaction
+from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap, Phase, trust_entry
+from pqsec_pki.keystore.renewing import Renewal, Renewer
+from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher
+from pqsec_pki.keystore.rollover import Rollover, Scope, gets_keys
+
+_IDENTITY = (
+    f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
+    f"{_layout.PUBLIC}/{_layout.CA_LIST}",
+    f"{_layout.PRIVATE}/{_layout.IDENTITY_KEY}",
+    f"{_layout.PRIVATE}/{_layout.IDENTITY_ALT_KEY}",
+)
+_PERMISSIONS = (
+    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
+    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_ALT_CA}",
+    f"{_layout.PRIVATE}/{_layout.PERMISSIONS_KEY}",
+    f"{_layout.PRIVATE}/{_layout.PERMISSIONS_ALT_KEY}",
+)
+# SROS2's one CA, to which the names above are links.
+_SROS2 = (f"{_layout.PUBLIC}/ca.cert.pem", f"{_layout.PRIVATE}/ca.key.pem")
+_PLACES = {
+    Scope.BOTH: (*_IDENTITY, *_PERMISSIONS, *_SROS2),
+    Scope.IDENTITY: _IDENTITY,
+    Scope.PERMISSIONS: _PERMISSIONS,
+}
+"""Scope -> the files of the CAs that make way."""
+
+
+@dataclass(frozen=True, slots=True)
+class RolloverTransaction:
+    """One rollover, while the keystore is locked."""
+
+    old: Keystore
+    new: Keystore
+    terms: Rollover
+    authorities: Authorities
+    transaction: Transaction
+    inspector: Inspector
+    governances: dict[str, dict[str, str]]
+    """SHA-256 of the signed ones -> what the ledger has on them, for whoever looks there."""
+    now: datetime
+    successor: Authority | None
+    """The identity CA that follows, if the old one stays trusted."""
+
+    def archive(self, number: int) -> None:
+        """Copies of what makes way; its private keys instead destroyed, if that is wanted."""
+        folder = self.transaction.folder(f"{_layout.GENERATIONS}/{number}", private=True)
+        for place in self._replaced_files():
+            path = self.old.root / place
+            if not place.startswith(_layout.PRIVATE):
+                folder.public(path.name, read(path))
+            elif not self.terms.destroy:
+                folder.private(path.name, read(path))
+            elif path.resolve().parent != path.parent.resolve():
+                raise KeystoreError(f"{path} is a link: what it shows is not destroyed from here")
+            else:
+                self.transaction.shred(place)
+
+    def write_authorities(self, passphrase: bytes | None) -> None:
+        """The new CAs and the settings; files of the old that have no successor go."""
+        public = self.transaction.folder(_layout.PUBLIC, private=False)
+        private = self.transaction.folder(_layout.PRIVATE, private=True)
+        trusted = self.old.identity_ca if self.successor else None
+        self.authorities.write(public, private, passphrase, trusted=trusted)
+        for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):  # now it has its own name
+            self.transaction.remove(f"{_layout.PRIVATE}/{key}")
+        written = {_layout.CA_LIST, *public.names, *private.names}
+        for place in self._replaced_files():
+            if Path(place).name not in written:
+                self.transaction.remove(place)
+        settings = self.transaction.folder(".", private=False)
+        settings.public(_layout.SETTINGS, settings_file(self.new.profile, self.new.domains))
+        self.transaction.record(*self.authorities.entries(self.now))
+        if self.successor:
+            overlap = Overlap(Phase.SWITCHED, self.successor.certificate, self.old.identity_ca)
+            self.transaction.record(trust_entry(overlap, self.now))
+
+    def sign_governance(self) -> None:
+        """What the old permissions CA signed, signed by the new."""
+        enclaves = self.transaction.folder(_layout.ENCLAVES, private=False)
+        self._sign(self.old.root / _layout.ENCLAVES / _layout.GOVERNANCE, enclaves, "")
+
+    def reissue(self, names: Sequence[str]) -> list[Issued]:
+        """Every participant in `names`, with its links, and without what it needs no more."""
+        folders = [
+            self.transaction.folder(_layout.enclave_folder(name), private=False) for name in names
+        ]
+        issued = shared_out(self._make, names, folders)
+        for each, folder in zip(issued, folders, strict=True):
+            self.transaction.record(*each.entries)
+            governance = self._enclave(each.name) / _layout.GOVERNANCE
+            if governance.exists() and not governance.is_symlink():  # adopted: its own
+                self._sign(governance, folder, each.name)
+            self._tidy(each.name, folder)
+        return issued
+
+    def publish_list(self, ledger: Ledger) -> bool:
+        """A list of the new identity CA's, where there was one of the old's."""
+        wanted = self.terms.scope is not Scope.PERMISSIONS and self.old.has_revocation_list
+        if wanted:
+            publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
+            publisher.stage(self.transaction, [], LIST_VALIDITY)
+        return wanted
+
+    def _replaced_files(self) -> list[str]:
+        return [place for place in _PLACES[self.terms.scope] if (self.old.root / place).exists()]
+
+    def _enclave(self, name: str) -> Path:
+        return self.old.root / _layout.enclave_folder(name)
+
+    def _make(self, name: str, folder: StagedFolder) -> Issued:
+        issuer = Issuer(self.new, self.authorities, self.now)
+        renewal = Renewal(rekey=gets_keys(self.old, self.terms, self.inspector, name))
+        return Renewer(issuer, self.inspector, renewal).make(name, folder)
+
+    def _sign(self, path: Path, folder: StagedFolder, name: str) -> None:
+        old = read(path)
+        with located(path):
+            document = self.inspector.verified(old)
+        signed = self.authorities.sign(document, now=self.now)
+        folder.public(_layout.GOVERNANCE, signed)
+        details = self.governances.get(hashlib.sha256(old).hexdigest(), {})
+        self.transaction.record(
+            replace(document_entry("governance", name, signed, self.now), details=details)
+        )
+
+    def _tidy(self, name: str, staged: StagedFolder) -> None:
+        """Links where they should be, and nothing left of keys that the profile lacks."""
+        folder = _layout.enclave_folder(name)
+        shared = _layout.CA_TARGETS | (_layout.LIST_TARGET if self.old.has_revocation_list else {})
+        if self.authorities.countersigner:
+            shared |= _layout.ALT_TARGET
+        else:
+            self.transaction.remove(f"{folder}/{_layout.PERMISSIONS_ALT_CA}")
+        if not self.new.profile.alternative_key:
+            self.transaction.remove(f"{folder}/{_layout.ALT_KEY}")
+        for link, target in _layout.shared_links(name, shared).items():
+            there = self.old.root / folder / link
+            if not (there.is_symlink() and str(there.readlink()) == target):
+                staged.link(link, target)  # takes the place of a file, where one was adopted

@@ -1,0 +1,167 @@
+"""Looking at what others made: what of it the CAs stand for, and the ledger's lines on that."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import exists, read, walk
+from pqsec_pki.algorithms import load_private_key
+from pqsec_pki.certificates import Certificate, Reason, RevocationList
+from pqsec_pki.credentials import TrustAnchors
+from pqsec_pki.documents import DomainSet, Governance, Permissions
+from pqsec_pki.errors import KeystoreError, PassphraseError, PqsecError, VerificationError
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
+from pqsec_pki.keystore._issuer import domains_of
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant import load_certificate, load_revocation_list
+
+
+@dataclass(slots=True, kw_only=True)
+class KeystoreScan:
+    """What lies in a keystore's folder, found by `look`."""
+
+    keystore: Keystore
+    now: datetime
+    anchors: TrustAnchors
+    domains: DomainSet
+    """The governance's, once that was looked at."""
+    list_file: Path | None = None
+    """The revocation list that enclaves have; the newest, if they differ."""
+    entries: list[Entry] = field(default_factory=list)
+    """For the ledger."""
+    participants: dict[int, str] = field(default_factory=dict)
+    """Serial number -> name."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Files, relative to the keystore, that the CAs do not stand for, and why."""
+
+    @classmethod
+    def of(cls, keystore: Keystore, now: datetime) -> Self:
+        """Nothing is found yet but the CAs."""
+        return cls(
+            keystore=keystore,
+            now=now,
+            anchors=keystore.issuing_cas,
+            domains=keystore.domains,
+        )
+
+    @property
+    def identity_ca(self) -> Certificate:
+        """The one that issues."""
+        return self.anchors.identity_ca
+
+    @property
+    def permissions_ca(self) -> Certificate:
+        """The one that signs documents."""
+        return self.anchors.permissions_ca
+
+    def look(self) -> None:
+        """At the CAs, the governance, every enclave, and their revocation list."""
+        self._look_at_ca_files()
+        self._authority("identity-ca", self.identity_ca)
+        self._authority("permissions-ca", self.permissions_ca)
+        if self.anchors.countersigner:
+            self._authority("permissions-ca", self.anchors.countersigner)
+        with self._telling(f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}") as path:
+            governance = Governance.from_xml(self._document("governance", "", path))
+            self.domains = governance.domain_rules[0].domains
+        names = self.keystore.names()
+        for name in names:
+            self._participant(name)
+        for folder, here in walk(self.keystore.root / _layout.ENCLAVES):
+            path = folder / _layout.CERTIFICATE
+            if path.name in here and not exists(path):
+                place = str(path.relative_to(self.keystore.root))
+                self.refused[place] = f"a link to {path.readlink()}, which is not there"
+        self._find_list(names)
+
+    def _look_at_ca_files(self) -> None:
+        """Certificates that nobody asked for, and keys that are not there or fit nothing."""
+        for role, ca in (("identity", self.identity_ca), ("permissions", self.permissions_ca)):
+            with self._telling(f"{_layout.PUBLIC}/{role}_ca.cert.pem") as path:
+                count = len(Certificate.all_from_pem(read(path)))
+                if count > 1:
+                    raise KeystoreError(f"{count} certificates: the first one is the CA")
+            with self._telling(f"{_layout.PRIVATE}/{role}_ca.key.pem") as path:
+                _check_key(path, ca)
+
+    def _authority(self, kind: str, ca: Certificate) -> None:
+        self.entries.append(certificate_entry(kind, ca.subject_name, ca, self.now))
+
+    def _participant(self, name: str) -> None:
+        folder, details = _layout.enclave_folder(name), {"profile": self.keystore.profile.name}
+        with self._telling(f"{folder}/{_layout.CERTIFICATE}") as path:
+            certificate = self._certificate(name, path)
+            self.participants[certificate.serial_number] = name
+            with self._telling(f"{folder}/{_layout.PERMISSIONS}") as signed:
+                permissions = Permissions.from_xml(self._document("permissions", name, signed))
+                details["domains"] = domains_of(permissions, certificate.subject_name)
+            what = ("participant", name, certificate, self.now)
+            self.entries.append(certificate_entry(*what, issuer=self.identity_ca, details=details))
+
+    def _certificate(self, name: str, path: Path) -> Certificate:
+        """One that the identity CA issued, under a serial number of its own."""
+        _layout.enclave_name(name)
+        certificate, ca = load_certificate(path), self.identity_ca
+        begin = max(certificate.not_before, ca.not_before)  # that it may have ended is no matter
+        problems = list(self.anchors.identity_problems(certificate, begin))
+        if problems:
+            raise VerificationError(*problems)
+        other = self.participants.get(certificate.serial_number)
+        if other:
+            raise KeystoreError(f"its serial number is also that of {other}")
+        return certificate
+
+    def _document(self, kind: str, name: str, path: Path) -> bytes:
+        """The document in a signed file; the permissions CA's signature holds."""
+        signed = read(path)
+        verified = self.anchors.signed(signed)
+        self.entries.append(document_entry(kind, name, signed, self.now))
+        return verified.document
+
+    def _find_list(self, names: list[str]) -> None:
+        """It stays in force: the next one that the CA makes takes over what it revokes."""
+        lists: dict[Path, RevocationList] = {}
+        for place in (f"{_layout.enclave_folder(name)}/{_layout.LIST}" for name in names):
+            if os.path.lexists(self.keystore.root / place):
+                with self._telling(place) as path:
+                    found = load_revocation_list(path)
+                    twice = self.anchors.signed_twice
+                    found.verify(self.identity_ca, require_alternative=twice)
+                    lists[path] = found
+        self.list_file = max(lists, key=lambda path: lists[path].this_update, default=None)
+        if self.list_file:
+            self._enter_list(lists[self.list_file], read(self.list_file))
+
+    def _enter_list(self, found: RevocationList, pem: bytes) -> None:
+        reasons = {each.serial_number: each.reason for each in found.revoked}
+        issued = [each for each in self.entries if each.kind == "participant"]
+        for each in issued:
+            if each.serial_number in reasons:
+                reason = reasons[each.serial_number] or Reason.UNSPECIFIED.value
+                self.entries.append(replace(each, kind="revocation", details={"reason": reason}))
+        self.entries.append(list_entry(found, pem, self.identity_ca, self.now))
+
+    @contextmanager
+    def _telling(self, place: str) -> Iterator[Path]:
+        """The file at `place`; what is wrong with it is written down."""
+        path = self.keystore.root / place
+        try:
+            yield path
+        except PqsecError as error:
+            self.refused[place] = error.words_at(path)
+
+
+def _check_key(path: Path, ca: Certificate) -> None:
+    """KeystoreError, FileError or MalformedError if nothing could be signed with it.
+
+    Whether an encrypted one fits shows when it is used.
+    """
+    with suppress(PassphraseError):
+        if load_private_key(read(path)).public_key.spki != ca.spki:
+            raise KeystoreError("the key is not that of the CA: nothing can be issued with it")

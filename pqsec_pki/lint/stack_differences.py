@@ -1,0 +1,227 @@
+"""Where a stack reads permissions otherwise than the standard: rules that mean two things.
+
+What is allowed then depends on who is asked. `pqsec explain` shows each reading's answer.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Rule
+from pqsec_pki.lint._shadows import Patterns, Starts, covers_domains, domains_meet
+from pqsec_pki.lint.document import Document, PermissionsFile
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
+
+FAMILY = Family("documents")
+
+MAX_DOMAIN_SETS = 16
+"""Different sets of domains in one grant that are compared with each other."""
+_WARNING = Severity.WARNING
+_OTHER = {"publish": "subscribe", "subscribe": "publish"}
+_CYCLONE = "Cyclone DDS 0.10.2"
+_INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Entry:
+    """A topic pattern of a rule, and where it stands."""
+
+    rule: Rule
+    action: str
+    criteria: Criteria
+    topic: str
+
+
+@dataclass(slots=True)
+class _Allowed:
+    """What is allowed, by action and domains."""
+
+    all_of_it: bool
+    """By the default."""
+    starts: dict[tuple[str, object], tuple[DomainSet, Starts]] = field(default_factory=dict)
+
+    def add(self, entry: _Entry) -> None:
+        """Remember it."""
+        domains = entry.rule.domains
+        key = (entry.action, domains.parts if len(self.starts) < MAX_DOMAIN_SETS else None)
+        self.starts.setdefault(key, (domains, Starts()))[1].add(entry.topic)
+
+    def may_meet(self, entry: _Entry, action: str) -> bool:
+        """Whether that action may be allowed on a topic, and a domain, that `entry` names."""
+        return self.all_of_it or any(
+            starts.may_meet(entry.topic)
+            for (other, parts), (domains, starts) in self.starts.items()
+            if other == action and (parts is None or domains_meet(domains, entry.rule.domains))
+        )
+
+
+def _entries(grant: Grant) -> list[_Entry]:
+    return [
+        _Entry(rule, action, criteria, topic)
+        for rule, action, criteria in _criteria(grant)
+        for topic in criteria.topics
+    ]
+
+
+def _criteria(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
+    for rule in grant.rules:
+        for action in _OTHER:
+            yield from ((rule, action, criteria) for criteria in getattr(rule, action))
+
+
+@FAMILY.rule(
+    "PQS269", _WARNING, Document, "a topic with the name of a builtin one",
+    why="Cyclone DDS lets every member of the domain use its builtin topics, such as DCPSTopic,"
+    " whatever governance and permissions say.",
+    fix="Give the topic another name.",
+    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+)  # fmt: skip
+def builtin_name(document: Document) -> Iterator[Violation]:
+    for node in document.all("topic", "topic_expression"):
+        if node.value.startswith("DCPS"):
+            yield document.at(node, f"{node.value[:60]!a}: names with DCPS are builtin topics")
+
+
+@FAMILY.rule(
+    "PQS270", _WARNING, PermissionsFile, "a deny_rule that takes the other action too",
+    why="Cyclone DDS asks first whether a participant may have the topic at all, and the first rule"
+    " that names it decides, be it about publishing or subscribing: who may not publish a topic"
+    " cannot subscribe to it either.",
+    fix="Put the allow_rule above the deny_rule.",
+    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+)  # fmt: skip
+def denies_both(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        entries = _entries(grant)
+        decides, denied = _not_allowed_above(entries), _denied(entries)
+        below = _Allowed(all_of_it=grant.default is DefaultAction.ALLOW)
+        for entry in reversed(entries):
+            other = _OTHER[entry.action]
+            if entry.rule.allow:
+                below.add(entry)
+            elif (
+                entry in decides
+                and not _is_covered(entry, denied[other])
+                and below.may_meet(entry, other)
+            ):
+                yield document.at(
+                    entry.criteria.line,
+                    f"Cyclone DDS does not let it {other} {entry.topic!a} either",
+                )
+
+
+def _not_allowed_above(entries: list[_Entry]) -> set[_Entry]:
+    """Those of deny_rules whose topic no allow_rule above is sure to name."""
+    allowed, found = Patterns[Rule](), set[_Entry]()
+    for entry in entries:
+        if entry.rule.allow:
+            allowed.add(entry.topic, entry.rule)
+        elif not _is_covered(entry, allowed):
+            found.add(entry)
+    return found
+
+
+def _denied(entries: list[_Entry]) -> dict[str, Patterns[Rule]]:
+    found = {action: Patterns[Rule]() for action in _OTHER}
+    for entry in entries:
+        if not entry.rule.allow:
+            found[entry.action].add(entry.topic, entry.rule)
+    return found
+
+
+def _is_covered(entry: _Entry, patterns: Patterns[Rule]) -> bool:
+    marks = patterns.covering(entry.topic)
+    return any(covers_domains(mark.domains, entry.rule.domains) for mark in marks)
+
+
+@FAMILY.rule(
+    "PQS271", _WARNING, PermissionsFile, "a deny_rule that counts on other domains too",
+    why="Fast DDS asks a participant's own rules without looking at their domains: what is denied"
+    " for one domain it cannot create on any.",
+    fix="Give a participant that is on several domains permissions for each, in its own folder.",
+    stacks=(Target.FASTDDS,), measured="Fast DDS 2.9.1",
+)  # fmt: skip
+def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        allowed = {rule.domains.parts: rule.domains for rule in grant.rules if rule.allow}
+        some = list(allowed.values())[:MAX_DOMAIN_SETS]
+        for rule in grant.rules:
+            if not rule.allow and not all(covers_domains(rule.domains, each) for each in some):
+                yield document.at(
+                    rule.line, f"Fast DDS denies this on every domain, not only on {rule.domains}"
+                )
+
+
+@FAMILY.rule(
+    "PQS272", _WARNING, PermissionsFile, "a deny_rule that leaves out partitions",
+    why="A deny_rule without partitions is for all of them. In Cyclone DDS it is for endpoints in"
+    " no partition: one in some partition is let through where the default, or an allow_rule"
+    " below with partitions, allows it. The check of the topic stops it only where no allow_rule"
+    " above names the topic and governance controls both reading and writing.",
+    fix="Write default DENY and allow only what is needed; or name the partitions in the"
+    " deny_rule too, <partition>*</partition> for all.",
+    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+)  # fmt: skip
+def denies_without_partitions(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        below = _Allowed(all_of_it=grant.default is DefaultAction.ALLOW)
+        for entry in reversed(_entries(grant)):
+            if bool(entry.criteria.partitions) is not entry.rule.allow:
+                continue
+            if entry.rule.allow:
+                below.add(entry)
+            elif below.may_meet(entry, entry.action):
+                yield document.at(
+                    entry.criteria.line,
+                    f"Cyclone DDS may not deny {entry.topic!a} to endpoints with a partition",
+                )
+
+
+@FAMILY.rule(
+    "PQS273", _WARNING, PermissionsFile, "partitions that OpenDDS does not ask for",
+    why="In OpenDDS an endpoint without any partition may do what an allow_rule allows in some.",
+    fix="Do not keep participants with OpenDDS apart by partitions; use other topics.",
+    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    rows=("allow partition P, endpoint in none",),
+)  # fmt: skip
+def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        for rule, _, criteria in _criteria(grant):
+            if rule.allow and criteria.partitions:
+                yield document.at(
+                    criteria.line, "OpenDDS allows this to endpoints without partition too"
+                )
+
+
+@FAMILY.rule(
+    "PQS274", _WARNING, PermissionsFile, "a grant that allows nothing",
+    why="With no allow_rule and default DENY a participant may not join where joining is"
+    " controlled; with Fast DDS nowhere.",
+    fix="Add an allow_rule for its domains, or take the grant out.",
+    measured="Cyclone DDS 0.10.2, Fast DDS 2.9.1",
+)  # fmt: skip
+def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if grant.default is DefaultAction.DENY and not any(rule.allow for rule in grant.rules):
+            yield document.at(grant.line, "the grant has no allow_rule: nobody can join with it")
+
+
+@FAMILY.rule(
+    "PQS275", _WARNING, PermissionsFile, "a partition that wildcards of an endpoint get around",
+    why="Partitions of endpoints are expressions too, and stacks let them in by their names: floor?"
+    " covers the name floor*, with which an endpoint gets what is sent in floor12. The plugin of"
+    " pqsec, and the standard as `pqsec explain` has it, look at what an expression stands for.",
+    fix="Write whole names, or a beginning with one * behind it: these hold in all stacks.",
+    stacks=(Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS),
+    measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
+    " OpenDDS by source",
+)  # fmt: skip
+def covers_expressions(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        for rule, _, criteria in _criteria(grant):
+            for partition in criteria.partitions if rule.allow else ():
+                if _INNER_WILDCARD.search(partition):
+                    yield document.at(
+                        criteria.line, f"{partition[:60]!a}: stacks let an endpoint in with"
+                        " wildcards that stand for more",
+                    )  # fmt: skip

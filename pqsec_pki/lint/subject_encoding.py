@@ -1,0 +1,131 @@
+"""The words and letters in the subject a grant is for, which stacks spell differently."""
+
+import re
+from collections.abc import Iterator
+
+from pqsec_pki.documents import Grant, Subject
+from pqsec_pki.lint._names import named, shown
+from pqsec_pki.lint.document import PermissionsFile
+from pqsec_pki.lint.rule import Family, Severity, Target, Violation
+
+FAMILY = Family("naming")
+
+ERROR, WARNING, _ = Severity
+MAX_COMMON_NAME = 64
+"""X.520, ub-common-name."""
+_CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
+_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
+
+_WORDS = frozenset(
+    ("CN", "C", "ST", "L", "O", "OU", "DC", "UID", "emailAddress", "serialNumber", "street",
+     "SN", "GN", "initials", "title", "dnQualifier", "pseudonym", "generationQualifier",
+     "postalCode", "postalAddress", "businessCategory", "organizationIdentifier",
+     "unstructuredName", "x500UniqueIdentifier")
+)  # fmt: skip
+_SPELLED = {word.lower(): word for word in _WORDS}
+_PLAIN = re.compile(r"[A-Za-z0-9_./ -]*")
+
+
+@FAMILY.rule(
+    "PQS417", ERROR, PermissionsFile, "a word in a subject_name that stacks do not know",
+    why="Words are compared letter by letter with OpenSSL's: cn=, STREET= and 2.5.4.5= match none.",
+    fix="Write OpenSSL's short names: CN, O, C, emailAddress, serialNumber, street.",
+    rows=("`cn=` lower-case type, or value case",
+          "emailAddress/serialNumber as dotted OID (`rfc4514_string()` default)",
+          "emailAddress/serialNumber by OpenSSL short name"),
+    measured="all six stacks",
+)  # fmt: skip
+def unknown_word(document: PermissionsFile) -> Iterator[Violation]:
+    for grant, name, _ in named(document):
+        for word in sorted({word for part in name for word, _ in part}):
+            if word[0].isdigit():
+                yield document.at(grant.line, f"{shown(grant)}: write OpenSSL's name for {word}")
+            elif word not in _WORDS and word.lower() in _SPELLED:
+                right = _SPELLED[word.lower()]
+                yield document.at(grant.line, f"{shown(grant)}: write {right}, not {word}")
+
+
+@FAMILY.rule(
+    "PQS418", ERROR, PermissionsFile, "letters beyond ASCII, written as they are",
+    why=r"Cyclone DDS and OpenDDS want \C3\A9 for é, and find no grant otherwise.",
+    fix="Add a second grant with that spelling, or stay within ASCII.",
+    stacks=(_CYCLONE, _OPENDDS),
+    rows=("UTF-8 value written raw", "… both as two grants"),
+    measured=f"{_CYCLONES}; OpenDDS 3.34, its access control run",
+)  # fmt: skip
+def written_raw(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in _spelled_once(document):
+        if not grant.subject_name.isascii():
+            yield document.at(
+                grant.line,
+                rf"{shown(grant)}: write \.. for each octet, for Cyclone DDS and"
+                rf" OpenDDS",
+            )
+
+
+@FAMILY.rule(
+    "PQS421", ERROR, PermissionsFile, "a comma or quote in a subject_name",
+    why='OpenDDS cannot read O="Acme, Inc", not even as it prints it itself.',
+    fix="Issue the certificate without them.",
+    stacks=(_OPENDDS,), rows=('value with `,` `=` `+` `"` `#`, `&#124;`, `&`',),
+    measured="OpenDDS, its SubjectName.cpp compiled and run", only_when_asked=True,
+)  # fmt: skip
+def comma_in_value(document: PermissionsFile) -> Iterator[Violation]:
+    for grant, name, _ in named(document):
+        if any(set(value) & {",", '"'} for part in name for _, value in part):
+            yield document.at(grant.line, f"{shown(grant)}: OpenDDS cannot read , or quotes")
+
+
+@FAMILY.rule(
+    "PQS422", WARNING, PermissionsFile, "a common name that is too long",
+    why=f"X.509 ends it at {MAX_COMMON_NAME} characters: no certificate can carry it.",
+    fix="Shorten the name.",
+)  # fmt: skip
+def long_name(document: PermissionsFile) -> Iterator[Violation]:
+    for grant, name, _ in named(document):
+        longest = max((len(v) for part in name for word, v in part if word == "CN"), default=0)
+        if longest > MAX_COMMON_NAME:
+            yield document.at(
+                grant.line, f"the common name has {longest} characters, of 64 at most"
+            )
+
+
+@FAMILY.rule(
+    "PQS423", WARNING, PermissionsFile, "a common name with unusual characters",
+    why="Stacks cut and compare subjects each in its own way. Letters, digits, _ . / - and spaces"
+    " inside were tried in all; | cuts a name in two in Cyclone DDS.",
+    fix="Stay within these.",
+    rows=('value with `,` `=` `+` `"` `#`, `&#124;`, `&`',), measured="all six stacks",
+)  # fmt: skip
+def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
+    for grant, name, _ in named(document):
+        values = [value for part in name for word, value in part if word == "CN"]
+        odd = sorted(
+            {c for value in values for c in value if c.isascii() and not _PLAIN.fullmatch(c)}
+        )
+        if odd:
+            yield document.at(grant.line, f"{shown(grant)}: avoid {ascii(' '.join(odd))[1:-1]}")
+
+
+@FAMILY.rule(
+    "PQS425", ERROR, PermissionsFile, "letters beyond ASCII, written as octets",
+    why=r"Fast DDS wants é as it is, not \C3\A9, and finds no grant otherwise.",
+    fix="Add a second grant with the letters themselves, or stay within ASCII.",
+    stacks=(_FAST,), rows=(r"UTF-8 value written `\C3\A9`", "… both as two grants"),
+    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+)  # fmt: skip
+def written_as_octets(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in _spelled_once(document):
+        if grant.subject_name.isascii():
+            yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants the letters themselves")
+
+
+def _spelled_once(document: PermissionsFile) -> Iterator[Grant]:
+    """Grants with letters beyond ASCII that no other grant spells in the other way."""
+    spellings: dict[Subject, set[bool]] = {}
+    for grant, name, _ in named(document):
+        spellings.setdefault(name, set()).add(grant.subject_name.isascii())
+    for grant, name, _ in named(document):
+        letters = "".join(value for part in name for _, value in part)
+        if not letters.isascii() and len(spellings[name]) == 1:
+            yield grant

@@ -1,0 +1,100 @@
+"""Where the agent of a user listens and writes. `shim/agent.c` says the same in C.
+
+In a place where only the user can make things, so that nobody else is there first and keeps
+the user from having an agent: the folder for run time, which the environment names or systemd
+makes for whoever is logged in; else the user's home. In /tmp, where anybody could be first, only
+if there is neither: then what is found is refused unless it is the user's own.
+"""
+
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.errors import FileError
+
+_OTHERS = 0o077
+_WRITABLE = 0o022
+"""By others."""
+_RUN_USER = Path("/run/user")
+_MAX_FOLDER = 85
+"""Octets: a socket's path has 108 with its end, and the longest name of one is a slash and 21."""
+
+
+@dataclass(frozen=True, slots=True)
+class AgentFolder:
+    """A folder that nobody else can enter, with socket, lock and log."""
+
+    socket: Path
+
+    @classmethod
+    def of(cls, environment: Mapping[str, str]) -> Self:
+        """In $XDG_RUNTIME_DIR, /run/user/UID or $HOME, whichever is the user's; else in /tmp."""
+        runtime, home = environment.get("XDG_RUNTIME_DIR", ""), environment.get("HOME", "")
+        for folder in (runtime, str(_RUN_USER / str(os.geteuid()))):
+            if folder.startswith("/") and _is_own_folder(Path(folder), 0):
+                return cls(Path(folder, "pqsec", "agent.sock"))
+        if _is_good_home(home):
+            return cls(Path(home, ".pqsec", "agent.sock"))
+        return cls(Path(f"/tmp/pqsec-{os.geteuid()}", "agent.sock"))  # noqa: S108 -- see above
+
+    @property
+    def folder(self) -> Path:
+        return self.socket.parent
+
+    @property
+    def lock(self) -> Path:
+        """Held by an agent that begins to listen, or ends."""
+        return self.folder / "agent.lock"
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "agent.log"
+
+    def prepare(self) -> None:
+        """Make the folder; FileError if it is not this user's alone."""
+        with disk_errors(self.folder):
+            self.folder.mkdir(mode=0o700, exist_ok=True)
+        self.is_there()
+
+    def is_there(self) -> bool:
+        """Whether the folder is; FileError if it is not this user's alone.
+
+        Anyone can make one of that name in /tmp, with a socket and a log in it.
+        """
+        if not os.path.lexists(self.folder):
+            return False
+        if not _is_own_folder(self.folder, _OTHERS):
+            raise FileError(
+                f"{self.folder} is not a folder of this user's alone",
+                hint="if another user made it, set HOME or XDG_RUNTIME_DIR to folders of your own",
+            )
+        return True
+
+
+def _is_good_home(home: str) -> bool:
+    """Whether the user alone can make a folder there, with a socket in it.
+
+    It may be a link: root makes homes.
+    """
+    if not home.startswith("/") or home == "/":
+        return False
+    try:
+        found = os.stat(home)  # noqa: PTH116 -- as C does, whatever stands in the name
+    except (OSError, ValueError):
+        return False
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    good = own and not found.st_mode & _WRITABLE and os.access(home, os.W_OK)
+    return good and len(os.fsencode(f"{home}/.pqsec")) <= _MAX_FOLDER
+
+
+def _is_own_folder(path: Path, forbidden: int) -> bool:
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    return own and not found.st_mode & forbidden

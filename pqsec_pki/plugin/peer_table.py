@@ -1,0 +1,211 @@
+"""What the authentication plugin remembers of peers, and of handshakes with them.
+
+Anyone on the network can be discovered as a peer by as many GUIDs as it likes, and whoever
+heard a certificate can begin handshakes with it. So those that wait have limits (`waiting`
+says what for the latter), and make room; who has finished a handshake stays until Cyclone DDS
+returns it, whatever comes in that name, unless a newer handshake of the two is finished too.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.handshake import Done, IdentityToken, ReplySent, RequestSent
+from pqsec_pki.plugin.handles import Handles
+from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.pending import MAX_HELD, PendingReplies, Rates
+
+MAX_WAITING = 4096
+"""Peers that have not authenticated. As many may join a domain at a time."""
+MAX_EARLIER = 8
+"""Requests of ours, before the latest, that a Reply may come late for."""
+
+
+@dataclass(slots=True)
+class PeerState:
+    """What passed between a local participant and a peer before and in their handshake."""
+
+    said: IdentityToken = field(default_factory=IdentityToken)
+    """What discovery says of the peer."""
+    announced: bytes | None = None
+    """The challenge in our AuthRequest, if we sent one."""
+    heard: bytes | None = None
+    """That in the peer's."""
+    handshake: int | None = None
+    """The handle of the latest."""
+
+
+@dataclass(slots=True, eq=False)
+class Remote:
+    """A peer that was discovered, by one or more of our participants."""
+
+    guid: bytes
+    states: dict[int, PeerState] = field(default_factory=dict)
+    """By the handle of the local identity."""
+
+
+@dataclass(slots=True, eq=False)
+class Handshake:
+    """Where a handshake stands. A message that is refused leaves it there.
+
+    A new Request, ours or the peer's, begins it again; until that is finished too, what was
+    finished before counts: anybody may send a Request.
+    """
+
+    local: Local
+    identity: int
+    """Its handle."""
+    remote: int
+    """The handle of the peer's identity."""
+    asked: RequestSent | None = None
+    """That waits for a Reply."""
+    earlier: list[bytes] = field(default_factory=list)
+    """dh1 of Requests before it, which were given up."""
+    answer: ReplySent | None = None
+    """That waits for a Final. There is one: the latest counts."""
+    number: int = 0
+    """The answer's, in `PendingReplies`."""
+    done: Done | None = None
+
+
+class PeerTable:
+    """The peers and handshakes of a connection; `note` is told when a limit is reached."""
+
+    def __init__(
+        self, handles: Handles, answers: PendingReplies, note: Callable[[str], None]
+    ) -> None:
+        self._handles, self._answers, self._note = handles, answers, note
+        self._remotes: dict[bytes, int] = {}
+        """The handle of the latest peer with that GUID."""
+        self._waiting: dict[int, None] = {}
+        """The handles of peers that have not authenticated, the oldest first."""
+        self._rates: dict[int, Rates] = {}
+        """By the handle of the local identity."""
+
+    def peer_state(self, identity: int, guid: bytes) -> tuple[int, PeerState]:
+        """A fresh one. A peer that one of ours has met already was lost and found again:
+        it gets another handle, because the former is still to be returned."""
+        handle = self._remotes.get(guid)
+        known = self._handles.get(handle, Remote) if handle else None
+        if handle is None or known is None or identity in known.states:
+            self._make_room()
+            known = Remote(guid)
+            handle = self._remotes[guid] = self._handles.add(known)
+            self._waiting[handle] = None
+        peer_state = known.states[identity] = PeerState()
+        return handle, peer_state
+
+    def met(self, identity: int, peer: int) -> tuple[Local, Remote, PeerState]:
+        """VerificationError if they have not."""
+        local, remote = self._handles.get(identity, Local), self._handles.get(peer, Remote)
+        if identity not in remote.states:
+            raise VerificationError("a handshake with a peer that was not validated")
+        return local, remote, remote.states[identity]
+
+    def refuse_early(self, identity: int, certificate: Certificate, now: datetime) -> None:
+        """VerificationError if too many Requests came in that certificate's name lately."""
+        self._rates.setdefault(identity, Rates()).refuse_early(certificate, now)
+
+    def asked(self, local: Local, identity: int, peer: int, state: RequestSent) -> int:
+        """The handle of a handshake that was begun, in the place of an earlier one."""
+        handle, handshake = self._handshake(local, identity, peer)
+        if handshake.asked:
+            handshake.earlier = [*handshake.earlier, handshake.asked.request.dh1][-MAX_EARLIER:]
+        handshake.asked = state
+        return handle
+
+    def answered(
+        self, local: Local, identity: int, peer: int, state: ReplySent, now: datetime
+    ) -> int:
+        """The handle of a handshake that waits for a Final, in the place of an earlier one."""
+        handle, handshake = self._handshake(local, identity, peer)
+        certificate = state.peer.certificate
+        self._rates.setdefault(identity, Rates()).count(certificate, now)
+        self._forget_answer(handshake)
+
+        def end() -> None:
+            handshake.answer = None
+            if not (handshake.asked or handshake.done):
+                self._handles.drop(handle)
+
+        document = self._answers.one_copy(certificate, state.peer.permissions)
+        handshake.answer = state.sharing(document)
+        handshake.number = self._answers.add(certificate, document, end)
+        if self._answers.make_room():
+            self._note(
+                f"handshakes that wait for a Final hold more than {MAX_HELD >> 20} MiB: of the"
+                " certificate in whose name most is held, the largest ends"
+            )
+        return handle
+
+    def finished(self, handshake: Handshake, done: Done) -> None:
+        """The peer has authenticated."""
+        self._forget_answer(handshake)
+        handshake.asked, handshake.done = None, done
+        self._answers.proved(done.peer.certificate, done.peer.permissions)
+        self._waiting.pop(handshake.remote, None)
+
+    def authenticated(self) -> Iterator[tuple[int, int, Certificate]]:
+        """Who has: the handles of the local identity and of the peer's, and its certificate."""
+        for _, handshake in self._handles.all(Handshake):
+            if handshake.done:
+                yield handshake.identity, handshake.remote, handshake.done.peer.certificate
+
+    def drop(self, handle: int) -> None:
+        """A participant is gone, or a peer, and their handshakes with it."""
+        gone = self._handles.drop(handle)
+        self._waiting.pop(handle, None)
+        self._rates.pop(handle, None)
+        states: list[PeerState | None] = []
+        if isinstance(gone, Local):
+            states = [each.states.pop(handle, None) for _, each in self._handles.all(Remote)]
+        elif isinstance(gone, Remote):
+            states = list(gone.states.values())
+            if self._remotes.get(gone.guid) == handle:
+                del self._remotes[gone.guid]
+        for peer_state in states:
+            if peer_state and peer_state.handshake:
+                self.drop_handshake(peer_state.handshake)
+
+    def drop_handshake(self, handle: int) -> None:
+        """It ends, however far it came."""
+        handshake = self._handles.find(handle, Handshake)
+        if handshake is not None:
+            self._handles.drop(handle)
+            self._forget_answer(handshake)
+
+    def drop_all(self) -> None:
+        """The connection ends."""
+        for handle, _ in self._handles.all(Handshake):
+            self.drop_handshake(handle)
+
+    def _forget_answer(self, handshake: Handshake) -> None:
+        self._answers.drop(handshake.number)
+        handshake.answer = None
+
+    def _make_room(self, newest: int = 0) -> None:
+        """For a peer, or a handshake with `newest`: the oldest that wait are lost."""
+        while len(self._waiting) >= MAX_WAITING and not newest:
+            self._note(f"more than {MAX_WAITING} peers have not authenticated: the oldest is lost")
+            self.drop(next(iter(self._waiting)))
+        while self._handles.are_many:
+            oldest = next((each for each in self._waiting if each != newest), None)
+            if oldest is None:
+                return
+            self._note("more peers and handshakes than fit: the oldest not authenticated is lost")
+            self.drop(oldest)
+
+    def _handshake(self, local: Local, identity: int, peer: int) -> tuple[int, Handshake]:
+        """That of the two, which may be a fresh one."""
+        _, _, peer_state = self.met(identity, peer)
+        if peer_state.handshake is not None:
+            handshake = self._handles.find(peer_state.handshake, Handshake)
+            if handshake is not None:
+                handshake.local = local
+                return peer_state.handshake, handshake
+        self._make_room(peer)
+        handshake = Handshake(local, identity, peer)
+        peer_state.handshake = self._handles.add(handshake)
+        return peer_state.handshake, handshake

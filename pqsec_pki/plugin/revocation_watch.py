@@ -1,0 +1,94 @@
+"""Revocation lists that change while participants live: who is taken back in mid-session."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.plugin import lists
+from pqsec_pki.plugin.handles import Handles
+from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.lists import NewestLists
+from pqsec_pki.plugin.notes import Clock
+from pqsec_pki.plugin.peer_table import PeerTable
+
+
+class RevocationWatch:
+    """What the lists of a connection's participants say of them and of their peers."""
+
+    def __init__(
+        self,
+        handles: Handles,
+        meetings: PeerTable,
+        newest: NewestLists,
+        clock: Clock,
+        note: Callable[[str], None],
+    ) -> None:
+        self._handles, self._peers = handles, meetings
+        self._lists, self._now, self._note = newest, clock, note
+        self._told: set[int] = set()
+
+    def admitted(self, local: Local) -> Local:
+        """A participant that begins, with the newest list of its CA that the agent knows.
+
+        VerificationError if that takes it back, or is not good.
+        """
+        newest = self._with_newest(local)
+        if newest is not local:
+            problems = tuple(newest.anchors.identity_problems(newest.certificate, self._now()))
+            if problems:
+                raise VerificationError(*problems)
+        return newest
+
+    def next(self) -> int:
+        """The handle of one that is taken back and was not told; 0 if there is none.
+
+        Then PqsecError of a list that cannot be taken.
+        """
+        refusal = self._read_again()
+        self._told.intersection_update(handle for handle, _ in self._handles.all(object))
+        for handle in self._revoked():
+            if handle not in self._told:
+                self._told.add(handle)
+                return handle
+        if refusal:
+            raise refusal
+        return 0
+
+    def _read_again(self) -> PqsecError | None:
+        """The lists whose files have changed, for further handshakes too."""
+        refusal = None
+        for handle, local in self._handles.all(Local):
+            try:
+                fresh = local.with_newer_list()
+                newest = self._with_newest(fresh)
+            except PqsecError as error:
+                refusal = error
+                continue
+            if fresh is not local and newest is not fresh and fresh.revoked and newest.revoked:
+                refusal = lists.refusal(fresh.revoked, newest.revoked)
+                newest = replace(newest, list_state=local.list_state)  # to be told again
+            self._handles.replace(handle, newest)
+        return refusal
+
+    def _with_newest(self, local: Local) -> Local:
+        """`local`, or the same with a newer list that another participant of its CA has."""
+        if local.revoked is None:
+            return local
+        ca, strict = local.anchors.identity_ca, local.anchors.signed_twice
+        newest = self._lists.newest(ca, local.revoked, alternative=strict, now=self._now())
+        if newest is local.revoked:
+            return local
+        self._note(
+            f"list {newest.number} of {ca.subject_name}, which another"
+            f" participant has, counts in place of list {local.revoked.number}"
+        )
+        return local.with_list(newest)
+
+    def _revoked(self) -> Iterator[int]:
+        locals_ = dict(self._handles.all(Local))
+        for handle, local in locals_.items():
+            if local.revokes(local.certificate):
+                yield handle
+        for identity, peer, certificate in self._peers.authenticated():
+            if locals_[identity].revokes(certificate):
+                yield peer

@@ -1,0 +1,214 @@
+"""Two participants of a keystore meet, in memory, as two DDS processes would."""
+
+import os
+import shlex
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import NamedTuple
+
+from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
+from pqsec_pki.credentials import Credentials
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
+from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.problems import Code
+from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
+from pqsec_pki.selfcheck.report import Report, Steps, StoppedError
+from pqsec_pki.selfcheck.run import HandshakeRun
+from pqsec_pki.selfcheck.session import HandshakeSession, Side
+from pqsec_pki.selfcheck.stacks import PQSEC, Stack, asked, policy
+
+_ENTITY_ID = bytes.fromhex("000001c1")
+"""ENTITYID_PARTICIPANT (RTPS 2.3, table 9.1)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandshakeParty:
+    """A participant of a keystore, and how it behaves."""
+
+    name: str
+    stack: Stack = PQSEC
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandshakeSetup:
+    """Where and when two meet, and what the user would have them agree on."""
+
+    keystore: Keystore
+    domain: int
+    now: datetime
+    agreement: KeyAgreement | None = None
+    """None: the profile's, or what the stacks ask for."""
+
+    @property
+    def profile(self) -> Profile:
+        """Of the keystore."""
+        return self.keystore.profile
+
+
+def run_handshake(setup: HandshakeSetup, first: HandshakeParty, second: HandshakeParty) -> Report:
+    """The handshake between two participants, and what it showed.
+
+    A step that fails ends it, and is the last in the report. KeystoreError if a
+    participant is not there at all.
+    """
+    for party in (first, second):
+        setup.keystore.refuse_unknown(party.name)
+    check = HandshakeCheck(setup)
+    with suppress(StoppedError):
+        session = check.prepare(first, second)
+        check.perform(session)
+    return check.report()
+
+
+class LoadedParty(NamedTuple):
+    """A participant that is there, and how it behaves."""
+
+    participant: Credentials
+    stack: Stack
+
+
+def load_party(keystore: Keystore, name: str, steps: Steps) -> Credentials:
+    """The participant of that name, as it lies in the keystore. StoppedError if unreadable."""
+    name = regular_name(name)
+    with steps.step(f"files of {name}") as detail:
+        try:
+            participant = keystore.participant(name)
+        except PqsecError as error:
+            error.hint = error.hint or f"restore it from a backup; or make it anew: {renewal(name)}"
+            raise
+        detail.append("keys, certificates, permissions and governance read")
+    return participant
+
+
+def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> None:
+    """Its own identity and documents are sound, for itself and its stack. StoppedError if not."""
+    (participant, stack), now = loaded, setup.now
+    profile, domain = setup.profile, setup.domain
+    with steps.step(f"identity of {participant.name}") as detail:
+        detail.append(check_identity(participant, profile, now))
+        stack.check_identity(participant.certificate, participant.identity_ca)
+    with steps.step(f"documents of {participant.name}") as detail:
+        try:
+            detail.append(check_documents(participant, domain, now))
+        except VerificationError as error:
+            if Code.NO_DOMAIN_RULE in error.codes:
+                error.hint = _to_add_domain(setup.keystore)
+            raise
+        stack.check_documents_ca(participant.permissions_ca)
+
+
+def _to_add_domain(keystore: Keystore) -> str:
+    """How its governance is made to name one more domain, for a hint."""
+    folder = shlex.quote(str(keystore.root))
+    document = shlex.quote(str(keystore.root / "enclaves/governance.xml"))
+    return (
+        f"add the domain to {document} and run `pqsec -k {folder} sign-governance {document}"
+        " --force`; the permissions must name the domain too"
+    )
+
+
+@dataclass(slots=True)
+class HandshakeCheck:
+    """A meeting as it goes: first each participant by itself, then both."""
+
+    setup: HandshakeSetup
+    steps: Steps = field(default_factory=Steps)
+    run: HandshakeRun | None = None
+
+    def prepare(self, first: HandshakeParty, second: HandshakeParty) -> HandshakeSession:
+        """Both participants, found sound, and who speaks first. StoppedError if not."""
+        return self.pair(self._load(first), self._load(second))
+
+    def pair(self, one: LoadedParty, other: LoadedParty) -> HandshakeSession:
+        """Who speaks first, of two that are sound by themselves. StoppedError if nobody can."""
+        with self.steps.step("who speaks first") as detail:
+            if one.participant.name == other.participant.name:
+                raise VerificationError(
+                    f"both are {one.participant.name}: a participant cannot meet itself",
+                    hint="name two different participants",
+                )
+            session = self._assign_roles(one, other)
+            self.run = HandshakeRun(session, self.steps)
+            detail.append(_why(session))
+        return session
+
+    def perform(self, session: HandshakeSession) -> None:
+        """The handshake and what follows. StoppedError where it fails."""
+        self.run = HandshakeRun(session, self.steps)
+        self.run.perform()
+
+    def report(self) -> Report:
+        """What was found up to now."""
+        run = self.run
+        session = run.session if run else None
+        wanted = self.setup.agreement or self.setup.profile.key_agreement
+        return Report(
+            steps=tuple(self.steps.done),
+            initiator=session.initiator.name if session else None,
+            replier=session.replier.name if session else None,
+            why=_why(session) if session else None,
+            stacks={side.name: side.stack.name for side in session.sides} if session else {},
+            signature=_signatures(session) if session else None,
+            key_agreement=(session.agreement if session else wanted).wire_name,
+            milliseconds=round(run.seconds * 1000, 3) if run else 0.0,
+            sent=tuple(run.sent) if run else (),
+            outcome=run.done[1] if run and run.done else None,
+        )
+
+    def _load(self, party: HandshakeParty) -> LoadedParty:
+        """The participant, if it can be read and its own credentials are sound."""
+        participant = load_party(self.setup.keystore, party.name, self.steps)
+        loaded = LoadedParty(participant, party.stack)
+        check_party(self.setup, loaded, self.steps)
+        return loaded
+
+    def _assign_roles(self, one: LoadedParty, other: LoadedParty) -> HandshakeSession:
+        """Who initiates: the smaller GUID speaks first."""
+        sides = self._side(one, other.stack), self._side(other, one.stack)
+        if not initiates(sides[0].guid, sides[1].guid):
+            sides = sides[::-1]
+        initiator, replier = sides
+        setup = self.setup
+        return HandshakeSession(
+            initiator=initiator,
+            replier=replier,
+            agreement=asked(initiator.stack, replier.stack, setup.profile, setup.agreement),
+            profile=setup.profile,
+            domain=setup.domain,
+            now=setup.now,
+        )
+
+    def _side(self, loaded: LoadedParty, peer: Stack) -> Side:
+        """What a participant shows and insists on when its peer behaves like that."""
+        participant, own = loaded
+        second = None if own.is_stock or peer.is_stock else participant.alternative_key
+        identity = Identity(
+            certificate=participant.certificate,
+            key=pair_private(participant.key, second) if second else participant.key,
+            ca=participant.identity_ca,
+            guid=adjusted_guid(participant.certificate.subject_der, os.urandom(12) + _ENTITY_ID),
+            permissions=participant.permissions,
+            revocation_list=participant.revocation_list,
+        )
+        demands = policy(own, peer, self.setup.profile, self.setup.agreement)
+        return Side(
+            participant=participant,
+            stack=own,
+            terms=Terms(own=identity, policy=demands, dialect=own.dialect),
+        )
+
+
+def _why(session: HandshakeSession) -> str:
+    initiator, replier = session.sides
+    mine, theirs = initiator.guid[:6].hex(), replier.guid[:6].hex()
+    return (
+        f"{initiator.name} initiates: its GUID is smaller ({mine} < {theirs});"
+        " these bits come from the subject name, so it is so every time"
+    )
+
+
+def _signatures(session: HandshakeSession) -> str:
+    names = [side.terms.own.key.algorithm.wire_name for side in session.sides]
+    return names[0] if names[0] == names[1] else ", ".join(names)

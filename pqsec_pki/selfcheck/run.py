@@ -1,0 +1,204 @@
+"""An encounter as it goes: the messages from the first challenge to the first protected one.
+
+Every message passes as bytes through a relay, encoded and decoded as on the wire. The
+relay of an honest network changes nothing; that of an attacker may.
+"""
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+from pqsec_pki.errors import PqsecError, VerificationError, shown
+from pqsec_pki.handshake import (
+    CHALLENGE_SIZE,
+    AuthRequest,
+    DataHolder,
+    Discovered,
+    Done,
+    Final,
+    GenericMessage,
+    KeyMaterial,
+    MessageClass,
+    Reply,
+    Request,
+    Terms,
+    TransformationKind,
+    begin,
+    check,
+    confirmation,
+    confirmed,
+    reply_to,
+)
+from pqsec_pki.problems import Code
+from pqsec_pki.selfcheck.credentials import Applicant, check_permissions
+from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE, Sent, Steps
+from pqsec_pki.selfcheck.session import HandshakeSession, Side
+
+_CLASSES = {AUTH_REQUEST: MessageClass.AUTH_REQUEST} | dict.fromkeys(
+    HANDSHAKE, MessageClass.HANDSHAKE
+)
+_ANSWERS = {"reply", "final"}
+AROUND_TOKEN = 124
+"""Bytes of the sample of a handshake message before its token."""
+
+
+@dataclass(slots=True)
+class HandshakeRun:
+    """An encounter as it goes: what was sent so far, and how it ended."""
+
+    session: HandshakeSession
+    steps: Steps
+    sent: list[Sent] = field(default_factory=list)
+    done: tuple[Done, Done] | None = None
+    """What initiator and replier know at the end."""
+    seconds: float = 0.0
+    """From the first message to the last; not the judging of permissions."""
+
+    def perform(self) -> None:
+        """All of it, in order. StoppedError where a step fails, and `steps` tells why."""
+        started = time.perf_counter()
+        self.done = self._shake_hands(*self._announce())
+        self._exchange(self.done)
+        self.seconds = time.perf_counter() - started
+        one, other = self.session.sides
+        self._admit(one, other, self.done[0])
+        self._admit(other, one, self.done[1])
+
+    def _announce(self) -> tuple[Terms, Terms]:
+        """The terms of both, once each has heard the other's AuthRequest, if there is one."""
+        one, other = self.session.sides
+        with self.steps.step("auth requests") as detail:
+            mine, heard_by_other = self._auth_request(one, other)
+            theirs, heard_by_one = self._auth_request(other, one)
+            names = [side.name for side in (one, other) if side.stack.announces]
+            detail.append(f"challenges announced by {' and '.join(names) or 'nobody'}")
+        return (
+            self._terms(one, mine, heard_by_one),
+            self._terms(other, theirs, heard_by_other),
+        )
+
+    def _terms(self, own: Side, announced: bytes | None, heard: bytes | None) -> Terms:
+        """Our terms, now that discovery has shown us the peer."""
+        discovered = Discovered(guid=self.session.peer_of(own), future_challenge=heard)
+        return replace(own.terms, discovered=discovered, announced=announced)
+
+    def _auth_request(self, sender: Side, receiver: Side) -> tuple[bytes | None, bytes | None]:
+        """The challenge that is announced, as sent and as heard."""
+        if not sender.stack.announces:
+            return None, None
+        challenge = os.urandom(CHALLENGE_SIZE)
+        token = AuthRequest(future_challenge=challenge).to_holder()
+        arrived = self._send(AUTH_REQUEST, token, sender, receiver)
+        heard = AuthRequest.from_holder(_opened(AUTH_REQUEST, arrived, receiver))
+        return challenge, heard.future_challenge
+
+    def _shake_hands(self, ours: Terms, theirs: Terms) -> tuple[Done, Done]:
+        """Each step is what one side does: read a message, and send the next."""
+        (initiator, replier), now = self.session.sides, self.session.now
+        with self._step("request", initiator) as detail:
+            request, waiting = begin(ours, self.session.agreement)
+            arrived = self._send("request", request.to_holder(), initiator, replier)
+            detail.extend(self._size(initiator))
+        with self._step("reply", replier) as detail:
+            heard = Request.from_holder(_opened("request", arrived, replier))
+            reply, awaiting = reply_to(theirs, heard, now=now)
+            arrived = self._send("reply", reply.to_holder(), replier, initiator)
+            detail.extend(self._size(replier))
+        with self._step("final", initiator) as detail:
+            answer = Reply.from_holder(_opened("reply", arrived, initiator))
+            final, done = waiting.receive(answer, now=now)
+            arrived = self._send("final", final.to_holder(), initiator, replier)
+            detail.extend(self._size(initiator))
+        with self._step("authenticated", replier) as detail:
+            last = Final.from_holder(_opened("final", arrived, replier))
+            outcome = awaiting.receive(last)
+            detail.append(f"{initiator.name} and {replier.name} each proved their key")
+        return done, outcome
+
+    @contextmanager
+    def _step(self, name: str, side: Side) -> Iterator[list[str]]:
+        """A step of `side`'s; where that is somebody else's stack, its failure says so."""
+        with self.steps.step(name) as detail:
+            try:
+                yield detail
+            except PqsecError as error:
+                if not side.stack.is_stock:
+                    raise
+                hint = error.hint or self.session.initiator.stack.hint_as_initiator
+                words = f"{side.stack.title} ({side.name}) refuses: {error}"
+                raise VerificationError(words, hint=hint) from error
+
+    def _send(self, name: str, token: DataHolder, sender: Side, receiver: Side) -> bytes:
+        """What arrives when `sender` sends the token: a sample."""
+        # An answer names what it answers: Fast DDS drops it otherwise.
+        related = (receiver.writer, len(self.sent)) if name in _ANSWERS else (bytes(16), 0)
+        message = GenericMessage(
+            source=sender.writer,
+            sequence=1 + len(self.sent),
+            related_source=related[0],
+            related_sequence=related[1],
+            destination_participant=self.session.peer_of(sender),
+            class_id=_CLASSES[name],
+            tokens=(token,),
+        )
+        return self._relay(name, message.encode(), sender, receiver)
+
+    def _size(self, sender: Side) -> Iterator[str]:
+        """The size of what was sent last, and what its sender's stack makes of it."""
+        size = len(self.sent[-1].data)
+        yield f"{size - AROUND_TOKEN} bytes"
+        yield from sender.stack.check_size(size)
+
+    def _relay(self, name: str, data: bytes, sender: Side, receiver: Side) -> bytes:
+        sent = Sent(name=name, sender=sender.name, receiver=receiver.name, data=data)
+        self.sent.append(sent)
+        return self.session.relay(name, data)
+
+    def _exchange(self, done: tuple[Done, Done]) -> None:
+        """The keys of each, protected: only this shows that both have one secret (C26)."""
+        for sender, mine, receiver, theirs in _both_ways(self.session.sides, done):
+            with self.steps.step(f"message {sender.name} to {receiver.name}") as detail:
+                keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+                sealed = confirmation(sender.guid, mine, keys)
+                arrived = self._relay(MESSAGE, sealed, sender, receiver)
+                confirmed(receiver.guid, theirs, arrived)
+                detail.append("encrypted, sent, decrypted (AES256-GCM)")
+
+    def _admit(self, judge: Side, subject: Side, done: Done) -> None:
+        """The permissions that came in the handshake are the subject's own, and let it in."""
+        session = self.session
+        with self.steps.step(f"{judge.name} admits {subject.name}") as detail:
+            # What came with the handshake, not what lies on our disk.
+            peer = done.peer
+            applicant = Applicant(subject.name, peer.certificate, peer.permissions)
+            own = judge.participant
+            with check(Code.C25):
+                detail.append(check_permissions(own, applicant, session.domain, session.now))
+
+
+def _opened(name: str, sample: bytes, reader: Side) -> DataHolder:
+    """The token in a sample, as `reader` gets it off the wire."""
+    with check(Code.C1):
+        message = GenericMessage.decode(sample)
+    with check(Code.C2):
+        _check_envelope(message, _CLASSES[name], reader)
+    return message.tokens[0]
+
+
+def _check_envelope(message: GenericMessage, wanted: MessageClass, reader: Side) -> None:
+    if message.class_id != wanted:
+        raise VerificationError(f"a '{shown(message.class_id)}' where a '{wanted}' is due")
+    if message.destination_participant != reader.guid:
+        raise VerificationError("a message for another participant")
+    if len(message.tokens) != 1:
+        raise VerificationError(f"{len(message.tokens)} tokens where one is due")
+
+
+def _both_ways(
+    sides: tuple[Side, Side], done: tuple[Done, Done]
+) -> Iterator[tuple[Side, Done, Side, Done]]:
+    (one, other), (mine, theirs) = sides, done
+    yield one, mine, other, theirs
+    yield other, theirs, one, mine

@@ -1,0 +1,102 @@
+"""What a stack's peers are compiled with, one row for each line of versions."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pqsec_pki.vendors.cyclone_plugins import installed_plugins
+
+Command = tuple[str, ...]
+"""Words; {bin}, {include} and {lib} in them are those of the stack's prefix, as the compiler sees
+them, and {run} is the folder of its library, as the peer will see it."""
+_LIBRARY = ("-L{lib}", "-Wl,--disable-new-dtags", "-Xlinker", "-rpath", "-Xlinker", "{run}")
+"""What is linked is what is loaded, whatever LD_LIBRARY_PATH says (ld.so(8), DT_RPATH)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeerBuild:
+    """How to compile a peer, and how to see that it can be."""
+
+    stack: str
+    """Its name in the room `vendors`."""
+    title: str
+    header: str
+    """The file that tells the version: a pattern below a folder of headers."""
+    macro: str
+    """What is the version in there."""
+    library: str
+    """The file that a peer is linked to, in a folder of libraries."""
+    sources: tuple[str, ...]
+    """In the folder peers/, all that the peer is made of."""
+    commands: tuple[Command, ...]
+    """One after the other, in a folder with the sources; the last makes `peer`."""
+    packages: str
+    """Of Debian and Ubuntu."""
+    open: str
+    """The configuration, in peers/, of a participant without credentials."""
+    variable: str
+    """Of the environment: it names the configuration."""
+    plugins: Callable[[Path, Path], Path | None] | None = None
+    """Where the security plugins of a library are below a root, for a stack that must be told."""
+
+    @property
+    def tools(self) -> Iterator[str]:
+        """The commands that must be there."""
+        yield from (command[0] for command in self.commands)
+
+
+def _fastdds(major: int, header: str, macro: str, *libraries: str, package: str) -> PeerBuild:
+    name = {2: "FASTRTPS", 3: "FASTDDS"}[major]
+    return PeerBuild(
+        stack="fastdds",
+        title="Fast DDS",
+        header=header,
+        macro=macro,
+        library=f"{libraries[0].replace('-l', 'lib')}.so",
+        sources=("fastdds.cpp",),
+        commands=(
+            ("g++", "-O0", "-I{include}", *_LIBRARY, "-o", "peer", "fastdds.cpp", *libraries),
+        ),
+        packages=f"g++ {package}",
+        open="fastdds.open.xml",
+        variable=f"{name}_DEFAULT_PROFILES_FILE",
+    )
+
+
+PEER_BUILDS = (
+    PeerBuild(
+        stack="cyclonedds",
+        title="Cyclone DDS",
+        header="dds/version.h",
+        macro="DDS_VERSION",
+        library="libddsc.so",
+        sources=("Sample.idl", "cyclonedds.c"),
+        commands=(
+            ("{bin}/idlc", "Sample.idl"),
+            (
+                *("gcc", "-O0", "-I.", "-I{include}", *_LIBRARY),
+                *("-o", "peer", "cyclonedds.c", "Sample.c", "-lddsc"),
+            ),
+        ),
+        packages="gcc libc6-dev cyclonedds-dev cyclonedds-tools",
+        open="cyclonedds.open.xml",
+        variable="CYCLONEDDS_URI",
+        plugins=lambda root, library: installed_plugins(root, lambda it: it.library == library),
+    ),
+    _fastdds(
+        3,
+        "fastdds/config.hpp",
+        "FASTDDS_VERSION_STR",
+        *("-lfastdds", "-lfastcdr"),
+        package="libfastdds-dev",
+    ),
+    _fastdds(
+        2,
+        "fastrtps/config.h",
+        "FASTRTPS_VERSION_STR",
+        *("-lfastrtps", "-lfastcdr"),
+        package="libfastrtps-dev",
+    ),
+)
+STACKS = tuple(dict.fromkeys(build.stack for build in PEER_BUILDS))
+"""Those that can be tried."""

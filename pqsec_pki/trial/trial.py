@@ -1,0 +1,194 @@
+"""The trial: two participants with their credentials, and a stranger without."""
+
+import os
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.trial.building import built, source
+from pqsec_pki.trial.findings import Finding, findings
+from pqsec_pki.trial.installation import Installation
+from pqsec_pki.trial.peer import Act, PeerOutcome, Role
+from pqsec_pki.trial.plugin import Plugin
+from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
+from pqsec_pki.trial.topics import TopicRoute
+from pqsec_pki.vendors import Enclave, Options, export, stack_named, write
+
+UNAUTHENTICATED = "a participant without credentials"
+_IN_MEMORY = Path("/dev/shm")  # noqa: S108 -- open to all as /tmp is, and used like it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """What is tried."""
+
+    installation: Installation
+    keystore: Keystore
+    timeout: float
+    """Seconds to wait for the sample."""
+    password: str | None = field(default=None, repr=False)
+    """Of the participants' keys, where they are encrypted."""
+    anyway: bool = False
+    """Whether to try what the stack is known to refuse."""
+    plugin: Plugin | None = None
+    """pqsec's own, if that is to run in the stack."""
+    stock: tuple[str, ...] = ()
+    """Who runs the stack's own plugins all the same."""
+    now: datetime
+
+    def plugin_of(self, name: str) -> Plugin | None:
+        """What this participant runs in place of the stack's own."""
+        return None if regular_name(name) in map(regular_name, self.stock) else self.plugin
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """How it went."""
+
+    installation: Installation
+    topic_route: TopicRoute
+    sender: PeerOutcome
+    receiver: PeerOutcome
+    unauthenticated: PeerOutcome
+    trial_run: TrialRun
+    plugged: tuple[str, ...] = ()
+    """Who ran pqsec's own plugin."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the sample arrived, as it was sent."""
+        return self.receiver.received == self.sender.role.text
+
+    @property
+    def unauthenticated_heard(self) -> bool | None:
+        """Whether the one without credentials got the sample; None if it was not put to the
+        test: nothing was sent, or it did not take part."""
+        if self.unauthenticated.received is not None:
+            return True
+        took_part = self.unauthenticated.joined and self.unauthenticated.signal is None
+        return False if self.accepted and took_part else None
+
+    @property
+    def readable(self) -> bool | None:
+        """Whether the sample could be read on the wire; None if that was not to be seen."""
+        wire = self.trial_run.wire
+        if not (wire and wire.packets and self.accepted):
+            return None
+        return True if wire.readable else None if wire.lost else False
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Why it came to nothing, where it did."""
+        if self.accepted:
+            return ()
+        stack, topic = self.installation.build.stack, self.topic_route.topic
+        both = (self.sender, self.receiver)
+        return findings(both, stack=stack, topic=topic, by_standard=bool(self.plugged))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the check that came before the exports."""
+        both = self.sender.role.warnings + self.receiver.role.warnings
+        return tuple(dict.fromkeys(both))
+
+    @property
+    def ok(self) -> bool:
+        """Whether the two met and the stranger got nothing."""
+        return self.accepted and self.unauthenticated_heard is False
+
+
+def refuse_untrusted(keystore: Keystore, names: Iterable[str], now: datetime) -> None:
+    """VerificationError if the credentials of one of them cannot be trusted at `now`.
+
+    For who asks before a topic is looked for in their documents; `run_trial` refuses them too.
+    """
+    problems = [each for name in names for each in Enclave.find(keystore, name).refusals(now)]
+    if problems:
+        raise VerificationError(*problems, hint="`pqsec check` tells more; --anyway tries them")
+
+
+def run_trial(trial: Trial, topic_route: TopicRoute) -> Report:
+    """Let the two meet on this machine: a process each, and one for the stranger.
+
+    VerificationError if the credentials cannot be trusted or the stack is known to refuse them
+    (unless `trial.anyway`), BuildError and FileError where the peer cannot be made.
+    """
+    installation = trial.installation
+    with (
+        disk_errors(Path(tempfile.gettempdir())),
+        tempfile.TemporaryDirectory(prefix="pqsec-trial-", dir=_memory()) as name,
+    ):
+        folder = Path(name)
+        roles = [
+            credentialed(trial, topic_route.sender, Act.SEND, folder, unique_text()),
+            credentialed(trial, topic_route.receiver, Act.RECEIVE, folder),
+            unauthenticated(installation, Act.RECEIVE, folder),
+        ]
+        setup = TrialSetup(
+            program=installation.peer(built(installation)),
+            domain=topic_route.domain,
+            topic=topic_route.topic,
+            timeout=trial.timeout,
+        )
+        trial_run = run_peers(setup, roles)
+    sender, receiver, third = trial_run.outcomes
+    return Report(
+        installation=installation,
+        topic_route=topic_route,
+        sender=sender,
+        receiver=receiver,
+        unauthenticated=third,
+        trial_run=trial_run,
+        plugged=tuple(
+            each.role.name for each in (sender, receiver) if trial.plugin_of(each.role.name)
+        ),
+    )
+
+
+def _memory() -> Path | None:
+    """A folder on no disk, if there is one: configurations may hold a passphrase, and a trial
+    that is killed cannot remove them. Fast DDS 3.1.2 reads them at a path only."""
+    return _IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None
+
+
+def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = "") -> Role:
+    """A participant of the keystore, run as `pqsec export` says.
+
+    Its configuration goes into `folder`, one for each act.
+    """
+    installation, plugin = trial.installation, trial.plugin_of(name)
+    options = Options(
+        version=installation.version,
+        loopback=True,
+        password=trial.password,
+        anyway=trial.anyway,
+        plugins=installation.plugins,
+        plugin=plugin.folder if plugin else None,
+    )
+    stack = stack_named(installation.build.stack)
+    made = export(stack, trial.keystore, name, options, now=trial.now)
+    place = folder / act.value
+    write(made, place)
+    return Role(
+        name=made.participant,
+        act=act,
+        text=text,
+        environment={**made.variables(place), **(plugin.environment if plugin else {})},
+        warnings=made.warnings,
+    )
+
+
+def unauthenticated(installation: Installation, act: Act, folder: Path, text: str = "") -> Role:
+    """A participant without credentials; its configuration goes into `folder`."""
+    build = installation.build
+    path = folder / build.open
+    path.write_bytes(source(build.open))
+    environment = {build.variable: str(path)}
+    return Role(
+        name=UNAUTHENTICATED, act=act, text=text, environment=environment, unauthenticated=True
+    )
