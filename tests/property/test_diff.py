@@ -26,6 +26,7 @@ from pqsec_pki.documents import (
     Rule,
 )
 from tests.interop.policies import PARTITIONS, TOPIC_PATTERNS, Maker
+from tests.longer import examples, seeds
 
 EVERYWHERE = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
 SUBJECT = "CN=/robot"
@@ -68,7 +69,7 @@ def test_what_is_said_of_a_pattern_holds_for_every_name(rules, name):
     assert bool(about) >= allowed(name)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", seeds(60, 6))
 def test_all_topics_at_once_are_decided_as_one_by_one(seed, now):
     [grant, *_] = Maker(seed).permissions(SUBJECT).grants
     grant = in_force(grant)
@@ -94,7 +95,7 @@ def test_all_topics_at_once_are_decided_as_one_by_one(seed, now):
             assert allowed is (topic in here), (grant, action, domain, partitions, tags, topic)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", seeds(60, 6))
 def test_where_no_change_is_told_no_question_finds_one(seed, now):
     """Rules are shuffled, which changes something or not."""
     [old, *_] = Maker(seed).permissions(SUBJECT).grants
@@ -132,7 +133,7 @@ RULES = st.lists(
 DEFAULTS = st.sampled_from(list(DefaultAction))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150, 30), deadline=None)
 @given(RULES, DEFAULTS, RULES, DEFAULTS)
 def test_a_change_is_told_where_any_set_of_partitions_and_tags_finds_one(
     now, old, old_default, new, new_default

@@ -26,6 +26,7 @@ from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
 from pqsec_pki.keystore import Keystore, ParticipantSpec, audit, issue
 from pqsec_pki.smime import Require, verify
+from tests.longer import LONG
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -123,7 +124,7 @@ def survives(calls: int, work: Callable[[], object]) -> bool:
 
 def disturbed_calls(every: int) -> range:
     """At which calls the work is disturbed: one in `every`, or each in the longer job."""
-    return range(1, 2000, 1 if os.environ.get("PQSEC_LONG") == "1" else every)
+    return range(1, 2000, 1 if LONG else every)
 
 
 Trial = Callable[[int, Callable[[], object]], bool]
