@@ -157,6 +157,13 @@ def _number(read):
     return struct.unpack(">I", octets)[0]
 
 
+def answer(library, question):
+    # PEM_read_bio_PrivateKey goes on behind a damaged block or gives up, after the oldest error
+    # in the queue: of an earlier file, unless that is empty.
+    library.do("ERR_clear_error")
+    return READERS[question[:1]](library, question[1:])
+
+
 def main():
     library = Library(sys.argv[1])
     write = sys.stdout.buffer
@@ -167,9 +174,7 @@ def main():
             questions = unpack(sys.stdin.buffer.read)
         except EOFError:
             return
-        answers = [pack(READERS[each[:1]](library, each[1:])) for each in questions]
-        library.do("ERR_clear_error")
-        write.write(pack(answers))
+        write.write(pack([pack(answer(library, each)) for each in questions]))
         write.flush()
 
 

@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 
+from pqsec_pki.algorithms import SIGNATURES, private_key_pem
 from tests.fuzz import differential
 
 INPUTS = 400
@@ -35,3 +36,15 @@ def test_what_we_read_openssl_reads_too(kinds, peers, name, seed):
     result = differential.run(kinds[name], peers, INPUTS, seed)
     assert not result.findings, (seed, result.findings, result.examples)
     assert result.taken > INPUTS / 20  # else it says little
+
+
+@pytest.mark.interop
+def test_what_openssl_reads_does_not_depend_on_what_it_read_before(peers):
+    """Behind a damaged block it looks at the oldest error that was left, if any was."""
+    key = private_key_pem(SIGNATURES.named("ecdsa-p256").generate())
+    damaged = b"-----BEGIN CERTIFICATE-----\nMIIBc\n-----END CERTIFICATE-----\n"
+    header = b"Proc-Type: 4,ENCRYPTED\nDEK-Info: FOO,00\n"
+    unknown_cipher = b"-----BEGIN EC PRIVATE KEY-----\n%s\nAAAA\n-----END EC PRIVATE KEY-----\n"
+    for peer in peers:
+        refused, found = peer.ask(b"K", [unknown_cipher % header, damaged + key])
+        assert (len(refused), len(found)) == (0, 1), peer.version

@@ -1,0 +1,15 @@
+"""What the gate tests in part, and the longer job (`.ci/long`, PQSEC_LONG=1) as a whole."""
+
+import os
+
+LONG = os.environ.get("PQSEC_LONG") == "1"
+
+
+def examples(whole: int, gate: int) -> int:
+    """How many generated examples a property is tested with."""
+    return whole if LONG else gate
+
+
+def seeds(whole: int, gate: int) -> range:
+    """The seeds below `whole`; in the gate `gate` of them, spread evenly."""
+    return range(0, whole, 1 if LONG else whole // gate)
