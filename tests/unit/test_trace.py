@@ -73,8 +73,8 @@ def test_all_messages_are_told_in_order_and_can_be_replayed(traced, profile):
     assert [each.sample for each in told.messages] == [each.data for each in told.report.sent]
     for each in told.messages[:5]:
         message = GenericMessage.decode(each.sample)
-        assert each.heads["token_class"] == message.tokens[0].class_id
-        assert each.heads["destination"] == message.destination_participant.hex()
+        assert each.header["token_class"] == message.tokens[0].class_id
+        assert each.header["destination"] == message.destination_participant.hex()
         found = [(piece.name, piece.data) for piece in each.pieces]
         assert found == list(message.tokens[0].binary_properties)
     for each in told.messages[5:]:

@@ -34,7 +34,7 @@ def outcome(stage):
 
     def play(*roles):
         before = len(stage.shim.log)
-        went = stage.perform(*roles, seconds=REFUSAL)
+        went = stage.run_peers(*roles, seconds=REFUSAL)
         assert all(each.joined and not each.refused for each in went.accounts), logs(went)
         return met(went), stage.shim.log[before:]
 

@@ -34,6 +34,6 @@ def test_one_meets_others_at_a_loss_of_ten_percent_and_nobody_crashes(stage, lab
     alice, bob = (enclave(each, {"governance.p7s": document}) for each in (lab.alice, lab.bob))
     sender = stage.sender(alice, loss=LOSS)
     receivers = [stage.receiver(bob, loss=LOSS) for _ in range(RECEIVERS)]
-    went = stage.perform(sender, *receivers, seconds=MEETING)
+    went = stage.run_peers(sender, *receivers, seconds=MEETING)
     assert not any(each.signal or each.refused for each in went.accounts), logs(went)
     assert sender.text in {each.received for each in went.accounts}, logs(went)
