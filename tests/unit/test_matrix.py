@@ -88,7 +88,7 @@ def test_a_message_takes_as_many_fragments_as_it_fills(sample, count):
 
 def test_the_median_is_of_all_rounds(folder, monkeypatch):
     seen = []
-    meet_really = matrix.meet
+    meet_really = matrix.run_handshake
 
     def watched(*arguments):
         seen.append(meet_really(*arguments))

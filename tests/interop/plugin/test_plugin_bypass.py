@@ -35,7 +35,7 @@ def outcome(stage):
     def play(*roles):
         before = len(stage.shim.log)
         went = stage.run_peers(*roles, seconds=REFUSAL)
-        assert all(each.joined and not each.refused for each in went.accounts), logs(went)
+        assert all(each.joined and not each.refused for each in went.outcomes), logs(went)
         return met(went), stage.shim.log[before:]
 
     return play

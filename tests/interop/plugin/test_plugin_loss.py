@@ -35,5 +35,5 @@ def test_one_meets_others_at_a_loss_of_ten_percent_and_nobody_crashes(stage, lab
     sender = stage.sender(alice, loss=LOSS)
     receivers = [stage.receiver(bob, loss=LOSS) for _ in range(RECEIVERS)]
     went = stage.run_peers(sender, *receivers, seconds=MEETING)
-    assert not any(each.signal or each.refused for each in went.accounts), logs(went)
-    assert sender.text in {each.received for each in went.accounts}, logs(went)
+    assert not any(each.signal or each.refused for each in went.outcomes), logs(went)
+    assert sender.text in {each.received for each in went.outcomes}, logs(went)
