@@ -1,7 +1,7 @@
-"""What an enemy could try on two participants who would meet, and that it fails.
+"""Run attacks on the handshake of two participants, and check that all are refused.
 
-For `pqsec verify-handshake --attack`: with the participants' own credentials, as the
-meeting of `selfcheck` is attacked from between them, from outside and from inside.
+For `pqsec verify-handshake --attack`: the handshake of `selfcheck` runs with the
+participants' own credentials, attacked on the way, by outsiders and by insiders.
 """
 
 from pqsec_pki.attacks.attack import Attack

@@ -1,4 +1,4 @@
-"""The attacker is a participant, and stands between two who each want to meet it."""
+"""The attacker is a participant, between two others that each have a handshake with it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,8 +24,8 @@ from pqsec_pki.selfcheck.session import HandshakeSession, Side
 _NAME = "/between"
 
 
-def stand_between(context: AttackContext) -> Iterator[Attempt]:
-    """It hands the one's dh1 and the other's dh2 on under its own name, which is genuine."""
+def relay_key_shares(context: AttackContext) -> Iterator[Attempt]:
+    """Forward dh1 of one and dh2 of the other under the attacker's own genuine identity."""
     ca, context = issue_by_unknown_intermediate(context)
     one, _ = context.session.sides
     keys = Keys.like(one.participant.certificate)
@@ -33,12 +33,12 @@ def stand_between(context: AttackContext) -> Iterator[Attempt]:
     guid = adjusted_guid(certificate.subject_der, one.guid)
     own = with_identity(one, certificate=certificate, key=keys.both, guid=guid, permissions=b"")
     relay = _Between(context.session, own)
-    yield Attempt("dh1 and dh2 handed on", replace(context.session, relay=relay, third=own))
+    yield Attempt("dh1 and dh2 forwarded", replace(context.session, relay=relay, third=own))
 
 
 @dataclass(slots=True)
 class _Between:
-    """The replier of the one and the initiator of the other, without a key for either."""
+    """Replier to one side and initiator to the other, without the private key of dh1 or dh2."""
 
     session: HandshakeSession
     own: Side
@@ -46,7 +46,7 @@ class _Between:
     reply: Reply | None = None
 
     def __call__(self, name: str, data: bytes) -> bytes:
-        if name == MESSAGE:  # it cannot read that, nor make one
+        if name == MESSAGE:  # without the secret it can neither read nor create one
             return data
         message = GenericMessage.decode(data)
         one, other = self.session.sides
@@ -85,7 +85,7 @@ class _Between:
         return self.own.terms.own.introduction(self.session.agreement, nul=True)
 
     def _transcript(self, *, of_request: bool) -> Transcript:
-        """What the initiator has of its handshake, or the replier of the other."""
+        """The transcript that the initiator has, or the one that the replier has."""
         request, reply = self.request, self.reply
         if request is None or reply is None:
             raise AssertionError  # a Reply comes after a Request
@@ -104,11 +104,11 @@ ATTACKS = (
     Attack(
         name="insider-in-the-middle",
         attacker=Attacker.INSIDER,
-        title="stands between two who each want to meet it, so that they share a key unawares",
+        title="stands between two peers of its own, so that those two share a key without knowing",
         refused_at=("message",),
         checks=(Code.C26,),
         also=(Code.NOT_SIGNED,),
-        because="it has no permissions here, for want of the permissions CA's key",
-        act=stand_between,
+        because="it has no permissions here, since the permissions CA's key is not available",
+        act=relay_key_shares,
     ),
 )

@@ -1,6 +1,6 @@
-"""What an attacker makes by itself: keys, certificates, signed documents.
+"""Keys, certificates and signed documents that an attacker creates.
 
-All it has are the certificates and documents that travel in every handshake.
+It has only the certificates and documents that are sent in every handshake.
 """
 
 from base64 import b64decode, encodebytes
@@ -34,19 +34,19 @@ from pqsec_pki.smime import Signer, sign
 
 YEAR = timedelta(days=365)
 _ALTERNATIVE_SIGNATURE = {"2.5.29.73", "2.5.29.74"}
-"""Its algorithm and its value (X.509 (10/2019), 9.8)."""
+"""OIDs of the extensions with its algorithm and its value (X.509 (10/2019), 9.8)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Keys:
-    """A key, and the alternative key where the genuine certificate has one."""
+    """A key, and an alternative key if the genuine certificate has one."""
 
     plain: PrivateKey = field(repr=False)
     alternative: PrivateKey | None = field(repr=False)
 
     @classmethod
     def like(cls, genuine: Certificate) -> Self:
-        """New ones of the same kinds."""
+        """New keys of the same algorithms as in `genuine`."""
         second = genuine.alternative_key
         return cls(
             plain=genuine.public_key.algorithm.generate(),
@@ -55,22 +55,24 @@ class Keys:
 
     @classmethod
     def of(cls, participant: Credentials) -> Self:
-        """The participant's own."""
+        """The participant's own keys."""
         return cls(plain=participant.key, alternative=participant.alternative_key)
 
     @property
     def both(self) -> PrivateKey:
-        """What signs handshakes."""
+        """The key that signs handshakes."""
         return pair_private(self.plain, self.alternative) if self.alternative else self.plain
 
 
 def name_of(genuine: Certificate) -> str:
-    """The common name; all of pqsec's certificates have that and nothing else."""
+    """The common name, the only part of the subject name in pqsec's certificates."""
     return genuine.subject_name.removeprefix("CN=")
 
 
-def vouching_for_itself(genuine: Certificate, now: datetime, name: str | None = None) -> Authority:
-    """An authority with keys of the same kinds, and the same name or another."""
+def self_signed_authority(
+    genuine: Certificate, now: datetime, name: str | None = None
+) -> Authority:
+    """A new CA with keys of the same algorithms, and the same name or `name`."""
     second = genuine.alternative_key
     return Authority.create(
         name or name_of(genuine),
@@ -84,30 +86,30 @@ def vouching_for_itself(genuine: Certificate, now: datetime, name: str | None = 
 def issued(
     authority: Authority, name: str, keys: Keys, now: datetime, validity: timedelta = YEAR
 ) -> Certificate:
-    """A participant's certificate by that authority."""
+    """A participant's certificate issued by that CA."""
     second = keys.alternative.public_key if keys.alternative else None
     return authority.issue(
         name, keys.plain.public_key, alternative=second, now=now, validity=validity
     )
 
 
-def list_of(authority: Authority, taken_back: Certificate, now: datetime) -> RevocationList:
-    """That authority's revocation list, with one certificate on it."""
-    entry = RevokedCertificate(taken_back.serial_number, now, Reason.KEY_COMPROMISE)
+def list_of(authority: Authority, revoked: Certificate, now: datetime) -> RevocationList:
+    """That CA's revocation list, with one certificate on it."""
+    entry = RevokedCertificate(revoked.serial_number, now, Reason.KEY_COMPROMISE)
     return revocation_list(authority, [entry], number=1, now=now, validity=YEAR)
 
 
 def without_alternative_signature(genuine: Certificate, broken: PrivateKey) -> Certificate:
-    """The certificate with one signature less; the other, by the CA's plain key, made again."""
+    """The certificate without its alternative signature, signed again with the CA's plain key."""
     tbs = _without_alternative_signature(genuine)
     return _assembled(tbs, tbs.signature, broken.sign(encode(tbs)))
 
 
 def with_broken_key(genuine: Certificate, key: PrivateKey) -> Certificate:
-    """The authority's certificate, as if `key` were its plain key.
+    """The CA's certificate, as if `key` were its plain key.
 
-    It stands for the authority whose plain key a quantum computer has found. Its
-    alternative key, which none can find, is the genuine one.
+    It simulates a CA whose plain private key a quantum computer has computed. Its
+    alternative key, which a quantum computer cannot compute, is the genuine one.
     """
     tbs = _without_alternative_signature(genuine)
     tbs.subject_public_key_info = raw(key.public_key.spki)
@@ -137,19 +139,19 @@ def _assembled(
 def signed_alike(
     document: bytes, authority: Certificate, counter: Certificate | None, now: datetime
 ) -> bytes:
-    """`document` as the genuine ones are signed, by authorities of the same names."""
+    """`document`, signed like the genuine ones, by new CAs of the same names."""
     signer = _signer(authority, now)
     countersigner = _signer(counter, now) if counter else None
     return sign(document, signer, countersigner=countersigner, now=now)
 
 
 def _signer(genuine: Certificate, now: datetime) -> Signer:
-    forged = vouching_for_itself(genuine, now)
+    forged = self_signed_authority(genuine, now)
     return Signer(forged.certificate, forged.key)
 
 
 def without_countersignature(message: bytes) -> bytes:
-    """The signed document with one signature less; the other does not cover that one."""
+    """The signed document without its countersignature, which no other signature covers."""
     *_, part = message_from_bytes(message).walk()
     text = str(part.get_payload()).strip().encode()
     info = decode(ContentInfo, b64decode(text), "signature")

@@ -1,4 +1,4 @@
-"""The attacker in the place of a participant: without its key, or out of its time."""
+"""The attacker in the place of a participant: without its key, or with an invalid certificate."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,7 +11,7 @@ from pqsec_pki.attacks._forgery import (
     Keys,
     issued,
     list_of,
-    vouching_for_itself,
+    self_signed_authority,
     with_broken_key,
     without_alternative_signature,
 )
@@ -26,26 +26,26 @@ _HOUR = timedelta(hours=1)
 
 
 def copy_certificate(context: AttackContext) -> Iterator[Attempt]:
-    """Certificate and permissions travel in the clear; the key does not."""
+    """Use the certificate and permissions, which are sent in the clear, without the key."""
     return context.impersonating(
         "another key", lambda side, _: with_identity(side, key=_new_keys(side).both)
     )
 
 
 def create_own_ca(context: AttackContext) -> Iterator[Attempt]:
-    """A certificate by an authority of its own."""
+    """Use a certificate issued by a CA of the attacker."""
     now = context.session.now
     genuine = context.session.initiator.participant.identity_ca
     for what, name in (("the same name", None), ("another name", "Another CA")):
-        ca = vouching_for_itself(genuine, now, name)
+        ca = self_signed_authority(genuine, now, name)
         yield from context.impersonating(f"a CA of {what}", partial(_certified_by, ca, now))
 
 
 def sign_own_certificate(context: AttackContext) -> Iterator[Attempt]:
-    """A certificate that its own key signed."""
+    """Use a certificate signed with its own key."""
 
     def self_signed(side: Side, _: Side) -> Side:
-        own = vouching_for_itself(side.participant.certificate, context.session.now)
+        own = self_signed_authority(side.participant.certificate, context.session.now)
         keys = Keys(plain=own.key, alternative=own.alternative_key)
         return with_identity(side, certificate=own.certificate, key=keys.both)
 
@@ -53,7 +53,7 @@ def sign_own_certificate(context: AttackContext) -> Iterator[Attempt]:
 
 
 def use_expired_certificate(context: AttackContext) -> Iterator[Attempt]:
-    """When its certificate has ended. Its permissions have not, so nothing else tells."""
+    """Use an expired certificate; the permissions are still valid, so only C10 refuses it."""
     ca, context = issue_by_unknown_intermediate(context)
     now = context.session.now
     ended = partial(_certified_for, ca, now - _HOUR, _HOUR - _MOMENT)
@@ -61,7 +61,7 @@ def use_expired_certificate(context: AttackContext) -> Iterator[Attempt]:
 
 
 def use_future_certificate(context: AttackContext) -> Iterator[Attempt]:
-    """Before its certificate begins."""
+    """Use a certificate before it is valid."""
     ca, context = issue_by_unknown_intermediate(context)
     begins = context.session.now + _MOMENT + BACKDATE
     return context.impersonating(
@@ -70,7 +70,7 @@ def use_future_certificate(context: AttackContext) -> Iterator[Attempt]:
 
 
 def use_revoked_certificate(context: AttackContext) -> Iterator[Attempt]:
-    """On the CA's list."""
+    """Use a certificate that is on the CA's revocation list."""
     ca, context = issue_by_unknown_intermediate(context)
     one, other = context.session.sides
     now = context.session.now
@@ -86,12 +86,12 @@ def use_revoked_certificate(context: AttackContext) -> Iterator[Attempt]:
 
 
 def issue_by_unknown_intermediate(context: AttackContext) -> tuple[Authority, AttackContext]:
-    """A CA like the genuine one, whose key is not here, and the two certified by it.
+    """A new CA in place of the genuine one, whose key is missing, and both certified by it.
 
-    It has revoked nobody, and the genuine one's list is not its own.
+    It has revoked no certificate, and the genuine CA's revocation list is not its own.
     """
     now = context.session.now
-    ca = vouching_for_itself(context.session.initiator.participant.identity_ca, now)
+    ca = self_signed_authority(context.session.initiator.participant.identity_ca, now)
     one, other = (
         with_identity(_certified_by(ca, now, side, side), ca=ca.certificate, revocation_list=None)
         for side in context.session.sides
@@ -102,24 +102,24 @@ def issue_by_unknown_intermediate(context: AttackContext) -> tuple[Authority, At
 def _certified_for(
     ca: Authority, begin: datetime, validity: timedelta, side: Side, _: Side
 ) -> Side:
-    """New keys, and a certificate that begins a day before `begin`, as all do."""
+    """New keys, and a certificate for them that is valid from a day before `begin`, as usual."""
     keys = _new_keys(side)
     certificate = issued(ca, side.name, keys, begin, validity)
     return with_identity(side, certificate=certificate, key=keys.both)
 
 
-# With a quantum computer, which finds plain keys
+# With a quantum computer, which computes plain private keys
 
 
 def sign_plainly(context: AttackContext) -> Iterator[Attempt]:
-    """As it would with a stock stack."""
+    """Sign with the plain key alone, as for a stock stack."""
     return context.impersonating(
         "the plain key alone", lambda side, _: with_identity(side, key=side.participant.key)
     )
 
 
 def sign_half(context: AttackContext) -> Iterator[Attempt]:
-    """As if with both keys, but half of it is another key's, or is not there."""
+    """Sign as with both keys, but with another key for one half, or without that half."""
 
     def halves(side: Side, _: Side, half: str) -> Side:
         own = {half: getattr(Keys.of(side.participant), half)}
@@ -136,14 +136,14 @@ def sign_half(context: AttackContext) -> Iterator[Attempt]:
 
 
 def _cuts(side: Side) -> dict[str, Edit]:
-    """The alternative signature stands in front, and all of them have one size."""
+    """Edits that keep one half; the alternative signature comes first and has a fixed size."""
     second = side.participant.alternative_key
     cut = second.algorithm.signature_size if second else 0
     return {"plain": lambda both: both[cut:], "alternative": lambda both: both[:cut]}
 
 
 def strip_certificate(context: AttackContext) -> Iterator[Attempt]:
-    """The genuine certificate and keys, but for the signature of the CA's alternative key."""
+    """Use the genuine certificate and keys, without the CA's alternative signature."""
     genuine_ca = context.session.initiator.participant.identity_ca
     key = Keys.like(genuine_ca).plain
     context = _trusted_by_both(with_broken_key(genuine_ca, key), context)
@@ -157,7 +157,7 @@ def strip_certificate(context: AttackContext) -> Iterator[Attempt]:
 
 
 def break_the_ca(context: AttackContext) -> Iterator[Attempt]:
-    """A certificate by the CA's plain key, for what that is worth."""
+    """Use a certificate signed with the CA's plain key."""
     now = context.session.now
     genuine = context.session.initiator.participant.identity_ca
     own = Keys.like(genuine)
@@ -177,7 +177,7 @@ def _trusted_by_both(ca: Certificate, context: AttackContext) -> AttackContext:
 
 
 def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
-    """New keys, and a certificate by `ca` for them; the peer's it checks by the genuine CA."""
+    """New keys, and a certificate for them by `ca`; the peer is checked with the genuine CA."""
     keys = _new_keys(side)
     certificate = issued(ca, side.name, keys, now)
     genuine = side.participant.identity_ca
@@ -185,7 +185,7 @@ def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
 
 
 def _new_keys(side: Side) -> Keys:
-    """Of the kinds that the participant has."""
+    """New keys of the same algorithms as the participant's."""
     return Keys.like(side.participant.certificate)
 
 
@@ -201,7 +201,7 @@ ATTACKS = (
     Attack(
         name="own-ca",
         attacker=Attacker.OUTSIDER,
-        title="makes a CA of the same name, and certificates with it",
+        title="creates a CA of the same name, and issues certificates with it",
         refused_at=("reply", "final"),
         checks=(Code.WRONG_ISSUER, Code.BAD_SIGNATURE, Code.ALTERNATIVE_BAD),
         act=create_own_ca,
@@ -217,7 +217,7 @@ ATTACKS = (
     Attack(
         name="expired",
         attacker=Attacker.INSIDER,
-        title="still uses its certificate after that has ended",
+        title="uses its certificate after it expired",
         refused_at=("reply", "final"),
         checks=(Code.EXPIRED,),
         act=use_expired_certificate,
@@ -225,7 +225,7 @@ ATTACKS = (
     Attack(
         name="not-yet-valid",
         attacker=Attacker.INSIDER,
-        title="uses its certificate before that begins",
+        title="uses its certificate before it is valid",
         refused_at=("reply", "final"),
         checks=(Code.NOT_YET_VALID,),
         act=use_future_certificate,
@@ -233,7 +233,7 @@ ATTACKS = (
     Attack(
         name="revoked",
         attacker=Attacker.INSIDER,
-        title="still uses its certificate after that was revoked",
+        title="uses its certificate after it was revoked",
         refused_at=("reply", "final"),
         checks=(Code.REVOKED,),
         act=use_revoked_certificate,
@@ -250,7 +250,7 @@ ATTACKS = (
     Attack(
         name="half-signature",
         attacker=Attacker.QUANTUM,
-        title="signs with one of the two keys, and has nothing or another key for the other",
+        title="signs with one of the two keys, and with no key or another key for the second",
         refused_at=("final", "authenticated"),
         checks=(Code.C21, Code.C24),
         act=sign_half,
@@ -259,7 +259,7 @@ ATTACKS = (
     Attack(
         name="stripped-certificate",
         attacker=Attacker.QUANTUM,
-        title="takes the CA's post-quantum signature out of the certificate",
+        title="removes the CA's post-quantum signature from the certificate",
         refused_at=("reply", "final"),
         checks=(Code.ALTERNATIVE_MISSING,),
         act=strip_certificate,

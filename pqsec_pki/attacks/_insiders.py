@@ -1,4 +1,4 @@
-"""The attacker is a participant, with a genuine certificate and key, and wants more."""
+"""The attacker is a participant with a genuine certificate and key, and wants more rights."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -22,7 +22,7 @@ from pqsec_pki.smime import Signer, document_in, sign
 
 
 def issue_certificates(context: AttackContext) -> Iterator[Attempt]:
-    """One that never ends, by its own key; its permissions are for that name."""
+    """Issue a certificate for its own name with its own key, as if it were a CA."""
 
     def prolonged(side: Side, _: Side) -> Side:
         own = side.participant
@@ -37,7 +37,7 @@ def issue_certificates(context: AttackContext) -> Iterator[Attempt]:
 
 
 def claim_guid(context: AttackContext) -> Iterator[Attempt]:
-    """One that belongs to another name."""
+    """Use a GUID that belongs to another subject name."""
 
     def claiming(side: Side, _: Side) -> Side:
         another = side.participant.identity_ca.subject_der
@@ -50,16 +50,16 @@ def claim_guid(context: AttackContext) -> Iterator[Attempt]:
 
 
 Forger = Callable[[Credentials, Credentials, datetime], bytes]
-"""What the first shows as its permissions, knowing the second's."""
+"""Returns the permissions that the first shows, given the credentials of the second."""
 
 
 def borrow_permissions(context: AttackContext) -> Iterator[Attempt]:
-    """They came in an earlier handshake."""
+    """Show the permissions of the other, known from an earlier handshake."""
     return _permitted(context, "the other's", lambda _, other, __: other.permissions)
 
 
 def shared_permissions(session: HandshakeSession) -> str | None:
-    """Why to borrow permissions is no attack, where it is none: they are for the borrower too."""
+    """Why borrowing permissions is not an attack: a grant is for the borrower too; else None."""
     one, other = session.sides
     for borrower, lender in ((one, other), (other, one)):
         document = Permissions.from_xml(document_in(lender.participant.permissions))
@@ -70,19 +70,19 @@ def shared_permissions(session: HandshakeSession) -> str | None:
 
 def _is_for(side: Side, grant: Grant) -> bool:
     own = parse_subject(side.participant.certificate.subject_name)
-    with suppress(MalformedError):  # what is no name names nobody
+    with suppress(MalformedError):  # a text that is not a name matches no subject
         return same_subject(parse_subject(grant.subject_name), own)
     return False
 
 
 def forge_permissions(context: AttackContext) -> Iterator[Attempt]:
-    """Not what the permissions CA signed, or not by it."""
+    """Show permissions that the permissions CA did not sign."""
     for what, forger in _FORGERS.items():
         yield from _permitted(context, what, forger)
 
 
 def strip_countersignature(context: AttackContext) -> Iterator[Attempt]:
-    """Its own, but without the post-quantum signature."""
+    """Show its own permissions without the post-quantum signature."""
     return _permitted(
         context, "one signature alone", lambda own, *_: without_countersignature(own.permissions)
     )
@@ -123,37 +123,37 @@ _FORGERS: Mapping[str, Forger] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Spoilt(KeyAgreement):
-    """A row whose public keys and ciphertexts come out spoilt."""
+class _Corrupted(KeyAgreement):
+    """A key agreement whose public keys and ciphertexts are corrupted."""
 
     row: KeyAgreement = field(repr=False)
-    spoil: Edit = field(repr=False)
+    corrupt: Edit = field(repr=False)
 
     @classmethod
-    def of(cls, row: KeyAgreement, spoil: Edit) -> "_Spoilt":
+    def of(cls, row: KeyAgreement, corrupt: Edit) -> "_Corrupted":
         kept = {each.name: getattr(row, each.name) for each in fields(KeyAgreement)}
-        return cls(**kept, row=row, spoil=spoil)
+        return cls(**kept, row=row, corrupt=corrupt)
 
     def _fits(self, data: bytes, size: int) -> bool:
         del data, size
-        return True  # the row will say
+        return True  # the genuine row checks the size
 
     def _generate(self) -> KeyPair:
         return self.row.generate()
 
     def _public(self, handle: Any) -> bytes:
-        return self.spoil(handle.public)
+        return self.corrupt(handle.public)
 
     def _encapsulate(self, public: bytes) -> tuple[bytes, bytes]:
         ciphertext, secret = self.row.encapsulate(public)
-        return self.spoil(ciphertext), secret
+        return self.corrupt(ciphertext), secret
 
     def _decapsulate(self, handle: Any, ciphertext: bytes) -> bytes:
         secret: bytes = handle.decapsulate(ciphertext)
         return secret
 
 
-_SPOILT: Mapping[str, Edit] = {
+_CORRUPTIONS: Mapping[str, Edit] = {
     "a byte short": lambda value: value[:-1],
     "a byte long": lambda value: value + b"\0",
     "empty": lambda _: b"",
@@ -164,26 +164,26 @@ _SPOILT: Mapping[str, Edit] = {
     "the first byte changed": lambda value: bytes([value[0] ^ 1]) + value[1:],
     "the last byte changed": lambda value: value[:-1] + bytes([value[-1] ^ 1]),
 }
-"""Some is a public key or ciphertext all the same; then nobody has the secret that is in it."""
+"""Some results are still valid public keys or ciphertexts, of a secret that neither side has."""
 
 
 def send_bad_public_keys(context: AttackContext) -> Iterator[Attempt]:
-    """As dh1. Nothing covers it yet, so whoever is on the way can do it too."""
+    """Send a bad dh1. No signature covers it yet, so an attacker on the way can do this too."""
     one, _ = context.session.sides
-    for what, spoil in _SPOILT.items():
-        row = _Spoilt.of(context.session.agreement, spoil)
+    for what, corrupt in _CORRUPTIONS.items():
+        row = _Corrupted.of(context.session.agreement, corrupt)
         yield Attempt(what, replace(context.session, agreement=row), one.name)
 
 
 def sign_bad_ciphertexts(context: AttackContext) -> Iterator[Attempt]:
-    """As dh2, under a signature that holds.
+    """Send a bad dh2, under a valid signature.
 
-    What cannot be told from a good one shows when the two talk, to whoever reads first:
-    so the attacker's side may be the one that refuses.
+    One that is still a valid ciphertext shows in the first protected message, to the side
+    that reads first: so the attacker's side may be the one that refuses.
     """
     _, other = context.session.sides
-    for what, spoil in _SPOILT.items():
-        row = _Spoilt.of(context.session.agreement, spoil)
+    for what, corrupt in _CORRUPTIONS.items():
+        row = _Corrupted.of(context.session.agreement, corrupt)
         policy = replace(other.terms.policy, agreements=(row,))
         replier = replace(other, terms=replace(other.terms, policy=policy))
         yield Attempt(what, replace(context.session, replier=replier))
@@ -226,7 +226,7 @@ ATTACKS = (
     Attack(
         name="stripped-permissions",
         attacker=Attacker.QUANTUM,
-        title="takes the post-quantum signature off its permissions",
+        title="removes the post-quantum signature from its permissions",
         refused_at=("admits",),
         checks=(Code.SIGNATURE_MISSING,),
         act=strip_countersignature,
@@ -235,7 +235,7 @@ ATTACKS = (
     Attack(
         name="bad-public-key",
         attacker=Attacker.INSIDER,
-        title="sends key-agreement keys that are none: of a wrong size, off the curve, all zero",
+        title="sends invalid key-agreement keys: of a wrong size, off the curve, all zero",
         refused_at=("reply", "message"),
         checks=(Code.C17, Code.C26),
         act=send_bad_public_keys,
@@ -243,7 +243,7 @@ ATTACKS = (
     Attack(
         name="bad-ciphertext",
         attacker=Attacker.INSIDER,
-        title="answers with a secret that was changed, and signs that",
+        title="answers with a changed ciphertext or public key, and signs it",
         refused_at=("final", "message"),
         checks=(Code.C22, Code.C26),
         act=sign_bad_ciphertexts,

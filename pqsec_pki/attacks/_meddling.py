@@ -1,4 +1,4 @@
-"""The attacker on the way plays a game of its own: its challenges, its keys, its algorithms."""
+"""The attacker on the way substitutes its own challenges, keys and algorithm names."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE
 from pqsec_pki.selfcheck.session import Relay
 
 _HASHES = {"request": "hash_c1", "reply": "hash_c2"}
-"""What shows that an introduction was changed; optional, so it can be taken out."""
+"""The hashes that show a changed introduction; they are optional, so they can be removed."""
 _FORGED = bytes(CHALLENGE_SIZE)
 
 
 def swap_challenges(context: AttackContext) -> Iterator[Attempt]:
-    """Whoever chooses a challenge can have the answer ready."""
+    """Replace a challenge: who chooses the challenge can prepare the answer."""
     for occurrence, whose, message, name in (
         (1, "initiator's", "request", "challenge1"),
         (2, "replier's", "reply", "challenge2"),
@@ -26,9 +26,7 @@ def swap_challenges(context: AttackContext) -> Iterator[Attempt]:
         yield context.between(f"the {whose}, as announced", _announcing(occurrence))
         sent = putting(message, {name: _FORGED})
         yield context.between(f"the {whose}, announced and sent", _announcing(occurrence), sent)
-    yield context.between(
-        "the initiator's, and put right when it comes back", _announcing(1), _SwapBothWays()
-    )
+    yield context.between("the initiator's, restored in the reply", _announcing(1), _SwapBothWays())
 
 
 def _announcing(occurrence: int) -> Relay:
@@ -37,7 +35,7 @@ def _announcing(occurrence: int) -> Relay:
 
 @dataclass(slots=True)
 class _SwapBothWays:
-    """Shows the replier another challenge1, and the initiator its own."""
+    """Sends the replier another challenge1, and the initiator its own in the reply."""
 
     challenge1: bytes = b""
 
@@ -49,7 +47,7 @@ class _SwapBothWays:
 
 
 def strip_hashes(context: AttackContext) -> Iterator[Attempt]:
-    """Another's permissions in an introduction, and no hash of it on the way."""
+    """Put other permissions in an introduction, and remove its hash."""
     for message, other in (("request", "reply"), ("reply", "request")):
         name = _HASHES[message]
         relays = [putting(each, {name: None}) for each in HANDSHAKE]
@@ -58,7 +56,7 @@ def strip_hashes(context: AttackContext) -> Iterator[Attempt]:
 
 
 def sit_in_the_middle(context: AttackContext) -> Iterator[Attempt]:
-    """Keys of its own for both sides, to read along."""
+    """Use keys of its own with both sides, to read what they send."""
     agreement = context.session.agreement
     yield context.between("dh1 and dh2", _Middle(agreement))
     yield context.between("dh1 and dh2, with dh1 not repeated", _Middle(agreement, hides=True))
@@ -66,13 +64,13 @@ def sit_in_the_middle(context: AttackContext) -> Iterator[Attempt]:
 
 @dataclass(slots=True)
 class _Middle:
-    """Agrees with each side in the other's name."""
+    """Agrees on a key with each side in the name of the other."""
 
     agreement: KeyAgreement
     hides: bool = False
-    """Whether it takes dh1 out of the reply, where it would not fit what is signed."""
+    """Whether it removes dh1 from the reply, where it would differ from what is signed."""
     dh1: bytes = b""
-    """The initiator's."""
+    """The initiator's dh1."""
 
     def __call__(self, name: str, data: bytes) -> bytes:
         match name:
@@ -90,7 +88,7 @@ class _Middle:
 
 
 def downgrade(context: AttackContext) -> Iterator[Attempt]:
-    """All but the domain's own."""
+    """Ask for every key agreement except the domain's own."""
     own = context.session.agreement.wire_name
     for row in KEY_AGREEMENTS:
         if row.wire_name != own:
@@ -101,7 +99,7 @@ def downgrade(context: AttackContext) -> Iterator[Attempt]:
 
 
 def name_other_signatures(context: AttackContext) -> Iterator[Attempt]:
-    """All but how the sender signs."""
+    """Name every signature algorithm except the sender's."""
     for message, side in zip(_HASHES, context.session.sides, strict=True):
         own = side.terms.own.key.algorithm.wire_name
         for name in dict.fromkeys(row.wire_name for row in SIGNATURES):
@@ -111,7 +109,7 @@ def name_other_signatures(context: AttackContext) -> Iterator[Attempt]:
 
 
 def name_unknown_algorithms(context: AttackContext) -> Iterator[Attempt]:
-    """What is nobody's name, or no name at all."""
+    """Use names of no algorithm, and values that are not names."""
     names = {"none": b"none\0", "empty": b"", "not text": b"\xff\xfe\0", "1000 bytes": b"A" * 1000}
     for message in _HASHES:
         for field in ("c.dsign_algo", "c.kagree_algo"):
@@ -128,7 +126,7 @@ ATTACKS = (
     Attack(
         name="swap-challenge",
         attacker=Attacker.ON_THE_WAY,
-        title="puts its own challenge in the place of a fresh one, to have an answer ready",
+        title="replaces a fresh challenge by its own, for which it has an answer",
         refused_at=("reply", "final"),
         checks=(Code.C14, Code.C19, Code.C20, Code.C21),
         also=TRANSCRIPT,
@@ -138,7 +136,7 @@ ATTACKS = (
     Attack(
         name="strip-hash",
         attacker=Attacker.ON_THE_WAY,
-        title="changes the permissions in a message and takes out the hash that would show it",
+        title="changes the permissions in a message and removes the hash that would show it",
         refused_at=("final",),
         checks=(Code.C21,),
         also=(*TRANSCRIPT, *DOCUMENT),
@@ -148,7 +146,7 @@ ATTACKS = (
     Attack(
         name="key-in-the-middle",
         attacker=Attacker.ON_THE_WAY,
-        title="agrees on a key with each side in the other's name, to read along",
+        title="agrees on a key with each side in the other's name, to read what they send",
         refused_at=("final",),
         checks=(Code.C21,),
         also=TRANSCRIPT,
@@ -158,7 +156,7 @@ ATTACKS = (
     Attack(
         name="downgrade",
         attacker=Attacker.ON_THE_WAY,
-        title="asks for another key agreement than the profile's, a weaker one say",
+        title="asks for another key agreement than the profile's, such as a weaker one",
         refused_at=("reply", "final"),
         checks=(Code.C8, Code.C18),
         also=TRANSCRIPT,

@@ -1,11 +1,11 @@
-"""The attacker on the way delivers messages otherwise: relabeled, reordered, shorter, longer."""
+"""The attacker on the way delivers messages relabeled, reordered, cut short or made longer."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
 from pqsec_pki.attacks._context import AttackContext, Attempt
-from pqsec_pki.attacks._relays import adding, enveloped, on, retold
+from pqsec_pki.attacks._relays import adding, changing_token, enveloped, on
 from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.handshake import DataHolder, GenericMessage
 from pqsec_pki.problems import Code
@@ -20,7 +20,7 @@ _MISLABELED: Mapping[str, Callable[[GenericMessage], GenericMessage]] = {
 
 
 def mislabel(context: AttackContext) -> Iterator[Attempt]:
-    """Right tokens in a wrong message."""
+    """Send valid tokens in a message with wrong fields."""
     for message in (AUTH_REQUEST, *HANDSHAKE):
         for what, edit in _MISLABELED.items():
             yield context.between(f"the {message} {what}", enveloped(message, edit))
@@ -31,12 +31,12 @@ def _as_version_9(token: DataHolder) -> DataHolder:
 
 
 def reorder(context: AttackContext) -> Iterator[Attempt]:
-    """Another message than is due, which has all that is looked for in the one that is."""
+    """Send another message than the expected one, with all fields that the expected one has."""
     for due in HANDSHAKE:
         for other in HANDSHAKE:
             if other != due:
-                relay = retold(due, partial(_as, context.token(other)))
-                yield context.between(f"a {other} where a {due} is due", relay)
+                relay = changing_token(due, partial(_as, context.token(other)))
+                yield context.between(f"a {other} instead of a {due}", relay)
 
 
 def _as(other: DataHolder, due: DataHolder) -> DataHolder:
@@ -49,7 +49,7 @@ _PADDING = bytes(64)
 
 
 def truncate(context: AttackContext) -> Iterator[Attempt]:
-    """Messages that end too early, but behind all that is looked for."""
+    """Cut messages short, after all fields that the receiver needs."""
     for message in (AUTH_REQUEST, *HANDSHAKE):
         for what, size in _CUTS.items():
             padding = adding(message, ("x", _PADDING))
@@ -70,7 +70,7 @@ def _without_end(size: int, data: bytes) -> bytes:
 
 
 def oversize(context: AttackContext) -> Iterator[Attempt]:
-    """What would cost memory or time before anybody is authenticated."""
+    """Send messages that could cost memory or time before authentication."""
     many = [(f"x{at}", b"") for at in range(10_000)]
     for message in HANDSHAKE:
         relay = adding(message, ("x", bytes(1 << 20)))
@@ -82,7 +82,7 @@ def oversize(context: AttackContext) -> Iterator[Attempt]:
 
 
 def _with_length(sample: bytes) -> bytes:
-    """What the last field begins with is its length."""
+    """The sample, with a length of 4 GiB at the start of its last field."""
     end = len(_PADDING)
     return sample[: -end - 4] + b"\xff" * 4 + sample[-end:]
 
@@ -91,7 +91,7 @@ ATTACKS = (
     Attack(
         name="mislabel",
         attacker=Attacker.ON_THE_WAY,
-        title="readdresses a message, or says it is of another kind or version",
+        title="readdresses a message, or labels it with another kind or version",
         refused_at=("auth", "reply", "final", "authenticated"),
         checks=(Code.C2, Code.C3),
         act=mislabel,
@@ -99,7 +99,7 @@ ATTACKS = (
     Attack(
         name="reorder",
         attacker=Attacker.ON_THE_WAY,
-        title="delivers a message where another one is due",
+        title="delivers another message than the expected one",
         refused_at=("reply", "final", "authenticated"),
         checks=(Code.C3,),
         act=reorder,

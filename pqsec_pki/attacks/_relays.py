@@ -7,13 +7,13 @@ from pqsec_pki.handshake import DataHolder, GenericMessage
 from pqsec_pki.selfcheck.session import Relay
 
 Edit = Callable[[bytes], bytes]
-"""What becomes of a message as it travels."""
+"""Changes the sample of a message on its way."""
 Change = Callable[[DataHolder], DataHolder]
-"""What becomes of its token."""
+"""Changes the token of a message."""
 
 
 def on(message: str, edit: Edit, occurrence: int = 1) -> Relay:
-    """Edits the message of that name; where both send one, the initiator's has turn 1."""
+    """Edits the message of that name; if both send one, the initiator's is occurrence 1."""
     heard = 0
 
     def relay(name: str, data: bytes) -> bytes:
@@ -25,12 +25,12 @@ def on(message: str, edit: Edit, occurrence: int = 1) -> Relay:
 
 
 def enveloped(message: str, edit: Callable[[GenericMessage], GenericMessage]) -> Relay:
-    """Edits what is around the token too."""
+    """Edits the whole message, including the fields around its token."""
     return on(message, lambda sample: edit(GenericMessage.decode(sample)).encode())
 
 
-def retold(message: str, change: Change, occurrence: int = 1) -> Relay:
-    """Changes the token; what is around it stays as it is."""
+def changing_token(message: str, change: Change, occurrence: int = 1) -> Relay:
+    """Changes the token; the fields around it stay unchanged."""
 
     def edit(sample: bytes) -> bytes:
         told = GenericMessage.decode(sample)
@@ -40,19 +40,19 @@ def retold(message: str, change: Change, occurrence: int = 1) -> Relay:
 
 
 def instead(message: str, token: DataHolder, occurrence: int = 1) -> Relay:
-    """Puts another token in the place of the message's own."""
-    return retold(message, lambda _: token, occurrence)
+    """Replaces the token by another one."""
+    return changing_token(message, lambda _: token, occurrence)
 
 
 def putting(message: str, values: Mapping[str, bytes | None], occurrence: int = 1) -> Relay:
-    """Puts other values under those names; None takes a field out."""
+    """Sets fields to other values; None removes a field."""
 
     def change(token: DataHolder) -> DataHolder:
         items = ((name, values.get(name, value)) for name, value in token.binary_properties)
         kept = tuple((name, value) for name, value in items if value is not None)
         return replace(token, binary_properties=kept)
 
-    return retold(message, change, occurrence)
+    return changing_token(message, change, occurrence)
 
 
 def editing(message: str, name: str, edit: Edit) -> Relay:
@@ -65,22 +65,22 @@ def editing(message: str, name: str, edit: Edit) -> Relay:
         )
         return replace(token, binary_properties=tuple(items))
 
-    return retold(message, change)
+    return changing_token(message, change)
 
 
 def adding(message: str, *fields: tuple[str, bytes]) -> Relay:
-    """Puts more fields behind its own."""
+    """Adds fields after the token's own."""
 
     def change(token: DataHolder) -> DataHolder:
         return replace(token, binary_properties=token.binary_properties + fields)
 
-    return retold(message, change)
+    return changing_token(message, change)
 
 
 def preceding(message: str, *fields: tuple[str, bytes]) -> Relay:
-    """Puts more fields before its own."""
+    """Adds fields before the token's own."""
 
     def change(token: DataHolder) -> DataHolder:
         return replace(token, binary_properties=fields + token.binary_properties)
 
-    return retold(message, change)
+    return changing_token(message, change)

@@ -1,4 +1,4 @@
-"""The attacker on the way repeats what it heard, to the one who said it or to the other."""
+"""The attacker on the way sends recorded messages again, to their sender or their receiver."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from pqsec_pki.selfcheck.session import Relay
 
 
 def reflect(context: AttackContext) -> Iterator[Attempt]:
-    """A side meets itself."""
+    """Send a side its own credentials."""
     for message, other, hashed in (
         ("request", "reply", "hash_c1"),
         ("reply", "request", "hash_c2"),
@@ -25,13 +25,13 @@ def reflect(context: AttackContext) -> Iterator[Attempt]:
 
 
 def reflect_message(context: AttackContext) -> Iterator[Attempt]:
-    """The key is the same both ways, so what a side sent opens for that side too."""
+    """Send a side its own protected message: it can decrypt it, as there is one key for both."""
     yield context.between("the initiator's, in the place of the replier's", _Echo())
 
 
 @dataclass(slots=True)
 class _Echo:
-    """Sends what the first of two said under protection to the second, and back to it."""
+    """Sends the protected message of the first side to the second, and back to the first."""
 
     first: bytes = b""
 
@@ -43,30 +43,30 @@ class _Echo:
 
 
 def replay(context: AttackContext) -> Iterator[Attempt]:
-    """One message of an earlier handshake, or all that one side said in it."""
+    """Replay one message of an earlier handshake, or all messages of one side."""
     for name in HANDSHAKE:
-        yield context.between(f"the {name}", _again(context, name))
-    of_initiator = [_again(context, name) for name in (AUTH_REQUEST, "request", "final")]
-    yield context.between("all that the initiator said", _Beside(context), *of_initiator)
-    of_replier = _again(context, AUTH_REQUEST, 2), _again(context, "reply")
-    yield context.between("all that the replier said", *of_replier)
+        yield context.between(f"the {name}", _replayed(context, name))
+    of_initiator = [_replayed(context, name) for name in (AUTH_REQUEST, "request", "final")]
+    yield context.between("all that the initiator sent", _Beside(context), *of_initiator)
+    of_replier = _replayed(context, AUTH_REQUEST, 2), _replayed(context, "reply")
+    yield context.between("all that the replier sent", *of_replier)
     for occurrence, side in enumerate(context.session.sides, start=1):
-        message = on(MESSAGE, partial(_heard, context, occurrence), occurrence)
-        yield context.between(f"what {side.name} sent under the keys of then", message)
+        message = on(MESSAGE, partial(_recorded, context, occurrence), occurrence)
+        yield context.between(f"what {side.name} sent under the earlier keys", message)
 
 
-def _again(context: AttackContext, name: str, occurrence: int = 1) -> Relay:
+def _replayed(context: AttackContext, name: str, occurrence: int = 1) -> Relay:
     return instead(name, context.token(name, occurrence), occurrence)
 
 
-def _heard(context: AttackContext, occurrence: int, data: bytes) -> bytes:
+def _recorded(context: AttackContext, occurrence: int, data: bytes) -> bytes:
     del data
-    return context.heard(MESSAGE, occurrence)
+    return context.message(MESSAGE, occurrence)
 
 
 @dataclass(slots=True)
 class _Beside:
-    """Keeps the initiator busy with a handshake of its own, beside the replayed one."""
+    """Runs a handshake with the initiator, beside the replayed one."""
 
     context: AttackContext
     request: bytes = b""
@@ -79,7 +79,7 @@ class _Beside:
         return data
 
     def _answer(self, challenge2: bytes) -> DataHolder:
-        """The replier's, to what the initiator really asked."""
+        """The replier's token, as an answer to the initiator's new Request."""
         session = self.context.session
         terms = replace(session.replier.terms, announced=challenge2)
         request = Request.from_holder(token_in(self.request))
@@ -90,7 +90,7 @@ ATTACKS = (
     Attack(
         name="reflect",
         attacker=Attacker.ON_THE_WAY,
-        title="sends a participant its own certificate back, so that it meets itself",
+        title="sends a participant its own certificate back, as if it were its own peer",
         refused_at=("reply", "final"),
         checks=(Code.C12, Code.C13),
         also=TRANSCRIPT,
@@ -108,11 +108,11 @@ ATTACKS = (
     Attack(
         name="replay",
         attacker=Attacker.ON_THE_WAY,
-        title="repeats what it recorded of an earlier handshake, piece by piece or all of it",
+        title="replays an earlier handshake, one message or all messages of a side",
         refused_at=("reply", "final", "authenticated", "message"),
         checks=(Code.C14, Code.C19, Code.C20, Code.C23, Code.C26),
         also=TRANSCRIPT,
-        because="of an earlier handshake all has to be replayed that its signatures cover",
+        because="a replay needs all values that the signatures of the earlier handshake cover",
         act=replay,
     ),
 )

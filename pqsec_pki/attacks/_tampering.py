@@ -1,4 +1,4 @@
-"""The attacker on the way changes what is in a message: its fields, or what is encrypted."""
+"""The attacker on the way changes the fields of a message, or its encrypted content."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
@@ -36,7 +36,7 @@ _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
 
 
 def change_fields(message: str, context: AttackContext) -> Iterator[Attempt]:
-    """One bit of a field: at its begin, in its middle and at its end."""
+    """Change one bit of a field: at its start, in its middle or at its end."""
     for name, _ in context.token(message).binary_properties:
         for word, place in (("first", 0.0), ("middle", 0.5), ("last", 1.0)):
             relay = editing(message, name, partial(_with_less, place))
@@ -44,7 +44,7 @@ def change_fields(message: str, context: AttackContext) -> Iterator[Attempt]:
 
 
 def drop_fields(context: AttackContext) -> Iterator[Attempt]:
-    """Fields that must be there. Without an optional one nothing is lost."""
+    """Remove a required field. Removing an optional one does no harm."""
     for message, kind in _CLASSES.items():
         optional = {field.name for field in fields(kind) if field.default is None}
         for name, _ in context.token(message).binary_properties:
@@ -53,9 +53,9 @@ def drop_fields(context: AttackContext) -> Iterator[Attempt]:
 
 
 def double_fields(context: AttackContext) -> Iterator[Attempt]:
-    """Of two values, two readers may take different ones: the first is forged, the last is not.
+    """Send a field twice: the first value is forged, the last is genuine.
 
-    Who takes the last sees nothing wrong. Cyclone DDS takes the first.
+    A receiver that uses the last value notices nothing. Cyclone DDS uses the first.
     """
     for message in HANDSHAKE:
         for name, value in context.token(message).binary_properties:
@@ -64,13 +64,13 @@ def double_fields(context: AttackContext) -> Iterator[Attempt]:
 
 
 def add_fields(context: AttackContext) -> Iterator[Attempt]:
-    """Fast DDS hashes every field whose name begins with "c.", other stacks hash five."""
+    """Add a field: Fast DDS hashes every field named "c.*", other stacks hash five fields."""
     for message in HANDSHAKE:
         yield context.between(f"c.extra in the {message}", adding(message, ("c.extra", b"1")))
 
 
 def _with_less(place: float, value: bytes) -> bytes:
-    """One bit less, so that the numbers of an ML-KEM key stay below its modulus."""
+    """The value with one bit cleared, so that numbers of an ML-KEM key stay below its modulus."""
     at = int(place * (len(value) - 1))
     byte = value[at]
     return value[:at] + bytes([byte & byte - 1 if byte else 1]) + value[at + 1 :]
@@ -89,11 +89,11 @@ _PROTECTED = {
     "tag": -12,
     "number of receivers": -1,
 }
-"""Where a byte of each part stands in a protected submessage (DDS-Security 1.1, 9.5.3.3.4)."""
+"""The offset of one byte of each part of a protected submessage (DDS-Security 1.1, 9.5.3.3.4)."""
 
 
 def change_message(context: AttackContext) -> Iterator[Attempt]:
-    """What is sent under the keys that were agreed."""
+    """Change a protected message, or send it unprotected."""
     one, other = context.session.sides
     for occurrence, (side, peer) in enumerate(((one, other), (other, one)), start=1):
         for part, at in _PROTECTED.items():
@@ -171,7 +171,7 @@ ATTACKS = (
     Attack(
         name="change-message",
         attacker=Attacker.ON_THE_WAY,
-        title="changes what is sent encrypted afterwards, or sends it unencrypted",
+        title="changes the encrypted message after the handshake, or sends it unencrypted",
         refused_at=("message",),
         checks=(Code.C26,),
         act=change_message,
@@ -179,14 +179,14 @@ ATTACKS = (
     Attack(
         name="drop-field",
         attacker=Attacker.ON_THE_WAY,
-        title="takes a required field out of a message",
+        title="removes a required field from a message",
         refused_at=("reply", "final", "authenticated"),
         checks=(Code.C4,),
         also=(
             *(Code.C6, Code.C8, Code.C9, Code.C11, Code.C12, Code.C14, Code.C15, Code.C16),
             *(Code.C17, Code.C18, Code.C20, Code.C22, *TRANSCRIPT, *DOCUMENT),
         ),
-        because="what is missing is missed again by whoever uses it; what is only repeated is not",
+        because="later checks also miss a value that they use, but not one that is only repeated",
         act=drop_fields,
     ),
     Attack(

@@ -1,4 +1,4 @@
-"""An attack: one row of the table, and the row acts."""
+"""An attack: one row of the table, with the function that carries it out."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -10,14 +10,14 @@ from pqsec_pki.selfcheck.session import HandshakeSession
 
 
 class Attacker(StrEnum):
-    """Who attacks, by what it has."""
+    """Kinds of attackers, by what they have."""
 
     ON_THE_WAY = "on the way"
-    """Reads and changes whatever is sent; has no key."""
+    """Reads and changes all messages; has no key."""
     OUTSIDER = "outsider"
-    """Has what was ever sent, and keys and certificates of its own making."""
+    """Has all messages ever sent, and keys and certificates that it created."""
     QUANTUM = "quantum computer"
-    """An outsider who has found the classical keys, but not the post-quantum ones."""
+    """An outsider that has computed the classical private keys, but not the post-quantum ones."""
     INSIDER = "insider"
     """Is a participant of the domain."""
 
@@ -35,11 +35,11 @@ DOCUMENT = (
 )
 """C25: what can be wrong with permissions."""
 TRANSCRIPT = (Code.C19, Code.C21, Code.C23, Code.C24, Code.C26)
-"""Repetitions, signatures and key: they cover whatever is said in a handshake."""
-COVERED = "what is changed is repeated, is in both signatures and, with a bound secret, in the key"
+"""Repeated values, signatures and keys: they cover all values of a handshake."""
+COVERED = "a changed value is repeated, in both signatures and, with a bound secret, in the key"
 
 
-def _anywhere(session: HandshakeSession) -> str | None:
+def _always_applicable(session: HandshakeSession) -> str | None:
     del session
     return None
 
@@ -52,21 +52,23 @@ def two_keys(session: HandshakeSession) -> str | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """One way to attack two who would meet."""
+    """One way to attack a handshake."""
 
     name: str
-    """What a user types."""
+    """Its name on the command line."""
     attacker: Attacker
     title: str
-    """What the attacker does, in words for who is no expert."""
+    """What the attacker does, in words for non-experts."""
     refused_at: tuple[str, ...]
-    """Where it has to fail: a word of the name of the step."""
+    """The steps at which it has to fail: a word of the name of the step."""
     checks: tuple[Code, ...]
-    """What has to refuse it: a refusal for any other reason is none."""
+    """The checks that have to refuse it: a refusal for any other reason does not count."""
     also: tuple[Code, ...] = ()
-    """What would refuse some of its attempts all the same, were those checks missing."""
+    """Checks that would still refuse some of its attempts if `checks` were missing."""
     because: str = ""
-    """Why that is so."""
+    """The reason for `also`."""
     act: Callable[[AttackContext], Iterator[Attempt]] = field(repr=False)
-    not_applicable: Callable[[HandshakeSession], str | None] = field(default=_anywhere, repr=False)
-    """Why it is none for those two, if it is none."""
+    not_applicable: Callable[[HandshakeSession], str | None] = field(
+        default=_always_applicable, repr=False
+    )
+    """Returns why the attack does not apply to a session; None if it does."""

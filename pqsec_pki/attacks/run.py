@@ -1,4 +1,4 @@
-"""Two participants are attacked in every way we know, and what became of it."""
+"""Run all attacks on the handshake of two participants, and report the outcomes."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -13,26 +13,26 @@ from pqsec_pki.selfcheck.handshake_check import HandshakeCheck, HandshakeParty, 
 from pqsec_pki.selfcheck.report import Report, Step, Steps, StoppedError
 from pqsec_pki.selfcheck.run import HandshakeRun
 
-_WAY_OUT = "a check of pqsec is broken: please report it as SECURITY.md says"
+_HINT = "a check of pqsec is broken: please report it as SECURITY.md says"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """How one attempt ended. If nobody refused it, `by` and `step` are None."""
+    """The result of one attempt. If neither side refused it, `by` and `step` are None."""
 
     what: str
     by: str | None
     """The participant that refused."""
     step: Step | None
-    """Where it did; the detail is the cause, in its own words."""
+    """The step at which it refused; its detail is the error message."""
     due: tuple[Code, ...] = ()
-    """The checks that had to refuse it."""
+    """The checks that have to refuse it."""
     shares_key: bool = False
-    """Whether the two ended the handshake with one key, neither of them naming the other."""
+    """Whether both ended the handshake with the same key, but with another peer."""
 
     @property
     def refused(self) -> bool:
-        """Whether somebody did, for the reason that was due and no other."""
+        """Whether a side refused it, and only by checks in `due`."""
         codes = self.step.codes if self.step else frozenset()
         return bool(codes) and codes <= set(self.due)
 
@@ -51,35 +51,35 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of one attack."""
+    """The outcome of one attack."""
 
     attack: Attack
     results: tuple[Result, ...] = ()
-    """One for each attempt."""
+    """One result for each attempt."""
     skipped: str | None = None
-    """Why it was not tried."""
+    """Why it was skipped."""
 
     @property
     def ok(self) -> bool:
-        """Whether every attempt was refused, and there was one; or there is nothing to try."""
+        """Whether there were attempts and all were refused, or the attack was skipped."""
         if self.skipped:
             return True
         return bool(self.results) and self.refused == len(self.results)
 
     @property
     def refused(self) -> int:
-        """How many attempts were."""
+        """The number of attempts that were refused."""
         return sum(each.refused for each in self.results)
 
     @property
     def example(self) -> Result | None:
-        """The attempt to tell of: the first that was not refused, or else the first."""
+        """The attempt to show: the first that was not refused, else the first."""
         return min(self.results, key=lambda each: each.refused, default=None)
 
     @property
     def hint(self) -> str | None:
-        """The way out, if not all were."""
-        return None if self.ok else _WAY_OUT
+        """What to do if not all attempts were refused."""
+        return None if self.ok else _HINT
 
     def to_json(self) -> dict[str, Any]:
         """The attack for --json."""
@@ -94,33 +94,33 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttackReport:
-    """What became of all of them."""
+    """The outcomes of all attacks."""
 
     control: Report
-    """The same two without an attacker. Where they do not meet, attacks prove nothing."""
+    """The same handshake without an attacker. If it fails, attacks prove nothing."""
     outcomes: tuple[Outcome, ...] = ()
 
     @property
     def ok(self) -> bool:
-        """Whether the two meet, and nobody who attacks them gets through."""
+        """Whether the handshake succeeds without an attacker, and all attacks are refused."""
         return self.control.ok and all(each.ok for each in self.outcomes)
 
     @property
     def verdict(self) -> str:
-        """All of it in a sentence."""
+        """The outcome in one sentence."""
         if self.control.failed:
             why = f"{self.control.failed.name} failed: {self.control.failed.detail}"
-            return f"they do not meet without an attacker, so attacks prove nothing; {why}"
+            return f"the handshake fails without an attacker, so attacks prove nothing; {why}"
         tried = [each for each in self.outcomes if not each.skipped]
         count = sum(len(each.results) for each in tried)
         attacks = "attack" if len(tried) == 1 else "attacks"
         through = [each.attack.name for each in tried if not each.ok]
         if through:
-            return f"{len(through)} of {len(tried)} {attacks} got through: {', '.join(through)}"
+            return f"{len(through)} of {len(tried)} {attacks} succeeded: {', '.join(through)}"
         return f"{len(tried)} {attacks} in {count} attempts, all refused"
 
     def to_json(self) -> dict[str, Any]:
-        """The siege for --json."""
+        """The report for --json."""
         return {
             "ok": self.ok,
             "verdict": self.verdict,
@@ -136,11 +136,11 @@ def run_attacks(
     attacks: Iterable[Attack],
     progress: Callable[[Outcome], None] | None = None,
 ) -> AttackReport:
-    """Attack the two when they meet; `progress` is told of each attack once it is over.
+    """Run attacks on the handshake of two participants; call `progress` after each attack.
 
-    They meet undisturbed first; if they cannot, no attack is tried. KeystoreError if a
-    participant is not there at all. UsageError for a stock stack: what it takes that it
-    should not, we do not know.
+    The handshake runs without an attacker first; if that fails, no attack is run.
+    KeystoreError if a participant does not exist. UsageError for a stock stack, since its
+    row does not say what it accepts wrongly.
     """
     _check_parties(setup, first, second)
     check = HandshakeCheck(setup)
@@ -165,12 +165,12 @@ def _check_parties(setup: HandshakeSetup, *parties: HandshakeParty) -> None:
         if party.stack.is_stock:
             raise UsageError(
                 f"attacks are on pqsec's own handshake, not on that of {party.stack.title}",
-                hint="leave --as out",
+                hint="leave out --as",
             )
 
 
 def attempted(attack: Attack, context: AttackContext) -> Outcome:
-    """What becomes of one attack."""
+    """Run one attack."""
     if reason := attack.not_applicable(context.session):
         return Outcome(attack=attack, skipped=reason)
     results = tuple(_result(attempt, attack) for attempt in attack.act(context))
@@ -183,7 +183,7 @@ def _result(attempt: Attempt, attack: Attack) -> Result:
         run.perform()
     failed = next((step for step in run.steps.done if not step.ok), None)
     by = _who_refused(failed, run) if failed else None
-    # An attacker does not stop itself.
+    # A refusal by the attacker itself does not count.
     if by is None or by == attempt.attacker:
         return Result(what=attempt.what, by=None, step=None, due=attack.checks)
     return Result(
@@ -192,16 +192,16 @@ def _result(attempt: Attempt, attack: Attack) -> Result:
 
 
 def _share_a_key(run: HandshakeRun) -> bool:
-    """Whether the two have one secret, though each has it with somebody else."""
+    """Whether both sides have the same secret, but each with another peer."""
     if run.done is None:
         return False
     mine, theirs = run.done
     one, other = run.session.sides
-    met = (mine.peer.guid, theirs.peer.guid) == (other.guid, one.guid)
-    return mine.shared_secret == theirs.shared_secret and not met
+    are_peers = (mine.peer.guid, theirs.peer.guid) == (other.guid, one.guid)
+    return mine.shared_secret == theirs.shared_secret and not are_peers
 
 
 def _who_refused(failed: Step, run: HandshakeRun) -> str:
-    """Who judged the peer's permissions; else who read the last message."""
+    """The name of the side that checked permissions; else of the one that read the last message."""
     who, verb, *_ = [*failed.name.split(), ""]
     return who if verb == "admits" else run.sent[-1].receiver

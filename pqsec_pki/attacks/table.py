@@ -1,7 +1,7 @@
-"""The attacks that a domain must withstand; the rows stand beside what they do.
+"""The table of all attacks; each row stands beside the function that carries it out.
 
-For `pqsec verify-handshake --attack`: what is done to two participants of a keystore who
-would meet, with their own credentials, and where it has to fail.
+For `pqsec verify-handshake --attack`: a row says what is done to the handshake of two
+participants, and which step has to refuse it.
 """
 
 from pqsec_pki.attacks import (
@@ -28,7 +28,7 @@ ATTACKS: tuple[Attack, ...] = (
 
 
 def attack_named(name: str) -> Attack:
-    """The attack a user means; UnknownAlgorithmError, with those there are, if it is none."""
+    """The attack of that name; UnknownAlgorithmError, with the known ones, if there is none."""
     for row in ATTACKS:
         if row.name == name.lower():
             return row

@@ -1,6 +1,6 @@
-"""Would two participants of a keystore authenticate each other? Run it and see.
+"""Run the handshake of two participants of a keystore, to see whether they authenticate.
 
-For `pqsec verify-handshake`, `pqsec demo`, and whoever wants to know before a robot does.
+For `pqsec verify-handshake` and `pqsec demo`: it runs in memory, before any robot starts.
 """
 
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake

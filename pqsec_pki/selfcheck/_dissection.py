@@ -1,4 +1,4 @@
-"""Messages taken apart: each value by its name, its meaning, and what it is made of."""
+"""Decode messages into values, each with its name, its meaning and its parts."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
@@ -17,7 +17,7 @@ from pqsec_pki.handshake import (
 
 Row = TypeVar("Row", KeyAgreement, SignatureAlgorithm)
 Describe = Callable[[bytes], Iterable[str]]
-"""What a certificate or a signed document says, in lines."""
+"""Describes a certificate or a signed document, in lines of text."""
 
 _PROTECTED = (
     ("SEC_PREFIX", 4),
@@ -32,7 +32,10 @@ _PROTECTED = (
     ("tag", 16),
     ("number of receivers", 4),
 )
-"""A protected submessage (DDS-Security 1.1, 9.5.3.3.4) and sizes; -24: but for so many."""
+"""Parts of a protected submessage (DDS-Security 1.1, 9.5.3.3.4) and their sizes in bytes.
+
+A negative size means all bytes except that many at the end.
+"""
 
 MEANINGS = {
     "hash_c1": "SHA-256 of the c. properties of the request",
@@ -45,7 +48,7 @@ MEANINGS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """A value: its name, its bytes, what they mean, and what they are made of."""
+    """A value: its name, its bytes, their meaning, and their parts."""
 
     name: str
     data: bytes = field(repr=False)
@@ -54,7 +57,7 @@ class Piece:
     secret: bool = False
 
     def to_json(self, *, show_secrets: bool) -> dict[str, Any]:
-        """The piece for --json; a secret's value only if told to."""
+        """The piece for --json; the value of a secret only with `show_secrets`."""
         value: dict[str, Any] = {"name": self.name, "bytes": len(self.data)}
         value["hex"] = self.data.hex() if show_secrets or not self.secret else None
         value["meaning"] = list(self.words)
@@ -67,7 +70,7 @@ class Piece:
 
 @dataclass(slots=True)
 class Dissection:
-    """Takes tokens in the order they were sent: what the first say, the later are read by."""
+    """Decodes tokens in the order they were sent; values of earlier tokens explain later ones."""
 
     describe: Describe
     request: Request | None = None
@@ -88,12 +91,12 @@ class Dissection:
         )
 
     def pieces(self, token: DataHolder) -> Iterator[Piece]:
-        """Its properties. PqsecError if it is none that an honest side sends."""
+        """The token's properties. PqsecError if an honest side cannot have sent it."""
         if token.class_id == Request.CLASS_ID:
             self.request = Request.from_holder(token)
         elif token.class_id == Reply.CLASS_ID:
             self.reply = Reply.from_holder(token)
-        # The Reply is signed by who sends it, and the Final by who sent the Request.
+        # The replier signs the Reply, the initiator signs the Final.
         signer = self.reply if token.class_id == Reply.CLASS_ID else self.request
         for name, data in token.binary_properties:
             words, parts = self._meaning(name, data, signer.introduction if signer else None)
@@ -124,33 +127,35 @@ def protected_pieces(data: bytes) -> Iterator[Piece]:
 def _shares(name: str, data: bytes, agreement: str) -> tuple[Iterable[str], Iterable[Piece]]:
     row = KEY_AGREEMENTS.on_wire(agreement)
 
-    def word(each: KeyAgreement) -> str:
+    def label(each: KeyAgreement) -> str:
         is_key = name == "dh1" or each.family is Family.CLASSICAL
         return f"{each.name} {'public key' if is_key else 'ciphertext'}"
 
-    halves = _halves(row)
-    sizes = [each.public_size if name == "dh1" else each.ciphertext_size for each in halves]
-    return (word(row),), _split(data, zip(map(word, halves), sizes, strict=True))
+    components = _components(row)
+    sizes = [each.public_size if name == "dh1" else each.ciphertext_size for each in components]
+    return (label(row),), _split(data, zip(map(label, components), sizes, strict=True))
 
 
 def _signatures(data: bytes, signer: Introduction) -> tuple[Iterable[str], Iterable[Piece]]:
     name = signer.signature_algorithm_name
     for key in Certificate.from_pem(signer.certificate).handshake_keys:
         if key.algorithm.wire_name == name:
-            # In pairs and composites ML-DSA's signature, of fixed size, comes first.
-            halves = sorted(_halves(key.algorithm), key=lambda row: row.family is not Family.PQ)
-            return (name,), _split(data, [(row.name, row.signature_size) for row in halves])
+            # In pairs and composites the ML-DSA signature comes first; its size is fixed.
+            components = sorted(
+                _components(key.algorithm), key=lambda row: row.family is not Family.PQ
+            )
+            return (name,), _split(data, [(row.name, row.signature_size) for row in components])
     return (name,), ()
 
 
-def _halves(row: Row) -> list[Row]:
-    """The rows that a row is made of, in its order."""
+def _components(row: Row) -> list[Row]:
+    """The algorithms that a composite or hybrid consists of, in its order."""
     values = [getattr(row, each.name) for each in fields(row)]
-    return [each for each in values if isinstance(each, (KeyAgreement, SignatureAlgorithm))]  # type: ignore[misc] # rows are made of rows of their own kind
+    return [each for each in values if isinstance(each, (KeyAgreement, SignatureAlgorithm))]  # type: ignore[misc] # a row consists of rows of its own kind
 
 
 def _split(data: bytes, sizes: Iterable[tuple[str, int]]) -> Iterator[Piece]:
-    """`data` in pieces; a negative size leaves so many bytes to those that follow."""
+    """Split `data` into pieces; a negative size leaves that many bytes for the pieces after it."""
     for name, size in sizes:
         end = size if size >= 0 else len(data) + size
         yield Piece(name=name, data=data[:end])

@@ -1,7 +1,7 @@
-"""Processes that share the work of one gathering.
+"""Worker processes that share the work of one all-pairs job.
 
-Each has its own line to us and gets every n-th block of work, so results come in order
-without locks: none can hang where another is killed, and all end when we do.
+Each has its own pipe and gets every n-th block of work, so results come in order without
+locks. No process can hang because another was killed, and all end with the parent.
 """
 
 import signal
@@ -19,7 +19,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.selfcheck._worker import AllPairsJob, Worker
 
 AHEAD = 2
-"""Blocks that wait for each process."""
+"""Blocks queued for each process."""
 
 Block = TypeVar("Block")
 Done = TypeVar("Done")
@@ -27,30 +27,30 @@ Done = TypeVar("Done")
 
 class _Member(NamedTuple):
     process: BaseProcess
-    line: "Connection[Any, Any]"
+    pipe: "Connection[Any, Any]"
 
     def answer(self) -> Any:
-        # We hold both ends of the line: a dead process is seen by what it leaves, its
-        # sentinel, and what is sent to it does not end us with SIGPIPE.
-        if self.line not in wait([self.line, self.process.sentinel]):
+        # This process holds both ends of the pipe, so sending to a dead process does not
+        # raise SIGPIPE; its sentinel shows that it has ended.
+        if self.pipe not in wait([self.pipe, self.process.sentinel]):
             raise PqsecError(
-                "one of the processes was killed",
-                hint="if memory was short, use fewer of them: --jobs 1",
+                "a worker process was killed",
+                hint="if memory ran out, use fewer processes: --jobs 1",
             )
-        return self.line.recv()
+        return self.pipe.recv()
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerPool:
-    """Some processes, or this one alone."""
+    """Several worker processes, or only the current process."""
 
     worker: Worker
     members: tuple[_Member, ...] = ()
 
     def map(self, work: Callable[[Worker, Block], Done], blocks: Iterable[Block]) -> Iterator[Done]:
-        """What `work`, a method of the worker, makes of each block, in their order.
+        """The results of `work`, a method of the worker, for each block, in order.
 
-        Few blocks are read ahead. To be read to its end before it is called again.
+        Few blocks are read ahead. Read all results before the next call.
         PqsecError if a process is killed.
         """
         if not self.members:
@@ -58,7 +58,7 @@ class WorkerPool:
             return
         waiting: deque[_Member] = deque()
         for member, block in zip(cycle(self.members), blocks, strict=False):
-            member.line.send((work, block))
+            member.pipe.send((work, block))
             waiting.append(member)
             if len(waiting) > AHEAD * len(self.members):
                 yield waiting.popleft().answer()
@@ -68,19 +68,19 @@ class WorkerPool:
 
 @contextmanager
 def worker_pool(job: AllPairsJob, size: int) -> Iterator[WorkerPool]:
-    """`size` processes for as long as this lasts; of one, this one."""
+    """A pool of `size` processes, ended on exit; with `size` 1, the current process."""
     worker = Worker.of(job)
     if size == 1:
         yield WorkerPool(worker)
         return
-    lines = [get_context("spawn").Pipe() for _ in range(size)]
+    pipes = [get_context("spawn").Pipe() for _ in range(size)]
     # Fresh processes: a fork of one that has threads may hang.
     members = tuple(
         _Member(get_context("spawn").Process(target=_serve, args=(theirs, job)), ours)
-        for ours, theirs in lines
+        for ours, theirs in pipes
     )
     try:
-        with _deaf_to_interrupts():
+        with _interrupts_blocked():
             for member in members:
                 member.process.start()
         yield WorkerPool(worker, members)
@@ -89,28 +89,28 @@ def worker_pool(job: AllPairsJob, size: int) -> Iterator[WorkerPool]:
             _end(member.process)
 
 
-def _serve(line: "Connection[Any, Any]", job: AllPairsJob) -> None:
-    """What a process does: it answers until nobody asks any more."""
+def _serve(pipe: "Connection[Any, Any]", job: AllPairsJob) -> None:
+    """Run a worker process: answer until the pipe is closed."""
     worker = Worker.of(job)
     try:
         while True:
-            work, block = line.recv()
-            line.send(work(worker, block))
+            work, block = pipe.recv()
+            pipe.send(work(worker, block))
     except (EOFError, OSError):
         return
 
 
 def _end(process: BaseProcess) -> None:
-    """It only reads, so it can be ended anywhere."""
+    """Terminate the process: it only reads files, so this is safe at any time."""
     if process.pid is not None:
         process.terminate()
         process.join()
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """A process that starts in here never hears of Ctrl-C: the first one does, and ends it."""
-    resource_tracker.ensure_running()  # which, as it starts, would let them hear again
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT for processes that start within: on Ctrl-C the parent ends them."""
+    resource_tracker.ensure_running()  # its start would unblock SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

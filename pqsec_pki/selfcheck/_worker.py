@@ -1,6 +1,6 @@
-"""What one process does where many meet: look at participants, and let pairs of them meet.
+"""What one worker process does: check participants, and run handshakes of pairs.
 
-Everything that passes between processes is names, numbers and steps: no key leaves one.
+Only names, numbers and steps pass between processes; no key does.
 """
 
 from collections.abc import Sequence
@@ -28,28 +28,28 @@ from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AllPairsJob:
-    """Who is to meet, and how: all participants of a keystore, each two."""
+    """Handshakes between every two participants of a keystore, and their options."""
 
     root: Path
-    """Of the keystore."""
+    """The keystore's folder."""
     now: datetime
     domain: int | None = None
-    """Where all meet; None: each two on the first domain that both may join."""
+    """The domain ID for all pairs; None: for each pair the first domain that both may join."""
     key_agreement: str | None = None
-    """By name; None: the profile's, or what the stacks ask for."""
+    """Its name; None: the profile's, or the one that the stacks ask for."""
     stacks: tuple[str, str] = (PQSEC.name, PQSEC.name)
-    """How the two of a pair behave; if they differ, each pair meets both ways round."""
+    """Names of the stacks of a pair; if they differ, each pair is run in both assignments."""
 
 
 class PartyRef(NamedTuple):
-    """A participant that behaves like that stack; both by name."""
+    """The name of a participant, and the name of the stack it behaves like."""
 
     name: str
     stack: str
 
 
 class Pair(NamedTuple):
-    """Two that meet, and where."""
+    """Two participants, and the domain ID of their handshake."""
 
     first: PartyRef
     second: PartyRef
@@ -58,7 +58,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is to be said of one by itself: where it may join, and what is wrong with it."""
+    """The result for one participant alone: the domains it may join, and what is wrong with it."""
 
     party: PartyRef
     domains: frozenset[int]
@@ -66,24 +66,24 @@ class Finding:
 
 
 class Result(NamedTuple):
-    """How a pair met. None: not reached."""
+    """The result of a pair's handshake. None: not reached."""
 
     initiator: str | None
     replier: str | None
     failed: Step | None
     milliseconds: float
     talks: tuple[TopicFlow, ...] = ()
-    """What each may publish and the other subscribe to, once they have met."""
+    """The topics that one may publish and the other subscribe to, if the handshake succeeded."""
 
     @property
     def shares_no_topic(self) -> bool:
-        """Whether they have met, and share no topic."""
+        """Whether the handshake succeeded, but they share no topic."""
         return self.failed is None and not any(each.topics for each in self.talks)
 
 
 @dataclass(slots=True)
 class Worker:
-    """Does the work for one gathering, and remembers what it read."""
+    """Does the work for one all-pairs job, and caches what it read."""
 
     job: AllPairsJob
     setup: HandshakeSetup
@@ -103,11 +103,11 @@ class Worker:
         return cls(job, setup)
 
     def check_parties(self, parties: Sequence[PartyRef]) -> list[Finding]:
-        """Each by itself."""
+        """Check each participant alone."""
         return [self._finding(party) for party in parties]
 
     def run_pairs(self, pairs: Sequence[Pair | None]) -> list[Result | None]:
-        """Each two, whose own credentials are known to be sound; None where there are none."""
+        """Run each pair, whose own credentials were found valid; None for None."""
         return [self._result(pair) if pair else None for pair in pairs]
 
     def _finding(self, party: PartyRef) -> Finding:
@@ -115,7 +115,7 @@ class Worker:
         with suppress(StoppedError):
             participant = self._participant(party.name, steps)
             domains, named = domains_of(participant, self.job.now)
-            # Where it may join none, one that is named tells why not.
+            # If it may join no domain, check one that its governance names: that shows why not.
             setup = replace(self.setup, domain=min(domains or named or {0}))
             check_party(setup, LoadedParty(participant, stack_named(party.stack)), steps)
             return Finding(party, domains, None)
@@ -142,7 +142,7 @@ class Worker:
         return LoadedParty(self._participant(party.name, steps), stack_named(party.stack))
 
     def _participant(self, name: str, steps: Steps) -> Credentials:
-        """Read once."""
+        """The participant, from the cache after the first read."""
         if name not in self._read:
             self._read[name] = load_party(self.setup.keystore, name, steps)
         return self._read[name]

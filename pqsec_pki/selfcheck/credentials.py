@@ -1,7 +1,7 @@
-"""Are a participant's own credentials sound, and its peer's permissions? In words.
+"""Check a participant's own credentials and its peer's permissions, with words for the user.
 
-What can be trusted is the room `credentials`'s to say; here is what a user is told of it, and
-what the keystore's profile promises beside.
+The room `credentials` decides what can be trusted. This module adds hints, and checks what
+the keystore's profile requires in addition.
 """
 
 from collections.abc import Iterator
@@ -22,25 +22,25 @@ from pqsec_pki.documents import DomainRule, Governance, Permissions
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.problems import Code, Problem
 
-_OLD_LIST = "`pqsec ca crl` makes a new list; a robot needs a copy"
-_RENEW = "make it again: `pqsec renew {name}` keeps what it may do"
+_OLD_LIST = "`pqsec ca crl` issues a new revocation list; copy it to every robot"
+_RENEW = "reissue it: `pqsec renew {name}` keeps its permissions"
 _HINTS = {
-    Code.REVOKED: "if {name} may come back, `pqsec issue` it with --force --after-revocation",
+    Code.REVOKED: "to issue {name} again, use `pqsec issue` with --force --after-revocation",
     Code.LIST_EXPIRED: _OLD_LIST,
     Code.LIST_NOT_YET_VALID: _OLD_LIST,
     Code.LIST_WRONG_ISSUER: _OLD_LIST,
     Code.LIST_BAD_SIGNATURE: _OLD_LIST,
-    Code.ONE_KEY_TWO_ROLES: "make two that are distinct: `pqsec ca rotate`",
+    Code.ONE_KEY_TWO_ROLES: "create two distinct CA keys: `pqsec ca rotate`",
     Code.KEY_MISMATCH: _RENEW,
     Code.WRONG_SUBJECT: _RENEW,
     Code.PROFILE_MISMATCH: _RENEW,
 }
-"""The way out of a problem, by its code."""
+"""How to fix a problem, by its code."""
 
 
 @dataclass(frozen=True, slots=True)
 class Applicant:
-    """Who wants to join, as a peer sees it: nothing of it is believed yet."""
+    """A remote participant that wants to join a domain; nothing about it is verified yet."""
 
     name: str
     certificate: Certificate
@@ -49,12 +49,12 @@ class Applicant:
 
 
 def renewal(name: str) -> str:
-    """How to get a new key and certificate, for a hint: no right is lost."""
-    return f"`pqsec renew {name}` keeps what it may do"
+    """A hint how to get a new key and certificate without losing permissions."""
+    return f"`pqsec renew {name}` keeps its permissions"
 
 
 def check_identity(participant: Credentials, profile: Profile, now: datetime) -> str:
-    """The certificate chain and the keys; VerificationError, or what was found."""
+    """Verify the certificate chain and the keys, and describe them; VerificationError."""
     _refuse(
         participant.name,
         *identity_problems(participant, now),
@@ -67,7 +67,7 @@ def check_identity(participant: Credentials, profile: Profile, now: datetime) ->
 
 
 def check_documents(participant: Credentials, domain: int, now: datetime) -> str:
-    """Its own governance and permissions; VerificationError, or what was found."""
+    """Verify its governance and permissions, and describe them; VerificationError."""
     _refuse(participant.name, *participant.anchors.problems(now))
     governance = participant.anchors.governance(participant.governance, now)
     itself = Applicant(participant.name, participant.certificate, participant.permissions)
@@ -76,7 +76,7 @@ def check_documents(participant: Credentials, domain: int, now: datetime) -> str
 
 
 def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now: datetime) -> str:
-    """Does `judge` let `applicant` join `domain`? VerificationError, or the rule that decided.
+    """The rule by which `judge` lets `applicant` join `domain`, in words. VerificationError if not.
 
     The signature, the subject, the validity and the domain of the applicant's
     permissions, against the judge's permissions CA and governance
@@ -93,7 +93,7 @@ def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now
             code=code,
             hint="the governance and the permissions must name the domain"
             if code is Code.NO_DOMAIN_RULE
-            else f"`pqsec explain --participant {applicant.name} --join` tells where it may",
+            else f"`pqsec explain --participant {applicant.name} --join` shows where it may",
         )
     return f"permissions signed by {_signers(signed)}; {decision.reason}"
 
@@ -101,7 +101,7 @@ def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now
 def _code(
     certificate: Certificate, permissions: Permissions, rule: DomainRule | None, now: datetime
 ) -> Code:
-    """Why a participant may not join, for programs."""
+    """The code of the reason why a participant may not join."""
     if rule is None:
         return Code.NO_DOMAIN_RULE
     try:
@@ -112,14 +112,14 @@ def _code(
 
 
 def _refuse(name: str, *problems: Problem) -> None:
-    """VerificationError, with the way out of the first problem that has one, if there are any."""
+    """VerificationError if there are problems, with the hint of the first that has one."""
     if problems:
         hints = [_HINTS[each.code] for each in problems if each.code in _HINTS]
         raise VerificationError(*problems, hint=hints[0].format(name=name) if hints else None)
 
 
 def _profile_problems(participant: Credentials, profile: Profile) -> Iterator[Problem]:
-    """A key of another kind would break what the profile promises, and nothing would show."""
+    """Keys whose algorithm differs from the profile: no other check would report them."""
     second = participant.certificate.alternative_key
     for what, found, wanted in (
         ("identity CA", participant.identity_ca.public_key, profile.identity_key),

@@ -1,4 +1,4 @@
-"""Two participants of a keystore meet, in memory, as two DDS processes would."""
+"""Run the handshake of two participants of a keystore in memory, as two DDS processes would."""
 
 import os
 import shlex
@@ -25,7 +25,7 @@ _ENTITY_ID = bytes.fromhex("000001c1")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandshakeParty:
-    """A participant of a keystore, and how it behaves."""
+    """A participant of a keystore, and the stack it behaves like."""
 
     name: str
     stack: Stack = PQSEC
@@ -33,25 +33,25 @@ class HandshakeParty:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandshakeSetup:
-    """Where and when two meet, and what the user would have them agree on."""
+    """The keystore, domain, time and key agreement of a handshake."""
 
     keystore: Keystore
     domain: int
     now: datetime
     agreement: KeyAgreement | None = None
-    """None: the profile's, or what the stacks ask for."""
+    """None: the profile's, or the one that the stacks ask for."""
 
     @property
     def profile(self) -> Profile:
-        """Of the keystore."""
+        """The keystore's profile."""
         return self.keystore.profile
 
 
 def run_handshake(setup: HandshakeSetup, first: HandshakeParty, second: HandshakeParty) -> Report:
-    """The handshake between two participants, and what it showed.
+    """Run the handshake between two participants, and report its steps.
 
-    A step that fails ends it, and is the last in the report. KeystoreError if a
-    participant is not there at all.
+    It ends at the first step that fails, the last in the report. KeystoreError if a
+    participant does not exist.
     """
     for party in (first, second):
         setup.keystore.refuse_unknown(party.name)
@@ -63,27 +63,27 @@ def run_handshake(setup: HandshakeSetup, first: HandshakeParty, second: Handshak
 
 
 class LoadedParty(NamedTuple):
-    """A participant that is there, and how it behaves."""
+    """A participant as it was read, and the stack it behaves like."""
 
     participant: Credentials
     stack: Stack
 
 
 def load_party(keystore: Keystore, name: str, steps: Steps) -> Credentials:
-    """The participant of that name, as it lies in the keystore. StoppedError if unreadable."""
+    """The participant of that name, read from the keystore. StoppedError if it is unreadable."""
     name = regular_name(name)
     with steps.step(f"files of {name}") as detail:
         try:
             participant = keystore.participant(name)
         except PqsecError as error:
-            error.hint = error.hint or f"restore it from a backup; or make it anew: {renewal(name)}"
+            error.hint = error.hint or f"restore it from a backup, or reissue it: {renewal(name)}"
             raise
         detail.append("keys, certificates, permissions and governance read")
     return participant
 
 
 def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> None:
-    """Its own identity and documents are sound, for itself and its stack. StoppedError if not."""
+    """Check its own identity and documents, also for its stack. StoppedError if invalid."""
     (participant, stack), now = loaded, setup.now
     profile, domain = setup.profile, setup.domain
     with steps.step(f"identity of {participant.name}") as detail:
@@ -100,7 +100,7 @@ def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> Non
 
 
 def _to_add_domain(keystore: Keystore) -> str:
-    """How its governance is made to name one more domain, for a hint."""
+    """A hint how to add a domain to the keystore's governance."""
     folder = shlex.quote(str(keystore.root))
     document = shlex.quote(str(keystore.root / "enclaves/governance.xml"))
     return (
@@ -111,22 +111,22 @@ def _to_add_domain(keystore: Keystore) -> str:
 
 @dataclass(slots=True)
 class HandshakeCheck:
-    """A meeting as it goes: first each participant by itself, then both."""
+    """The checks of each participant alone, then their handshake."""
 
     setup: HandshakeSetup
     steps: Steps = field(default_factory=Steps)
     run: HandshakeRun | None = None
 
     def prepare(self, first: HandshakeParty, second: HandshakeParty) -> HandshakeSession:
-        """Both participants, found sound, and who speaks first. StoppedError if not."""
+        """Check both participants, and decide which initiates. StoppedError if a check fails."""
         return self.pair(self._load(first), self._load(second))
 
     def pair(self, one: LoadedParty, other: LoadedParty) -> HandshakeSession:
-        """Who speaks first, of two that are sound by themselves. StoppedError if nobody can."""
-        with self.steps.step("who speaks first") as detail:
+        """Decide which of two valid participants initiates. StoppedError if neither can."""
+        with self.steps.step("initiator") as detail:
             if one.participant.name == other.participant.name:
                 raise VerificationError(
-                    f"both are {one.participant.name}: a participant cannot meet itself",
+                    f"both are {one.participant.name}: a participant has no handshake with itself",
                     hint="name two different participants",
                 )
             session = self._assign_roles(one, other)
@@ -135,12 +135,12 @@ class HandshakeCheck:
         return session
 
     def perform(self, session: HandshakeSession) -> None:
-        """The handshake and what follows. StoppedError where it fails."""
+        """The handshake, the permissions and a protected message. StoppedError where it fails."""
         self.run = HandshakeRun(session, self.steps)
         self.run.perform()
 
     def report(self) -> Report:
-        """What was found up to now."""
+        """The report of the steps so far."""
         run = self.run
         session = run.session if run else None
         wanted = self.setup.agreement or self.setup.profile.key_agreement
@@ -158,14 +158,14 @@ class HandshakeCheck:
         )
 
     def _load(self, party: HandshakeParty) -> LoadedParty:
-        """The participant, if it can be read and its own credentials are sound."""
+        """The participant, once it was read and its own credentials are valid."""
         participant = load_party(self.setup.keystore, party.name, self.steps)
         loaded = LoadedParty(participant, party.stack)
         check_party(self.setup, loaded, self.steps)
         return loaded
 
     def _assign_roles(self, one: LoadedParty, other: LoadedParty) -> HandshakeSession:
-        """Who initiates: the smaller GUID speaks first."""
+        """Assign initiator and replier: the participant with the smaller GUID initiates."""
         sides = self._side(one, other.stack), self._side(other, one.stack)
         if not initiates(sides[0].guid, sides[1].guid):
             sides = sides[::-1]
@@ -181,7 +181,7 @@ class HandshakeCheck:
         )
 
     def _side(self, loaded: LoadedParty, peer: Stack) -> Side:
-        """What a participant shows and insists on when its peer behaves like that."""
+        """What a participant sends and requires, given the stack of its peer."""
         participant, own = loaded
         second = None if own.is_stock or peer.is_stock else participant.alternative_key
         identity = Identity(
@@ -205,7 +205,7 @@ def _why(session: HandshakeSession) -> str:
     mine, theirs = initiator.guid[:6].hex(), replier.guid[:6].hex()
     return (
         f"{initiator.name} initiates: its GUID is smaller ({mine} < {theirs});"
-        " these bits come from the subject name, so it is so every time"
+        " these bits are derived from the subject name, so this never changes"
     )
 
 

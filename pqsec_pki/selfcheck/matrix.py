@@ -1,6 +1,6 @@
-"""Every profile with every key agreement: how large its messages are, and how long they take.
+"""Measure every profile with every key agreement: message sizes, and time of a handshake.
 
-Each profile gets a keystore of its own, in a temporary folder that is always removed.
+Each profile gets its own keystore, in a temporary folder that is always removed.
 """
 
 from collections.abc import Iterator
@@ -30,16 +30,16 @@ _YEAR = timedelta(days=365)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Size:
-    """The largest of one message."""
+    """The largest size of one message over all rounds."""
 
     token: int
     """Bytes of the DataHolder."""
     sample: int
-    """Bytes with what is around it: what is sent."""
+    """Bytes that are sent: the token and what encloses it."""
 
     @property
     def fragments(self) -> int:
-        """How many datagrams carry it, by Cyclone DDS's default."""
+        """The number of datagrams that carry it, with Cyclone DDS's default."""
         return -(-self.sample // FRAGMENT)
 
 
@@ -50,17 +50,17 @@ class Suite:
     profile: Profile
     agreement: KeyAgreement
     signature: str
-    """As c.dsign_algo names it."""
+    """Its name in c.dsign_algo."""
     breaks: tuple[str, ...]
-    """Promises of the profile that do not hold with it."""
+    """Properties of the profile that this key agreement does not have."""
     sizes: dict[str, Size]
     """Of request, reply and final."""
     milliseconds: float
-    """The median: all messages and the key exchange, both sides."""
+    """The median of the rounds: all messages and the key exchange, both sides."""
 
     @property
     def share(self) -> float:
-        """The largest message, as a part of the largest datagram."""
+        """The size of the largest message, divided by the size of the largest datagram."""
         return max(size.sample for size in self.sizes.values()) / DATAGRAM
 
     def to_json(self) -> dict[str, Any]:
@@ -82,9 +82,9 @@ class Suite:
 
 
 def suites(now: datetime, rounds: int) -> Iterator[Suite]:
-    """Each profile with each key agreement, over `rounds` handshakes.
+    """Measure each profile with each key agreement, over `rounds` handshakes.
 
-    FileError if there is no place for temporary files; VerificationError if two do not meet.
+    FileError if no temporary folder can be created; VerificationError if a handshake fails.
     """
     for profile in PROFILES:
         with _temporary_folder() as folder:
@@ -124,7 +124,7 @@ def _largest(name: str, sizes: list[tuple[str, int]]) -> int:
 
 
 def _broken(profile: Profile, agreement: KeyAgreement) -> tuple[str, ...]:
-    """The promises of the profile that do not hold with that key agreement."""
+    """The properties of the profile that this key agreement does not have."""
     changed = replace(profile, key_agreement=agreement, promises=())
     return tuple(each.text for each in profile.promises if not each.kept(changed))
 
@@ -134,7 +134,7 @@ def _temporary_folder() -> Iterator[Path]:
     try:
         folder = TemporaryDirectory(prefix="pqsec-")
     except OSError as error:
-        raise FileError(f"there is no place for temporary files: {error}") from error
+        raise FileError(f"no temporary folder can be created: {error}") from error
     with folder as name:
         yield Path(name)
 

@@ -1,7 +1,7 @@
-"""Every two participants of a keystore meet, where they share a domain.
+"""Run the handshake of every two participants of a keystore that share a domain.
 
-Each is looked at once by itself; then the pairs meet, spread over processes. Results come
-one by one, in the order of the names, so that half a million of them take no memory.
+Each participant is checked once alone; then the pairs are run in several processes. Results
+come one by one, in the order of the names, so that half a million of them take no memory.
 """
 
 from collections import deque
@@ -27,32 +27,32 @@ __all__ = [
 ]
 
 BLOCK = 16
-"""Pairs, or participants, that a process is given at a time: an eighth of a second."""
+"""Pairs or participants in one block of work: about an eighth of a second."""
 WORTH_A_PROCESS = 64
-"""Pairs that are through by the time a further process has started."""
+"""Pairs that are done in the time that one more process takes to start."""
 
 Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What is to be said of a pair. `result` is None where they did not get to meet."""
+    """The outcome for a pair. `result` is None if their handshake was not run."""
 
     first: Finding
     second: Finding
     domain: int | None
-    """None: they share none."""
+    """None: they share no domain."""
     result: Result | None = None
 
     @property
     def failed(self) -> Step | None:
-        """What is wrong with one of them, or where their meeting ended."""
+        """The failed step of one of them, or of their handshake."""
         of_both = self.result.failed if self.result else None
         return self.first.failed or self.second.failed or of_both
 
     @property
     def ok(self) -> bool | None:
-        """None: the question does not arise, as they share no domain."""
+        """Whether the handshake succeeded; None if they share no domain."""
         if self.failed:
             return False
         return None if self.domain is None else True
@@ -60,7 +60,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class PairsCheck:
-    """All participants of a keystore, each looked at by itself."""
+    """All participants of a keystore, each checked alone."""
 
     findings: dict[PartyRef, Finding]
     job: AllPairsJob
@@ -72,7 +72,7 @@ class PairsCheck:
         return sorted({party.name for party in self.findings})
 
     def outcomes(self) -> Iterator[Outcome]:
-        """Each pair; the first of it behaves like the first of the gathering's stacks.
+        """The outcome of each pair; its first participant behaves like the first stack of the job.
 
         PqsecError if a process is killed.
         """
@@ -103,7 +103,7 @@ class PairsCheck:
 
 
 def count_pairs(names: Sequence[str], job: AllPairsJob) -> int:
-    """How many outcomes there will be."""
+    """The number of outcomes."""
     return len(names) * (len(names) - 1) // 2 * len(set(job.stacks))
 
 
@@ -114,7 +114,7 @@ def check_pairs(
     jobs: int,
     progress: Callable[[Iterable[Finding]], Iterable[Finding]] = iter,
 ) -> Iterator[PairsCheck]:
-    """The participants called `names`, found sound or not, and `jobs` processes for the rest.
+    """Check the participants called `names`, each alone, with `jobs` processes.
 
     KeystoreError if there is no keystore; PqsecError if a process is killed.
     """

@@ -1,4 +1,4 @@
-"""What a self-check found, step by step."""
+"""The report of a self-check, step by step."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,39 +12,39 @@ from pqsec_pki.problems import Code
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing that was checked. `detail` is what was found, or why it failed."""
+    """One check. `detail` is what was found, or why it failed."""
 
     name: str
     ok: bool
     detail: str
     hint: str | None = None
     codes: frozenset[Code] = frozenset()
-    """What is wrong, for programs, where it failed: which checks refused."""
+    """Codes of the checks that failed; empty if the step succeeded."""
 
 
 AUTH_REQUEST = "auth request"
 HANDSHAKE = ("request", "reply", "final")
-"""The names of its messages."""
+"""The names of the handshake's messages."""
 MESSAGE = "message"
-"""The name of what is sent under the protection that follows."""
+"""The name of the protected message after the handshake."""
 
 
 class StoppedError(Exception):
-    """A step failed; the steps say which. It never leaves this room."""
+    """A step failed, the last of the steps. This error never leaves the room."""
 
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """The steps so far."""
+    """The steps that were run so far."""
 
     done: list[Step] = field(default_factory=list)
 
     @contextmanager
     def step(self, name: str) -> Iterator[list[str]]:
-        """Run one step; what is put in the list is its detail. StoppedError if it fails.
+        """Run one step; the caller appends its detail to the list. StoppedError if it fails.
 
-        A file that cannot be read fails no step: whether it would hold is not known, and the
-        FileError passes.
+        A FileError passes through and fails no step: an unreadable file is neither valid
+        nor invalid.
         """
         detail: list[str] = []
         try:
@@ -66,11 +66,11 @@ class Sent:
     sender: str
     receiver: str
     data: bytes = field(repr=False)
-    """As it travels: a sample of a ParticipantGenericMessage, or protected submessages."""
+    """What is sent: a sample of a ParticipantGenericMessage, or protected submessages."""
 
     @property
     def token(self) -> DataHolder | None:
-        """The token in it; None if it has none."""
+        """The token in the message; None for protected submessages."""
         return None if self.name == MESSAGE else GenericMessage.decode(self.data).tokens[0]
 
 
@@ -94,25 +94,25 @@ class Report:
     initiator: str | None
     replier: str | None
     why: str | None
-    """Why that one sends the Request."""
+    """Why the initiator is the one that sends the Request."""
     stacks: dict[str, str]
-    """How each participant behaved: the name of a stack."""
+    """The name of the stack that each participant behaves like."""
     signature: str | None
-    """The signature algorithms of initiator and replier, as c.dsign_algo names them."""
+    """The names of the signature algorithms of initiator and replier, as in c.dsign_algo."""
     key_agreement: str
-    """As c.kagree_algo names it."""
+    """Its name in c.kagree_algo."""
     milliseconds: float
-    """The messages and the key exchange, both sides; checks before not counted."""
+    """Time of the messages and the key exchange, both sides, without the checks before them."""
     sent: tuple[Sent, ...] = field(default=(), repr=False)
     outcome: Done | None = field(default=None, repr=False)
-    """What the replier knows at the end."""
+    """What the replier has at the end."""
 
     domain: int | None = None
-    """Where they met; None if they share none, or it was not looked for."""
+    """The domain ID of the handshake; None if they share none, or it was not determined."""
     shared: tuple[int, ...] = ()
     """The domains that both may join."""
     talks: tuple[TopicFlow, ...] = ()
-    """Both ways, once they have met."""
+    """In both directions, if the handshake succeeded."""
 
     @property
     def token_bytes(self) -> dict[str, int]:
@@ -125,12 +125,12 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Whether every step was reached and held."""
+        """Whether all steps were reached and succeeded."""
         return all(step.ok for step in self.steps)
 
     @property
     def failed(self) -> Step | None:
-        """The step that ended it, if one did."""
+        """The step that failed, if any."""
         return next((step for step in self.steps if not step.ok), None)
 
     def to_json(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""An encounter as it goes: the messages from the first challenge to the first protected one.
+"""One run of a session: the messages from the first challenge to the first protected one.
 
-Every message passes as bytes through a relay, encoded and decoded as on the wire. The
-relay of an honest network changes nothing; that of an attacker may.
+Every message passes through a relay as bytes, encoded and decoded as on the wire. The relay
+of an honest network changes nothing; an attacker's relay may.
 """
 
 import os
@@ -46,18 +46,18 @@ AROUND_TOKEN = 124
 
 @dataclass(slots=True)
 class HandshakeRun:
-    """An encounter as it goes: what was sent so far, and how it ended."""
+    """One run of a session: what was sent so far, and its result."""
 
     session: HandshakeSession
     steps: Steps
     sent: list[Sent] = field(default_factory=list)
     done: tuple[Done, Done] | None = None
-    """What initiator and replier know at the end."""
+    """What initiator and replier have at the end."""
     seconds: float = 0.0
-    """From the first message to the last; not the judging of permissions."""
+    """Time of the messages and the key exchange, without the checks of permissions."""
 
     def perform(self) -> None:
-        """All of it, in order. StoppedError where a step fails, and `steps` tells why."""
+        """Run all steps in order. StoppedError if one fails; `steps` has the reason."""
         started = time.perf_counter()
         self.done = self._shake_hands(*self._announce())
         self._exchange(self.done)
@@ -67,25 +67,25 @@ class HandshakeRun:
         self._admit(other, one, self.done[1])
 
     def _announce(self) -> tuple[Terms, Terms]:
-        """The terms of both, once each has heard the other's AuthRequest, if there is one."""
+        """The terms of both, after each received the other's AuthRequest, if one is sent."""
         one, other = self.session.sides
         with self.steps.step("auth requests") as detail:
             mine, heard_by_other = self._auth_request(one, other)
             theirs, heard_by_one = self._auth_request(other, one)
             names = [side.name for side in (one, other) if side.stack.announces]
-            detail.append(f"challenges announced by {' and '.join(names) or 'nobody'}")
+            detail.append(f"challenges announced by {' and '.join(names) or 'neither participant'}")
         return (
             self._terms(one, mine, heard_by_one),
             self._terms(other, theirs, heard_by_other),
         )
 
-    def _terms(self, own: Side, announced: bytes | None, heard: bytes | None) -> Terms:
-        """Our terms, now that discovery has shown us the peer."""
-        discovered = Discovered(guid=self.session.peer_of(own), future_challenge=heard)
+    def _terms(self, own: Side, announced: bytes | None, received: bytes | None) -> Terms:
+        """The terms of `own`, with what discovery showed about the peer."""
+        discovered = Discovered(guid=self.session.peer_of(own), future_challenge=received)
         return replace(own.terms, discovered=discovered, announced=announced)
 
     def _auth_request(self, sender: Side, receiver: Side) -> tuple[bytes | None, bytes | None]:
-        """The challenge that is announced, as sent and as heard."""
+        """The announced challenge, as sent and as received."""
         if not sender.stack.announces:
             return None, None
         challenge = os.urandom(CHALLENGE_SIZE)
@@ -95,7 +95,7 @@ class HandshakeRun:
         return challenge, heard.future_challenge
 
     def _shake_hands(self, ours: Terms, theirs: Terms) -> tuple[Done, Done]:
-        """Each step is what one side does: read a message, and send the next."""
+        """In each step one side reads a message and sends the next."""
         (initiator, replier), now = self.session.sides, self.session.now
         with self._step("request", initiator) as detail:
             request, waiting = begin(ours, self.session.agreement)
@@ -114,12 +114,14 @@ class HandshakeRun:
         with self._step("authenticated", replier) as detail:
             last = Final.from_holder(_opened("final", arrived, replier))
             outcome = awaiting.receive(last)
-            detail.append(f"{initiator.name} and {replier.name} each proved their key")
+            detail.append(
+                f"{initiator.name} and {replier.name} each proved possession of their key"
+            )
         return done, outcome
 
     @contextmanager
     def _step(self, name: str, side: Side) -> Iterator[list[str]]:
-        """A step of `side`'s; where that is somebody else's stack, its failure says so."""
+        """A step of `side`; if `side` is a stock stack, the error names the stack."""
         with self.steps.step(name) as detail:
             try:
                 yield detail
@@ -131,8 +133,8 @@ class HandshakeRun:
                 raise VerificationError(words, hint=hint) from error
 
     def _send(self, name: str, token: DataHolder, sender: Side, receiver: Side) -> bytes:
-        """What arrives when `sender` sends the token: a sample."""
-        # An answer names what it answers: Fast DDS drops it otherwise.
+        """The sample that `receiver` gets when `sender` sends the token."""
+        # A reply names the message that it answers: otherwise Fast DDS drops it.
         related = (receiver.writer, len(self.sent)) if name in _ANSWERS else (bytes(16), 0)
         message = GenericMessage(
             source=sender.writer,
@@ -146,7 +148,7 @@ class HandshakeRun:
         return self._relay(name, message.encode(), sender, receiver)
 
     def _size(self, sender: Side) -> Iterator[str]:
-        """The size of what was sent last, and what its sender's stack makes of it."""
+        """The size of the last message, with a note if some versions cannot send it."""
         size = len(self.sent[-1].data)
         yield f"{size - AROUND_TOKEN} bytes"
         yield from sender.stack.check_size(size)
@@ -157,7 +159,7 @@ class HandshakeRun:
         return self.session.relay(name, data)
 
     def _exchange(self, done: tuple[Done, Done]) -> None:
-        """The keys of each, protected: only this shows that both have one secret (C26)."""
+        """Send a protected message each way, to show that both have the same secret (C26)."""
         for sender, mine, receiver, theirs in _both_ways(self.session.sides, done):
             with self.steps.step(f"message {sender.name} to {receiver.name}") as detail:
                 keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
@@ -167,10 +169,10 @@ class HandshakeRun:
                 detail.append("encrypted, sent, decrypted (AES256-GCM)")
 
     def _admit(self, judge: Side, subject: Side, done: Done) -> None:
-        """The permissions that came in the handshake are the subject's own, and let it in."""
+        """Check that the permissions from the handshake are the subject's and let it join."""
         session = self.session
         with self.steps.step(f"{judge.name} admits {subject.name}") as detail:
-            # What came with the handshake, not what lies on our disk.
+            # The permissions that came with the handshake, not those on disk.
             peer = done.peer
             applicant = Applicant(subject.name, peer.certificate, peer.permissions)
             own = judge.participant
@@ -179,7 +181,7 @@ class HandshakeRun:
 
 
 def _opened(name: str, sample: bytes, reader: Side) -> DataHolder:
-    """The token in a sample, as `reader` gets it off the wire."""
+    """The token in a sample, as `reader` decodes it."""
     with check(Code.C1):
         message = GenericMessage.decode(sample)
     with check(Code.C2):

@@ -1,4 +1,4 @@
-"""Who meets whom, and over what kind of network."""
+"""The two sides of a handshake, and the network between them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,21 +10,21 @@ from pqsec_pki.handshake import Terms
 from pqsec_pki.selfcheck.stacks import Stack
 
 _STATELESS_WRITER = bytes.fromhex("000201c3")
-"""The entity that sends handshake messages (DDS-Security 1.1, 7.4.6.2)."""
+"""The entity ID of the writer of handshake messages (DDS-Security 1.1, 7.4.6.2)."""
 
 Relay = Callable[[str, bytes], bytes]
-"""What arrives when the sample of the message of that name is sent."""
+"""Takes the name and the sample of a message, and returns the sample that arrives."""
 
 
 def unchanged(name: str, sample: bytes) -> bytes:
-    """What an honest network does."""
+    """The relay of an honest network."""
     del name
     return sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """A participant, how it behaves, and what it insists on."""
+    """A participant, the stack it behaves like, and what it requires of its peer."""
 
     participant: Credentials
     stack: Stack
@@ -32,7 +32,7 @@ class Side:
 
     @property
     def name(self) -> str:
-        """Its enclave."""
+        """The name of its enclave."""
         return self.participant.name
 
     @property
@@ -42,24 +42,24 @@ class Side:
 
     @property
     def writer(self) -> bytes:
-        """The GUID (16 bytes) of what sends its handshake messages."""
+        """The GUID (16 bytes) of the writer of its handshake messages."""
         return self.guid[:12] + _STATELESS_WRITER
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandshakeSession:
-    """Who meets whom, where and when, and over what kind of network."""
+    """The two sides of a handshake, its domain and time, and the network between them."""
 
     initiator: Side
     replier: Side
     agreement: KeyAgreement
-    """What the initiator asks for."""
+    """The key agreement that the initiator asks for."""
     profile: Profile
     domain: int
     now: datetime
     relay: Relay = unchanged
     third: Side | None = None
-    """Whom each of the two has discovered as its peer, where that is not the other."""
+    """The peer that both sides have discovered, if it is not the other side."""
 
     @property
     def sides(self) -> tuple[Side, Side]:
@@ -67,7 +67,7 @@ class HandshakeSession:
         return self.initiator, self.replier
 
     def peer_of(self, side: Side) -> bytes:
-        """The GUID (16 bytes) that `side` has discovered as its peer's."""
+        """The GUID (16 bytes) of the peer that `side` has discovered."""
         if self.third:
             return self.third.guid
         return self.replier.guid if side is self.initiator else self.initiator.guid

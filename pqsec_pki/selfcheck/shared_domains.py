@@ -1,4 +1,4 @@
-"""What two participants have in common: domains that both may join, and topics on them."""
+"""The domains that two participants may both join, and the topics that they share on them."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -26,12 +26,12 @@ from pqsec_pki.smime import document_in
 
 @dataclass(frozen=True, slots=True)
 class JoinableDomains:
-    """Where two may meet."""
+    """The domains that each of several participants may join."""
 
     domains: dict[str, frozenset[int]]
-    """Of each by its name, those that it may join; nothing is verified here."""
+    """The domain IDs that each may join, by its name; no signature is verified here."""
     fallback: int
-    """Where to see what is wrong with one that may join none."""
+    """The domain ID to use for a participant that may join none, to show what is wrong."""
 
     @classmethod
     def of(cls, keystore: Keystore, names: Sequence[str], now: datetime) -> "JoinableDomains":
@@ -47,17 +47,17 @@ class JoinableDomains:
 
     @property
     def shared(self) -> tuple[int, ...]:
-        """Those that both may join, ascending."""
+        """The domain IDs that all may join, ascending."""
         return tuple(sorted(frozenset.intersection(*self.domains.values())))
 
     @property
     def is_split(self) -> bool:
-        """Whether each may join some, and no two the same."""
+        """Whether each may join a domain, but there is none that all may join."""
         return not self.shared and all(self.domains.values())
 
     @property
     def domain(self) -> int:
-        """Where they meet if nobody says."""
+        """The domain ID for the handshake, if none was given."""
         return min(self.shared, default=self.fallback)
 
     def __str__(self) -> str:
@@ -72,7 +72,7 @@ class JoinableDomains:
         if self.is_split:
             raise VerificationError(
                 f"they share no domain: {self}",
-                hint="`pqsec explain --participant NAME --join` tells which rules decide that",
+                hint="`pqsec explain --participant NAME --join` shows which rules decide that",
             )
 
 
@@ -84,10 +84,10 @@ def meet_on(
     *,
     anywhere: bool,
 ) -> Report:
-    """They meet, and it is told what they may say to each other.
+    """Run their handshake, and report the topics that they share.
 
-    If `anywhere` would do and they share no domain, each is looked at by itself, and the step
-    `common domain` fails.
+    If any domain will do (`anywhere`) and they share none, each is checked alone, and the
+    step `common domain` fails.
     """
     if joinable.is_split and anywhere:
         return _apart(setup, joinable, (first, second))
@@ -105,7 +105,7 @@ def meet_on(
 def _apart(
     setup: HandshakeSetup, joinable: JoinableDomains, parties: Sequence[HandshakeParty]
 ) -> Report:
-    """Each where it may join, and that there is no domain for both."""
+    """Check each on a domain that it may join; then the step `common domain` fails."""
     check = HandshakeCheck(setup)
     with suppress(StoppedError):
         for party, domains in zip(parties, joinable.domains.values(), strict=True):
@@ -118,7 +118,7 @@ def _apart(
 
 
 def documents_of(participant: Credentials) -> ParticipantDocuments:
-    """Its subject and documents, as they lie there; MalformedError, or others."""
+    """Its subject and documents, not verified; MalformedError, or others, if unreadable."""
     return ParticipantDocuments(
         subject=participant.certificate.subject_name,
         governance=Governance.from_xml(document_in(participant.governance)),
@@ -127,7 +127,7 @@ def documents_of(participant: Credentials) -> ParticipantDocuments:
 
 
 def domains_of(participant: Credentials, now: datetime) -> tuple[frozenset[int], set[int]]:
-    """Those it may join, and those that its governance names. Nothing is verified here."""
+    """The domain IDs it may join, and those its governance names; no signature is verified."""
     try:
         own = documents_of(participant)
         named = {each for rule in own.governance.domain_rules for each in rule.domains.ids()}
@@ -146,7 +146,7 @@ def talks_between(
     domain: int,
     now: datetime,
 ) -> tuple[TopicFlow, TopicFlow]:
-    """What each of two, by name, may publish and the other subscribe to."""
+    """The topics that one may publish and the other subscribe to, in both directions."""
     (first, its), (second, others) = one, other
     return (
         TopicFlow(first, second, topics_between(its, others, domain=domain, now=now)),

@@ -1,8 +1,8 @@
 """How DDS stacks behave in a handshake: one row each, to answer "would it work with ...?".
 
-A row says what its stack writes and what it refuses beyond the specification, as measured
-against the real one. What a stack takes that it should not is no matter here: nothing
-that two sound participants send is affected by it.
+A row says what its stack sends, and what it refuses beyond the specification, as measured
+with the real stack. What a stack accepts although it should not is left out: two valid
+participants never send that.
 """
 
 from collections.abc import Iterator
@@ -24,58 +24,58 @@ from pqsec_pki.handshake import Dialect, Policy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limit:
-    """The largest message of some versions."""
+    """The largest message that some versions can send."""
 
     size: int
-    """Bytes of the sample."""
+    """Size of the sample in bytes."""
     versions: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stack:
-    """An implementation of DDS-Security, as its peers know it."""
+    """An implementation of DDS-Security, as its peers see it in a handshake."""
 
     name: str
-    """What a user types."""
+    """Its name on the command line."""
     title: str
     evidence: str
-    """Where the row comes from."""
+    """The source of the row: versions that were run, or source code."""
     dialect: Dialect = field(default_factory=Dialect)
     agreements: tuple[KeyAgreement, ...] = ()
-    """Those it knows; the first is what it asks for. Empty: all of ours, as the profile says."""
+    """Those it supports; it asks for the first. Empty: all of pqsec's, as the profile says."""
     asks_for_any: bool = False
-    """Whether it can be told to ask for another one."""
+    """Whether it can be configured to ask for any other of them."""
     announces: bool = True
     """Whether it sends an AuthRequest."""
     identity_keys: tuple[str, ...] = ()
-    """Kinds of participant keys it takes; empty: all."""
+    """Participant keys that it accepts; empty: all."""
     identity_ca_keys: tuple[str, ...] = ()
     hint_as_initiator: str | None = None
-    """What helps where another stack refuses what it sends first."""
+    """The hint if another stack refuses its Request."""
     limit: Limit | None = None
     fails_at_limit: bool = False
-    """Whether this row stands for the versions with the limit."""
+    """Whether this row describes the versions with the limit."""
 
     @property
     def is_stock(self) -> bool:
-        """Whether it is somebody else's, and knows nothing of post-quantum suites."""
+        """Whether it is not pqsec, and supports no post-quantum algorithms."""
         return bool(self.agreements)
 
     def check_identity(self, certificate: Certificate, ca: Certificate) -> None:
-        """VerificationError if it does not take keys of these kinds."""
+        """VerificationError if it does not accept keys of these algorithms."""
         kinds = (
             ("participant", certificate, self.identity_keys),
             ("identity CA", ca, self.identity_ca_keys),
         )
         problems = [
-            f"{self.title} takes no {each.public_key.algorithm.name} key of a {what}"
+            f"{self.title} accepts no {each.public_key.algorithm.name} key of a {what}"
             for what, each, known in kinds
             if known and each.public_key.algorithm.name not in known
         ]
         self._refuse(problems)
 
     def check_documents_ca(self, ca: Certificate) -> None:
-        """VerificationError if it cannot verify what `ca` signs."""
+        """VerificationError if it cannot verify documents that `ca` signs."""
         row = ca.public_key.algorithm
         if self.is_stock and row.family is not Family.CLASSICAL:
             self._refuse([f"{self.title} cannot verify documents signed by {row.name}"])
@@ -83,11 +83,11 @@ class Stack:
     def _refuse(self, problems: list[str]) -> None:
         if problems:
             raise VerificationError(
-                *problems, hint="make the keystore with profile transition or classical"
+                *problems, hint="create the keystore with profile transition or classical"
             )
 
     def check_size(self, size: int) -> Iterator[str]:
-        """What to say of a message of `size` bytes; VerificationError if it cannot be sent."""
+        """A note on a message of `size` bytes, if any; VerificationError if it cannot be sent."""
         if self.limit and size > self.limit.size:
             words = f"over {self.limit.size} bytes, which {self.limit.versions} cannot send"
             if self.fails_at_limit:
@@ -123,11 +123,11 @@ FASTDDS = Stack(
         reads_reply_names=False,
         needs_in_reply=("hash_c1", "hash_c2", "dh1"),
     ),
-    # Even with EC keys. In a Reply 2.9.1 ends c.kagree_algo as the Request did, but never
-    # c.dsign_algo, so who insists on NUL refuses it all the same.
+    # Even with EC keys. In a Reply, 2.9.1 ends c.kagree_algo in NUL if the Request did, but
+    # never c.dsign_algo, so a peer that requires NUL still refuses the Reply.
     agreements=(MODP_RAW, _ECDH),
     announces=False,
-    # It looks at how the certificate is signed, not at the key in it.
+    # It checks the algorithm of the certificate's signature, not of the key in it.
     identity_keys=("ecdsa-p256", "ecdsa-p384", *_RSA),
     identity_ca_keys=("ecdsa-p256", *_RSA),
     hint_as_initiator="Fast DDS and Cyclone DDS understand each other only where Cyclone DDS"
@@ -160,7 +160,7 @@ STACKS = (PQSEC, CYCLONE, FASTDDS, FASTDDS_LIMITED, OPENDDS)
 
 
 def stack_named(name: str) -> Stack:
-    """The stack a user means; UnknownAlgorithmError, with those there are, if it is none."""
+    """The stack of that name; UnknownAlgorithmError, with the known ones, if there is none."""
     for row in STACKS:
         if row.name == name.lower():
             return row
@@ -185,11 +185,11 @@ def asked(
 
 
 def policy(own: Stack, peer: Stack, profile: Profile, wanted: KeyAgreement | None) -> Policy:
-    """What `own` insists on when it meets `peer` in a domain of that profile."""
+    """What `own` requires in a handshake with `peer`, in a keystore of that profile."""
     if own.is_stock:
         return Policy(agreements=own.agreements)
     if peer.is_stock and profile.runs_in_stock:
-        # With a stock peer nothing better can be had, and the profile allows it.
+        # A stock peer supports nothing stronger, and the profile allows this.
         names = {row.wire_name for row in peer.agreements}
         return Policy(agreements=tuple(row for row in KEY_AGREEMENTS if row.wire_name in names))
     return Policy(

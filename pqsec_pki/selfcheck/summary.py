@@ -1,4 +1,4 @@
-"""Outcomes of many meetings: how many, and what the failures have in common."""
+"""Counts of the outcomes of many pairs, and the common causes of failures."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -10,7 +10,7 @@ from pqsec_pki.selfcheck.report import Step
 
 
 class Cause(NamedTuple):
-    """A failed step, without the names and sizes that differ between those that share it."""
+    """A failed step, without the names and sizes that differ between pairs with the same cause."""
 
     step: str
     words: str
@@ -18,33 +18,33 @@ class Cause(NamedTuple):
 
     @classmethod
     def of(cls, step: Step, roles: Mapping[str, str]) -> "Cause":
-        """`roles` says what stands for which name."""
+        """The cause of a failed step; `roles` has the word that replaces each name."""
         hint = None if step.hint is None else _general(step.hint, roles)
         return cls(_general(step.name, roles), _general(step.detail, roles), hint)
 
 
 @dataclass(slots=True)
 class Summary:
-    """Outcomes, counted; those that failed under their cause."""
+    """Counts of outcomes, and the failed outcomes by their cause."""
 
     met: int = 0
     failed: int = 0
     apart: int = 0
     """Pairs that share no domain."""
     no_common_topic: int = 0
-    """Pairs that met, and share no topic."""
+    """Pairs whose handshake succeeded, but which share no topic."""
     tried: int = 0
-    """Pairs whose handshake was run: both are sound each by itself."""
+    """Pairs whose handshake was run, since both participants are valid alone."""
     causes: dict[Cause, list[Outcome]] = field(default_factory=dict)
-    """Of pairs that were tried."""
+    """Of pairs whose handshake was run."""
 
     @property
     def ok(self) -> bool:
-        """Whether all met that share a domain, and any did: nothing proves nothing."""
+        """Whether all pairs that share a domain succeeded, and there was at least one."""
         return self.met > 0 and not self.failed
 
     def add(self, outcome: Outcome) -> None:
-        """Count it."""
+        """Count an outcome."""
         self.met += outcome.ok is True
         self.failed += outcome.ok is False
         self.apart += outcome.ok is None
@@ -59,7 +59,7 @@ class Summary:
 
 
 def faults(findings: Iterable[Finding]) -> dict[tuple[str, Cause], list[Finding]]:
-    """Participants that are at fault by themselves, by how they behave and by cause."""
+    """Participants that fail alone, by stack and cause."""
     groups: dict[tuple[str, Cause], list[Finding]] = {}
     for each in findings:
         if each.failed:

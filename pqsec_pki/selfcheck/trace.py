@@ -1,8 +1,8 @@
-"""Everything that went over the wire between two, taken apart, and what came of it.
+"""Decode everything that two participants sent, and what they derived from it.
 
-For whoever implements the other side: all bytes are there to be replayed, each value has
-its name and place. Private keys, also ephemeral ones, are not in a report and so never
-here; the secrets that both sides end with are, and are marked.
+For implementers of another side: all bytes are included, for replay, and each value has its
+name and place. Private keys, including ephemeral ones, are not in a report and so never in
+a trace; the shared secrets are, and are marked as secret.
 """
 
 from collections.abc import Iterator
@@ -32,18 +32,18 @@ __all__ = ["DecodedMessage", "Piece", "Trace", "trace"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedMessage:
-    """One message, taken apart."""
+    """One message, decoded."""
 
     name: str
     sender: str
     receiver: str
     header: dict[str, str]
-    """What stands around the token."""
+    """The fields around the token, as text."""
     pieces: tuple[Piece, ...]
     sample: bytes = field(repr=False)
 
     def to_json(self) -> dict[str, Any]:
-        """The message for a program. Nothing that was sent is a secret."""
+        """The message for --json. Nothing in it is secret, since it was sent."""
         return {
             "name": self.name,
             "from": self.sender,
@@ -57,15 +57,15 @@ class DecodedMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace:
-    """A handshake up to its end, or to where it failed."""
+    """A handshake up to its end, or up to the step that failed."""
 
     report: Report
     messages: tuple[DecodedMessage, ...]
     derived: tuple[Piece, ...]
-    """What both sides have in the end, beside what was sent."""
+    """The values that both sides derived."""
 
     def to_json(self, *, show_secrets: bool) -> dict[str, Any]:
-        """The trace for a program."""
+        """The trace for --json."""
         return {
             "report": self.report.to_json(),
             "messages": [message.to_json() for message in self.messages],
@@ -74,7 +74,7 @@ class Trace:
 
 
 def trace(report: Report, describe: Describe) -> Trace:
-    """What `report` has of messages and secrets, in words of `describe` where it has some."""
+    """Decode the messages and secrets of `report`; `describe` turns documents into text."""
     dissection = Dissection(describe)
     messages = tuple(_decoded(sent, dissection) for sent in report.sent)
     transcript = dissection.transcript
@@ -120,18 +120,18 @@ def _secret(done: Done, messages: list[Sent]) -> Iterator[Piece]:
     material = key_exchange_material(done)
     bound = " || SHA256(signed in the reply)" if done.agreement.binds_transcript else ""
     words = "from SharedSecret and both challenges"
-    yield _hidden("SharedSecret", done.shared_secret, f"SHA256(secret{bound})")
-    yield _hidden("key exchange salt", material.salt, words)
-    yield _hidden("key exchange key", material.sender_key, words)
+    yield _secret_piece("SharedSecret", done.shared_secret, f"SHA256(secret{bound})")
+    yield _secret_piece("key exchange salt", material.salt, words)
+    yield _secret_piece("key exchange key", material.sender_key, words)
     for sent in messages:
         way = f"{sent.sender} to {sent.receiver}"
         session = next(each.data for each in protected_pieces(sent.data) if "session" in each.name)
         words = f"from salt and key above and session id {session.hex()}"
-        yield _hidden(f"session key, {way}", material.session_key(session), words)
-        with suppress(PqsecError):  # where it cannot be read, the report says so
+        yield _secret_piece(f"session key, {way}", material.session_key(session), words)
+        with suppress(PqsecError):  # the report says why it cannot be decrypted
             plain = unprotect_submessage(material, sent.data)
-            yield _hidden(f"plaintext, {way}", plain, "an RTPS submessage")
+            yield _secret_piece(f"plaintext, {way}", plain, "an RTPS submessage")
 
 
-def _hidden(name: str, data: bytes, words: str) -> Piece:
+def _secret_piece(name: str, data: bytes, words: str) -> Piece:
     return Piece(name=name, data=data, words=(words,), secret=True)

@@ -128,7 +128,7 @@ def test_every_step_is_told_to_a_person(pqsec, keystore, profile):
         "files of /listener",
         "identity of /listener",
         "documents of /listener",
-        "who speaks first",
+        "initiator",
         "auth requests",
         "request",
         "reply",
@@ -348,7 +348,7 @@ def test_permissions_for_another_domain_are_refused(resign, fails, keystore):
     resign("talker/permissions.xml", "<id>0</id>", "<id>7</id>")
     words = "/talker may not join domain 0: grant '/talker' has no allow_rule for domain 0"
     step = fails("documents of /talker", words)
-    assert "`pqsec explain --participant /talker --join` tells where it may" in step["hint"]
+    assert "`pqsec explain --participant /talker --join` shows where it may" in step["hint"]
 
 
 def test_governance_for_another_domain_is_refused(resign, fails, keystore):
@@ -459,7 +459,7 @@ def test_a_file_that_is_no_key_or_certificate_is_named(fails, keystore, file, co
     assert step["detail"].count(file) == 1
     assert (
         step["hint"]
-        == "restore it from a backup; or make it anew: `pqsec renew /talker` keeps what it may do"
+        == "restore it from a backup, or reissue it: `pqsec renew /talker` keeps its permissions"
     )
 
 
@@ -507,7 +507,7 @@ def test_a_participants_key_that_is_encrypted_is_named(fails, keystore):
     step = fails("files of /talker", words)
     assert (
         step["hint"]
-        == "restore it from a backup; or make it anew: `pqsec renew /talker` keeps what it may do"
+        == "restore it from a backup, or reissue it: `pqsec renew /talker` keeps its permissions"
     )
 
 
@@ -517,8 +517,8 @@ def test_a_participants_key_that_is_encrypted_is_named(fails, keystore):
 def test_a_participant_does_not_meet_itself(fails, keystore):
     keystore()
     step = fails(
-        "who speaks first",
-        "both are /talker: a participant cannot meet itself",
+        "initiator",
+        "both are /talker: a participant has no handshake with itself",
         line="-k k verify-handshake /talker talker/",
     )
     assert step["hint"] == "name two different participants"

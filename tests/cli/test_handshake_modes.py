@@ -18,7 +18,7 @@ from pqsec_pki.algorithms import KEY_AGREEMENTS
 from tests.cli.conftest import NAMES, clean_environment, snapshot
 
 TWO = "-k k verify-handshake /talker /listener"
-RESTORE = "restore it from a backup; or make it anew: `pqsec renew /third` keeps what it may do"
+RESTORE = "restore it from a backup, or reissue it: `pqsec renew /third` keeps its permissions"
 ALL = "-k k verify-handshake --all"
 LAST = re.compile(
     r"([0-9]+) participants; pairs: ([0-9]+), ([0-9]+) ok, ([0-9]+) failed,"
@@ -148,7 +148,7 @@ def test_a_broken_participant_is_told_as_json(pqsec, broken):
     assert (fault["as"], fault["step"]) == ("pqsec", "files of /third")
     assert (
         fault["hint"]
-        == "restore it from a backup; or make it anew: `pqsec renew /third` keeps what it may do"
+        == "restore it from a backup, or reissue it: `pqsec renew /third` keeps its permissions"
     )
     for each in told["pairs"]:
         assert each["ok"] == ("/third" not in each["pair"])
@@ -193,7 +193,7 @@ def test_a_stack_that_takes_no_such_keys_is_told_once(pqsec, keystore):
     said = pqsec(f"{ALL} --as opendds")
     assert said.code == 1
     _, fault, (last,) = (part.splitlines() for part in said.out.split("\n\n"))
-    assert fault[0].startswith("FAIL  identity of NAME  OpenDDS takes no ml-dsa-65 key of a part")
+    assert fault[0].startswith("FAIL  identity of NAME  OpenDDS accepts no ml-dsa-65 key of a part")
     assert fault[-1] == "  so /listener, /talker would meet nobody as OpenDDS"
     assert LAST.fullmatch(last).groups() == ("2", "2", "0", "2", "0", "0")
 

@@ -12,7 +12,7 @@ from tests.cli.conftest import NAMES
 STOCK = {row.name: row.title for row in STACKS if row is not PQSEC}
 IN_STOCK = [profile.name for profile in PROFILES if profile.runs_in_stock]
 NOT_IN_STOCK = [name for name in NAMES if name not in IN_STOCK]
-CHOOSE_A_PROFILE = "make the keystore with profile transition or classical"
+CHOOSE_A_PROFILE = "create the keystore with profile transition or classical"
 CYCLONE_MUST_INITIATE = (
     "Fast DDS and Cyclone DDS understand each other only where Cyclone DDS initiates: choose names"
     " so that its GUID is the smaller one, or use one stack"
@@ -89,7 +89,7 @@ def test_post_quantum_identities_run_in_no_stock_stack(refused, profile, stack, 
     step, words, hint = refused(profile, *stacks)
     key = profile_named(profile).participant_key.name
     assert step == f"identity of {name}"
-    assert f"{STOCK[stack]} takes no {key} key of a participant" in words
+    assert f"{STOCK[stack]} accepts no {key} key of a participant" in words
     assert hint == CHOOSE_A_PROFILE
 
 

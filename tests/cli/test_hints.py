@@ -19,7 +19,7 @@ JUSTIFIED = {
     " certificate and permissions": "the user named a participant that is there",
     "if it may come back, issue it with --force --after-revocation": IF_WANTED,
     "if it may come back, `pqsec issue` it with --force --after-revocation": IF_WANTED,
-    "if {name} may come back, `pqsec issue` it with --force --after-revocation": IF_WANTED,
+    "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
     "Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
     " --after-revocation.": IF_WANTED,
     "say anew what it may do: pqsec issue --force, with topics or a --policy": SAYS_WHAT,

@@ -67,7 +67,7 @@ def test_verify_handshake_refuses_a_revoked_participant(pqsec, k):
     assert answer.code == 1
     assert "the certificate of CN=/talker was revoked on" in answer.out
     assert (
-        "hint: if /talker may come back, `pqsec issue` it with --force --after-revocation"
+        "hint: to issue /talker again, use `pqsec issue` with --force --after-revocation"
         in answer.out
     )
 

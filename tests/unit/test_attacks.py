@@ -124,9 +124,9 @@ EXPECTED = {
         ),
     ],
     "reorder": [
-        ("a request is due$", "reply", r"where a 'DDS:Auth:PKI-DH:1.0\+Req' is due"),
-        ("a reply is due$", "final", r"where a 'DDS:Auth:PKI-DH:1.0\+Reply' is due"),
-        ("a final is due$", "authenticated", r"where a 'DDS:Auth:PKI-DH:1.0\+Final' is due"),
+        ("instead of a request$", "reply", r"where a 'DDS:Auth:PKI-DH:1.0\+Req' is due"),
+        ("instead of a reply$", "final", r"where a 'DDS:Auth:PKI-DH:1.0\+Reply' is due"),
+        ("instead of a final$", "authenticated", r"where a 'DDS:Auth:PKI-DH:1.0\+Final' is due"),
     ],
     "truncate": [
         ("of the auth request$", "auth", "runs past the end"),
@@ -178,9 +178,9 @@ EXPECTED = {
         ("^the request$", "reply", "^challenge1 is not the one that the peer announced$"),
         ("^the reply$", "final", "^challenge1 is not what it was"),
         ("^the final$", "authenticated", "^challenge1 is not what it was"),
-        ("initiator said$", "authenticated", "^challenge2 is not what it was; dh2 is not"),
-        ("replier said$", "final", "^challenge1 is not what it was; dh1 is not what it was$"),
-        ("under the keys of then$", "message", OTHER_KEYS),
+        ("initiator sent$", "authenticated", "^challenge2 is not what it was; dh2 is not"),
+        ("replier sent$", "final", "^challenge1 is not what it was; dh1 is not what it was$"),
+        ("under the earlier keys$", "message", OTHER_KEYS),
     ],
     "copied-certificate": [
         ("as initiator$", "authenticated", BAD_SIGNATURE),
@@ -254,7 +254,7 @@ EXPECTED = {
         ("", "message", OTHER_KEYS),
     ],
     "insider-in-the-middle": [
-        ("^dh1 and dh2 handed on$", "message", "is for another participant$|" + OTHER_KEYS)
+        ("^dh1 and dh2 forwarded$", "message", "is for another participant$|" + OTHER_KEYS)
     ],
 }
 
@@ -452,7 +452,7 @@ def test_what_nobody_refuses_got_through(setup, act):
         setup("classical"), *GUESTS, [harmless(act), attack_named("replay")]
     )
     assert not attack_report.ok
-    assert attack_report.verdict == "1 of 2 attacks got through: harmless"
+    assert attack_report.verdict == "1 of 2 attacks succeeded: harmless"
     bad, good = attack_report.to_json()["attacks"]
     assert (bad["ok"], bad["refused"], good["ok"], good["refused"]) == (False, 0, True, 7)
     [attempt] = bad["attempts"]
@@ -505,7 +505,7 @@ def test_where_the_two_do_not_meet_nothing_is_tried(setup):
     assert attack_report.outcomes == ()
     assert told == []
     assert attack_report.verdict.startswith(
-        "they do not meet without an attacker, so attacks prove nothing"
+        "the handshake fails without an attacker, so attacks prove nothing"
     )
     assert "documents of /talker failed: /talker may not join domain 5" in attack_report.verdict
 

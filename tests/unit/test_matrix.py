@@ -120,5 +120,5 @@ def test_the_temporary_folder_is_removed_when_it_fails(folder, monkeypatch):
 
 def test_no_place_for_temporary_files_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "no"))
-    with pytest.raises(FileError, match="there is no place for temporary files"):
+    with pytest.raises(FileError, match="no temporary folder can be created"):
         next(suites(NOW, 1))

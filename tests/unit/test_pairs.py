@@ -165,7 +165,7 @@ def test_a_stack_that_takes_none_of_the_keys_is_told_once(keystore):
     assert summary.causes == {}
     [((stack, cause), findings)] = alone.items()
     assert (stack, cause.step) == ("cyclonedds", "identity of NAME")
-    assert "Cyclone DDS takes no ml-dsa-65 key of a participant" in cause.words
+    assert "Cyclone DDS accepts no ml-dsa-65 key of a participant" in cause.words
     assert [each.party.name for each in findings] == ["/a", "/b", "/c"]
 
 
@@ -197,7 +197,7 @@ def test_a_key_that_cannot_be_read_fails_all_pairs_of_its_participant(three):
     assert f"{three.root}/enclaves/a/key.pem: " in cause.words
     assert (
         cause.hint
-        == "restore it from a backup; or make it anew: `pqsec renew NAME` keeps what it may do"
+        == "restore it from a backup, or reissue it: `pqsec renew NAME` keeps its permissions"
     )
 
 
@@ -355,7 +355,7 @@ def test_a_process_that_is_killed_is_told(many):
                 process.kill()
             list(found.outcomes())
 
-    with pytest.raises(PqsecError, match="one of the processes was killed") as refusal:
+    with pytest.raises(PqsecError, match="a worker process was killed") as refusal:
         kill_and_go_on()
     assert "--jobs 1" in refusal.value.hint
     assert multiprocessing.active_children() == []
