@@ -205,7 +205,7 @@ def _why(session: HandshakeSession) -> str:
     mine, theirs = initiator.guid[:6].hex(), replier.guid[:6].hex()
     return (
         f"{initiator.name} initiates: its GUID is smaller ({mine} < {theirs});"
-        " these bits are derived from the subject name, so this never changes"
+        " these bits come from the subject name, so this never changes"
     )
 
 
