@@ -12,9 +12,8 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-from tests.docs.stack_differences import HABITS, Habit  # noqa: E402
-
 from pqsec_pki.lint import RULES, Rule, Severity  # noqa: E402 -- after the path
+from tests.docs.stack_differences import HABITS, Habit  # noqa: E402
 
 PAGE = ROOT / "docs" / "rules.md"
 MEASURED = json.loads((Path(__file__).parent / "measured.json").read_text())
