@@ -30,7 +30,7 @@ FAMILIES = {
 }
 HEAD = """# Rules
 
-What [`pqsec check`](commands.md#what-check-tells) looks for. This page is made of the rules
+What [`pqsec check`](commands.md#what-check-reports) looks for. This page is made of the rules
 themselves by `tests/docs/rules_page.py`; `pqsec check --explain ID` prints one of them.
 
 An **error** does not work on some stack, or is a hole. A **warning** is a risk. What is **info**
