@@ -174,7 +174,7 @@ def _explain(rule: Rule) -> None:
         "only_when_asked": rule.only_when_asked,
     }
     lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
-    lines += [f"To mend it: {rule.fix}"]
+    lines += [f"To fix it: {rule.fix}"]
     lines += [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
     lines += [f"Known from: {rule.measured}"] if rule.measured else []
     if rule.only_when_asked:

@@ -13,9 +13,9 @@ UNREAD = "PQS001"
 
 @FAMILY.rule(
     UNREAD, Severity.WARNING, File, "a file could not be read",
-    why="What cannot be read is not checked, and may be wrong. The check is incomplete, unless"
-    " that is a keystore's private/, which is closed to others.",
-    fix="Run the check as the owner of the files, or leave the file out.",
+    why="A file that cannot be read is not checked and may be wrong. The check is then incomplete."
+    " The exception is a keystore's private/, which others are not meant to read.",
+    fix="Run the check as the owner of the files, or do not include the file.",
 )  # fmt: skip
 def unreadable(file: File) -> Iterator[Violation]:
     if file.unreadable:
@@ -24,8 +24,9 @@ def unreadable(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS002", Severity.ERROR, SuppressionFile, "a suppression gives no reason",
-    why="Whoever comes later cannot tell whether the finding may still stay. It is not applied.",
-    fix="Write `reason:` beside it: who decided, and why it is safe.",
+    why="Without a reason, a later reader cannot tell whether the finding is still accepted. The"
+    " suppression is not applied.",
+    fix="Add `reason:` to the entry: who decided, and why it is safe.",
 )  # fmt: skip
 def without_reason(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries:
@@ -34,9 +35,9 @@ def without_reason(file: SuppressionFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS003", Severity.WARNING, SuppressionFile, "a suppression has run out",
-    why="Its `until:` has passed. It is not applied any more.",
-    fix="Mend what it hid, or decide again and write a later day.",
+    "PQS003", Severity.WARNING, SuppressionFile, "a suppression has expired",
+    why="The date in `until:` has passed. The suppression is no longer applied.",
+    fix="Fix the finding that it suppressed, or decide again and set a later date.",
 )  # fmt: skip
 def run_out(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries:
@@ -45,9 +46,9 @@ def run_out(file: SuppressionFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS004", Severity.WARNING, SuppressionFile, "a suppression is not needed",
-    why="It would hide the flaw when it comes back.",
-    fix="Take the entry out.",
+    "PQS004", Severity.WARNING, SuppressionFile, "a suppression is unused",
+    why="No finding matches it. It would hide the problem if it came back.",
+    fix="Remove the entry.",
 )  # fmt: skip
 def unused(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries if file.is_complete else ():
@@ -57,9 +58,9 @@ def unused(file: SuppressionFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS005", Severity.ERROR, SuppressionFile, "a suppression cannot be understood",
-    why="What was meant to be suppressed is not, or another rule is.",
-    fix="Write entries with rule, reason and, where wanted, path and until.",
+    "PQS005", Severity.ERROR, SuppressionFile, "a suppression is invalid",
+    why="The entry does not suppress what it was meant to suppress, or it suppresses another rule.",
+    fix="Write entries with rule and reason, and optionally path and until.",
 )  # fmt: skip
 def not_understood(file: SuppressionFile) -> Iterator[Violation]:
     yield from file.broken
@@ -69,10 +70,10 @@ def not_understood(file: SuppressionFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS006", Severity.WARNING, Inventory, "a change of the keystore was cut off",
-    why="A command was killed while it moved files into place: what is here is not what it"
-    " wanted. The check changes nothing, so it does not finish it either.",
-    fix="Run `pqsec ca recover` on the keystore, which finishes it, and check again.",
+    "PQS006", Severity.WARNING, Inventory, "a change of the keystore was interrupted",
+    why="A command was killed while it moved files into place, so the keystore is in an"
+    " intermediate state. The check changes nothing and does not finish the change.",
+    fix="Run `pqsec ca recover` on the keystore to finish the change, and check again.",
 )  # fmt: skip
 def cut_off(inventory: Inventory) -> Iterator[Violation]:
     if inventory.cut_off:
@@ -80,11 +81,11 @@ def cut_off(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS007", Severity.WARNING, Inventory, "a keystore lacks a part of what pqsec put there",
-    why="Without pqsec.json, or without private/ and its ledger, it is looked at like any folder:"
-    " against no profile, and without what was issued and revoked there. Nobody can issue, renew"
-    " or revoke in it either.",
-    fix="Restore what is missing from a backup. A copy for robots needs none of it: copy their"
+    "PQS007", Severity.WARNING, Inventory, "a part of the keystore is missing",
+    why="Without pqsec.json, or without private/ and its ledger, the keystore is checked like any"
+    " other folder. Its profile and the record of issued and revoked certificates are not used."
+    " Issuing, renewing and revoking do not work either.",
+    fix="Restore the missing files from a backup. Robots do not need these files: copy their"
     " enclaves (cp -rL), or use `pqsec bundle`.",
 )  # fmt: skip
 def lacks(inventory: Inventory) -> Iterator[Violation]:

@@ -20,8 +20,8 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 @FAMILY.rule(
     "PQS301", Severity.ERROR, Enclave, "a file is missing in an enclave",
-    why="Every stack needs all six. ROS 2 says only that security files were not found.",
-    fix="Issue the participant again, or copy what is missing.",
+    why="Every stack needs all six files. ROS 2 only reports that security files were not found.",
+    fix="Issue the participant again, or copy the missing files.",
     measured="source of rmw_dds_common (security.cpp)",
 )  # fmt: skip
 def incomplete(enclave: Enclave) -> Iterator[Violation]:
@@ -32,9 +32,9 @@ def incomplete(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS302", Severity.ERROR, Enclave, "a link leads nowhere",
-    why="Copying an enclave without what it links to leaves links behind and no files.",
-    fix="Copy with the links followed (cp -rL, rsync -L), or restore what is shared.",
+    "PQS302", Severity.ERROR, Enclave, "a broken link",
+    why="A copy of an enclave without the files behind its links contains only broken links.",
+    fix="Follow the links when you copy (cp -rL, rsync -L), or restore the shared files.",
 )  # fmt: skip
 def lost(enclave: Enclave) -> Iterator[Violation]:
     for name in sorted(enclave.lost):
@@ -42,9 +42,9 @@ def lost(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS303", Severity.ERROR, Enclave, "the certificate is called otherwise than the enclave",
-    why="ROS 2 chooses the enclave by its folder, and peers know the participant by its"
-    " certificate: logs and permissions speak of another one.",
+    "PQS303", Severity.ERROR, Enclave, "the certificate and the enclave have different names",
+    why="ROS 2 selects the enclave by its folder, and peers identify the participant by its"
+    " certificate. Logs and permissions then use different names.",
     fix="Issue a certificate with the enclave's path as its common name (CN=/fleet/robot1).",
 )  # fmt: skip
 def called_otherwise(enclave: Enclave) -> Iterator[Violation]:
@@ -57,10 +57,10 @@ def called_otherwise(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS304", Severity.ERROR, Enclave, "the private key is not the certificate's",
-    why="Fast DDS refuses to start; Cyclone DDS starts, and fails in every handshake with"
-    " 'Failed to finalize digest context (code: 200)'.",
-    fix="Put the right key beside the certificate, or issue the participant again.",
+    "PQS304", Severity.ERROR, Enclave, "the private key does not match the certificate",
+    why="Fast DDS refuses to start. Cyclone DDS starts, but every handshake fails with 'Failed to"
+    " finalize digest context (code: 200)'.",
+    fix="Replace the key with the one of this certificate, or issue the participant again.",
     rows=("key does not match cert",), measured=_ALL,
 )  # fmt: skip
 def other_key(enclave: Enclave) -> Iterator[Violation]:
@@ -88,7 +88,7 @@ def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
 @FAMILY.rule(
     "PQS306", Severity.ERROR, Enclave, "the identity CA did not issue the certificate",
     why="Neither this participant nor its peers can verify it.",
-    fix="Use the CA that issued it, or issue the participant again.",
+    fix="Use the CA that issued the certificate, or issue the participant again.",
     rows=(
         "two CAs in file, right one second", "identity_ca=int+root, cert=leaf (no AKI)",
         "identity_ca=root, cert.pem=leaf+intermediate",
@@ -107,10 +107,9 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS313", Severity.ERROR, Enclave, "the certificate names another key of its CA",
-    why="Its authorityKeyIdentifier is not the CA's subjectKeyIdentifier. OpenSSL, which all"
+    why="Its authorityKeyIdentifier differs from the CA's subjectKeyIdentifier. OpenSSL, which all"
     " stacks use, then does not find the CA: 'unable to get local issuer certificate'.",
-    fix="Issue the participant again with this CA, or put back the CA's certificate that was"
-    " there when it was issued.",
+    fix="Issue the participant again with this CA, or restore the CA's certificate that issued it.",
     measured="`openssl verify` 3.0.19 and 3.5",
 )  # fmt: skip
 def names_another_key(enclave: Enclave) -> Iterator[Violation]:
@@ -128,8 +127,8 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS316", Severity.ERROR, Enclave, "an intermediate CA issued the certificate",
-    why="Fast DDS finds it behind the root in the identity CA's file. Cyclone DDS and OpenDDS"
-    " read the first certificate of the file only.",
+    why="Fast DDS finds the intermediate CA after the root in the identity CA's file. Cyclone DDS"
+    " and OpenDDS read only the first certificate of the file.",
     fix="Issue the participant with a self-signed CA.",
     stacks=(Target.CYCLONEDDS, Target.OPENDDS),
     rows=("identity_ca=root+int, cert=leaf",), measured=_ALL + "; OpenDDS by source",
@@ -142,9 +141,9 @@ def below_an_intermediate(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS307", Severity.WARNING, Enclave, "the certificate outlives its CA",
-    why="When the CA ends, the participant ends with it, earlier than its own date says.",
-    fix="Issue it with a shorter validity; pqsec cuts it by itself.",
+    "PQS307", Severity.WARNING, Enclave, "the certificate ends after its CA",
+    why="When the CA expires, the participant is refused, before its own certificate expires.",
+    fix="Issue the certificate with a shorter validity. pqsec limits the validity itself.",
 )  # fmt: skip
 def outlives_ca(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
@@ -157,8 +156,9 @@ def outlives_ca(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS308", Severity.ERROR, Enclave, "no grant is for this participant",
-    why="Stacks look for the certificate's subject among the grants, and refuse to start.",
-    fix="Write the subject as `pqsec inspect cert.pem` prints it, and sign again.",
+    why="Stacks search the grants for the subject of the certificate. If there is none, they refuse"
+    " to start.",
+    fix="Write the subject as `pqsec inspect cert.pem` prints it, and sign the permissions again.",
     rows=("subset `CN=x` only", "superset (+`,L=Madrid`)"), measured=_ALL,
 )  # fmt: skip
 def no_grant(enclave: Enclave) -> Iterator[Violation]:
@@ -169,9 +169,9 @@ def no_grant(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS309", Severity.ERROR, Enclave, "governance and permissions have no domain in common",
-    why="On domains of the permissions governance says nothing, on those of the governance"
-    " nothing is permitted: the participant can join none.",
-    fix="Name the same domains in both.",
+    why="Governance has no rule for the domains of the permissions, and permissions have no rule"
+    " for the domains of the governance. The participant cannot join any domain.",
+    fix="Name the same domains in both documents.",
 )  # fmt: skip
 def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
     governance, permissions = enclave.governance(), enclave.permissions()

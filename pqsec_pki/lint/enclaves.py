@@ -23,9 +23,9 @@ FAMILY = Family("cross-artefact")
 
 @FAMILY.rule(
     "PQS310", Severity.WARNING, Inventory, "enclaves have different governance",
-    why="Participants that protect a domain or topic differently do not talk there, and no"
-    " stack says so.",
-    fix="Give all the same governance.p7s: link it, as pqsec and SROS2 do.",
+    why="Participants that protect a domain or topic differently cannot communicate, and no stack"
+    " reports why.",
+    fix="Use the same governance.p7s for all enclaves: link it, as pqsec and SROS2 do.",
 )  # fmt: skip
 def different_governance(inventory: Inventory) -> Iterator[Violation]:
     def text(enclave: Enclave) -> Hashable:
@@ -39,8 +39,9 @@ def different_governance(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS311", Severity.WARNING, Inventory, "enclaves trust different CAs",
-    why="Participants that trust another CA refuse each other.",
-    fix="Give all the same CA certificates, unless these domains shall stay apart.",
+    why="Participants that trust different CAs refuse each other.",
+    fix="Use the same CA certificates for all enclaves, unless the domains are meant to be"
+    " separate.",
 )  # fmt: skip
 def different_cas(inventory: Inventory) -> Iterator[Violation]:
     for name in (IDENTITY_CA, PERMISSIONS_CA):
@@ -55,10 +56,10 @@ def different_cas(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS312", Severity.ERROR, Inventory, "one key is identity CA and permissions CA",
-    why="Where the CA is one, stacks that do not pin the signer (Cyclone DDS 0.10, Fast DDS"
-    " 2.9) let any participant sign its own permissions (CVE-2023-24010).",
-    fix="Make two CAs: `pqsec ca rotate`, of SROS2's keystore after `pqsec adopt`.",
+    "PQS312", Severity.ERROR, Inventory, "identity CA and permissions CA have the same key",
+    why="Some stacks do not check which certificate signed a document (Cyclone DDS 0.10, Fast DDS"
+    " 2.9). With one CA for both, any participant can sign its own permissions (CVE-2023-24010).",
+    fix="Create two CAs with `pqsec ca rotate`. For a keystore of SROS2, run `pqsec adopt` first.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
 )  # fmt: skip
@@ -72,9 +73,12 @@ def shared_ca(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS317", Severity.WARNING, Inventory, "not everybody has the latest revocation list",
-    why="A participant without it, or with an older one, lets in whoever was revoked since.",
-    fix="Give the latest crl.pem to all, and start them again: stacks read it at their start.",
+    "PQS317", Severity.WARNING, Inventory,
+    "some participants do not have the latest revocation list",
+    why="A participant without a list, or with an older one, accepts participants that were revoked"
+    " later.",
+    fix="Copy the latest crl.pem to all participants and restart them: stacks read it when they"
+    " start.",
 )  # fmt: skip
 def old_list(inventory: Inventory) -> Iterator[Violation]:
     newest: dict[Path, tuple[datetime, Enclave]] = {}
@@ -92,10 +96,11 @@ def old_list(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS318", Severity.ERROR, Enclave, "a file is not what its name says",
-    why="Under each of the six names stacks look for a certificate in PEM, or for one of the two"
-    " documents, and find none. Whatever should fit to it was not checked either.",
-    fix="Put the right file there (`openssl x509 -inform DER` makes PEM of DER), or issue the"
+    "PQS318", Severity.ERROR, Enclave, "a file does not contain what its name says",
+    why="Under each of the six names, stacks expect a certificate in PEM or one of the two"
+    " documents. This file contains something else. Files that must match it were not checked"
+    " against it.",
+    fix="Replace the file (`openssl x509 -inform DER` converts DER to PEM), or issue the"
     " participant again.",
 )  # fmt: skip
 def misnamed(enclave: Enclave) -> Iterator[Violation]:
@@ -110,9 +115,9 @@ def misnamed(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS314", Severity.WARNING, Inventory, "two participants have one key",
-    why="Whoever opens one of the robots has the key of both, and neither can be revoked alone."
-    " Copying an enclave folder to a second robot does this.",
+    "PQS314", Severity.WARNING, Inventory, "two participants have the same key",
+    why="An attacker who gets into one robot has the key of both, and you cannot revoke only one of"
+    " them. This happens when an enclave folder is copied to a second robot.",
     fix="Issue each participant with its own key: `pqsec issue NAME`.",
 )  # fmt: skip
 def shared_key(inventory: Inventory) -> Iterator[Violation]:
@@ -126,10 +131,10 @@ def shared_key(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS315", Severity.WARNING, Inventory, "two certificates have one serial number",
-    why="Revocation lists name certificates by their number: with one, the other is revoked"
-    " too. RFC 5280 4.1.2.2 wants it to be unique in a CA.",
-    fix="Issue one of them again, and let the CA choose numbers (no -set_serial).",
+    "PQS315", Severity.WARNING, Inventory, "two certificates have the same serial number",
+    why="Revocation lists identify certificates by serial number: a list that revokes one revokes"
+    " the other too. RFC 5280 4.1.2.2 requires a unique number for each certificate of a CA.",
+    fix="Issue one of them again, and let the CA choose the number (no -set_serial).",
 )  # fmt: skip
 def same_serial(inventory: Inventory) -> Iterator[Violation]:
     first: dict[tuple[bytes, int], CertificateFile] = {}

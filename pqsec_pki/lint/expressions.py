@@ -31,10 +31,10 @@ def _number(node: Node | None) -> int | None:
 
 
 @FAMILY.rule(
-    "PQS231", ERROR, Document, "a range of domains without end",
-    why="Cyclone DDS and Fast DDS read <min>0</min> alone as domain 0 and no other, against the"
-    " standard; OpenDDS and Connext read it as all from there on.",
-    fix=f"Give it <max>, at most {MAX_DOMAIN}.",
+    "PQS231", ERROR, Document, "a range of domains without an end",
+    why="Cyclone DDS and Fast DDS read <min>0</min> alone as domain 0 only, against the standard."
+    " OpenDDS and Connext read it as all domains from 0 on.",
+    fix=f"Add <max>, at most {MAX_DOMAIN}.",
     rows=("id_range with only `<min>0` on domain 16",),
     measured=f"{_CYCLONES}, Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -45,9 +45,9 @@ def open_range(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS232", ERROR, Document, "a range of domains without start",
-    why="Cyclone DDS does not read it as the domains up to <max>.",
-    fix="Give it <min>0</min>.",
+    "PQS232", ERROR, Document, "a range of domains without a start",
+    why="Cyclone DDS does not read it as all domains up to <max>.",
+    fix="Add <min>0</min>.",
     stacks=(_CYCLONE,), rows=("id_range with only `<max>`",), measured=_CYCLONES,
 )  # fmt: skip
 def range_without_start(document: Document) -> Iterator[Violation]:
@@ -58,8 +58,8 @@ def range_without_start(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS233", ERROR, Document, f"a domain above {MAX_DOMAIN}",
-    why="Cyclone DDS refuses the whole document; the ports of RTPS end there.",
-    fix=f"Stay at or below {MAX_DOMAIN}.",
+    why="Cyclone DDS refuses the whole document, because RTPS has no ports for such a domain.",
+    fix=f"Use domains from 0 to {MAX_DOMAIN}.",
     stacks=(_CYCLONE,), rows=("domain id/max 231, 232",), measured=_CYCLONES,
 )  # fmt: skip
 def domain_too_high(document: Document) -> Iterator[Violation]:
@@ -72,9 +72,9 @@ def domain_too_high(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS234", ERROR, Document, "a range of domains with none in it",
-    why="<min> is above <max>: the rule is for no domain.",
-    fix="Exchange the two.",
+    "PQS234", ERROR, Document, "an empty range of domains",
+    why="<min> is greater than <max>: the rule applies to no domain.",
+    fix="Swap <min> and <max>.",
 )  # fmt: skip
 def empty_range(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
@@ -85,8 +85,8 @@ def empty_range(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS235", ERROR, Document, "braces in a pattern",
-    why="{a,b} is the shell's, not fnmatch's: no stack takes it for alternatives.",
-    fix="Write one topic for each.",
+    why="{a,b} works in a shell, but not in fnmatch. No stack reads it as alternatives.",
+    fix="Write one topic for each alternative.",
     rows=("brace `{T,U}` in topic",), measured="all six stacks",
 )  # fmt: skip
 def braces(document: Document) -> Iterator[Violation]:
@@ -97,8 +97,8 @@ def braces(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS236", ERROR, Document, "[^...] in a pattern",
-    why="Cyclone DDS and OpenDDS do not take [^a] for 'any but a', as Fast DDS does.",
-    fix="Write [!a], which all stacks take so.",
+    why="Cyclone DDS and OpenDDS do not read [^a] as 'any character except a'. Fast DDS does.",
+    fix="Write [!a], which all stacks read in this way.",
     stacks=(_CYCLONE, _OPENDDS), rows=("`[^A-C]`",), measured=f"{_CYCLONES}; OpenDDS by source",
 )  # fmt: skip
 def caret(document: Document) -> Iterator[Violation]:
@@ -109,10 +109,10 @@ def caret(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS237", WARNING, Document, "a pattern with many stars",
-    why="Cyclone DDS tries every way to share a name among the stars, and the time multiplies with"
-    " each: four stars and a name of 200 letters took 0.2 s, five 10 s, six take minutes. Whoever"
-    " is in the domain chooses the name.",
-    fix="Write out what the stars stand for, in several topics if need be.",
+    why="Cyclone DDS tries every way to match a name, and each star multiplies the time. With a"
+    " name of 200 letters, four stars took 0.2 s, five took 10 s, and six take minutes. Any"
+    " participant of the domain can choose such a name.",
+    fix="Replace the stars with names, in several topics if necessary.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2; the C library, and so Fast DDS, is quick",
 )  # fmt: skip
 def many_stars(document: Document) -> Iterator[Violation]:
@@ -124,9 +124,9 @@ def many_stars(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS238", WARNING, Document, "a backslash in a pattern",
-    why="For the standard and OpenDDS it takes the meaning from the character behind it; for"
-    " Cyclone DDS and Fast DDS it is a character as any other.",
-    fix="Write the pattern without it: [*] is a star for all.",
+    why="In the standard and in OpenDDS, a backslash escapes the next character. In Cyclone DDS and"
+    " Fast DDS it is an ordinary character.",
+    fix="Write the pattern without a backslash: [*] matches a star in all stacks.",
     measured="Cyclone DDS 0.10.2, Fast DDS 2.9.1; OpenDDS by source",
 )  # fmt: skip
 def backslash(document: Document) -> Iterator[Violation]:
@@ -136,11 +136,11 @@ def backslash(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS239", WARNING, Document, "a bracket that stacks read in two ways",
-    why="In Cyclone DDS a ] always ends a bracket, a - wants a character at both sides, [0-9]-f is"
-    " one bracket to the f, there are no classes as [[:digit:]], and an open bracket covers"
-    " nothing.",
-    fix="Write the members out, or as ranges: [0-9a-f].",
+    "PQS239", WARNING, Document, "a bracket that stacks read differently",
+    why="In Cyclone DDS, a ] always ends a bracket, and a - needs a character on both sides."
+    " [0-9]-f is one bracket that ends at f. Classes such as [[:digit:]] do not exist, and a"
+    " bracket that is not closed matches nothing.",
+    fix="List the characters, or write ranges: [0-9a-f].",
     stacks=(_CYCLONE, _OPENDDS), measured="Cyclone DDS 0.10.2",
 )  # fmt: skip
 def odd_bracket(document: Document) -> Iterator[Violation]:
@@ -150,10 +150,10 @@ def odd_bracket(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS241", INFO, Document, "a bracket covers ] too",
-    why="Cyclone DDS takes the ] that ends a bracket for a member of it: [ab] covers ] as well. It"
-    " matters only where names have a ] in them; those of ROS 2 and IDL have none.",
-    fix="Nothing, or write a pattern for each name.",
+    "PQS241", INFO, Document, "a bracket also matches ]",
+    why="Cyclone DDS also matches the ] that ends a bracket: [ab] matches ] too. This matters only"
+    " for names with a ], which ROS 2 and IDL do not have.",
+    fix="Nothing needs to be done, or write a pattern for each name.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2", only_when_asked=True,
 )  # fmt: skip
 def closing_bracket(document: Document) -> Iterator[Violation]:
@@ -163,9 +163,10 @@ def closing_bracket(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS242", WARNING, Document, "a star that OpenDDS matches once only",
-    why="OpenDDS does not look back when what follows a star does not fit: *ab does not cover aab.",
-    fix="Let the star stand at the end of the pattern.",
+    "PQS242", WARNING, Document, "a star inside a pattern, which OpenDDS matches only once",
+    why="OpenDDS does not backtrack if the text after a star does not match: *ab does not match"
+    " aab.",
+    fix="Put the star at the end of the pattern.",
     stacks=(_OPENDDS,), measured="ACE 7.0.8, which OpenDDS calls", only_when_asked=True,
 )  # fmt: skip
 def star_inside(document: Document) -> Iterator[Violation]:
@@ -176,9 +177,9 @@ def star_inside(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS243", ERROR, Document, "a bracket that is not closed",
-    why="OpenDDS reads on in memory behind the pattern, and what it then answers is left to chance:"
-    " it may allow what nobody granted, or crash.",
-    fix="Close the bracket, or write the topics out.",
+    why="OpenDDS reads memory after the end of the pattern, so its answer is undefined. It may"
+    " allow what is not granted, or crash.",
+    fix="Close the bracket, or list the topics.",
     stacks=(_OPENDDS,), only_when_asked=True,
     measured="ACE 6.2.1, which OpenDDS 3.13.3 calls, under AddressSanitizer",
 )  # fmt: skip

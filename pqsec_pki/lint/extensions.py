@@ -29,9 +29,9 @@ _UNDERSTOOD = {
 
 @FAMILY.rule(
     "PQS120", Severity.ERROR, CertificateFile, "the identity CA is not marked as a CA",
-    why="Every stack refuses to build a chain on it, if it is of version 3; PQS134 is about"
-    " version 1.",
-    fix="Make it with basicConstraints=critical,CA:TRUE.",
+    why="Every stack refuses certificates below a version 3 CA without this mark. PQS134 covers"
+    " certificates of version 1.",
+    fix="Create the CA with basicConstraints=critical,CA:TRUE.",
     rows=("CA without any extension",), measured=_ALL,
 )  # fmt: skip
 def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
@@ -43,8 +43,8 @@ def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS121", Severity.WARNING, CertificateFile, "the permissions CA is not marked as a CA",
-    why="Stacks take it so; pqsec and strict readers of RFC 5280 do not.",
-    fix="Make it with basicConstraints=critical,CA:TRUE.",
+    why="Stacks accept it. pqsec and strict implementations of RFC 5280 refuse it.",
+    fix="Create the CA with basicConstraints=critical,CA:TRUE.",
     measured="taken by " + _ALL,
 )  # fmt: skip
 def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
@@ -54,8 +54,9 @@ def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS122", Severity.ERROR, CertificateFile, "the identity CA may not sign certificates",
-    why="keyUsage is there and lacks keyCertSign: every stack refuses the participants.",
-    fix="Make the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
+    why="keyUsage is present and does not include keyCertSign: every stack refuses the"
+    " participants.",
+    fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
     rows=("CA KU without keyCertSign",), measured=_ALL,
 )  # fmt: skip
 def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
@@ -67,10 +68,10 @@ def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS123", Severity.ERROR, CertificateFile, "Fast DDS wants keyCertSign of a permissions CA",
-    why="Fast DDS 3.1.2 and later check the CA against itself, strictly: what is marked as a"
-    " CA and has keyUsage must have keyCertSign.",
-    fix="Make the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
+    "PQS123", Severity.ERROR, CertificateFile, "Fast DDS requires keyCertSign in a permissions CA",
+    why="Fast DDS 3.1.2 and later check the CA against itself, strictly. A certificate that is"
+    " marked as a CA and has keyUsage must include keyCertSign.",
+    fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
     stacks=(Target.FASTDDS,),
     rows=("KU digitalSignature only",), measured="Fast DDS 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -86,9 +87,9 @@ def permissions_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS124", Severity.ERROR, CertificateFile, "the permissions CA may not sign documents",
-    why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer, and that"
-    " needs digitalSignature where keyUsage is there.",
-    fix="Make the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
+    why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer. If keyUsage is"
+    " present, it must include digitalSignature.",
+    fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("KU keyCertSign+cRLSign only (no digitalSignature)",), measured=_OLD,
 )  # fmt: skip
@@ -103,9 +104,9 @@ def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS125", Severity.ERROR, CertificateFile, "the permissions CA is for another purpose",
-    why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer: an"
-    " extendedKeyUsage without emailProtection excludes it.",
-    fix="Make the CA without extendedKeyUsage.",
+    why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer. If"
+    " extendedKeyUsage is present, it must include emailProtection.",
+    fix="Create the CA without extendedKeyUsage.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("EKU serverAuth",), measured=_OLD,
 )  # fmt: skip
@@ -117,10 +118,10 @@ def for_another_purpose(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS126", Severity.ERROR, CertificateFile, "a critical extension that no stack knows",
-    why="Critical means: refuse me if you do not understand this. Every stack does."
-    " OpenSSL refuses critical key identifiers (2.5.29.14 and .35) too.",
-    fix="Issue it without the extension, or with it as not critical.",
+    "PQS126", Severity.ERROR, CertificateFile, "a critical extension that no stack supports",
+    why="A program must refuse a certificate with a critical extension that it does not support,"
+    " and every stack does. OpenSSL also refuses critical key identifiers (2.5.29.14 and .35).",
+    fix="Issue the certificate without the extension, or mark the extension as not critical.",
     rows=("leaf: unknown critical extension",), measured=_ALL,
 )  # fmt: skip
 def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
@@ -130,9 +131,10 @@ def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS127", Severity.ERROR, CertificateFile, "alternative keys are marked as critical",
-    why="Stacks do not know the extensions 2.5.29.72 to .74. As not critical they are passed"
-    " over, which is what makes such a certificate work in them.",
-    fix="Issue it with pqsec, which never marks them; some other tools do.",
+    why="Stacks do not support the extensions 2.5.29.72 to .74. They ignore them if they are not"
+    " critical, and only then accept the certificate.",
+    fix="Issue the certificate with pqsec, which never marks them as critical; some other tools"
+    " do.",
     rows=("alt extensions marked critical",), measured=_ALL,
 )  # fmt: skip
 def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
@@ -142,8 +144,8 @@ def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS128", Severity.WARNING, CertificateFile, "a participant is marked as a CA",
-    why="Stacks take it, and its key could issue certificates that other programs believe.",
-    fix="Issue it with basicConstraints=critical,CA:FALSE.",
+    why="Stacks accept it. Its key could issue certificates that other programs trust.",
+    fix="Issue the certificate with basicConstraints=critical,CA:FALSE.",
     measured="taken by " + _ALL,
 )  # fmt: skip
 def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
@@ -153,8 +155,8 @@ def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS129", Severity.WARNING, CertificateFile, "a participant may not sign",
-    why="Participants sign the handshake. Stacks do not look at keyUsage; pqsec does.",
-    fix="Issue it with keyUsage=critical,digitalSignature.",
+    why="Participants sign the handshake. Stacks do not check keyUsage; pqsec does.",
+    fix="Issue the certificate with keyUsage=critical,digitalSignature.",
     measured="taken by " + _ALL,
 )  # fmt: skip
 def participant_may_not_sign(file: CertificateFile) -> Iterator[Violation]:
@@ -165,8 +167,8 @@ def participant_may_not_sign(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS130", Severity.ERROR, CertificateFile, "a certificate cannot be read",
-    why="What cannot be read cannot be used, and what was meant to be there is missing.",
-    fix="Issue it again.",
+    why="No stack can use it, and the certificate that should be here is missing.",
+    fix="Issue the certificate again.",
 )  # fmt: skip
 def unreadable(file: CertificateFile) -> Iterator[Violation]:
     for reason in file.reasons:
@@ -174,12 +176,12 @@ def unreadable(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS131", Severity.WARNING, CertificateFile, "several certificates where one is looked at",
-    why="Cyclone DDS and OpenDDS read the first one and no intermediate CAs; Fast DDS reads"
-    " all of a CA file, and 3.x checks the first of them strictly.",
-    fix="Leave one in the file: the self-signed CA, or the participant's own. For two CAs,"
-    " issue all participants under one. An overlap of two ends with `pqsec ca rotate --overlap"
-    " finish`.",
+    "PQS131", Severity.WARNING, CertificateFile, "several certificates in a file for one",
+    why="Cyclone DDS and OpenDDS read only the first certificate and no intermediate CAs. Fast DDS"
+    " reads all certificates of a CA file, and 3.x checks the first one strictly.",
+    fix="Leave one certificate in the file: the self-signed CA, or the participant's own. If there"
+    " are two CAs, issue all participants with one of them. `pqsec ca rotate --overlap finish` ends"
+    " an overlap of two CAs.",
     rows=(
         "identity_ca=root, cert.pem=leaf+intermediate", "identity_ca=root+int, cert=leaf",
         "two CAs in file, right one second", "…, CA file = root+intermediate",
@@ -195,9 +197,9 @@ def several(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS132", Severity.ERROR, CertificateFile, "the CA is an intermediate one",
-    why="Stacks want a CA that signed itself, and do not look for who signed another.",
-    fix="Use a self-signed CA of its own for DDS.",
+    "PQS132", Severity.ERROR, CertificateFile, "the CA is an intermediate CA",
+    why="Stacks require a self-signed CA and do not search for the issuer of an intermediate CA.",
+    fix="Use a separate, self-signed CA for DDS.",
     rows=(
         "identity_ca=int only", "identity_ca=int+root, cert=leaf (no AKI)",
         "signer intermediate, CA file = intermediate", "…, CA file = intermediate+root",
@@ -218,10 +220,11 @@ def intermediate(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS133", Severity.INFO, CertificateFile, "a certificate without key identifiers",
-    why="RFC 5280 4.2.1.1 and 4.2.1.2 demand them. Where a CA is renewed under its old name,"
-    " they alone say which of its keys signed; OpenSSL's strict check (-x509_strict) refuses"
-    " certificates without.",
-    fix="Issue it with subjectKeyIdentifier, and authorityKeyIdentifier below a CA.",
+    why="RFC 5280 4.2.1.1 and 4.2.1.2 require them. If a CA is renewed under the same name, only"
+    " they show which of its keys signed. OpenSSL's strict check (-x509_strict) refuses"
+    " certificates without them.",
+    fix="Issue the certificate with subjectKeyIdentifier, and with authorityKeyIdentifier if a CA"
+    " issues it.",
     measured="taken by " + _ALL,
 )  # fmt: skip
 def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
@@ -236,11 +239,10 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS134", Severity.WARNING, CertificateFile, "the CA's certificate is of version 1",
-    why="It cannot say that it is a CA's. OpenSSL and Cyclone DDS 0.10.2 take one that is"
-    " self-signed, and so does pqsec: who names it as the CA trusts a name and a key (RFC 5280"
-    " 6.1.1 (d)). OpenSSL's strict check (-x509_strict) refuses it; other stacks were not"
-    " measured.",
-    fix="Make it with basicConstraints=critical,CA:TRUE, which makes version 3 of it.",
+    why="A version 1 certificate cannot say that it belongs to a CA. OpenSSL, Cyclone DDS 0.10.2"
+    " and pqsec accept a self-signed one: a configured CA is only a name and a key (RFC 5280 6.1.1"
+    " (d)). OpenSSL's strict check (-x509_strict) refuses it; other stacks were not measured.",
+    fix="Create the CA with basicConstraints=critical,CA:TRUE, which makes it version 3.",
     measured="taken by OpenSSL 3.0, 3.5; Cyclone DDS 0.10.2",
 )  # fmt: skip
 def version_1_ca(file: CertificateFile) -> Iterator[Violation]:

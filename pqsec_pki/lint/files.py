@@ -20,8 +20,9 @@ PRIVATE, _PUBLIC = "private", "public"
 
 @FAMILY.rule(
     "PQS701", Severity.ERROR, File, "others can read a private key",
-    why="Whoever reads the key is the participant, or the CA. sros2 0.13 writes them 0644.",
-    fix="Run `chmod 600` on it; if the machine has other users, issue again with a new key.",
+    why="A program that reads the key can act as the participant or the CA. sros2 0.13 writes keys"
+    " with mode 0644.",
+    fix="Run `chmod 600` on it. If the machine has other users, issue again with a new key.",
 )  # fmt: skip
 def readable_key(file: File) -> Iterator[Violation]:
     if file.is_private_key and file.permission_bits & _OTHERS:
@@ -29,8 +30,8 @@ def readable_key(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS702", Severity.WARNING, Inventory, "others can look into the folder of the CA keys",
-    why="One key that is written with the wrong mode there is at once everybody's.",
+    "PQS702", Severity.WARNING, Inventory, "others can open the folder of the CA keys",
+    why="If one key in it is written with the wrong mode, everybody can read it.",
     fix="Run `chmod 700` on it.",
 )  # fmt: skip
 def open_private_folder(inventory: Inventory) -> Iterator[Violation]:
@@ -43,9 +44,9 @@ def open_private_folder(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS703", Severity.ERROR, Inventory, "a CA's private key is in an enclave",
-    why="Enclaves are copied to robots. Whoever opens one robot then issues certificates and"
-    " permissions for all.",
-    fix="Take the key out, and make new CAs if the enclave has been copied anywhere.",
+    why="Enclaves are copied to robots. An attacker who gets into one robot can issue certificates"
+    " and permissions for all.",
+    fix="Remove the key. If the enclave has been copied anywhere, replace the CAs.",
 )  # fmt: skip
 def ca_key_in_enclave(inventory: Inventory) -> Iterator[Violation]:
     owners = _ca_keys(inventory)
@@ -60,10 +61,9 @@ def ca_key_in_enclave(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS704", Severity.ERROR, File, "a private key is where public things are",
-    why="What lies in public/, or in a file with a certificate, is given away without a"
-    " thought.",
-    fix="Take it out, and issue again with a new key if the file has been given to anybody.",
+    "PQS704", Severity.ERROR, File, "a private key is in a public place",
+    why="Files in public/, and files with a certificate, are easily given to others.",
+    fix="Remove the key. If anybody else has the file, issue again with a new key.",
 )  # fmt: skip
 def public_key_place(file: File) -> Iterator[Violation]:
     if not file.is_private_key:
@@ -75,9 +75,9 @@ def public_key_place(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS705", Severity.ERROR, Inventory, "everybody can change it",
-    why="Any program on the machine can exchange the file, or what it trusts.",
-    fix="Run `chmod o-w` on it, and compare with a copy that nobody could change.",
+    "PQS705", Severity.ERROR, Inventory, "everybody can change a file or folder",
+    why="Any program on the machine can replace the file, or the CAs that it trusts.",
+    fix="Run `chmod o-w` on it, and compare it with a copy that nobody else could change.",
 )  # fmt: skip
 def world_writable(inventory: Inventory) -> Iterator[Violation]:
     for file in inventory.files:
@@ -92,7 +92,7 @@ def world_writable(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS706", Severity.WARNING, File, "a copy of a private key was left behind",
-    why="It is forgotten when the key is exchanged, copied to robots, and kept in backups.",
+    why="It stays when the key is replaced. It is copied to robots and stored in backups.",
     fix="Delete it (shred FILE).",
 )  # fmt: skip
 def left_behind(file: File) -> Iterator[Violation]:
@@ -102,9 +102,10 @@ def left_behind(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS707", Severity.WARNING, Inventory, "a CA's private key is not encrypted",
-    why="Whoever gets this file, from a backup or a lost disk, issues for your domain.",
+    why="An attacker who gets this file from a backup or a lost disk can issue certificates or"
+    " permissions for your domain.",
     fix="Encrypt it: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000 (3.5 or later for ML-DSA"
-    " keys). `pqsec ca init` asks for a passphrase unless told --no-passphrase.",
+    " keys). `pqsec ca init` asks for a passphrase, except with --no-passphrase.",
 )  # fmt: skip
 def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
     owners = _ca_keys(inventory)
@@ -119,9 +120,9 @@ def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS708", Severity.WARNING, File, "a private key is encrypted in the old way",
-    why="With 'Proc-Type: 4,ENCRYPTED' a passphrase costs one round of MD5 to try; as pqsec"
-    " encrypts keys it costs 600000 rounds of HMAC-SHA-256.",
+    "PQS708", Severity.WARNING, File, "a private key has weak encryption",
+    why="With 'Proc-Type: 4,ENCRYPTED', an attacker needs one round of MD5 to test a passphrase."
+    " With the encryption that pqsec writes, it is 600000 rounds of HMAC-SHA-256.",
     fix="Encrypt it again: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000.",
     rows=("traditional PEM, encrypted or not",),
 )  # fmt: skip

@@ -32,10 +32,10 @@ def _is_open(topic: TopicRule) -> bool:
 
 
 @FAMILY.rule(
-    "PQS221", WARNING, GovernanceFile, "participants without identity are let in",
-    why="Whoever is on the network joins the domain, and uses every topic whose rule has no"
+    "PQS221", WARNING, GovernanceFile, "unauthenticated participants are allowed",
+    why="Every program on the network can join the domain and use all topics whose rule has no"
     " access control.",
-    fix="Set allow_unauthenticated_participants to false once all participants are secured.",
+    fix="Set allow_unauthenticated_participants to false when all participants are secured.",
 )  # fmt: skip
 def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
@@ -44,9 +44,9 @@ def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS222", ERROR, GovernanceFile, "participants without identity, and protected messages",
-    why="Who has no identity cannot read protected RTPS messages: the two exclude each other,"
-    " and Fast DDS 3 refuses the governance.",
+    "PQS222", ERROR, GovernanceFile, "unauthenticated participants with RTPS protection",
+    why="An unauthenticated participant cannot read protected RTPS messages. The two settings"
+    " exclude each other, and Fast DDS 3 refuses the governance.",
     fix="Set rtps_protection_kind to NONE, or allow_unauthenticated_participants to false.",
     stacks=(Target.FASTDDS,), rows=("allow_unauthenticated=true with rtps_protection≠NONE",),
     measured="Fast DDS 3.1.2 and 3.6.2 refuse, 2.9.1 and Cyclone DDS take it",
@@ -61,8 +61,8 @@ def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Violatio
 
 
 @FAMILY.rule(
-    "PQS223", WARNING, GovernanceFile, "anybody with an identity may join",
-    why="Without join access control the permissions are not asked when a participant joins.",
+    "PQS223", WARNING, GovernanceFile, "every authenticated participant may join",
+    why="Without join access control, the permissions are not checked when a participant joins.",
     fix="Set enable_join_access_control to true.",
 )  # fmt: skip
 def no_join_control(document: GovernanceFile) -> Iterator[Violation]:
@@ -72,9 +72,9 @@ def no_join_control(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS224", WARNING, GovernanceFile, "topics without any protection",
-    why="Neither the data nor the messages around it are protected: whoever is on the network"
-    " reads, forges and alters it.",
+    "PQS224", WARNING, GovernanceFile, "topics without protection",
+    why="Neither the data nor the messages around it are protected. Every program on the network"
+    " can read, forge and change them.",
     fix="Set metadata_protection_kind or data_protection_kind to ENCRYPT.",
 )  # fmt: skip
 def clear_topic(document: GovernanceFile) -> Iterator[Violation]:
@@ -86,9 +86,10 @@ def clear_topic(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS225", INFO, GovernanceFile, "topics are signed and can be read",
-    why="Nobody can forge the data; everybody on the network can read it. That may be meant.",
-    fix="To hide it, set data_protection_kind (or metadata_protection_kind) to ENCRYPT.",
+    "PQS225", INFO, GovernanceFile, "topics are signed but not encrypted",
+    why="Nobody can forge the data, but every program on the network can read it. This may be"
+    " intended.",
+    fix="To encrypt the topics, set data_protection_kind (or metadata_protection_kind) to ENCRYPT.",
 )  # fmt: skip
 def readable_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule, topic in _topics(document):
@@ -102,8 +103,9 @@ def readable_topic(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS226", INFO, GovernanceFile, "topics for whoever joins",
-    why="Without read or write access control the permissions are not asked for the topic.",
+    "PQS226", INFO, GovernanceFile, "topics without access control",
+    why="Without read or write access control, every participant in the domain may read or write"
+    " the topic. The permissions are not checked for it.",
     fix="Set enable_read_access_control and enable_write_access_control to true.",
 )  # fmt: skip
 def no_topic_control(document: GovernanceFile) -> Iterator[Violation]:
@@ -126,7 +128,8 @@ def no_topic_control(document: GovernanceFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS227", WARNING, GovernanceFile, "a topic rule that is never reached",
-    why="The first topic rule that matches decides: an earlier one covers all of this one.",
+    why="The first topic rule that matches decides. An earlier rule matches every topic that this"
+    " rule matches.",
     fix="Put the narrower rule first.",
 )  # fmt: skip
 def shadowed_topic(document: GovernanceFile) -> Iterator[Violation]:
@@ -144,8 +147,9 @@ def shadowed_topic(document: GovernanceFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS228", WARNING, GovernanceFile, "a domain rule that is never reached",
-    why="The first domain rule that names a domain governs it: an earlier one names all of these.",
-    fix="Take the domains out of one of the two.",
+    why="The first domain rule that matches decides. An earlier rule matches all domains of this"
+    " rule.",
+    fix="Remove the domains from one of the two rules.",
 )  # fmt: skip
 def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
     rules = _rules(document)
@@ -155,9 +159,9 @@ def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS229", WARNING, GovernanceFile, "topics that no rule names",
-    why="A topic that no topic rule matches cannot be used: stacks refuse to create its endpoints.",
-    fix="End the topic rules with one for *, with the strictest protection.",
+    "PQS229", WARNING, GovernanceFile, "topics that no topic rule matches",
+    why="Stacks refuse to create endpoints of a topic that no topic rule matches.",
+    fix="Add a last topic rule for *, with the strictest protection.",
     measured="read in Cyclone DDS's and Fast DDS's source",
 )  # fmt: skip
 def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
@@ -167,12 +171,12 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS230", ERROR, GovernanceFile, "governance with which OpenDDS makes no participant",
-    why="OpenDDS creates a participant only where join access control is off or some topic rule"
-    " leaves reading or writing open, whatever the permissions say (OpenDDS issue 5007). All"
-    " other stacks take such governance, and it is what pqsec writes.",
-    fix="For OpenDDS put a topic rule for a name that nobody uses before the others, with"
-    " enable_read_access_control false: it opens nothing else.",
+    "PQS230", ERROR, GovernanceFile, "OpenDDS creates no participant with this governance",
+    why="OpenDDS ignores the permissions here (OpenDDS issue 5007). It creates a participant only"
+    " if join access control is off, or if a topic rule has no read or no write access control. All"
+    " other stacks accept this governance, and pqsec writes it.",
+    fix="For OpenDDS, add a first topic rule for a name that is not used, with"
+    " enable_read_access_control false. It opens no other topic.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
 )  # fmt: skip
 def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
@@ -186,9 +190,10 @@ def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS240", WARNING, GovernanceFile, "a topic rule that opens protected topics in OpenDDS",
-    why="OpenDDS asks for permissions only where all topic rules that match want them: an open"
-    " rule further down opens what a rule above it protects.",
-    fix="For OpenDDS, let the open rule's expression not cover the protected topics.",
+    why="OpenDDS checks permissions only if all matching topic rules require it. A later rule"
+    " without access control opens topics that an earlier rule protects.",
+    fix="For OpenDDS, change the expression of the open rule so that it does not match the"
+    " protected topics.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
 )  # fmt: skip
 def opened_below(document: GovernanceFile) -> Iterator[Violation]:

@@ -31,13 +31,13 @@ class _Holder:
 
 
 @FAMILY.rule(
-    "PQS401", ERROR, Inventory, "a participant that may use another's permissions",
-    why="Cyclone DDS cuts names at each , / and | and is content when the pieces of the"
-    " certificate's subject are among those of the grant, in any order: CN=/robot was let in with"
-    " the permissions of CN=/robot/admin, and published on its topics. Permissions are no"
-    " secret: they travel in clear in each handshake.",
-    fix="Rename one of the two, so that its path has a part that the other's has not:"
-    " /robot/driver beside /robot/admin.",
+    "PQS401", ERROR, Inventory, "a participant may use another participant's permissions",
+    why="Cyclone DDS splits names at each , / and |. It accepts a grant if it contains all pieces"
+    " of the certificate's subject, in any order. CN=/robot was accepted with the permissions of"
+    " CN=/robot/admin and published on its topics. Permissions are not secret: each handshake sends"
+    " them unencrypted.",
+    fix="Rename one of the two, so that each path has a part that the other does not have:"
+    " /robot/driver and /robot/admin.",
     stacks=(_CYCLONE,),
     rows=("**security**: identity CN=/robot presenting a document for CN=/robot/admin",
           "identity CN=/x/a, grant CN=/a/x", "superset (+`,L=Madrid`)"),
@@ -101,9 +101,9 @@ def _pieces(name: str) -> frozenset[tuple[str, str]]:
 
 
 @FAMILY.rule(
-    "PQS402", WARNING, Inventory, "two participants of one name",
-    why="Permissions are for a name: each of the two may use those of the other.",
-    fix="Give each its own subject.",
+    "PQS402", WARNING, Inventory, "two participants with the same name",
+    why="Permissions are bound to a name: each of the two may use the permissions of the other.",
+    fix="Give each participant its own subject.",
 )  # fmt: skip
 def same_name(inventory: Inventory) -> Iterator[Violation]:
     before: dict[bytes, tuple[str, bytes]] = {}
@@ -118,9 +118,10 @@ def same_name(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS431", ERROR, CertificateFile, "a certificate with two parts of one kind",
-    why="Of two OUs Cyclone DDS sees the first only, and Fast DDS 3 finds no grant.",
-    fix="Issue it with one of them; CN alone fits every stack.",
+    "PQS431", ERROR, CertificateFile, "an attribute type twice in a certificate's subject",
+    why="If a subject has two OUs, Cyclone DDS reads only the first, and Fast DDS 3 finds no"
+    " grant.",
+    fix="Issue the certificate with one of them. CN alone works with every stack.",
     rows=("two OUs",), measured=f"{_CYCLONES}, Fast DDS 3.1.2, 3.6.2",
 )  # fmt: skip
 def certificate_repeats(file: CertificateFile) -> Iterator[Violation]:
@@ -130,9 +131,9 @@ def certificate_repeats(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS432", ERROR, CertificateFile, "a certificate with a part of several values",
+    "PQS432", ERROR, CertificateFile, "a multi-valued part in a certificate's subject",
     why="No stack finds a grant for a subject such as CN=x+OU=y.",
-    fix="Issue it with separate parts, or with CN alone.",
+    fix="Issue the certificate with separate parts, or with CN alone.",
     rows=("multi-valued RDN",), measured="all six stacks",
 )  # fmt: skip
 def certificate_joins(file: CertificateFile) -> Iterator[Violation]:

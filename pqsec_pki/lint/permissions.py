@@ -19,10 +19,11 @@ _ACTIONS = ("publish", "subscribe", "relay")
 
 
 @FAMILY.rule(
-    "PQS251", WARNING, PermissionsFile, "what no rule names is allowed",
-    why="Default ALLOW turns a forgotten rule into a permission; in Fast DDS it does not work"
-    " either: its default is never asked for a topic.",
-    fix="Write <default>DENY</default>, and an allow_rule for what is needed.",
+    "PQS251", WARNING, PermissionsFile, "default ALLOW",
+    why="With default ALLOW, everything that no rule matches is allowed, for example after a"
+    " forgotten rule. In Fast DDS it has no effect on topics, because Fast DDS never uses the"
+    " default for a topic.",
+    fix="Write <default>DENY</default>, and an allow_rule for what the participant needs.",
 )  # fmt: skip
 def default_allow(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -32,8 +33,8 @@ def default_allow(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS252", ERROR, PermissionsFile, "default ALLOW without an allow_rule",
-    why="Fast DDS lets a participant join only where an allow_rule names the domain, whatever"
-    " the default says.",
+    why="Fast DDS lets a participant join only if an allow_rule names the domain. The default does"
+    " not matter.",
     fix="Add an allow_rule for the domain.",
     stacks=(_FAST,),
     rows=("`<default>ALLOW` and no rule", "no rule for the domain, default ALLOW"),
@@ -47,8 +48,9 @@ def nothing_allowed(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS253", WARNING, PermissionsFile, "everything is allowed",
-    why="A participant that is taken over may then publish, or read, any topic.",
-    fix="Name the topics it needs; `pqsec permissions new` starts from a node's own.",
+    why="An attacker who controls this participant can publish or read any topic.",
+    fix="Name the topics that the participant needs. `pqsec permissions new` starts with a node's"
+    " own topics.",
 )  # fmt: skip
 def allow_all(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -62,10 +64,10 @@ def allow_all(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS254", ERROR, PermissionsFile, "a deny_rule that comes too late",
-    why="The first rule that matches decides: an allow_rule above covers what is denied here, so"
-    " it is allowed. Measured in all stacks.",
-    fix="Put the deny_rule above the allow_rule.",
+    "PQS254", ERROR, PermissionsFile, "a deny_rule after an allow_rule that covers it",
+    why="The first rule that matches decides. An earlier allow_rule matches what this deny_rule"
+    " denies, so it is allowed. Measured in all stacks.",
+    fix="Move the deny_rule before the allow_rule.",
     rows=("allow(*) then deny(T)", "deny(T) then allow(*)"), measured="all six stacks",
 )  # fmt: skip
 def late_deny(document: PermissionsFile) -> Iterator[Violation]:
@@ -78,9 +80,10 @@ def late_deny(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS255", WARNING, PermissionsFile, "an allow_rule that is never reached",
-    why="The first rule that matches decides: a deny_rule above covers what is allowed here.",
-    fix="Put the allow_rule above the deny_rule, or take it out.",
+    "PQS255", WARNING, PermissionsFile, "an allow_rule after a deny_rule that covers it",
+    why="The first rule that matches decides. An earlier deny_rule matches what this allow_rule"
+    " allows.",
+    fix="Move the allow_rule before the deny_rule, or remove it.",
     rows=("deny(T) then allow(*)",), measured="all six stacks",
 )  # fmt: skip
 def late_allow(document: PermissionsFile) -> Iterator[Violation]:
@@ -130,10 +133,10 @@ def _shadowed_in(
 
 @FAMILY.rule(
     "PQS256", WARNING, PermissionsFile, "a deny_rule for some partitions only",
-    why="Cyclone DDS and Fast DDS deny the topic in every partition, whatever is named; OpenDDS"
-    " denies it in those named, and Cyclone DDS does so where an allow_rule above names the topic."
-    " Both then compare names: with secre? or s* an endpoint gets around a deny_rule for secret.",
-    fix="Name the partitions in an allow_rule instead, and deny the topic without them.",
+    why="Cyclone DDS and Fast DDS deny the topic in every partition. OpenDDS denies it only in"
+    " these partitions, as does Cyclone DDS if an earlier allow_rule names the topic. Both compare"
+    " names: an endpoint in partition secre? or s* avoids a deny_rule for secret.",
+    fix="Name the partitions in an allow_rule instead, and deny the topic without partitions.",
     rows=("deny T only in partition Q, endpoint in none",), measured="all six stacks",
 )  # fmt: skip
 def deny_in_partition(document: PermissionsFile) -> Iterator[Violation]:
@@ -150,9 +153,9 @@ def deny_in_partition(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS257", WARNING, PermissionsFile, "topics and partitions in different criteria",
-    why="Fast DDS puts the criteria of a rule together: a topic of one is allowed in the"
-    " partitions of another. Cyclone DDS and the standard keep them apart.",
-    fix="Write an allow_rule for each.",
+    why="Fast DDS combines the criteria of a rule: it allows a topic of one in the partitions of"
+    " another. Cyclone DDS and the standard keep them separate.",
+    fix="Write one allow_rule for each.",
     stacks=(_FAST,), rows=("topic in one `<publish>`, partition in another",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -169,10 +172,10 @@ def mixed_criteria(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS258", INFO, PermissionsFile, "allowed outside partitions only",
-    why="Other rules of the grant name partitions; an allow_rule without them is for endpoints in"
-    " no partition, not for those in any.",
-    fix="Name the partitions here too; <partition>*</partition> is all of them.",
+    "PQS258", INFO, PermissionsFile, "allowed only without a partition",
+    why="Other rules of the grant name partitions. An allow_rule without partitions applies to"
+    " endpoints without a partition, not to endpoints in every partition.",
+    fix="Name the partitions here too; <partition>*</partition> means all.",
     rows=("allow without partitions, endpoint in P", "allow partition P, endpoint in none"),
     measured="all six stacks",
 )  # fmt: skip
@@ -194,10 +197,10 @@ def default_partition(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS259", WARNING, PermissionsFile, "relay rules, which stacks skip",
-    why="Cyclone DDS and OpenDDS never ask it; Fast DDS asks it of a peer only, where it counts"
-    " as a right to subscribe.",
-    fix="Do not count on it.",
+    "PQS259", WARNING, PermissionsFile, "relay rules, which stacks ignore",
+    why="Cyclone DDS and OpenDDS never check <relay>. Fast DDS checks it only for a peer, as a"
+    " right to subscribe.",
+    fix="Do not rely on <relay>.",
     stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
     measured="all six stacks; OpenDDS by source",
 )  # fmt: skip
@@ -207,9 +210,9 @@ def relay(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS260", WARNING, PermissionsFile, "data tags, which stacks skip",
-    why="No stack asks them: what they should limit is allowed with any tag.",
-    fix="Use partitions, or other topics.",
+    "PQS260", WARNING, PermissionsFile, "data tags, which stacks ignore",
+    why="No stack checks data tags: what they should limit is allowed with any tag.",
+    fix="Use partitions or other topics.",
     stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
     measured="all six stacks; OpenDDS by source",
 )  # fmt: skip
@@ -220,9 +223,9 @@ def data_tags(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS261", WARNING, PermissionsFile, "two grants for one subject",
-    why="The first decides, even when it has run out: Cyclone DDS then refuses the participant,"
-    " Fast DDS looks further, OpenDDS forgets the second.",
-    fix="Put their rules into one grant.",
+    why="The first grant decides, even if it has expired. Cyclone DDS then refuses the participant,"
+    " Fast DDS tries the next grant, and OpenDDS ignores the second one.",
+    fix="Put the rules of both into one grant.",
     rows=("first grant for subject not valid, second valid",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; OpenDDS by source",
 )  # fmt: skip

@@ -26,10 +26,11 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @FAMILY.rule(
-    "PQS601", Severity.ERROR, CertificateFile, "no stock stack takes a post-quantum identity",
-    why="With ML-DSA or composite keys as identity CA or participant every stack refused,"
-    " also on OpenSSL 3.5: it is their own code that knows RSA and ECDSA only.",
-    fix="Use the transition profile: classical keys that stacks take, ML-DSA beside them.",
+    "PQS601", Severity.ERROR, CertificateFile, "no stock stack accepts a post-quantum identity",
+    why="Every stack refused ML-DSA and composite keys for identity CA and participant, also with"
+    " OpenSSL 3.5. The code of the stacks supports only RSA and ECDSA.",
+    fix="Use the transition profile: classical keys that stacks accept, with ML-DSA keys next to"
+    " them.",
     stacks=STOCK, only_when_asked=True,
     rows=("identity all ML-DSA-65", "ML-DSA CA, EC leaf", "EC CA, ML-DSA leaf"),
     measured=_ALL + "; OpenDDS by source",
@@ -44,9 +45,9 @@ def identity_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS602", Severity.ERROR, CertificateFile, "no stock stack can verify these documents",
-    why="Stacks verify with PKCS7_verify, which knows RSA and ECDSA only, in OpenSSL 3.5 and"
-    " 4.0 too: 'provider signature not supported'.",
-    fix="Use the transition profile: an ECDSA signature, and ML-DSA's over it.",
+    why="Stacks verify with PKCS7_verify, which supports only RSA and ECDSA, also in OpenSSL 3.5"
+    " and 4.0: 'provider signature not supported'.",
+    fix="Use the transition profile: an ECDSA signature, and an ML-DSA signature over it.",
     stacks=STOCK, only_when_asked=True,
     rows=("governance/permissions CMS-signed ML-DSA-65",),
     measured=_ALL + "; OpenDDS by source",
@@ -60,8 +61,9 @@ def documents_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS603", Severity.ERROR, Enclave, "the alternative signature does not hold",
-    why="Only stock stacks, which pass over it, will take this certificate. It may be forged.",
+    "PQS603", Severity.ERROR, Enclave, "the alternative signature is not valid",
+    why="The certificate may be forged. Stock stacks ignore this signature and accept the"
+    " certificate; pqsec peers refuse it.",
     fix="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
 def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
@@ -77,8 +79,8 @@ def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS604", Severity.ERROR, Enclave, "the certificate has no alternative key or signature",
-    why="Its CA has one, and pqsec peers ask for it: without, whoever breaks ECDSA could make"
-    " this certificate.",
+    why="The CA has an alternative key, and pqsec peers require this signature. Without it, an"
+    " attacker who breaks ECDSA could create this certificate.",
     fix="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
 def no_alternative(enclave: Enclave) -> Iterator[Violation]:
@@ -101,8 +103,8 @@ def no_alternative(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS605", Severity.ERROR, Inventory, "a countersignature is missing",
-    why="Beside the permissions CA there is a post-quantum one that countersigns. Without its"
-    " signature pqsec peers refuse the document; somebody may have taken it off.",
+    why="The permissions CA has a post-quantum countersigner. pqsec peers refuse a document without"
+    " its signature; an attacker may have removed it.",
     fix="Sign the document again.",
 )  # fmt: skip
 def stripped(inventory: Inventory) -> Iterator[Violation]:
@@ -113,9 +115,9 @@ def stripped(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS606", Severity.ERROR, Inventory, "a countersignature does not hold",
-    why="The post-quantum signature is not over this document's signature.",
-    fix="Sign the document again, and find out who changed it.",
+    "PQS606", Severity.ERROR, Inventory, "a countersignature is not valid",
+    why="The post-quantum signature does not match the signature of this document.",
+    fix="Find out who changed the document, and sign it again.",
 )  # fmt: skip
 def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
@@ -125,8 +127,8 @@ def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS607", Severity.ERROR, Enclave, "the certificate of the countersigner is missing",
-    why="Documents here are countersigned, and without it nobody can check that: a document"
-    " without the countersignature would look as good.",
+    why="The documents are countersigned, and nobody can check this without the certificate. A"
+    " document without the countersignature would be accepted too.",
     fix=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
 )  # fmt: skip
 def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
@@ -145,8 +147,9 @@ def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS608", Severity.ERROR, Enclave, "the alternative private key is missing",
-    why="The certificate names it, and pqsec peers ask the participant to sign with it.",
-    fix=f"Copy {ALT_KEY} with the rest of the enclave, or issue the participant again.",
+    why="The certificate has an alternative key, and pqsec peers require the participant to sign"
+    " with it.",
+    fix=f"Copy {ALT_KEY} with the other files of the enclave, or issue the participant again.",
 )  # fmt: skip
 def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
     if has_keys_on_robot(enclave):
@@ -156,9 +159,9 @@ def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS609", Severity.WARNING, Inventory, "weaker than the profile promises",
-    why="A keystore is made with a profile so that everything in it holds what it promises.",
-    fix="Issue the participant again, or make the keystore again with the profile you mean.",
+    "PQS609", Severity.WARNING, Inventory, "a key is weaker than the profile requires",
+    why="The profile of a keystore sets the security level for all its keys.",
+    fix="Issue the participant again, or create the keystore again with the profile that you want.",
 )  # fmt: skip
 def below_profile(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore is None:
@@ -182,11 +185,11 @@ def below_profile(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS610", Severity.INFO, Inventory, "nothing here withstands a quantum computer",
-    why="Who records the traffic now can read it once ECDH is broken (harvest now, decrypt"
-    " later). A keystore made with `--profile classical` has chosen so and is not told.",
-    fix="For data that matters in ten years use profile transition: it runs in stock stacks,"
-    " and between pqsec peers the key agreement is hybrid.",
+    "PQS610", Severity.INFO, Inventory, "no key here resists a quantum computer",
+    why="An attacker who records the traffic now can read it when ECDH is broken (harvest now,"
+    " decrypt later). This is not reported for a keystore created with `--profile classical`.",
+    fix="For data that is still sensitive in ten years, use profile transition. It works with stock"
+    " stacks, and between pqsec peers the key agreement is hybrid.",
 )  # fmt: skip
 def classical_only(inventory: Inventory) -> Iterator[Violation]:
     certificates = [each.first for each in inventory.certificates if each.first]

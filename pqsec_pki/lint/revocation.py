@@ -19,12 +19,12 @@ from pqsec_pki.lint.subjects import Enclave, Inventory
 FAMILY = Family("x509")
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 _BAD_LIST = "CRL expired / wrong CA / bad signature"
-_RENEW = "Let the identity CA make a new list (`pqsec ca crl`), and give it to all participants."
+_RENEW = "Issue a new revocation list (`pqsec ca crl`), and copy it to all participants."
 
 
 @FAMILY.rule(
     "PQS140", Severity.ERROR, File, "a revocation list cannot be read",
-    why="Stacks that are given it refuse to start.",
+    why="A stack that is configured with this list refuses to start.",
     fix=_RENEW,
 )  # fmt: skip
 def unreadable(file: File) -> Iterator[Violation]:
@@ -36,7 +36,7 @@ def unreadable(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS141", Severity.ERROR, File, "a revocation list has expired",
-    why="Past its nextUpdate stacks refuse every participant, revoked or not.",
+    why="After nextUpdate, stacks refuse every participant, revoked or not.",
     fix=_RENEW, rows=(_BAD_LIST,), measured=_ALL,
 )  # fmt: skip
 def expired(file: File) -> Iterator[Violation]:
@@ -46,8 +46,8 @@ def expired(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS148", Severity.WARNING, File, "a revocation list ends soon",
-    why="Past its nextUpdate stacks refuse every participant, revoked or not.",
+    "PQS148", Severity.WARNING, File, "a revocation list expires soon",
+    why="After nextUpdate, stacks refuse every participant, revoked or not.",
     fix=_RENEW,
 )  # fmt: skip
 def ends_soon(file: File) -> Iterator[Violation]:
@@ -59,8 +59,8 @@ def ends_soon(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS142", Severity.ERROR, File, "a revocation list is not in force yet",
-    why="Until its thisUpdate stacks refuse every participant.",
-    fix="Set the clock right, or let the CA make a new list.",
+    why="Before thisUpdate, stacks refuse every participant.",
+    fix="Correct the clock, or issue a new revocation list.",
     measured="`openssl verify -crl_check` 3.0.19 and 3.5: 'CRL is not yet valid'",
 )  # fmt: skip
 def not_yet(file: File) -> Iterator[Violation]:
@@ -70,10 +70,10 @@ def not_yet(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS143", Severity.WARNING, File, "a revocation list does not say when the next one comes",
-    why="RFC 5280 5.1.2.5 demands it. An old copy is taken for ever, so whoever can hold back"
-    " the new list keeps a revoked participant alive.",
-    fix="Make lists with a nextUpdate.",
+    "PQS143", Severity.WARNING, File, "a revocation list has no nextUpdate",
+    why="RFC 5280 5.1.2.5 requires it. Without it, an old list is accepted forever. An attacker who"
+    " holds back the new list keeps a revoked participant in the domain.",
+    fix="Issue revocation lists with a nextUpdate.",
 )  # fmt: skip
 def endless(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
@@ -83,9 +83,9 @@ def endless(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS144", Severity.WARNING, File, "a revocation list in a file of certificates",
-    why="Fast DDS 3 enforces a list that stands in the identity CA's file; Cyclone DDS and"
-    " OpenDDS pass over it. In the permissions CA's file nobody reads it.",
-    fix="Keep it in crl.pem and name that file to the stack.",
+    why="Fast DDS 3 enforces a list in the identity CA's file; Cyclone DDS and OpenDDS ignore it."
+    " No stack reads a list in the permissions CA's file.",
+    fix="Put the list into crl.pem and configure the stack with that file.",
     rows=(
         "CRL appended to identity_ca.pem, b revoked",
         "CRL in permissions CA file revoking it (ignored)",
@@ -100,8 +100,9 @@ def misplaced(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS145", Severity.ERROR, Enclave, "a revocation list is not the identity CA's",
-    why="Stacks refuse every participant with a list that another CA signed, or nobody.",
+    "PQS145", Severity.ERROR, Enclave, "the identity CA did not sign a revocation list",
+    why="If another CA signed the list, or the signature is invalid, stacks refuse every"
+    " participant.",
     fix=_RENEW, rows=(_BAD_LIST,), measured=_ALL,
 )  # fmt: skip
 def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
@@ -120,7 +121,7 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS146", Severity.ERROR, Inventory, "the participant's own certificate is revoked",
-    why="It does not start, and its peers refuse it.",
+    why="The participant does not start, and its peers refuse it.",
     fix="Issue the participant again with a new key.",
     rows=("own cert revoked", "peer b revoked, CRL at a"), measured=_ALL,
 )  # fmt: skip
@@ -131,10 +132,9 @@ def own(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS149", Severity.INFO, Inventory, "a revoked participant is still in the keystore",
-    why="Nobody lets it in any more, as was meant. Its files are of no use, and its private key"
-    " is one that somebody else may have.",
-    fix="Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
-    " --after-revocation.",
+    why="Peers refuse the participant, as intended. Its files are of no use, and somebody else may"
+    " have its private key.",
+    fix="Delete its enclave. To allow it again, run `pqsec issue` with --force --after-revocation.",
 )  # fmt: skip
 def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore:
@@ -143,8 +143,9 @@ def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS147", Severity.WARNING, Enclave, "OpenDDS does not read revocation lists",
-    why="A revoked participant is still let in: 'CRL and OCSP' are listed as not implemented.",
-    fix="Give certificates a short life, or change the identity CA.",
+    why="OpenDDS still accepts a revoked participant: its documentation lists 'CRL and OCSP' as not"
+    " implemented.",
+    fix="Issue certificates with a short validity, or replace the identity CA.",
     stacks=(Target.OPENDDS,), only_when_asked=True,
     measured="OpenDDS 3.13.3, and the plugins of 3.34: a revoked sender was heard",
 )  # fmt: skip

@@ -17,9 +17,9 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
 
 @FAMILY.rule(
     "PQS267", ERROR, PermissionsFile, "a ROS 2 node without get_type_description",
-    why="Since Iron every node offers that service, and dies in its constructor when it may not;"
-    " SROS2's own sample policy lacks it.",
-    fix="Allow its topics, or make them of the policy with `pqsec permissions import --complete`.",
+    why="Since Iron, every node offers this service. Without permission for it, the node fails in"
+    " its constructor. SROS2's own sample policy lacks it.",
+    fix="Allow its topics, or create the permissions with `pqsec permissions import --complete`.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
 )  # fmt: skip
@@ -44,8 +44,9 @@ def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS268", ERROR, PermissionsFile, f"a ROS 2 participant without {ros.DISCOVERY}",
-    why="Every ROS 2 participant publishes and subscribes to it, and cannot start otherwise.",
-    fix=f"Allow it to publish and to subscribe to {ros.DISCOVERY}.",
+    why="Every ROS 2 participant publishes and subscribes to this topic, and cannot start without"
+    " it.",
+    fix=f"Allow the participant to publish and to subscribe to {ros.DISCOVERY}.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
 )  # fmt: skip

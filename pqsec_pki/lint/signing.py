@@ -26,8 +26,8 @@ _SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
 
 @FAMILY.rule(
     "PQS330", Severity.ERROR, File, "a signed document is not in S/MIME",
-    why="Stacks read multipart/signed only: not PEM, not DER, not a message that wraps the"
-    " text up (without OpenSSL's -nodetach, or DetachedSignature), and no bare XML.",
+    why="Stacks read only multipart/signed. They do not read PEM, DER, plain XML, or a message that"
+    " encloses the text (without OpenSSL's -nodetach, or DetachedSignature).",
     fix=_SIGN,
     rows=("PEM or DER p7 instead of S/MIME", "no DetachedSignature (opaque)"), measured=_ALL,
 )  # fmt: skip
@@ -40,8 +40,8 @@ def not_smime(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS331", Severity.ERROR, File, "the signed text is not text/plain",
-    why="Stacks verify with PKCS7_TEXT: without exactly this header they say 'SMIME_text:"
-    " mime no content type', or nothing.",
+    why="Stacks verify with PKCS7_TEXT. Without exactly this header they report 'SMIME_text: mime"
+    " no content type', or nothing.",
     fix="Sign with -text (OpenSSL) or PKCS7Options.Text, or with pqsec.",
     rows=(
         "no Text flag (`Detached` only)", "`Detached+Binary`",
@@ -56,8 +56,8 @@ def not_text(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS332", Severity.ERROR, File, "a signed document begins with a blank line",
-    why="OpenSSL takes the blank line for the end of the header, and finds no content type.",
-    fix="Take the blank line out; it is not under the signature.",
+    why="OpenSSL reads the blank line as the end of the header, and finds no content type.",
+    fix="Remove the blank line; the signature does not cover it.",
     rows=("blank first line",), measured=_ALL,
 )  # fmt: skip
 def blank_first(file: File) -> Iterator[Violation]:
@@ -76,8 +76,8 @@ def broken(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS334", Severity.ERROR, File, "the signer is named by a key identifier",
-    why="The structure that stacks read (PKCS #7 1.5) names signers by issuer and serial only.",
+    "PQS334", Severity.ERROR, File, "the document identifies its signer by a key identifier",
+    why="Stacks read PKCS #7 1.5, which identifies signers only by issuer and serial number.",
     fix="Sign without -keyid.",
     rows=("SignerInfo by key id (`cms -keyid`)",), measured=_ALL,
 )  # fmt: skip
@@ -88,9 +88,9 @@ def by_key_identifier(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS335", Severity.ERROR, File, "not exactly one signature",
-    why="With two signers, such as ECDSA and ML-DSA, every stack refuses the document, in any"
-    " order. A second signature can stand in an unsigned attribute, as pqsec writes it.",
+    "PQS335", Severity.ERROR, File, "the document does not have exactly one signature",
+    why="Every stack refuses a document with two signers, such as ECDSA and ML-DSA, in any order. A"
+    " second signature can be in an unsigned attribute, as pqsec writes it.",
     fix=_SIGN,
     rows=(
         "two SignerInfos EC + ML-DSA (any order, any CA arrangement)",
@@ -106,8 +106,8 @@ def not_one_signer(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS336", Severity.ERROR, Inventory, "the signer's certificate is not in the document",
-    why="Cyclone DDS 0.10 and Fast DDS 2.9 look for it there, and nowhere else.",
-    fix="Sign without -nocerts; `pqsec sign-permissions --embed-certificate`.",
+    why="Cyclone DDS 0.10 and Fast DDS 2.9 search for it only in the document.",
+    fix="Sign without -nocerts, or run `pqsec sign-permissions --embed-certificate`.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
 )  # fmt: skip
@@ -121,8 +121,8 @@ def without_certificate(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS337", Severity.ERROR, File, "the document is signed with a broken hash",
-    why="Somebody who may have one document signed can make a second one with the same SHA-1"
-    " or MD5 digest, and the signature holds for both. Stacks take it; pqsec peers refuse it.",
+    why="An attacker who gets one document signed can create a second one with the same SHA-1 or"
+    " MD5 digest. The signature is valid for both. Stacks accept it; pqsec peers refuse it.",
     fix=_SIGN,
 )  # fmt: skip
 def broken_digest(file: File) -> Iterator[Violation]:
@@ -131,10 +131,10 @@ def broken_digest(file: File) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS338", Severity.WARNING, Inventory, "nobody here can check the signature",
-    why="Stacks may take it: OpenSSL knows more keys and digests than pqsec, and signatures"
-    " without signed attributes. pqsec peers refuse it, and this check does not know whether"
-    " the document was changed.",
+    "PQS338", Severity.WARNING, Inventory, "pqsec cannot check the signature",
+    why="Stacks may accept it: OpenSSL supports more keys and digests than pqsec, and signatures"
+    " without signed attributes. pqsec peers refuse it. This check cannot tell whether the document"
+    " was changed.",
     fix="Sign it without -noattr, with SHA-256 and an ecdsa-p256 or RSA key, or with pqsec.",
     measured="`NoAttributes` is taken by " + _ALL,
 )  # fmt: skip
@@ -147,8 +147,8 @@ def cannot_be_checked(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS340", Severity.ERROR, Inventory, "the permissions CA did not sign the document",
-    why="Cyclone DDS 11, Fast DDS 3 and OpenDDS refuse documents of delegates. Where stacks"
-    " take them, any certificate under the CA can give itself permissions.",
+    why="Cyclone DDS 11, Fast DDS 3 and OpenDDS refuse a document that another certificate below"
+    " the CA signed. On stacks that accept it, any such certificate can give itself permissions.",
     fix="Sign with the permissions CA itself.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured=_ALL,
@@ -161,10 +161,10 @@ def of_another_signer(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS341", Severity.ERROR, Inventory, "the signature does not hold",
-    why="The document was changed after it was signed, or another key signed it in the CA's"
-    " name. Every stack refuses it.",
-    fix="Sign it again, and find out who changed it.",
+    "PQS341", Severity.ERROR, Inventory, "the signature is not valid",
+    why="The document was changed after signing, or another key signed it in the CA's name. Every"
+    " stack refuses it.",
+    fix="Find out who changed the document, and sign it again.",
     rows=("tampered",), measured=_ALL,
 )  # fmt: skip
 def does_not_hold(inventory: Inventory) -> Iterator[Violation]:
@@ -174,9 +174,9 @@ def does_not_hold(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS342", Severity.WARNING, Inventory, "the XML beside a signed document is another one",
-    why="Stacks read the signed one. Who reads or changes the XML is misled.",
-    fix="Sign the XML again, or take it away.",
+    "PQS342", Severity.WARNING, Inventory, "the XML file differs from the signed document",
+    why="Stacks read the signed document. A reader of the XML file next to it is misled.",
+    fix="Sign the XML file again, or remove it.",
 )  # fmt: skip
 def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
     files = {file.path: file for file in inventory.files}
@@ -188,12 +188,12 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS343", Severity.ERROR, File, "readers of the signed file would not find the same document",
-    why="OpenSSL, with which every stack reads, takes quotes, comments, long lines and lines that"
-    " begin as the boundary otherwise than RFC 2045 and 2046 say. So one file can carry two"
-    " documents, each validly signed: one for those who look at it, one for the stacks. pqsec"
-    " refuses it, whoever signed it.",
-    fix="Find out who made it, ask the signer for the document, and sign that again.",
+    "PQS343", Severity.ERROR, File, "programs can read different documents from a signed file",
+    why="OpenSSL, which every stack uses, differs from RFC 2045 and 2046: for quotes, comments,"
+    " long lines, and lines that begin like the boundary. One file can therefore contain two"
+    " documents with valid signatures, one for a human reader and one for the stacks. pqsec refuses"
+    " such a file from any signer.",
+    fix="Find out who created the file, ask the signer for the document, and sign it again.",
 )  # fmt: skip
 def ambiguous(file: File) -> Iterator[Violation]:
     if file.is_signed and file.is_ambiguous and not _BLANK_FIRST.match(file.data):
@@ -202,10 +202,10 @@ def ambiguous(file: File) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS344", Severity.INFO, File, "a signed file is not in the form that pqsec writes",
-    why="Every stack reads the same document in it. What no signature covers, such as other"
-    " headers, certificates that came along or a boundary of its own, is not handed on: what"
-    " pqsec installs or exports is written anew from what was verified.",
-    fix="Nothing needs to be done. Who signs it again with pqsec has the one form.",
+    why="Every stack reads the same document from it. Some parts have no signature, for example"
+    " additional headers, additional certificates, or another boundary. pqsec does not copy these"
+    " parts: it installs and exports only what it verified.",
+    fix="Nothing needs to be done. Signing again with pqsec writes its own form.",
 )  # fmt: skip
 def not_canonical(file: File) -> Iterator[Violation]:
     readable = file.is_signed and _signatures.text(file) is not None

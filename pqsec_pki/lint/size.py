@@ -66,7 +66,8 @@ class Size:
     "PQS501", Severity.WARNING, Inventory, "some versions of Fast DDS cannot send the handshake",
     why="Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2 fail above 8192 bytes with"
     " 'Cannot serialize ParticipantGenericMessage', and sometimes crash the peer.",
-    fix=f"{_SMALLER}, use the classical profile, or another version: 2.14.5 and 3.2.3 mend it.",
+    fix=f"{_SMALLER}, use the classical profile, or use another version. 2.14.5 and 3.2.3 have the"
+    " fix.",
     stacks=(Target.FASTDDS,), only_when_asked=True,
     rows=(
         "EC P-256 + X.509 alt ML-DSA-44/65/87 (5.8/7.8/10.5 KB PEM)", "RSA-2048 + alt ML-DSA-65",
@@ -85,7 +86,7 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS502", Severity.ERROR, Inventory, "the handshake does not fit into a datagram",
-    why="Fast DDS (2.9.1, 3.1.2) cannot send what is over 64 KB; 3.6.2 and Cyclone DDS can.",
+    why="Fast DDS (2.9.1, 3.1.2) cannot send more than 64 KB. Fast DDS 3.6.2 and Cyclone DDS can.",
     fix=f"{_SMALLER}, or a smaller certificate.",
     stacks=(Target.FASTDDS,),
     rows=("leaf padded +48…128 KB", "permissions document 512 KB"),
@@ -98,9 +99,9 @@ def over_datagram(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS503", Severity.WARNING, Inventory, "the handshake is in many fragments",
-    why="Handshakes go over a best-effort topic: one lost fragment costs the whole message,"
-    " and another second. With 40 fragments and 1 % loss every third message is lost.",
+    "PQS503", Severity.WARNING, Inventory, "the handshake has many fragments",
+    why="The handshake uses a best-effort topic: if one fragment is lost, the whole message is lost"
+    " and sent again a second later. With 40 fragments and 1 % loss, every third message is lost.",
     fix=f"{_SMALLER}, or raise General/FragmentSize and MaxMessageSize in Cyclone DDS.",
     measured="fragments counted at Cyclone DDS's default of 1344 bytes",
 )  # fmt: skip
@@ -111,9 +112,9 @@ def many_fragments(inventory: Inventory) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS504", Severity.WARNING, Inventory, "pqsec peers refuse so large a handshake",
-    why="Before a peer has proved who it is, nobody should have to read hundreds of kilobytes"
-    " from it. Stacks differ: Cyclone DDS and Fast DDS (3.6.2) took 512 KB.",
+    "PQS504", Severity.WARNING, Inventory, "the handshake is too large for pqsec peers",
+    why="A pqsec peer limits what it reads from a participant that is not authenticated yet. Stacks"
+    " differ: Cyclone DDS and Fast DDS (3.6.2) accepted 512 KB.",
     measured="the limit is pqsec's own",
     fix=f"{_SMALLER}.",
 )  # fmt: skip

@@ -70,9 +70,9 @@ def _criteria(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
 
 
 @FAMILY.rule(
-    "PQS269", _WARNING, Document, "a topic with the name of a builtin one",
-    why="Cyclone DDS lets every member of the domain use its builtin topics, such as DCPSTopic,"
-    " whatever governance and permissions say.",
+    "PQS269", _WARNING, Document, "a topic with the name of a builtin topic",
+    why="Cyclone DDS lets every participant of the domain use its builtin topics, such as"
+    " DCPSTopic. Governance and permissions have no effect on them.",
     fix="Give the topic another name.",
     stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
 )  # fmt: skip
@@ -83,11 +83,11 @@ def builtin_name(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS270", _WARNING, PermissionsFile, "a deny_rule that takes the other action too",
-    why="Cyclone DDS asks first whether a participant may have the topic at all, and the first rule"
-    " that names it decides, be it about publishing or subscribing: who may not publish a topic"
-    " cannot subscribe to it either.",
-    fix="Put the allow_rule above the deny_rule.",
+    "PQS270", _WARNING, PermissionsFile, "a deny_rule that also denies the other action",
+    why="Cyclone DDS first checks whether a participant may have the topic at all. The first rule"
+    " that names the topic decides, for publishing and for subscribing. A participant that may not"
+    " publish a topic cannot subscribe to it either.",
+    fix="Move the allow_rule before the deny_rule.",
     stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
 )  # fmt: skip
 def denies_both(document: PermissionsFile) -> Iterator[Violation]:
@@ -135,10 +135,11 @@ def _is_covered(entry: _Entry, patterns: Patterns[Rule]) -> bool:
 
 
 @FAMILY.rule(
-    "PQS271", _WARNING, PermissionsFile, "a deny_rule that counts on other domains too",
-    why="Fast DDS asks a participant's own rules without looking at their domains: what is denied"
-    " for one domain it cannot create on any.",
-    fix="Give a participant that is on several domains permissions for each, in its own folder.",
+    "PQS271", _WARNING, PermissionsFile, "a deny_rule that also applies to other domains",
+    why="Fast DDS ignores the domains in the rules for its own participant. What is denied for one"
+    " domain is denied for all.",
+    fix="If a participant joins several domains, give it separate permissions for each domain, each"
+    " in its own folder.",
     stacks=(Target.FASTDDS,), measured="Fast DDS 2.9.1",
 )  # fmt: skip
 def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
@@ -153,13 +154,13 @@ def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS272", _WARNING, PermissionsFile, "a deny_rule that leaves out partitions",
-    why="A deny_rule without partitions is for all of them. In Cyclone DDS it is for endpoints in"
-    " no partition: one in some partition is let through where the default, or an allow_rule"
-    " below with partitions, allows it. The check of the topic stops it only where no allow_rule"
-    " above names the topic and governance controls both reading and writing.",
-    fix="Write default DENY and allow only what is needed; or name the partitions in the"
-    " deny_rule too, <partition>*</partition> for all.",
+    "PQS272", _WARNING, PermissionsFile, "a deny_rule without partitions",
+    why="A deny_rule without partitions applies to all partitions. In Cyclone DDS it applies only"
+    " to endpoints without a partition. An endpoint in a partition is allowed by the default, or by"
+    " a later allow_rule with partitions. The check of the topic denies it only if no earlier"
+    " allow_rule names the topic and governance controls both reading and writing.",
+    fix="Write default DENY and allow only what is needed. Or name the partitions in the deny_rule"
+    " too; <partition>*</partition> means all.",
     stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
 )  # fmt: skip
 def denies_without_partitions(document: PermissionsFile) -> Iterator[Violation]:
@@ -178,9 +179,10 @@ def denies_without_partitions(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS273", _WARNING, PermissionsFile, "partitions that OpenDDS does not ask for",
-    why="In OpenDDS an endpoint without any partition may do what an allow_rule allows in some.",
-    fix="Do not keep participants with OpenDDS apart by partitions; use other topics.",
+    "PQS273", _WARNING, PermissionsFile, "partitions that OpenDDS does not check",
+    why="In OpenDDS, an allow_rule with partitions also applies to an endpoint without a"
+    " partition.",
+    fix="Do not use partitions to separate participants with OpenDDS; use other topics.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
     rows=("allow partition P, endpoint in none",),
 )  # fmt: skip
@@ -195,9 +197,9 @@ def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS274", _WARNING, PermissionsFile, "a grant that allows nothing",
-    why="With no allow_rule and default DENY a participant may not join where joining is"
-    " controlled; with Fast DDS nowhere.",
-    fix="Add an allow_rule for its domains, or take the grant out.",
+    why="Without an allow_rule and with default DENY, a participant cannot join a domain with join"
+    " access control. With Fast DDS it cannot join any domain.",
+    fix="Add an allow_rule for its domains, or remove the grant.",
     measured="Cyclone DDS 0.10.2, Fast DDS 2.9.1",
 )  # fmt: skip
 def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
@@ -207,11 +209,11 @@ def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS275", _WARNING, PermissionsFile, "a partition that wildcards of an endpoint get around",
-    why="Partitions of endpoints are expressions too, and stacks let them in by their names: floor?"
-    " covers the name floor*, with which an endpoint gets what is sent in floor12. The plugin of"
-    " pqsec, and the standard as `pqsec explain` has it, look at what an expression stands for.",
-    fix="Write whole names, or a beginning with one * behind it: these hold in all stacks.",
+    "PQS275", _WARNING, PermissionsFile, "a partition that an endpoint can avoid with wildcards",
+    why="Partitions of endpoints can have wildcards too, and stacks check only their names. floor?"
+    " matches the name floor*, and an endpoint in floor* receives what is sent in floor12. The"
+    " plugin of pqsec and `pqsec explain` check everything that the wildcards can match.",
+    fix="Write full names, or a prefix with one * at the end: these work in all stacks.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS),
     measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
     " OpenDDS by source",

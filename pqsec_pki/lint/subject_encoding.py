@@ -27,8 +27,10 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./ -]*")
 
 
 @FAMILY.rule(
-    "PQS417", ERROR, PermissionsFile, "a word in a subject_name that stacks do not know",
-    why="Words are compared letter by letter with OpenSSL's: cn=, STREET= and 2.5.4.5= match none.",
+    "PQS417", ERROR, PermissionsFile,
+    "an attribute type in a subject_name that stacks do not support",
+    why="Stacks compare attribute types exactly with OpenSSL's short names. cn=, STREET= and"
+    " 2.5.4.5= never match.",
     fix="Write OpenSSL's short names: CN, O, C, emailAddress, serialNumber, street.",
     rows=("`cn=` lower-case type, or value case",
           "emailAddress/serialNumber as dotted OID (`rfc4514_string()` default)",
@@ -46,9 +48,9 @@ def unknown_word(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS418", ERROR, PermissionsFile, "letters beyond ASCII, written as they are",
-    why=r"Cyclone DDS and OpenDDS want \C3\A9 for é, and find no grant otherwise.",
-    fix="Add a second grant with that spelling, or stay within ASCII.",
+    "PQS418", ERROR, PermissionsFile, "non-ASCII letters in a subject_name, not escaped",
+    why=r"Cyclone DDS and OpenDDS require \C3\A9 for é, and otherwise find no grant.",
+    fix="Add a second grant with that spelling, or use only ASCII.",
     stacks=(_CYCLONE, _OPENDDS),
     rows=("UTF-8 value written raw", "… both as two grants"),
     measured=f"{_CYCLONES}; OpenDDS 3.34, its access control run",
@@ -65,8 +67,8 @@ def written_raw(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS421", ERROR, PermissionsFile, "a comma or quote in a subject_name",
-    why='OpenDDS cannot read O="Acme, Inc", not even as it prints it itself.',
-    fix="Issue the certificate without them.",
+    why='OpenDDS cannot read O="Acme, Inc", although it prints names in this form.',
+    fix="Issue the certificate without commas and quotes.",
     stacks=(_OPENDDS,), rows=('value with `,` `=` `+` `"` `#`, `&#124;`, `&`',),
     measured="OpenDDS, its SubjectName.cpp compiled and run", only_when_asked=True,
 )  # fmt: skip
@@ -78,7 +80,7 @@ def comma_in_value(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS422", WARNING, PermissionsFile, "a common name that is too long",
-    why=f"X.509 ends it at {MAX_COMMON_NAME} characters: no certificate can carry it.",
+    why=f"X.509 allows {MAX_COMMON_NAME} characters at most: no certificate can contain this name.",
     fix="Shorten the name.",
 )  # fmt: skip
 def long_name(document: PermissionsFile) -> Iterator[Violation]:
@@ -92,9 +94,9 @@ def long_name(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS423", WARNING, PermissionsFile, "a common name with unusual characters",
-    why="Stacks cut and compare subjects each in its own way. Letters, digits, _ . / - and spaces"
-    " inside were tried in all; | cuts a name in two in Cyclone DDS.",
-    fix="Stay within these.",
+    why="Each stack splits and compares subjects in its own way. Letters, digits, _ . / - and inner"
+    " spaces were tested in all stacks. Cyclone DDS splits a name at |.",
+    fix="Use only these characters.",
     rows=('value with `,` `=` `+` `"` `#`, `&#124;`, `&`',), measured="all six stacks",
 )  # fmt: skip
 def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
@@ -108,9 +110,9 @@ def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS425", ERROR, PermissionsFile, "letters beyond ASCII, written as octets",
-    why=r"Fast DDS wants é as it is, not \C3\A9, and finds no grant otherwise.",
-    fix="Add a second grant with the letters themselves, or stay within ASCII.",
+    "PQS425", ERROR, PermissionsFile, "non-ASCII letters in a subject_name, escaped",
+    why=r"Fast DDS requires é itself, not \C3\A9, and otherwise finds no grant.",
+    fix="Add a second grant with the letters themselves, or use only ASCII.",
     stacks=(_FAST,), rows=(r"UTF-8 value written `\C3\A9`", "… both as two grants"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip

@@ -17,9 +17,9 @@ _SPACED = re.compile(r"\s=|(?<!\\)=\s|(?<!\\),\s|\s,")
 
 
 @FAMILY.rule(
-    "PQS411", ERROR, PermissionsFile, "a subject_name that is no name",
-    why="It is nobody's, so no participant is let in with this grant.",
-    fix="Copy it from `pqsec inspect cert.pem`: CN=/talker.",
+    "PQS411", ERROR, PermissionsFile, "a subject_name is not a subject name",
+    why="No certificate has this subject, so no participant can use the grant.",
+    fix="Copy the name from `pqsec inspect cert.pem`: CN=/talker.",
 )  # fmt: skip
 def no_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
@@ -30,7 +30,7 @@ def no_name(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS412", ERROR, PermissionsFile, "spaces or line ends around a subject_name",
-    why="Fast DDS compares with them and finds no grant.",
+    why="Fast DDS includes them in the comparison and finds no grant.",
     fix="Write it directly between the tags, on one line.",
     stacks=(_FAST,), rows=("newlines/indent around the text",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
@@ -43,7 +43,8 @@ def padded_name(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS413", ERROR, PermissionsFile, "spaces inside a subject_name",
-    why="Cyclone DDS 0.10 refuses CN=x, O=Lab and C = ES, which openssl prints by default.",
+    why="Cyclone DDS 0.10 refuses CN=x, O=Lab and C = ES. openssl prints names in this form by"
+    " default.",
     fix="Write CN=x,O=Lab,C=ES.",
     stacks=(_CYCLONE,),
     rows=("`CN=x, O=Lab, C=ES`", "`C = ES, O = Lab, CN = x` (openssl default print)"),
@@ -57,7 +58,7 @@ def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS414", ERROR, PermissionsFile, "a subject_name written with slashes",
-    why="Fast DDS does not take /C=ES/O=Lab/CN=x.",
+    why="Fast DDS does not accept /C=ES/O=Lab/CN=x.",
     fix="Write CN=x,O=Lab,C=ES.",
     stacks=(_FAST,), rows=("`/C=ES/O=Lab/CN=x`",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -69,8 +70,9 @@ def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS415", ERROR, PermissionsFile, "a subject_name in the order of the certificate",
-    why="Fast DDS 2.9.1 wants the order of RFC 2253, the last part of the certificate first.",
-    fix="Turn it round (CN first), or add a second grant with that order.",
+    why="Fast DDS 2.9.1 requires the order of RFC 2253: the last part of the certificate's subject"
+    " first.",
+    fix="Reverse the order (CN first), or add a second grant with that order.",
     stacks=(_FAST,), rows=("`C=ES,O=Lab,CN=x` (DER order; what OpenDDS needs)",
                            "two grants, one per order"),
     measured="Fast DDS 2.9.1",
@@ -83,8 +85,9 @@ def certificate_order(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS416", ERROR, PermissionsFile, "a subject_name in the order of RFC 2253",
-    why="OpenDDS wants the order of the certificate. A subject of CN alone has one order only.",
-    fix="Add a second grant with the order of the certificate (CN last).",
+    why="OpenDDS requires the order of the certificate's subject. A subject with CN alone has only"
+    " one order.",
+    fix="Add a second grant with the order of the certificate's subject (CN last).",
     stacks=(_OPENDDS,), rows=("`CN=x,O=Lab,C=ES` (RFC 2253 = reversed, no spaces)",),
     measured="OpenDDS, its SubjectName.cpp compiled and run", only_when_asked=True,
 )  # fmt: skip
@@ -95,8 +98,9 @@ def reversed_order(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS419", ERROR, PermissionsFile, "two parts of one kind in a subject_name",
-    why="Of two OUs Cyclone DDS sees the first only, and Fast DDS 3 finds no match.",
+    "PQS419", ERROR, PermissionsFile, "an attribute type twice in a subject_name",
+    why="If a subject has two OUs, Cyclone DDS reads only the first, and Fast DDS 3 finds no"
+    " grant.",
     fix="Issue the certificate with one of them.",
     rows=("two OUs",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -107,7 +111,7 @@ def repeated_part(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS420", ERROR, PermissionsFile, "a subject_name with a part of several values",
+    "PQS420", ERROR, PermissionsFile, "a multi-valued part in a subject_name",
     why="No stack matches CN=x+OU=y.",
     fix="Issue the certificate with separate parts, or with CN alone.",
     rows=("multi-valued RDN",), measured="all six stacks",
@@ -120,9 +124,9 @@ def joined_parts(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS424", ERROR, PermissionsFile, "a subject_name that Cyclone DDS can never match",
-    why="Cyclone DDS cuts names at each , / and |. It finds no grant for a name with an empty"
-    f" piece in it, as CN=/a//b, nor with more than {MAX_PIECES} pieces.",
-    fix="Choose a name without double slashes, and with a shorter path.",
+    why="Cyclone DDS splits names at each , / and |. It finds no grant for a name with an empty"
+    f" piece, such as CN=/a//b, or with more than {MAX_PIECES} pieces.",
+    fix="Choose a name without double slashes, or with a shorter path.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2",
 )  # fmt: skip
 def unmatched_pieces(document: PermissionsFile) -> Iterator[Violation]:

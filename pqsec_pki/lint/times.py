@@ -18,9 +18,9 @@ _INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\
 
 
 @FAMILY.rule(
-    "PQS262", ERROR, PermissionsFile, "a grant that is never in force",
+    "PQS262", ERROR, PermissionsFile, "a grant that is never valid",
     why="It ends before it starts.",
-    fix="Set not_before before not_after.",
+    fix="Set not_before to a time before not_after.",
     rows=("expired / future",), measured="all six stacks",
 )  # fmt: skip
 def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
@@ -33,9 +33,9 @@ def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS263", ERROR, PermissionsFile, f"a time after {LAST_YEAR}",
-    why="Cyclone DDS counts nanoseconds in 64 bits: a later time has passed already, and the"
-    " participant is refused.",
-    fix=f"End before {LAST_YEAR + 1}; better, in a year or two.",
+    why="Cyclone DDS counts nanoseconds in 64 bits. It reads a later time as a time in the past and"
+    " refuses the participant.",
+    fix=f"Set the end before {LAST_YEAR + 1}; one or two years ahead is better.",
     stacks=(_CYCLONE,), rows=("not_after year ≥ 2262 (9999, 2300)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
 )  # fmt: skip
@@ -48,9 +48,9 @@ def too_late(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS264", ERROR, PermissionsFile, "a time that cannot be read",
-    why="Cyclone DDS takes a not_before it cannot read without a word, so the grant is in force"
-    " from the start of time; Fast DDS refuses the document.",
-    fix="Write it as 2030-01-31T00:00:00Z.",
+    why="Cyclone DDS silently accepts a not_before that it cannot read: the grant is then valid"
+    " from any time on. Fast DDS refuses the document.",
+    fix="Write the time as 2030-01-31T00:00:00Z.",
     rows=("garbage not_before (silently accepted!)", "date only", "`2026-01-01 00:00:00`"),
     measured="all six stacks",
 )  # fmt: skip
@@ -62,9 +62,9 @@ def no_time(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS265", INFO, PermissionsFile, "a time without zone",
-    why="The standard reads it as UTC. Fast DDS reads every time as that of the robot's own zone.",
-    fix="End it with Z, and keep a day of reserve at both ends.",
+    "PQS265", INFO, PermissionsFile, "a time without a time zone",
+    why="The standard reads it as UTC. Fast DDS reads every time as local time of the robot.",
+    fix="End the time with Z, and leave one day of margin at both ends.",
     rows=("no zone / `Z` / `+00:00` / `.000` / surrounding spaces",), measured="all six stacks",
 )  # fmt: skip
 def no_zone(document: PermissionsFile) -> Iterator[Violation]:
@@ -75,8 +75,8 @@ def no_zone(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS266", WARNING, PermissionsFile, "a time in another zone than UTC",
-    why="Fast DDS skips the zone and reads the time as local, hours away from what is meant.",
+    "PQS266", WARNING, PermissionsFile, "a time in a zone other than UTC",
+    why="Fast DDS ignores the zone and reads the time as local time, which can differ by hours.",
     fix="Write the time in UTC, with Z.",
     stacks=(_FAST,),
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",

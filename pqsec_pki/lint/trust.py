@@ -61,11 +61,11 @@ _TOLD: Mapping[Code, Iterable[str]] = {
 
 @FAMILY.rule(
     ID, Severity.ERROR, Enclave, "the credentials of an enclave cannot be trusted",
-    why="pqsec decides in one place whether a participant's credentials hold, in the order of"
-    " DDS-Security 1.1 (9.3.3, 9.4.3), and nothing takes them where it says no: not `pqsec"
-    " export`, `try`, `verify-handshake`, `bundle` or `install`. Stock stacks may be less strict.",
-    fix="Put back the files that it was issued with; or `pqsec issue` it with --force and all"
-    " that it may do.",
+    why="pqsec verifies a participant's credentials in one place, in the order of DDS-Security 1.1"
+    " (9.3.3, 9.4.3). If they fail, `pqsec export`, `try`, `verify-handshake`, `bundle` and"
+    " `install` refuse them. Stock stacks may be less strict.",
+    fix="Restore the files that were issued. Or run `pqsec issue` with --force and all rights of"
+    " the participant.",
 )  # fmt: skip
 def cannot_be_trusted(enclave: Enclave) -> Iterator[Violation]:
     for problem in _problems(enclave):

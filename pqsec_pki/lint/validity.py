@@ -21,7 +21,7 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 @FAMILY.rule(
     "PQS320", Severity.ERROR, PermissionsFile, "a grant has expired",
-    why="Stacks refuse the participant that it is for.",
+    why="Stacks refuse the participant of this grant.",
     fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
     rows=("expired / future",), measured=_ALL,
 )  # fmt: skip
@@ -33,7 +33,7 @@ def expired(document: PermissionsFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS321", Severity.WARNING, PermissionsFile, "a grant expires soon",
-    why="From then on its participant is refused, though its certificate may be good.",
+    why="From that time on the participant is refused, even if its certificate is still valid.",
     fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
 )  # fmt: skip
 def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
@@ -43,9 +43,9 @@ def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS322", Severity.ERROR, PermissionsFile, "a grant is not in force yet",
-    why="Stacks refuse the participant that it is for until then.",
-    fix="Set the clock right, or sign permissions with an earlier not_before.",
+    "PQS322", Severity.ERROR, PermissionsFile, "a grant is not valid yet",
+    why="Stacks refuse the participant of this grant until that time.",
+    fix="Correct the clock, or sign permissions with an earlier not_before.",
     rows=("expired / future",), measured=_ALL,
 )  # fmt: skip
 def not_yet(document: PermissionsFile) -> Iterator[Violation]:
@@ -55,10 +55,10 @@ def not_yet(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS323", Severity.WARNING, PermissionsFile, "a grant is too fresh for other time zones",
-    why="Fast DDS passes over the zone and reads the time as local: west of Greenwich a grant"
-    " that began an hour ago has not begun.",
-    fix="Let not_before be a day back, as pqsec does.",
+    "PQS323", Severity.WARNING, PermissionsFile, "a grant is too new for other time zones",
+    why="Fast DDS ignores the zone and reads the time as local time. West of Greenwich, a grant"
+    " that began an hour ago is not valid yet.",
+    fix="Set not_before one day back, as pqsec does.",
     stacks=(Target.FASTDDS,),
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
 )  # fmt: skip
@@ -70,10 +70,10 @@ def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS324", Severity.WARNING, PermissionsFile, "a grant is over, but not in every time zone",
-    why="Fast DDS passes over the zone and reads the time as local: west of Greenwich it takes"
+    "PQS324", Severity.WARNING, PermissionsFile, "a grant has expired, but not in every time zone",
+    why="Fast DDS ignores the zone and reads the time as local time. West of Greenwich, it accepts"
     " a grant for hours after its end.",
-    fix="Let not_after be a day earlier than is wanted.",
+    fix="Set not_after one day earlier than needed.",
     stacks=(Target.FASTDDS,),
     rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
 )  # fmt: skip
@@ -85,9 +85,9 @@ def lingers(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS325", Severity.WARNING, Enclave, "the permissions end before the certificate",
-    why="The participant is refused from that day, with a certificate that looks good.",
-    fix="Let both end together, as `pqsec issue` does.",
+    "PQS325", Severity.WARNING, Enclave, "the permissions expire before the certificate",
+    why="From that time on the participant is refused, although its certificate is still valid.",
+    fix="Set the same end for both, as `pqsec issue` does.",
 )  # fmt: skip
 def end_first(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
@@ -100,9 +100,10 @@ def end_first(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS326", Severity.INFO, Enclave, "the permissions outlive the certificate",
-    why="They would hold for the next certificate of that name too, whatever is meant then.",
-    fix="Let both end together, as `pqsec issue` does.",
+    "PQS326", Severity.INFO, Enclave, "the permissions end after the certificate",
+    why="They are also valid for the next certificate with the same name, even if it should have"
+    " other rights.",
+    fix="Set the same end for both, as `pqsec issue` does.",
 )  # fmt: skip
 def end_last(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
@@ -115,8 +116,9 @@ def end_last(enclave: Enclave) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS327", Severity.ERROR, Enclave, "certificate and permissions are never good together",
-    why="The one ends before the other begins.",
+    "PQS327", Severity.ERROR, Enclave,
+    "certificate and permissions are never valid at the same time",
+    why="One expires before the other becomes valid.",
     fix="Renew the participant: `pqsec renew NAME`.",
 )  # fmt: skip
 def never_together(enclave: Enclave) -> Iterator[Violation]:

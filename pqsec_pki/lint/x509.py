@@ -42,10 +42,11 @@ _BROKEN = {
 
 
 @FAMILY.rule(
-    "PQS101", Severity.ERROR, CertificateFile, "Cyclone DDS takes no identity key of this kind",
-    why="Cyclone DDS knows P-256 and RSA-2048 for identity CAs and participants, whatever"
-    " OpenSSL it is built with; anything else is 'algorithm unknown (code: 125)'.",
-    fix="Make identity CA and participants with ecdsa-p256, the default of pqsec.",
+    "PQS101", Severity.ERROR, CertificateFile,
+    "Cyclone DDS does not accept an identity key of this kind",
+    why="Cyclone DDS supports only P-256 and RSA-2048 for identity CAs and participants, with any"
+    " version of OpenSSL. For other keys it reports 'algorithm unknown (code: 125)'.",
+    fix="Use ecdsa-p256, the default of pqsec, for the identity CA and the participants.",
     stacks=(Target.CYCLONEDDS,),
     rows=(
         "identity CA P-384, leaf P-256", "leaf P-384", "all RSA-3072", "all RSA-4096",
@@ -65,10 +66,10 @@ def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS102", Severity.ERROR, CertificateFile, "no stack takes a key of this kind",
-    why="Every stack refused Ed25519, as identity CA, participant and permissions CA; their"
-    " code has no name for it in the handshake, and PKCS7_verify cannot check it.",
-    fix="Make the key with ecdsa-p256, or with a post-quantum profile for pqsec peers.",
+    "PQS102", Severity.ERROR, CertificateFile, "no stack accepts a key of this kind",
+    why="Every stack refused Ed25519 for identity CA, participant and permissions CA. Their code"
+    " has no name for it in the handshake, and PKCS7_verify cannot check it.",
+    fix="Create the key with ecdsa-p256, or with a post-quantum profile for pqsec peers.",
     rows=(
         "identity CA Ed25519", "leaf Ed25519",
         "permissions CA Ed25519 (CMS by OpenSSL 3.5)",
@@ -84,10 +85,10 @@ def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS103", Severity.WARNING, CertificateFile, "a curve that stacks take by mistake",
-    why="Stacks announce this key as P-256, because it has 256 bits too. It is in no version"
-    " of DDS-Security, and the next version of a stack may look closer.",
-    fix="Make the key with ecdsa-p256.",
+    "PQS103", Severity.WARNING, CertificateFile, "a curve that stacks accept by mistake",
+    why="Stacks announce this key as P-256, because it also has 256 bits. No version of"
+    " DDS-Security lists this curve, and a later version of a stack may refuse it.",
+    fix="Create the key with ecdsa-p256.",
     rows=("leaf brainpoolP256r1 / secp256k1 (wrongly let in)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -97,10 +98,10 @@ def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS104", Severity.ERROR, CertificateFile, "Fast DDS does not know how this is signed",
-    why="Fast DDS tells the algorithm from the certificate's signature and knows SHA-256 with"
-    " ECDSA or RSA (PKCS #1 v1.5) only. It prints an empty error.",
-    fix="Sign certificates with SHA-256: -sha256, and no -sigopt rsa_padding_mode:pss.",
+    "PQS104", Severity.ERROR, CertificateFile, "Fast DDS does not support this signature algorithm",
+    why="Fast DDS reads the algorithm from the certificate's signature and supports only SHA-256"
+    " with ECDSA or RSA (PKCS #1 v1.5). Its error message is empty.",
+    fix="Sign certificates with SHA-256: use -sha256, and no -sigopt rsa_padding_mode:pss.",
     stacks=(Target.FASTDDS,),
     rows=("certs signed ecdsa-with-SHA384 or SHA512", "certs signed RSASSA-PSS"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
@@ -114,9 +115,9 @@ def signed_otherwise(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS105", Severity.ERROR, CertificateFile, "signed with a broken hash",
-    why="Two certificates with one SHA-1 or MD5 digest can be made; the second one would be"
-    " signed by your CA without its knowledge.",
-    fix="Issue it again with SHA-256.",
+    why="An attacker can create two certificates with the same SHA-1 or MD5 digest. Your CA signs"
+    " one, and its signature is valid for the other one too.",
+    fix="Issue the certificate again with SHA-256.",
 )  # fmt: skip
 def broken_hash(file: CertificateFile) -> Iterator[Violation]:
     name = _BROKEN.get(file.first.signature_algorithm) if file.first else None
@@ -126,8 +127,8 @@ def broken_hash(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS106", Severity.ERROR, CertificateFile, "a weak key",
-    why="RSA keys below 2048 bits and curves below 256 have been or can be broken.",
-    fix="Make the key with ecdsa-p256, or rsa-2048 at least.",
+    why="RSA keys below 2048 bits and curves below 256 bits have been broken or can be broken.",
+    fix="Create the key with ecdsa-p256, or with rsa-2048 at least.",
 )  # fmt: skip
 def weak_key(file: CertificateFile) -> Iterator[Violation]:
     kind = _roles.key_kind(file.first) if file.first else ""
@@ -138,9 +139,9 @@ def weak_key(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS107", Severity.ERROR, CertificateFile, "a certificate with an empty subject",
-    why="No permissions document can name it: Cyclone DDS refuses it, and Fast DDS crashes"
-    " (std::length_error).",
-    fix="Issue it with a common name, such as CN=/fleet/robot1.",
+    why="Permissions cannot name this participant. Cyclone DDS refuses the certificate, and Fast"
+    " DDS crashes (std::length_error).",
+    fix="Issue the certificate with a common name, such as CN=/fleet/robot1.",
     rows=("cert with empty subject",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -151,9 +152,9 @@ def empty_subject(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS110", Severity.ERROR, CertificateFile, "a certificate has expired",
-    why="No stack starts with it. Only of an expired permissions CA does Cyclone DDS (master)"
-    " not ask.",
-    fix="Renew it: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
+    why="No stack starts with it. The exception is Cyclone DDS (master), which does not check"
+    " whether the permissions CA has expired.",
+    fix="For a participant, run `pqsec renew NAME`. For a CA, run `pqsec ca rotate`.",
     rows=("leaf expired / not yet valid; CA expired", "permissions CA expired"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -167,8 +168,8 @@ def expired(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS111", Severity.WARNING, CertificateFile, "a certificate expires soon",
-    why="From that day on participants that start, or start again, are refused.",
-    fix="Renew it before: `pqsec renew NAME` for a participant; for a CA, `pqsec ca rotate`.",
+    why="From that day on, a participant that starts or restarts is refused.",
+    fix="Before that day, run `pqsec renew NAME` for a participant, or `pqsec ca rotate` for a CA.",
 )  # fmt: skip
 def expires_soon(file: CertificateFile) -> Iterator[Violation]:
     if file.first and ends_soon(file.now, file.first.not_before, file.first.not_after):
@@ -180,8 +181,8 @@ def expires_soon(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS112", Severity.ERROR, CertificateFile, "a certificate is not valid yet",
-    why="No stack starts with it until then.",
-    fix="Set the clock right, or issue it again; pqsec dates certificates a day back.",
+    why="No stack starts with it before that time.",
+    fix="Correct the clock, or issue the certificate again. pqsec sets the start one day back.",
     rows=("leaf expired / not yet valid; CA expired",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
 )  # fmt: skip
@@ -194,10 +195,10 @@ def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS113", Severity.ERROR, CertificateFile, "a certificate outlives what stacks can count",
-    why="Fast DDS (3.6.2) counts nanoseconds in 64 bits, which end in 2262: it says 'Local"
+    "PQS113", Severity.ERROR, CertificateFile, "a certificate ends too late for Fast DDS",
+    why="Fast DDS (3.6.2) counts nanoseconds in 64 bits, which overflow in 2262. It reports 'Local"
     " identity certificate has expired' and crashes.",
-    fix=f"Let it end in {LAST_YEAR} at the latest.",
+    fix=f"Issue the certificate with an end in {LAST_YEAR} at the latest.",
     stacks=(Target.FASTDDS,),
     rows=("cert notAfter 9999 (or 2500)",),
     measured="Fast DDS 3.6.2",
@@ -210,8 +211,8 @@ def ends_too_late(file: CertificateFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS150", Severity.ERROR, File, "ROS 2 cannot open an encrypted private key",
-    why="No ROS 2 setting gives the passphrase to the middleware.",
-    fix="Keep the key unencrypted, mode 0600, on an encrypted disk.",
+    why="ROS 2 has no setting to pass the passphrase to the middleware.",
+    fix="Leave the key unencrypted, with mode 0600, on an encrypted disk.",
     stacks=(Target.ROS2,), only_when_asked=True,
     rows=("wrong / missing password",),
     measured="source of rmw_dds_common (security.cpp)",

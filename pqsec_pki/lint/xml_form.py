@@ -30,10 +30,10 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
 
 @FAMILY.rule(
     "PQS201", ERROR, Document, "a document cannot be read",
-    why="It is not well-formed XML, or the S/MIME around it is broken: no stack starts with it."
-    " A DOCTYPE is not read by pqsec either; it has no use here, and entities are an attack.",
-    fix="Write it again with `pqsec governance render` or `pqsec permissions render`, and sign"
-    " it with `pqsec sign-governance` or `pqsec sign-permissions`.",
+    why="The XML is not well-formed, or the S/MIME around it is broken. No stack starts with it."
+    " pqsec also refuses a DOCTYPE, because entities can be used for attacks.",
+    fix="Write it again with `pqsec governance render` or `pqsec permissions render`. Then sign it"
+    " with `pqsec sign-governance` or `pqsec sign-permissions`.",
     rows=("PEM or DER p7 instead of S/MIME",), measured=_ALL_SIX,
 )  # fmt: skip
 def cannot_be_read(document: Document) -> Iterator[Violation]:
@@ -43,10 +43,10 @@ def cannot_be_read(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS202", ERROR, Document, "a document breaks its schema",
-    why="Each stack has its own hand-written reader, and what one takes by chance the next"
-    " refuses. Only a valid document has one meaning.",
-    fix="Change what the message names; `pqsec validate` lists nothing more when it is done.",
+    "PQS202", ERROR, Document, "a document does not match its schema",
+    why="Each stack has its own parser. One may accept by chance what another refuses. Only a valid"
+    " document means the same to all stacks.",
+    fix="Correct what the message names. `pqsec validate` lists the errors that remain.",
     rows=("missing liveliness element",), measured=_ALL_SIX,
 )  # fmt: skip
 def breaks_schema(document: Document) -> Iterator[Violation]:
@@ -63,9 +63,10 @@ def breaks_schema(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS203", ERROR, Document, "a file is neither governance nor permissions",
-    why="The root is <dds>, with <domain_access_rules> or <permissions> in it, in lower case and"
-    " without a namespace. Cyclone DDS refuses a default xmlns; Fast DDS refuses upper case.",
-    fix="Name the elements as the standard does, and take xmlns=... off the root.",
+    why="The root element must be <dds> and contain <domain_access_rules> or <permissions>, in"
+    " lower case and without a namespace. Cyclone DDS refuses a default xmlns; Fast DDS refuses"
+    " upper case.",
+    fix="Name the elements as in the standard, and remove xmlns=... from the root element.",
     rows=("default xmlns", "upper-case tags"), measured=_ALL_SIX,
 )  # fmt: skip
 def neither(document: Document) -> Iterator[Violation]:
@@ -96,8 +97,9 @@ def byte_order_mark(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS205", WARNING, Document, "the XML is not in UTF-8",
-    why="Cyclone DDS and Fast DDS look for ASCII tags in the bytes; no other encoding was tried.",
-    fix='Save it as UTF-8, and say so: <?xml version="1.0" encoding="UTF-8"?>.',
+    why="Cyclone DDS and Fast DDS search the bytes for ASCII tags. Other encodings were not"
+    " tested.",
+    fix='Save it as UTF-8, and declare it: <?xml version="1.0" encoding="UTF-8"?>.',
     measured="read in source, not run",
 )  # fmt: skip
 def not_utf8(document: Document) -> Iterator[Violation]:
@@ -106,10 +108,10 @@ def not_utf8(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS206", ERROR, Document, "an attribute that stacks do not know",
-    why="Cyclone DDS refuses a document with any attribute it does not know; it knows the xsi"
-    " attributes of the root and the name of a grant.",
-    fix="Take it out.",
+    "PQS206", ERROR, Document, "an attribute that stacks do not support",
+    why="Cyclone DDS refuses a document with an attribute that it does not support. It supports the"
+    " xsi attributes of the root element and the name of a grant.",
+    fix="Remove the attribute.",
     stacks=(_CYCLONE,), rows=("xsi:schemaLocation, or any other root attribute",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
 )  # fmt: skip
@@ -127,7 +129,7 @@ def unknown_attribute(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS207", ERROR, GovernanceFile, "a comment directly before </dds>",
-    why="Fast DDS takes the comment for a second set of rules and refuses the governance.",
+    why="Fast DDS reads the comment as a second set of rules and refuses the governance.",
     fix="Move the comment into <domain_access_rules>, or above the root element.",
     stacks=(_FAST,), rows=("comment directly before `</dds>` in governance",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
@@ -140,8 +142,8 @@ def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS208", ERROR, Document, "elements out of order",
-    why="Fast DDS wants them in the order of the schema and refuses any other.",
-    fix="Put them in the order of the schema; `pqsec ... render` writes it.",
+    why="Fast DDS requires the order of the schema and refuses any other order.",
+    fix="Put the elements in the order of the schema; `pqsec ... render` writes this order.",
     stacks=(_FAST,),
     rows=(
         "governance elements out of XSD order",
@@ -160,9 +162,10 @@ def out_of_order(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS209", ERROR, Document, "an element that stacks do not know",
-    why="Every stack refuses the whole document, a vendor's extension or a slip alike.",
-    fix="Take it out, or spell it as the schema does.",
+    "PQS209", ERROR, Document, "an element that stacks do not support",
+    why="Every stack refuses the whole document, whether the element is a vendor's extension or a"
+    " typing error.",
+    fix="Remove the element, or spell it as in the schema.",
     rows=("unknown/vendor element",), measured=_ALL_SIX,
 )  # fmt: skip
 def unknown_element(document: Document) -> Iterator[Violation]:
@@ -175,9 +178,9 @@ def unknown_element(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS210", ERROR, Document, "an element of DDS-Security 1.2",
-    why="All six stacks measured are of 1.1 and refuse the whole document. RTI Connext 7.5 and"
-    " later take it.",
-    fix="Take it out, or keep such a document for participants with RTI Connext only.",
+    why="All six stacks measured implement DDS-Security 1.1 and refuse the whole document. RTI"
+    " Connext 7.5 and later accept it.",
+    fix="Remove the element, or use such a document only for participants with RTI Connext.",
     rows=("1.2 `enable_key_revision` / `rtps_psk_protection_kind` / allowed algorithms",),
     measured=_ALL_SIX,
 )  # fmt: skip
@@ -187,10 +190,10 @@ def newer_element(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS220", WARNING, Document, "what a document means was not checked",
-    why="It breaks its schema. Stacks that take it all the same may find any hole in it; the rules"
-    " about protection and permissions need a valid document.",
-    fix="Mend what else is told of it, and check again.",
+    "PQS220", WARNING, Document, "the meaning of a document was not checked",
+    why="The document does not match its schema. A stack that accepts it may read it in any way."
+    " The rules about protection and permissions need a valid document.",
+    fix="Fix the other findings of this document, and check again.",
     rows=("booleans TRUE/FALSE, 1/0",),
 )  # fmt: skip
 def not_understood(document: Document) -> Iterator[Violation]:

@@ -15,8 +15,8 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
 
 @FAMILY.rule(
     "PQS211", WARNING, Document, "a boolean that is not true or false",
-    why="The schema has true, false, 1 and 0. All stacks measured take TRUE and 1 too, but no"
-    " two readers agree on the rest.",
+    why="The schema allows true, false, 1 and 0. All stacks measured accept 1 and TRUE, but they"
+    " differ for other values.",
     fix="Write true or false.",
     rows=("booleans TRUE/FALSE, 1/0",), measured=_ALL_SIX,
 )  # fmt: skip
@@ -28,7 +28,8 @@ def odd_boolean(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS212", ERROR, Document, "spaces around a value",
-    why="Fast DDS compares with the spaces: a kind or boolean is refused, a topic never matches.",
+    why="Fast DDS does not remove the spaces: it refuses the kind or boolean, and the topic never"
+    " matches.",
     fix="Write the value directly between the tags, on one line.",
     stacks=(_FAST,),
     rows=("` true `, ` ENCRYPT `, spaces around topic",),
@@ -41,10 +42,10 @@ def spaces(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS213", ERROR, Document, "a word in lower case",
-    why="No stack takes `encrypt` for ENCRYPT. Cyclone DDS takes `deny` or `allow` as default"
-    " silently for DENY; Fast DDS refuses it.",
-    fix="Write it in capitals.",
+    "PQS213", ERROR, Document, "a value in lower case",
+    why="No stack accepts `encrypt` for ENCRYPT. Cyclone DDS silently reads `deny` or `allow` in"
+    " <default> as DENY; Fast DDS refuses both.",
+    fix="Write the value in capitals.",
     rows=("`encrypt` lower case", "`<default>` missing or lower case"), measured=_ALL_SIX,
 )  # fmt: skip
 def lower_case(document: Document) -> Iterator[Violation]:
@@ -54,9 +55,9 @@ def lower_case(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS214", ERROR, GovernanceFile, "a payload with origin authentication",
-    why="data_protection_kind takes NONE, SIGN and ENCRYPT only: every stack refuses the rest.",
-    fix="Put the origin authentication on metadata_protection_kind.",
+    "PQS214", ERROR, GovernanceFile, "a data_protection_kind with origin authentication",
+    why="data_protection_kind can be NONE, SIGN or ENCRYPT. Every stack refuses other values.",
+    fix="Set the origin authentication in metadata_protection_kind.",
     rows=("data_protection_kind …_WITH_ORIGIN_AUTHENTICATION",), measured=_ALL_SIX,
 )  # fmt: skip
 def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
@@ -66,9 +67,10 @@ def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS215", ERROR, PermissionsFile, "a grant without name",
-    why="Fast DDS refuses the document; OpenDDS reads an attribute that is not there (source).",
-    fix='Give it one: <grant name="/talker">.',
+    "PQS215", ERROR, PermissionsFile, "a grant without a name",
+    why="Fast DDS refuses the document. OpenDDS reads the attribute without a check whether it"
+    " exists (source).",
+    fix='Add a name: <grant name="/talker">.',
     stacks=(_FAST, _OPENDDS),
     rows=("no grant name",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS takes it",
 )  # fmt: skip
@@ -93,7 +95,7 @@ def no_default(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS217", ERROR, Document, "a rule that names no domains",
+    "PQS217", ERROR, Document, "a rule without domains",
     why="Cyclone DDS crashes on a permissions rule without <domains>; Fast DDS refuses it.",
     fix="Start the rule with <domains>, with at least one <id> or <id_range>.",
     rows=("rule without `<domains>`",),
@@ -108,9 +110,9 @@ def no_domains(document: Document) -> Iterator[Violation]:
 
 @FAMILY.rule(
     "PQS218", ERROR, Document, "an empty topic or expression",
-    why="Cyclone DDS crashes on it, and so do Fast DDS 2.9.1 and 3.1.2 on an empty"
-    " topic_expression: whoever signs such a document stops every participant.",
-    fix="Write the topic, or * for all.",
+    why="Cyclone DDS crashes on an empty topic or expression. Fast DDS 2.9.1 and 3.1.2 crash on an"
+    " empty topic_expression. One such signed document stops every participant.",
+    fix="Write the topic, or * for all topics.",
     rows=("empty `<topic_expression/>`", "empty `<topic/>`"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 2.9.1, 3.1.2 crash; 3.6.2 refuses",
 )  # fmt: skip
@@ -121,10 +123,10 @@ def empty_expression(document: Document) -> Iterator[Violation]:
 
 
 @FAMILY.rule(
-    "PQS219", ERROR, Document, "an element that must be there is missing",
-    why="No stack has a default for it: Cyclone DDS and Fast DDS refuse the document. SROS2's"
-    " older templates lack enable_liveliness_protection.",
-    fix="Add it in its place.",
+    "PQS219", ERROR, Document, "a required element is missing",
+    why="No stack has a default for it: Cyclone DDS and Fast DDS refuse the document. Older"
+    " templates of SROS2 lack enable_liveliness_protection.",
+    fix="Add the element in its place.",
     rows=("missing liveliness element",), measured=_ALL_SIX,
 )  # fmt: skip
 def missing_element(document: Document) -> Iterator[Violation]:

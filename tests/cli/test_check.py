@@ -133,7 +133,7 @@ def test_a_rule_is_explained(pqsec):
     said = pqsec("check --explain pqs401").done().out
     assert said.startswith("PQS401 (error, naming): ")
     assert "CN=/robot/admin" in said
-    assert "To mend it: " in said
+    assert "To fix it: " in said
     assert pqsec("check --explain PQS401 --json").done().json["rule"] == "PQS401"
     pqsec("check --explain PQS999").refused(2, "no rule PQS999")
 

@@ -20,13 +20,13 @@ JUSTIFIED = {
     "if it may come back, issue it with --force --after-revocation": IF_WANTED,
     "if it may come back, `pqsec issue` it with --force --after-revocation": IF_WANTED,
     "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
-    "Delete its enclave; or, if it may come back, `pqsec issue` it with --force"
+    "Delete its enclave. To allow it again, run `pqsec issue` with --force"
     " --after-revocation.": IF_WANTED,
     "say anew what it may do: pqsec issue --force, with topics or a --policy": SAYS_WHAT,
     "`pqsec issue` it with --force and all that it may do; with --csr, if its key is on the"
     " robot": SAYS_WHAT,
-    "Put back the files that it was issued with; or `pqsec issue` it with --force and all"
-    " that it may do.": SAYS_WHAT,
+    "Restore the files that were issued. Or run `pqsec issue` with --force and all rights of the"
+    " participant.": SAYS_WHAT,
     "put it back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
     "put that back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
     "restore it from a backup; or make all anew, its keys and permissions too: pqsec issue *"

@@ -74,7 +74,7 @@ def _section(rule: Rule) -> str:
     asked = f", asked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
     kind = f"**{Severity(rule.severity)}**, {stacks}{asked if rule.only_when_asked else ''}."
     known = [f"Known from: {_plain(rule.measured)}."] if rule.measured else []
-    texts = [f"{kind} {_plain(rule.why)}", f"To mend it: {_plain(rule.fix)}", *known]
+    texts = [f"{kind} {_plain(rule.why)}", f"To fix it: {_plain(rule.fix)}", *known]
     return "\n\n".join([f"### {rule.id}: {_plain(rule.title)}", *map(_wrapped, texts)])
 
 
