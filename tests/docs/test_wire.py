@@ -454,7 +454,7 @@ def test_every_point_of_the_paper_names_its_tests():
     listed = [(row["No."], row["Point"]) for row in PAPER.table("No.", "Point")]
     assert [point[:2] for point in points] == listed
     for *_, text in points:
-        assert re.findall(r"(?m)^\*(\w.*?)\.\*", text) == ["Found", "What follows", "pqsec"]
+        assert re.findall(r"(?m)^\*(\w.*?)\.\*", text) == ["Found", "Consequence", "pqsec"]
         assert re.search(r"\n\n- `tests/", text)
 
 
