@@ -41,12 +41,12 @@ CASES = {
         document(allow("a", domains=DomainSet(parts=(231,)))),
         {"domain": 231, "governance": HIGH},
     ),
-    "To join takes": (document(default=DefaultAction.ALLOW), JOIN),
+    "Joining requires": (document(default=DefaultAction.ALLOW), JOIN),
     "A domain that no governance rule names": (
         document(allow("a", domains=DomainSet.of(1))),
         JOIN | {"domain": 1},
     ),
-    "A bracket that is open": (document(allow("a", "[P-")), {}),
+    "An unclosed bracket": (document(allow("a", "[P-")), {}),
     "The topic itself": (document(deny("a", publish=(), subscribe=SPLIT), allow("a")), {}),
     "Default of a grant": (document(allow("b"), default=DefaultAction.ALLOW), {}),
     "Criteria of a rule": (document(allow("a", publish=SPLIT)), IN_P),
@@ -69,7 +69,7 @@ CASES = {
     "[^a] in a pattern": (document(allow("[^a]")), {"topic": "b"}),
     "*ab and the topic aab": (document(allow("*ab")), {"topic": "aab"}),
     "topic_expression of governance": (document(allow("b")), {"topic": "*", "governance": OPEN}),
-    "A topic named as one of its own, DCPSTopic": (
+    "A topic with a builtin name, DCPSTopic": (
         document(allow("a")),
         {"topic": "DCPSTopic"},
     ),
