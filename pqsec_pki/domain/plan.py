@@ -103,7 +103,7 @@ class _Planner:
         if self.prune:
             overlap = Overlap.of(self.keystore)
             if overlap:
-                blocked += [Blocked(name, _TWO_CAS, overlap.way_on) for name in others]
+                blocked += [Blocked(name, _TWO_CAS, overlap.next_step) for name in others]
             else:
                 steps += [Step(Action.REVOKE, name, "not in the file") for name in others]
         steps += self._list_steps(steps)

@@ -30,10 +30,10 @@ Participants and documents:
 CAs:
     rotating      replaces CAs; `rollover` has the options, `rollover_plan` the preview,
                   `_rollover_transaction` the steps
-    overlapping   replaces the identity CA while the old one is still trusted; `overlap` tells
-                  how far that is
+    overlapping   replaces the identity CA while the old one is still trusted; `overlap` reads
+                  the phase
     passphrase    changes the passphrase of the CA keys
-    adopting      turns a keystore of others into one of pqsec; `_scan` finds what it contains
+    adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 Questions:
     status               when certificates, CAs and lists expire
     participant_states   what each participant has, and whether its files are the issued ones

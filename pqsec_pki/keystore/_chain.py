@@ -1,8 +1,7 @@
-"""The chain of the ledger: each line holds the hash of what it says and of the line before.
+"""The chain of the ledger: each line has a hash of its content and of the line before.
 
-A line that is edited, removed or moved no longer fits. That the newest lines are missing
-the chain cannot tell by itself; a head that was noted elsewhere can, and so can what lies
-in the keystore and is in no line.
+An edited, removed or moved line breaks the chain. Missing newest lines do not: they show
+only against a head that was noted elsewhere, or as files of the keystore without a line.
 """
 
 import hashlib
@@ -17,12 +16,12 @@ from pqsec_pki.errors import KeystoreError
 Value = TypeVar("Value")
 
 START = "0" * 64
-"""What the first line follows."""
+"""The chain value before the first line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One thing that was made or taken back: when, what, for whom, and its SHA-256."""
+    """One thing that was issued, signed or revoked: when, what, its name and its SHA-256."""
 
     at: str
     """ISO 8601, UTC."""
@@ -33,21 +32,21 @@ class Entry:
     serial: str | None
     """A certificate's serial number in hex; None for documents."""
     sha256: str
-    """Of a certificate's DER, or of the file of a signed document, a revocation list, or the
-    identity CAs that are trusted (overlap.py)."""
+    """Of a certificate's DER; or of the file of a signed document, of a revocation list, or of
+    the trusted identity CAs (overlap.py)."""
     not_after: str | None
-    """ISO 8601, UTC; of a certificate. For a revocation list, when the next one is due."""
+    """ISO 8601, UTC. The end of a certificate; of a revocation list, its nextUpdate."""
     issuer: str | None = None
     """SHA-256 of the CA's certificate; of participants, revocations and revocation lists."""
     details: dict[str, str] = field(default_factory=dict)
-    """More, by kind: profile and domains of a participant, reason of a revocation, number
-    of a revocation list."""
+    """By kind: profile and domains of a participant, reason of a revocation, number of a
+    revocation list."""
     operator: str | None = None
     """The system's name of the user who ran the command; None in lines of format 1."""
 
     @property
     def made_at(self) -> datetime:
-        """`at`, as a time. KeystoreError, as the others here, if the line is damaged."""
+        """`at`, as a time. KeystoreError (as for the next three) if the line is damaged."""
         return self._read(datetime.fromisoformat, self.at)
 
     @property
@@ -71,7 +70,7 @@ class Entry:
         except (ValueError, TypeError):
             raise KeystoreError(
                 f"the ledger's line on {self.kind} {self.name} is damaged",
-                hint="`pqsec log --verify` tells which lines were altered",
+                hint="`pqsec log --verify` shows which lines were altered",
             ) from None
 
 
@@ -81,17 +80,17 @@ def _hexadecimal(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """An entry in its place."""
+    """An entry with its number and its chain value."""
 
     number: int
     """From 1, without gaps."""
     entry: Entry
     chain: str
-    """SHA-256, in hex, of the chain value before and of this line."""
+    """SHA-256, in hex, over the previous chain value and this line."""
 
 
 def link(before: str, number: int, entry: Entry) -> str:
-    """The chain value of `entry` as line `number`, after a line whose value is `before`."""
+    """The chain value of `entry` as line `number`; `before` is the previous line's value."""
     content = [
         *(before, number, entry.at, entry.operator, entry.kind, entry.name, entry.serial),
         *(entry.issuer, entry.sha256, entry.not_after, details_text(entry)),
@@ -100,20 +99,20 @@ def link(before: str, number: int, entry: Entry) -> str:
 
 
 def details_text(entry: Entry) -> str:
-    """The details as they are stored: JSON in one spelling."""
+    """The details as stored: JSON with sorted keys and without blanks."""
     return json.dumps(entry.details, sort_keys=True, separators=(",", ":"))
 
 
 def problems(lines: Iterable[Line]) -> Iterator[str]:
-    """What was done to the ledger since it was written, as far as it shows."""
+    """The breaks in the chain: missing, altered and replaced lines."""
     before, last = START, 0
     for line in lines:
         gap = line.number - last - 1
         if gap > 0:
             yield f"{_numbered(last + 1, line.number - 1)} missing"
-        # A gap leaves nothing that this line could be held against.
+        # After a gap the previous chain value is unknown.
         elif line.chain != link(before, line.number, line.entry):
-            yield f"line {line.number} was altered, or is not the one that stood here"
+            yield f"line {line.number} was altered or replaced"
         before, last = line.chain, line.number
 
 

@@ -1,4 +1,4 @@
-"""The ledger's lines on what is made: certificates, signed documents and revocation lists."""
+"""Ledger entries for certificates, signed documents and revocation lists."""
 
 import hashlib
 import os
@@ -9,7 +9,7 @@ from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore.compromised import keys_detail
 
 
-def certificate_entry(  # noqa: PLR0913 -- what the line says, the rarer things by name
+def certificate_entry(  # noqa: PLR0913 -- the fields of the line, the rarer ones by name
     kind: str,
     name: str,
     certificate: Certificate,
@@ -18,7 +18,7 @@ def certificate_entry(  # noqa: PLR0913 -- what the line says, the rarer things 
     issuer: Certificate | None = None,
     details: dict[str, str] | None = None,
 ) -> Entry:
-    """The ledger's line on a certificate."""
+    """The ledger entry for a certificate."""
     return Entry(
         at=now.isoformat(timespec="seconds"),
         kind=kind,
@@ -32,7 +32,7 @@ def certificate_entry(  # noqa: PLR0913 -- what the line says, the rarer things 
 
 
 def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
-    """The ledger's line on a signed document; `name` may be a path of any bytes."""
+    """The ledger entry for a signed document; `name` may be a path of any bytes."""
     return Entry(
         at=now.isoformat(timespec="seconds"),
         kind=kind,
@@ -44,7 +44,7 @@ def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
 
 
 def list_entry(made: RevocationList, pem: bytes, issuer: Certificate, now: datetime) -> Entry:
-    """The ledger's line on a list; `pem` is its file."""
+    """The ledger entry for a revocation list; `pem` is its file."""
     return Entry(
         at=now.isoformat(timespec="seconds"),
         kind="crl",

@@ -1,7 +1,7 @@
-"""Folders by handle: whatever a path is made to lead to meanwhile, work stays in the same folder.
+"""Folders by descriptor: if a path is redirected meanwhile, work stays in the same folder.
 
-The root is what the user named, and may be named by a link. Below it no link is followed:
-each part of a place is opened from the folder above it, with O_NOFOLLOW.
+The root is the folder that the user named; a link may lead to it. Below it no link is
+followed: each part of a path is opened from the folder above it, with O_NOFOLLOW.
 """
 
 import os
@@ -19,12 +19,12 @@ from pqsec_pki.errors import KeystoreError
 
 _OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _FOLDER_MODE = 0o755
-"""Nobody else may write in a folder that is made here, whatever the umask."""
+"""Only the owner may write in a new folder, whatever the umask."""
 
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """A folder that is open. OSErrors name the file by its path."""
+    """An open folder. OSErrors name the file by its path."""
 
     handle: int
     path: str
@@ -33,7 +33,7 @@ class Folder:
     @classmethod
     @contextmanager
     def opened(cls, path: Path) -> Iterator[Self]:
-        """The folder at `path`, where links may lead; OSError if there is none."""
+        """Open the folder at `path`, following links; OSError if there is none."""
         handle = os.open(path, _OPEN)
         try:
             yield cls(handle, str(path))
@@ -42,10 +42,9 @@ class Folder:
 
     @contextmanager
     def below(self, place: str, *, make: bool = False) -> Iterator["Folder"]:
-        """The folder at `place`, relative to this one; made where it is missing, if `make`.
+        """Open the folder at `place`, relative to this one; create missing parts if `make`.
 
-        KeystoreError if any part of it is a link or a file, FileNotFoundError if it is not
-        there.
+        KeystoreError if any part is a link or a file, FileNotFoundError if it is missing.
         """
         handle, path = os.dup(self.handle), self.path
         try:
@@ -58,30 +57,30 @@ class Folder:
             os.close(handle)
 
     def kind(self, place: str) -> int | None:
-        """The type bits of what is at `place`, a link as a link; None if nothing is."""
+        """The file type bits at `place`, without following a link; None if nothing is there."""
         try:
             return stat.S_IFMT(os.lstat(f"{place}", dir_fd=self.handle).st_mode)
         except (FileNotFoundError, NotADirectoryError):
             return None
 
     def replace(self, name: str, data: bytes) -> None:
-        """Put `data` at `name`, for its owner only, in one rename.
+        """Write `data` to `name`, readable by its owner only, with one rename.
 
-        KeystoreError if the folder is another's, or another may write in it.
+        KeystoreError if another user owns the folder or may write in it.
         """
         self.refuse_outsiders()
-        transaction = f".{name}.{secrets.token_hex(8)}"
+        temporary = f".{name}.{secrets.token_hex(8)}"
         try:
-            create(transaction, data, mode=PRIVATE_MODE, sync=True, folder=self.handle)
-            os.replace(transaction, name, src_dir_fd=self.handle, dst_dir_fd=self.handle)
+            create(temporary, data, mode=PRIVATE_MODE, sync=True, folder=self.handle)
+            os.replace(temporary, name, src_dir_fd=self.handle, dst_dir_fd=self.handle)
         except BaseException:
             with suppress(FileNotFoundError):
-                os.unlink(transaction, dir_fd=self.handle)
+                os.unlink(temporary, dir_fd=self.handle)
             raise
 
     @property
     def names(self) -> list[str]:
-        """What is in it."""
+        """The names in the folder."""
         return os.listdir(self.handle)  # noqa: PTH208 -- a Path has no handle
 
     @property
@@ -90,24 +89,24 @@ class Folder:
         return os.fstat(self.handle).st_mode & 0o777
 
     def refuse_outsiders(self) -> None:
-        """KeystoreError if it is another's, or another may write in it."""
+        """KeystoreError if another user owns the folder or may write in it."""
         refuse_outsiders(os.fstat(self.handle), self.path)
 
 
 def refuse_outsiders(found: os.stat_result, path: str) -> None:
-    """KeystoreError if what was found at `path` is another's, or another may write there."""
+    """KeystoreError if another user owns `path` or may write there; `found` is its stat."""
     if who := outsider(found):
-        words = f"{path}: {who}; who may write there could change what pqsec does"
+        words = f"{path}: {who}; anyone who may write there can change what pqsec does"
         raise KeystoreError(words, hint=way_out(found, path))
 
 
 def parts(place: str) -> list[str]:
-    """The names that lead to `place`; none for the folder itself."""
+    """The parts of the path `place`; none for the folder itself."""
     return [name for name in place.split("/") if name not in {"", "."}]
 
 
 def should_be(path: str, what: str) -> KeystoreError:
-    """The refusal of a link, or of anything else that is not `what`, in the keystore."""
+    """The error for a link, or for anything else in the keystore that is not a `what`."""
     return KeystoreError(f"{path} should be a {what}, and is not", hint="move it away")
 
 

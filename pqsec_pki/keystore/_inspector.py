@@ -1,7 +1,7 @@
-"""What participants were given last: by the ledger, and by what lies in their folders.
+"""The newest certificate and permissions of participants, by the ledger and by their folders.
 
-Nothing else is taken for a participant's own, and what it may do is read from its signed
-permissions once the permissions CA's signature holds.
+Other files in an enclave are refused. Permissions are read only after the permissions CA's
+signature was verified.
 """
 
 import hashlib
@@ -26,26 +26,26 @@ from pqsec_pki.keystore.participant_states import config_digests_in
 
 @dataclass(frozen=True, slots=True)
 class Inspector:
-    """Knows what was issued last, and takes nothing else for a participant's own."""
+    """Reads a participant's newest files, and refuses files that are not the newest."""
 
     keystore: Keystore
     anchors: TrustAnchors
     certificates: dict[str, Entry]
-    """Name -> the newest line."""
+    """Name -> the newest ledger entry."""
     revoked: frozenset[str]
     """SHA-256 of certificates."""
     newest: dict[str, int]
-    """Name -> number of the newest line on its permissions."""
+    """Name -> number of the newest line for its permissions."""
     known: dict[str, int]
     """SHA-256 of signed permissions -> number of their line."""
-    marks: dict[str, str]
-    """Name -> what the newest lines were marked with."""
+    config_digests: dict[str, str]
+    """Name -> the config digest in its newest lines."""
     compromised: dict[str, Entry]
-    """Hash of a key -> the line of the certificate that was revoked for it."""
+    """Hash of a key -> the entry of the certificate that was revoked as compromised."""
 
     @classmethod
     def of(cls, keystore: Keystore, ledger: Ledger) -> Self:
-        """What the ledger says now, while the keystore is locked."""
+        """Read the ledger, while the keystore is locked."""
         return cls(
             keystore,
             keystore.issuing_cas,
@@ -58,7 +58,7 @@ class Inspector:
         )
 
     def revoked_of(self, names: Sequence[str]) -> list[str]:
-        """Those whose newest certificate was taken back."""
+        """Those of `names` whose newest certificate was revoked."""
         known = filter(None, map(self.certificates.get, names))
         return [each.name for each in known if each.sha256 in self.revoked]
 
@@ -68,27 +68,27 @@ class Inspector:
         if revoked:
             raise KeystoreError(
                 f"revoked: {', '.join(revoked)}",
-                hint="if it may come back, `pqsec issue` it with --force --after-revocation",
+                hint="to admit it again: `pqsec issue` with --force --after-revocation",
             )
 
     def issued_by_previous_ca_of(self, names: Sequence[str]) -> list[str]:
-        """Those whose newest certificate is an earlier identity CA's."""
+        """Those of `names` whose newest certificate was issued by a previous identity CA."""
         authority = self.keystore.identity_ca.fingerprint
         known = filter(None, map(self.certificates.get, names))
         return [each.name for each in known if each.issuer not in {None, authority}]
 
     def refuse_previous_ca(self, names: Sequence[str]) -> None:
-        """KeystoreError if any of them stayed behind when the CAs made way for others."""
+        """KeystoreError if any of them was issued by a CA that has been replaced."""
         issued_by_previous_ca = self.issued_by_previous_ca_of(names)
         if issued_by_previous_ca:
             raise KeystoreError(
-                f"stayed behind with an earlier CA: {', '.join(issued_by_previous_ca)}",
-                hint="`pqsec issue` it with --force and all that it may do; with --csr, if its"
-                " key is on the robot",
+                f"issued by a CA that has been replaced: {', '.join(issued_by_previous_ca)}",
+                hint="issue it again: `pqsec issue` with --force and all its topics; with --csr"
+                " if its key is on the robot",
             )
 
     def certificate(self, name: str, folder: Path) -> Certificate:
-        """The newest that was issued to `name`; KeystoreError if another lies there."""
+        """The newest certificate of `name`; KeystoreError if `folder` has another one."""
         refuse_unknown(self.keystore.root, name)
         path = folder / _layout.CERTIFICATE
         found = load_certificate(path)
@@ -104,7 +104,7 @@ class Inspector:
         return found
 
     def signed_permissions(self, name: str, folder: Path) -> bytes:
-        """The newest that were signed for `name`; KeystoreError if others lie there."""
+        """The newest signed permissions of `name`; KeystoreError if `folder` has others."""
         path = folder / _layout.PERMISSIONS
         signed = read(path)
         number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)
@@ -113,7 +113,7 @@ class Inspector:
         return signed
 
     def permissions(self, name: str, folder: Path) -> Permissions:
-        """What `name` was allowed last; its signatures hold."""
+        """The newest permissions of `name`, with verified signatures."""
         signed = self.signed_permissions(name, folder)
         with located(folder / _layout.PERMISSIONS):
             document = self.verified(signed)
@@ -121,26 +121,26 @@ class Inspector:
             return Permissions.from_xml(document)
 
     def config_digest(self, name: str, folder: Path) -> str:
-        """What `name` was marked with; nothing if its permissions were signed by hand since."""
+        """The config digest of `name`; empty if its permissions were signed by hand since."""
         number = self.known.get(hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest())
-        return self.marks.get(name, "") if number == self.newest.get(name) else ""
+        return self.config_digests.get(name, "") if number == self.newest.get(name) else ""
 
     def verified(self, signed: bytes) -> bytes:
         """The document in a signed file; VerificationError if the CA did not sign it."""
         return self.anchors.signed(signed).document
 
     def _refuse_edited(self, path: Path, signed: bytes) -> None:
-        """What somebody wrote into permissions.xml and did not sign yet is not overwritten."""
+        """KeystoreError if permissions.xml has unsigned edits: they would be overwritten."""
         if path.exists() and read(path) not in (signed, signed.replace(b"\r\n", b"\n")):
             raise KeystoreError(
                 f"{path} is not what permissions.p7s says",
                 hint=f"`pqsec -k {self.keystore.root} sign-permissions {path} --force` signs what"
-                f" it says now; or remove {path}, and it is made anew from what was signed",
+                f" it says now; or remove {path}: it is written again from the signed document",
             )
 
 
 def _stale(path: Path, name: str, what: str) -> KeystoreError:
     return KeystoreError(
         f"{path} is not the newest {what} that the ledger has for {name}",
-        hint=f"put that back, or say what it may do: pqsec issue {name} --force ...",
+        hint=f"restore that file, or issue it again: pqsec issue {name} --force ...",
     )

@@ -1,4 +1,4 @@
-"""Making what one participant runs with; issuing and renewing differ in what they start from."""
+"""Creates the files of one participant, for issuing and for renewing."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -18,26 +18,26 @@ from pqsec_pki.keystore.keystore import Keystore
 
 
 class PublicKeys(NamedTuple):
-    """What a participant's certificate is for; `csr`, that the keys were made elsewhere."""
+    """The public keys of a participant's certificate."""
 
     key: PublicKey
     alternative: PublicKey | None
     request: str | None = None
-    """SHA-256 of what asks for them, as the ledger will have it."""
+    """SHA-256, in hex, of the request, for the ledger."""
     csr: bytes | None = None
-    """The request itself, in PEM: whoever made it has the private keys."""
+    """The certificate signing request, in PEM; the private keys are where it was made."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Issued:
-    """What was made for one participant."""
+    """What was issued to one participant."""
 
     name: str
     folder: Path
     serial: str
     not_after: datetime
     shortened: bool
-    """Whether it ends earlier than asked, because the identity CA does."""
+    """Whether the certificate ends earlier than asked, because the identity CA does."""
     certificate_size: int
     """Bytes of cert.pem; it travels in every handshake."""
     permissions_size: int
@@ -47,14 +47,14 @@ class Issued:
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """A keystore with its CAs at work, at one moment."""
+    """Creates keys, certificates and permissions with the CAs of a keystore, at `now`."""
 
     keystore: Keystore
     authorities: Authorities
     now: datetime
 
     def new_keys(self, folder: StagedFolder) -> PublicKeys:
-        """Made as the profile wants them; the private halves into key.pem and alt.key.pem."""
+        """Generate the profile's keys; stage the private keys as key.pem and alt.key.pem."""
         profile = self.keystore.profile
         first = profile.participant_key.generate()
         second = profile.alternative_key.generate() if profile.alternative_key else None
@@ -63,7 +63,7 @@ class Issuer:
                 folder.private(name, private_key_pem(key))
         return PublicKeys(first.public_key, second.public_key if second else None)
 
-    def stage(  # noqa: PLR0913 -- what it is made from, all by the room itself
+    def stage(  # noqa: PLR0913 -- used within this room only
         self,
         folder: StagedFolder,
         name: str,
@@ -74,11 +74,11 @@ class Issuer:
         config_digest: str = "",
         request: str | None = None,
     ) -> Issued:
-        """Certificate and signed permissions into `folder`; `asked` is when it should end.
+        """Stage the certificate and signed permissions; `asked` is the end that was asked for.
 
-        `mark` and `request`, the hash of what it answers, go into the ledger as they are.
+        `config_digest` and `request`, the hash of the request, are copied into the ledger.
         """
-        told = {"mark": config_digest, "request": request or ""}
+        extra = {"mark": config_digest, "request": request or ""}
         document = permissions.to_xml()
         signed = self.authorities.sign(document, now=self.now)
         folder.public(_layout.CERTIFICATE, certificate.pem)
@@ -93,13 +93,13 @@ class Issuer:
             certificate_size=len(certificate.pem),
             permissions_size=len(signed),
             entries=(
-                self._certificate_entry(name, certificate, permissions, told),
+                self._certificate_entry(name, certificate, permissions, extra),
                 document_entry("permissions", name, signed, self.now),
             ),
         )
 
     def _certificate_entry(
-        self, name: str, certificate: Certificate, permissions: Permissions, told: dict[str, str]
+        self, name: str, certificate: Certificate, permissions: Permissions, extra: dict[str, str]
     ) -> Entry:
         return certificate_entry(
             "participant",
@@ -111,12 +111,12 @@ class Issuer:
                 "profile": self.keystore.profile.name,
                 "domains": domains_of(permissions, certificate.subject_name),
             }
-            | {key: text for key, text in told.items() if text},
+            | {key: text for key, text in extra.items() if text},
         )
 
 
 def domains_of(permissions: Permissions, subject: str) -> str:
-    """Where the subject is allowed anything: 0,2-5; nothing if nowhere."""
+    """The domains where an allow rule of the subject applies, as 0,2-5; empty if there are none."""
     parts: Iterable[object] = (
         part
         for grant in permissions.grants

@@ -1,14 +1,14 @@
-"""Changes to a keystore that happen wholly or not at all.
+"""Atomic changes to a keystore.
 
-A change is drafted in a folder of its own inside the keystore: every byte is made, and
-made durable, before anything else happens. Renaming that folder to `.journal` is the
-commitment. Then the drafted folders are moved into place and the ledger is written.
-Killed before the commitment, the draft is swept away; killed after it, the next command
-that changes the keystore finishes the moves (`_moves.py`). A new participant's folder moves
-in one rename. Who only reads changes nothing, and refuses a keystore that is half moved.
+A change is staged in its own folder inside the keystore: every file is written and synced
+first. Renaming that folder to `.journal` commits the change. Then the staged folders are
+moved into place and the ledger is written. If the process is killed before the commit, the
+next change removes the staged folder; if it is killed after the commit, the next command that
+changes the keystore finishes the moves (`_moves.py`). A new participant's folder is moved
+with one rename. A reader changes nothing, and refuses a keystore with unfinished moves.
 
-Links into folders that are there already are only written down, and made when the moves
-are: ten thousand enclaves need not be drafted to give each a link.
+Links in existing folders are only recorded, and created during the moves: to add a link to
+ten thousand enclaves, no enclave is staged.
 """
 
 import os
@@ -30,11 +30,10 @@ from pqsec_pki.keystore._transaction import Transaction
 
 @contextmanager
 def change(root: Path) -> Iterator[Transaction]:
-    """Stage a change to the keystore at `root`; committed when the block ends well.
+    """Stage a change to the keystore at `root`; it is committed if the block raises no error.
 
-    Only one process changes a keystore at a time. KeystoreError if another holds it for
-    half a minute, or it is another user's, or others may write there; FileError if the disk
-    refuses.
+    Only one process changes a keystore at a time. KeystoreError if another process locks it
+    for half a minute, or another user owns it or may write there; FileError for a disk error.
     """
     with _disk_errors(root):
         root.mkdir(mode=0o755, parents=True, exist_ok=True)
@@ -56,9 +55,9 @@ def change(root: Path) -> Iterator[Transaction]:
 
 @contextmanager
 def hold(root: Path) -> Iterator[None]:
-    """Nobody else changes the keystore at `root` meanwhile, and no change is unfinished.
+    """Lock the keystore at `root` against other processes, after finishing any open change.
 
-    The thread that holds it may change it as often as it likes. Errors as with `change`.
+    The thread that holds the lock may make any number of changes. Errors as with `change`.
     """
     with _disk_errors(root), locked(root) as folder:
         _moves.finish(folder)
@@ -66,7 +65,7 @@ def hold(root: Path) -> Iterator[None]:
 
 
 def recover(root: Path) -> bool:
-    """Finish a change that was committed but not completed; whether there was one.
+    """Finish a change that was committed but not completed; True if there was one.
 
     Errors as with `change`.
     """
@@ -81,15 +80,15 @@ def recover(root: Path) -> bool:
 
 
 def check(root: Path) -> None:
-    """KeystoreError if the keystore is another user's, or others may write there."""
+    """KeystoreError if another user owns the keystore or may write there."""
     with disk_errors(root), Folder.opened(root) as folder:
         folder.refuse_outsiders()
 
 
 def refuse_interrupted(root: Path) -> None:
-    """InterruptedChangeError if a change is half done; a command that is at it is waited for.
+    """InterruptedChangeError if a change is unfinished; waits for a running command first.
 
-    Nothing is altered. FileError if the disk refuses.
+    Nothing is altered. FileError for a disk error.
     """
     journal = root / JOURNAL
     with disk_errors(journal), suppress(FileNotFoundError):
@@ -123,14 +122,14 @@ def _sweep(root: Folder) -> None:
 
 @contextmanager
 def _disk_errors(root: Path) -> Iterator[None]:
-    """As `disk_errors`; of a handle, or a name that is relative to one, the keystore is told."""
+    """As `disk_errors`; names the keystore where the error has a descriptor or relative name."""
     with disk_errors(root):
         try:
             yield
         except OSError as error:
-            for name in ("filename", "filename2"):
-                told = getattr(error, name)
-                named = isinstance(told, str | bytes)
-                if not (named and os.fsdecode(told).startswith(("/", f"{root}"))):
-                    setattr(error, name, None)
+            for attribute in ("filename", "filename2"):
+                path = getattr(error, attribute)
+                is_path = isinstance(path, str | bytes)
+                if not (is_path and os.fsdecode(path).startswith(("/", f"{root}"))):
+                    setattr(error, attribute, None)
             raise

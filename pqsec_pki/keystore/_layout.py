@@ -1,4 +1,4 @@
-"""What lies where in a keystore: SROS2's layout, and what post-quantum keys add to it.
+"""The paths of a keystore: SROS2's layout, and the files that post-quantum keys add.
 
 pqsec.json                          profile and default domains
 public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
@@ -21,7 +21,7 @@ from pqsec_pki.errors import UsageError, shown
 SETTINGS = "pqsec.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
 GENERATIONS = f"{PRIVATE}/generations"
-"""CAs that made way for others, in folders numbered from 1."""
+"""CAs that have been replaced, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
 
 CERTIFICATE, KEY, ALT_KEY, KEYS = (
@@ -34,28 +34,28 @@ IDENTITY_CA, PERMISSIONS_CA = credentials.IDENTITY_CA, credentials.PERMISSIONS_C
 PERMISSIONS_ALT_CA = credentials.PERMISSIONS_ALT_CA
 IDENTITY_KEY, IDENTITY_ALT_KEY = "identity_ca.key.pem", "identity_ca.alt.key.pem"
 NEXT_KEY, NEXT_ALT_KEY = "next_identity_ca.key.pem", "next_identity_ca.alt.key.pem"
-"""Of the identity CA that will issue, once an overlap has begun and until it is switched."""
+"""Keys of the identity CA that will issue next, between `begin` and `switch` of an overlap."""
 PERMISSIONS_KEY, PERMISSIONS_ALT_KEY = "permissions_ca.key.pem", "permissions_ca.alt.key.pem"
 
 REQUEST = credentials.REQUEST
-"""The request that the certificate answers, if its keys were made elsewhere."""
+"""The request for which the certificate was issued, if its keys were made elsewhere."""
 CA_LIST, LIST = "identity_ca.crl.pem", credentials.REVOCATION_LIST
-"""The identity CA's revocation list, and the link to it in each enclave, once there is one."""
+"""The identity CA's revocation list, if there is one, and the link to it in each enclave."""
 PERMISSIONS_XML, PERMISSIONS = "permissions.xml", credentials.PERMISSIONS
 GOVERNANCE_XML, GOVERNANCE = "governance.xml", credentials.GOVERNANCE
 
 OWN = (CERTIFICATE, *KEYS, PERMISSIONS, REQUEST)
-"""What no other participant has: where one of them lies, there is a participant."""
+"""The files of one participant: a folder with one of them is a participant's."""
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")
-"""Endings of files in enclave folders: a folder of that name could hide one."""
+"""Names like those of files in enclave folders: a folder with such a name could replace one."""
 
 
 def enclave_name(text: str) -> str:
-    """`text` as an enclave path: absolute, one slash between names.
+    """`text` as an enclave path: absolute, with single slashes.
 
-    UsageError for what cannot be a folder, a CN and a ROS 2 enclave alike.
+    UsageError if it cannot be a folder, a CN and a ROS 2 enclave.
     """
     segments = [segment for segment in text.split("/") if segment]
     for segment in segments:
@@ -76,18 +76,18 @@ def enclave_folder(name: str) -> str:
 
 
 def is_there(root: Path, name: str) -> bool:
-    """Whether the keystore at `root` has anything of the enclave `name`, lost as the rest may be.
+    """Whether the keystore at `root` has any file of the enclave `name`.
 
-    FileError if the system will not say.
+    FileError if the system does not answer.
     """
     folder = f"{root}/{enclave_folder(name)}"
     return any(exists(f"{folder}/{each}", follow=False) for each in OWN)
 
 
 def document_folder(root: Path, kind: str, path: Path) -> str | None:
-    """The folder, relative to `root`, whose governance or permissions `path` is.
+    """The folder, relative to `root`, of the governance or permissions file `path`.
 
-    None if it is not where the keystore has a signed document of that kind.
+    None if `path` is not a place of the keystore's signed documents of that kind.
     """
     enclaves = os.path.realpath(root / ENCLAVES)
     folder = Path(os.path.realpath(path.parent))
@@ -107,15 +107,15 @@ LIST_TARGET = {LIST: f"{PUBLIC}/{CA_LIST}"}
 
 
 def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
-    """For each link in `name`'s folder, the relative path of what it shows."""
+    """For each link in `name`'s folder, its relative target."""
     up = "../" * len(PurePosixPath(enclave_folder(name)).parts)
     return {link: up + target for link, target in shared.items()}
 
 
 def incomplete_in(root: Path) -> list[str]:
-    """The enclaves under `root` that hold something of a participant and no certificate, sorted.
+    """The enclaves under `root` with files of a participant but no certificate, sorted.
 
-    FileError if one of the folders cannot be looked into.
+    FileError if a folder cannot be read.
     """
     enclaves = root / ENCLAVES
     whole = set(names_in(root))
@@ -128,9 +128,9 @@ def incomplete_in(root: Path) -> list[str]:
 
 
 def names_in(root: Path) -> list[str]:
-    """The enclaves under `root` that hold a certificate, sorted.
+    """The enclaves under `root` that have a certificate, sorted.
 
-    FileError if one of the folders cannot be looked into.
+    FileError if a folder cannot be read.
     """
     enclaves = root / ENCLAVES
     return sorted(

@@ -1,4 +1,4 @@
-"""The ledger: every certificate, signed document and revocation that was ever made here."""
+"""The ledger: every certificate, signed document and revocation of this keystore."""
 
 import sqlite3
 from collections.abc import Iterable, Iterator
@@ -11,26 +11,26 @@ from pqsec_pki.keystore import _layout, _ledger_file, _table
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._folder import Folder
 
-_TOLD = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
-_NEWEST_MARKED = (  # beside max(), SQLite takes the other columns from the row that has it
+_DETAIL = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
+_NEWEST_LINES = (  # beside max(), SQLite takes the other columns from the row that has it
     "SELECT max(number), name, sha256, at, ifnull(not_after, ''), ifnull(issuer, ''),"  # noqa: S608 -- no outside text
-    f" ifnull(CAST({_TOLD.format('mark')} AS TEXT), ''),"
-    f" ifnull(CAST({_TOLD.format('keys')} AS TEXT), ''), count({_TOLD.format('request')})"
+    f" ifnull(CAST({_DETAIL.format('mark')} AS TEXT), ''),"
+    f" ifnull(CAST({_DETAIL.format('keys')} AS TEXT), ''), count({_DETAIL.format('request')})"
     " FROM ledger WHERE kind = ? GROUP BY name ORDER BY name"
 )
 _REVOKED_FOR = (
     "kind = 'participant' AND sha256 IN (SELECT sha256 FROM ledger"  # noqa: S608 -- see above
-    f" WHERE kind IN ('revocation', 'compromise') AND {_TOLD.format('reason')} = ?)"
+    f" WHERE kind IN ('revocation', 'compromise') AND {_DETAIL.format('reason')} = ?)"
     " ORDER BY number"
 )
 _CERTIFIED = (
-    f"SELECT name, sha256, ifnull(CAST({_TOLD.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
+    f"SELECT name, sha256, ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
     " FROM ledger WHERE kind = 'participant' AND not_after >= ? ORDER BY number"
 )
 
 
 class Newest(NamedTuple):
-    """Of the newest line of one kind on one name; what the line lacks is empty."""
+    """The newest line of one kind for one name; missing values are empty."""
 
     name: str
     sha256: str
@@ -40,14 +40,14 @@ class Newest(NamedTuple):
     config_digest: str
     keys: str
     requests: int
-    """How many of all its lines answer requests."""
+    """How many of the lines of that kind and name answered certificate requests."""
 
 
 class Ledger:
-    """The database as it was when this was made, in memory."""
+    """A copy of the database in memory, as of its creation."""
 
     def __init__(self, private: Folder, *, begin: bool = False) -> None:
-        """Of the folder `private`; KeystoreError if there is none, unless to `begin` one."""
+        """Read it from the folder `private`; KeystoreError if it is missing, unless `begin`."""
         self._path, self._begin = f"{private.path}/{_layout.LEDGER}", begin
         self._database = sqlite3.connect(":memory:", isolation_level=None)
         try:
@@ -57,7 +57,7 @@ class Ledger:
                     raise self._lost()
                 if data:
                     self._database.deserialize(data)
-                # Whoever made the file may have put views and triggers into it.
+                # The file may contain views and triggers that others put there.
                 self._database.execute("PRAGMA trusted_schema = OFF")
                 self._prepare()
         except (PqsecError, OSError):
@@ -76,11 +76,11 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Free the memory."""
         self._database.close()
 
     def added(self, entries: Iterable[Entry]) -> bytes:
-        """The file with these lines, all or none; those that are there already stay."""
+        """The database file with these lines added, all or none; existing lines are skipped."""
         with self._errors(), self._transaction():
             _table.append(self._database, entries)
         return self._database.serialize()
@@ -113,25 +113,22 @@ class Ledger:
         return self._find(f"number IN ({newest})", kind)
 
     def revoked_for(self, reason: str) -> list[Entry]:
-        """The participants' lines whose certificates were revoked for that reason."""
+        """The entries of participants whose certificates were revoked for that reason."""
         return self._find(_REVOKED_FOR, reason)
 
     def certified(self, until: str) -> Iterator[tuple[str, str, str]]:
-        """Of each participant's line that ends then or later, the name, SHA-256 and keys."""
+        """Name, SHA-256 and keys of each certificate that ends at `until` or later."""
         with self._errors():
             yield from self._database.execute(_CERTIFIED, (until,))
 
     def newest_with_digest(self, kind: str) -> Iterator[Newest]:
-        """The newest line of that kind on each name.
-
-        Sorted by name, and one after the other: for thousands.
-        """
+        """The newest line of that kind for each name, sorted by name, as an iterator."""
         with self._errors():
-            rows = self._database.execute(_NEWEST_MARKED, (kind,))
+            rows = self._database.execute(_NEWEST_LINES, (kind,))
             yield from (Newest._make(row[1:]) for row in rows)
 
     def numbers(self, kind: str) -> dict[str, int]:
-        """The number of the line on each thing of that kind, by SHA-256."""
+        """The line numbers of that kind, by SHA-256."""
         with self._errors():
             rows = self._database.execute(
                 "SELECT sha256, number FROM ledger WHERE kind = ?", (kind,)
@@ -155,12 +152,12 @@ class Ledger:
             return [_table.entry(row) for row in rows]
 
     def _prepare(self) -> None:
-        """Make the table, or bring one of format 1 up to date; once, whoever comes first."""
+        """Create the table, or convert one of format 1."""
         if _table.format_of(self._database) == _table.FORMAT:
             if not _table.is_our_own(self._database):
                 raise KeystoreError(
-                    f"{self._path}: not a ledger: somebody else made its table, or added to it",
-                    hint="put it back from a backup",
+                    f"{self._path}: not a ledger: another program made or changed its table",
+                    hint="restore it from a backup",
                 )
             return
         with self._transaction():
@@ -173,10 +170,10 @@ class Ledger:
                 _table.make(self._database)
 
     def _lost(self) -> KeystoreError:
-        """One begun again would not know what was revoked."""
+        """The error for a lost ledger: a new one would lack the revocations."""
         return KeystoreError(
-            f"{self._path} is missing or empty: what was issued and revoked is known from it alone",
-            hint="put it back from a backup; without one, see docs/keystore.md, Backups",
+            f"{self._path} is missing or empty: it alone records what was issued and revoked",
+            hint="restore it from a backup; without one, see docs/keystore.md, Backups",
         )
 
     @contextmanager
@@ -192,7 +189,7 @@ class Ledger:
 
     @contextmanager
     def _errors(self, otherwise: str = "") -> Iterator[None]:
-        """Say what is wrong with the database as a KeystoreError."""
+        """Turn errors of the database into KeystoreError."""
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -206,12 +203,12 @@ def check(private: Folder, *, begin: bool) -> None:
 
 
 def add(private: Folder, entries: Iterable[Entry], beside: Folder, *, begin: bool) -> None:
-    """Add lines to the ledger, all or none, by way of the folder `beside`; it may be repeated.
+    """Add lines to the ledger, all or none, with a temporary file in the folder `beside`.
 
-    KeystoreError if there is none, unless to `begin` one.
+    May be repeated. KeystoreError if there is no ledger, unless `begin`.
     """
     _ledger_file.check(private)
-    if begin or private.kind(_layout.LEDGER) is not None:  # a lost one's log is left to its owner
+    if begin or private.kind(_layout.LEDGER) is not None:  # the log of a lost ledger is kept
         _ledger_file.settle(private, beside)
     with Ledger(private, begin=begin) as ledger:
         data = ledger.added(entries)

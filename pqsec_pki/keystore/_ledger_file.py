@@ -1,8 +1,8 @@
-"""The ledger's file: read whole, and replaced whole.
+"""The ledger's file: read as a whole, and replaced as a whole.
 
-SQLite works in memory only and opens no file here: nothing it would look for beside the
-database, or follow, can be planted. Whoever reads needs neither a lock nor a folder that may
-be written, and has the lines of one moment: a file that has its name is never changed.
+SQLite works in memory only and opens no file in the keystore: others cannot plant files that
+it would read beside the database, or links that it would follow. A reader needs neither a
+lock nor a writable folder, and gets a consistent state: the file is replaced, never modified.
 """
 
 import os
@@ -23,25 +23,25 @@ MAX_SIZE = 512 << 20
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 _WAL, _ROLLBACK = "-wal", "-journal"
 _BESIDE = (_WAL, "-shm", _ROLLBACK)
-"""What SQLite keeps beside a database. Of an earlier pqsec, the first may have the newest lines."""
+"""SQLite's files beside a database. The first may have the newest lines of an earlier pqsec."""
 _VERSIONS = slice(18, 20)
 _USES_WAL, _USES_NONE = b"\x02\x02", b"\x01\x01"
 """The file format versions of https://www.sqlite.org/fileformat.html, 1.3.1."""
 
 
 def load(private: Folder) -> bytes | None:
-    """The database; None if there is none. KeystoreError for a link, or anything but a database.
+    """The database; None if there is none. KeystoreError for a link, or if it is not a database.
 
-    With the lines of an earlier version that SQLite has not written into it yet.
+    It includes lines that an earlier version left in the write-ahead log.
     """
     data = _read(private, _layout.LEDGER)
     if data is None:
         return None
     if _read(private, _layout.LEDGER + _ROLLBACK):
-        # SQLite would take it for its own, and delete files that are named in it.
+        # SQLite would use it as a rollback journal, and delete files that it names.
         raise KeystoreError(
-            f"{private.path}/{_layout.LEDGER}: another program was stopped while it changed it",
-            hint=f"put it back from a backup, and remove {_layout.LEDGER}{_ROLLBACK}",
+            f"{private.path}/{_layout.LEDGER}: another program was stopped while changing it",
+            hint=f"restore it from a backup, and remove {_layout.LEDGER}{_ROLLBACK}",
         )
     if wal := _read(private, _layout.LEDGER + _WAL):
         try:
@@ -65,17 +65,17 @@ def check(private: Folder) -> None:
 
 
 def save(private: Folder, data: bytes, beside: Folder) -> None:
-    """Let `data` be the database, in one rename; made durable in the folder `beside` first."""
+    """Replace the database by `data`, with one rename of a synced file in the folder `beside`."""
     with suppress(FileNotFoundError):
-        os.unlink(_layout.LEDGER, dir_fd=beside.handle)  # of a try that was cut off
+        os.unlink(_layout.LEDGER, dir_fd=beside.handle)  # left by an interrupted attempt
     create(_layout.LEDGER, data, mode=_mode(private), sync=True, folder=beside.handle)
     _replace(beside, private)
 
 
 def settle(private: Folder, beside: Folder) -> None:
-    """Take what an earlier version left beside the database into it.
+    """Merge the write-ahead log that an earlier version left beside the database.
 
-    Cut off anywhere, it may be repeated: the same pages are taken in again.
+    If it is interrupted, it may be repeated: the same pages are merged again.
     """
     there = [each for each in _BESIDE if private.kind(_layout.LEDGER + each) is not None]
     if not there:
@@ -94,7 +94,7 @@ def _replace(beside: Folder, private: Folder) -> None:
 
 
 def _mode(private: Folder) -> int:
-    """As narrow as the user has made it, or as open for readers."""
+    """The mode for the new file: it keeps read permissions that the user gave to others."""
     try:
         found = os.lstat(_layout.LEDGER, dir_fd=private.handle)
     except FileNotFoundError:
@@ -123,7 +123,7 @@ def _read(private: Folder, name: str) -> bytes | None:
 
 
 def _merged(data: bytes, wal: bytes) -> bytes:
-    """The database with the pages of its write-ahead log: by SQLite, in a folder of our own."""
+    """The database with the pages of its write-ahead log; SQLite works in a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="pqsec-") as folder:
         path = Path(folder, _layout.LEDGER)
         path.write_bytes(data)

@@ -1,7 +1,7 @@
-"""Who changes a keystore holds it: one thread of one process at a time.
+"""The lock of a keystore: one thread of one process changes it at a time.
 
-The lock is the system's, on the folder itself: it ends with the process that has it, and
-leaves nothing behind.
+It is an flock on the folder itself: it ends with the process that holds it, and leaves no
+file.
 """
 
 import fcntl
@@ -20,7 +20,7 @@ PATIENCE = 30.0
 
 
 class _Held(threading.local):
-    """What this thread of this process has locked already; a fork has not."""
+    """The keystores that this thread of this process has locked; a fork has locked none."""
 
     def __init__(self) -> None:
         self.roots: dict[tuple[int, Path], Folder] = {}
@@ -31,10 +31,10 @@ _held = _Held()
 
 @contextmanager
 def locked(root: Path) -> Iterator[Folder]:
-    """The keystore at `root`, held; which this thread may have done already.
+    """Lock the keystore at `root` for changes; this thread may hold the lock already.
 
-    KeystoreError if another holds it for half a minute, or it is another's, or another may
-    write there.
+    KeystoreError if another process locks it for half a minute, or another user owns it or
+    may write there.
     """
     this = (os.getpid(), root)
     if this in _held.roots:
@@ -52,9 +52,9 @@ def locked(root: Path) -> Iterator[Folder]:
 
 @contextmanager
 def at_rest(root: Path) -> Iterator[Folder]:
-    """The keystore at `root`, to be read, while nobody changes it.
+    """Lock the keystore at `root` for reading: other processes cannot change it meanwhile.
 
-    KeystoreError if another holds it for half a minute.
+    KeystoreError if another process locks it for half a minute.
     """
     this = (os.getpid(), root)
     if this in _held.roots:

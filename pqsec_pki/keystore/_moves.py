@@ -1,7 +1,7 @@
-"""What a committed change still has to do: written into its folder, and done from there.
+"""The remaining steps of a committed change: recorded in its folder, and executed from there.
 
-Each step may have been done before, and goes by handles: through no link, and out of the
-keystore never, whoever wrote the journal.
+Each step may be repeated. Steps use descriptors: they follow no link and never leave the
+keystore, even if somebody else wrote the journal.
 """
 
 import errno
@@ -27,9 +27,9 @@ DRAFT = ".draft-"
 _NAME, _LINK = "moves.json", "link"
 _VALUES = attrgetter(*(each.name for each in fields(Entry)))
 _IN_THE_WAY = {errno.ENOTEMPTY, errno.EEXIST, errno.EBUSY, errno.EINVAL}
-"""What rename(2) says of a folder that cannot take the place of another."""
+"""Errors of rename(2) for a folder that cannot replace another."""
 _MAX_SIZE = 256 << 20
-"""Bytes; the lines of 100,000 participants have 80 MB."""
+"""Bytes; the lines of 100,000 participants take 80 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,8 @@ class _Moves:
     entries: list[Entry]
     """The ledger's new lines."""
     begins_ledger: bool
-    """Where not, a ledger that is lost is not begun again: it would not know what was revoked."""
+    """Whether to create a missing ledger. Otherwise it was lost, and a new one would lack the
+    revocations."""
 
     @classmethod
     def read(cls, journal: Folder) -> "_Moves":
@@ -67,7 +68,7 @@ class _Moves:
 
 
 def write(transaction: Transaction) -> None:
-    """Into the draft's folder, what is to be done once it is committed."""
+    """Record the steps after the commit in the staged change's folder."""
     moves = {
         "targets": transaction.targets,
         "links": transaction.links,
@@ -79,9 +80,9 @@ def write(transaction: Transaction) -> None:
 
 
 def finish(root: Folder) -> None:
-    """Do what the journal in `root` says, if there is one.
+    """Execute the journal in `root`, if there is one.
 
-    KeystoreError for one that cannot be read, leads out of the keystore, or is another's.
+    KeystoreError if it cannot be read, leads out of the keystore, or another user owns it.
     """
     if root.kind(JOURNAL) is None:
         return
@@ -111,7 +112,7 @@ def _move(journal: Folder, number: str, root: Folder, target: str) -> None:
         return
     above, name = os.path.split(target)
     with root.below(above, make=True) as goal:
-        try:  # where nothing is yet, or an empty folder
+        try:  # succeeds if the target is missing or an empty folder
             os.rename(number, name, src_dir_fd=journal.handle, dst_dir_fd=goal.handle)
         except OSError as error:
             if error.errno not in _IN_THE_WAY:
@@ -122,9 +123,9 @@ def _move(journal: Folder, number: str, root: Folder, target: str) -> None:
 def _merge(journal: Folder, number: str, above: Folder, name: str) -> None:
     with journal.below(number) as staged, above.below(name) as goal:
         mode = goal.mode & staged.mode
-        if mode != goal.mode:  # never wider than it was: the user may have closed it
+        if mode != goal.mode:  # never wider than before: the user may have restricted it
             os.fchmod(goal.handle, mode)
-        # The certificate last: with it, a folder is a participant.
+        # The certificate comes last: it makes the folder a participant.
         for each in sorted(staged.names, key=lambda name: (name == _layout.CERTIFICATE, name)):
             os.replace(each, each, src_dir_fd=staged.handle, dst_dir_fd=goal.handle)
     os.rmdir(number, dir_fd=journal.handle)
@@ -135,7 +136,7 @@ def _link(journal: Folder, root: Folder, place: str, target: str) -> None:
         os.unlink(_LINK, dir_fd=journal.handle)
     os.symlink(target, _LINK, dir_fd=journal.handle)
     above, name = os.path.split(place)
-    # Where the folder was removed since, none is needed.
+    # No link is needed if the folder was removed meanwhile.
     with suppress(FileNotFoundError), root.below(above) as folder:
         os.replace(_LINK, name, src_dir_fd=journal.handle, dst_dir_fd=folder.handle)
 

@@ -1,4 +1,4 @@
-"""A rollover at work: each of its parts drafted, in the one change that holds them all."""
+"""The parts of a rollover, staged in one transaction."""
 
 import hashlib
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ _PLACES = {
     Scope.IDENTITY: _IDENTITY,
     Scope.PERMISSIONS: _PERMISSIONS,
 }
-"""Scope -> the files of the CAs that make way."""
+"""Scope -> the files of the CAs that are replaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +57,13 @@ class RolloverTransaction:
     transaction: Transaction
     inspector: Inspector
     governances: dict[str, dict[str, str]]
-    """SHA-256 of the signed ones -> what the ledger has on them, for whoever looks there."""
+    """SHA-256 of each signed governance -> the details of its ledger entry."""
     now: datetime
     successor: Authority | None
-    """The identity CA that follows, if the old one stays trusted."""
+    """The next identity CA, if the old one stays trusted."""
 
     def archive(self, number: int) -> None:
-        """Copies of what makes way; its private keys instead destroyed, if that is wanted."""
+        """Copy the replaced files to generation `number`; destroy private keys if wanted."""
         folder = self.transaction.folder(f"{_layout.GENERATIONS}/{number}", private=True)
         for place in self._replaced_files():
             path = self.old.root / place
@@ -72,17 +72,17 @@ class RolloverTransaction:
             elif not self.terms.destroy:
                 folder.private(path.name, read(path))
             elif path.resolve().parent != path.parent.resolve():
-                raise KeystoreError(f"{path} is a link: what it shows is not destroyed from here")
+                raise KeystoreError(f"{path} is a link: pqsec does not destroy its target")
             else:
                 self.transaction.shred(place)
 
     def write_authorities(self, passphrase: bytes | None) -> None:
-        """The new CAs and the settings; files of the old that have no successor go."""
+        """Write the new CAs and the settings; remove files of the old CAs without a successor."""
         public = self.transaction.folder(_layout.PUBLIC, private=False)
         private = self.transaction.folder(_layout.PRIVATE, private=True)
         trusted = self.old.identity_ca if self.successor else None
         self.authorities.write(public, private, passphrase, trusted=trusted)
-        for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):  # now it has its own name
+        for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):  # now stored under its final name
             self.transaction.remove(f"{_layout.PRIVATE}/{key}")
         written = {_layout.CA_LIST, *public.names, *private.names}
         for place in self._replaced_files():
@@ -96,12 +96,15 @@ class RolloverTransaction:
             self.transaction.record(trust_entry(overlap, self.now))
 
     def sign_governance(self) -> None:
-        """What the old permissions CA signed, signed by the new."""
+        """Sign the governance of the old permissions CA with the new one."""
         enclaves = self.transaction.folder(_layout.ENCLAVES, private=False)
         self._sign(self.old.root / _layout.ENCLAVES / _layout.GOVERNANCE, enclaves, "")
 
     def reissue(self, names: Sequence[str]) -> list[Issued]:
-        """Every participant in `names`, with its links, and without what it needs no more."""
+        """Reissue every participant in `names`; add missing links, remove files it needs no more.
+
+        VerificationError for documents that the old permissions CA did not sign.
+        """
         folders = [
             self.transaction.folder(_layout.enclave_folder(name), private=False) for name in names
         ]
@@ -109,18 +112,18 @@ class RolloverTransaction:
         for each, folder in zip(issued, folders, strict=True):
             self.transaction.record(*each.entries)
             governance = self._enclave(each.name) / _layout.GOVERNANCE
-            if governance.exists() and not governance.is_symlink():  # adopted: its own
+            if governance.exists() and not governance.is_symlink():  # its own copy, when adopted
                 self._sign(governance, folder, each.name)
             self._tidy(each.name, folder)
         return issued
 
     def publish_list(self, ledger: Ledger) -> bool:
-        """A list of the new identity CA's, where there was one of the old's."""
-        wanted = self.terms.scope is not Scope.PERMISSIONS and self.old.has_revocation_list
-        if wanted:
+        """Issue a list of the new identity CA, if the old one had a list; True if it did."""
+        needed = self.terms.scope is not Scope.PERMISSIONS and self.old.has_revocation_list
+        if needed:
             publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
             publisher.stage(self.transaction, [], LIST_VALIDITY)
-        return wanted
+        return needed
 
     def _replaced_files(self) -> list[str]:
         return [place for place in _PLACES[self.terms.scope] if (self.old.root / place).exists()]
@@ -145,7 +148,7 @@ class RolloverTransaction:
         )
 
     def _tidy(self, name: str, staged: StagedFolder) -> None:
-        """Links where they should be, and nothing left of keys that the profile lacks."""
+        """Add missing links, and remove files of keys that the profile does not have."""
         folder = _layout.enclave_folder(name)
         shared = _layout.CA_TARGETS | (_layout.LIST_TARGET if self.old.has_revocation_list else {})
         if self.authorities.countersigner:
@@ -157,4 +160,4 @@ class RolloverTransaction:
         for link, target in _layout.shared_links(name, shared).items():
             there = self.old.root / folder / link
             if not (there.is_symlink() and str(there.readlink()) == target):
-                staged.link(link, target)  # takes the place of a file, where one was adopted
+                staged.link(link, target)  # replaces the file of an adopted enclave

@@ -1,4 +1,4 @@
-"""Looking at what others made: what of it the CAs stand for, and the ledger's lines on that."""
+"""Scans a keystore of another tool: the files that its CAs issued, as ledger entries."""
 
 import os
 from collections.abc import Iterator
@@ -24,25 +24,25 @@ from pqsec_pki.keystore.participant import load_certificate, load_revocation_lis
 
 @dataclass(slots=True, kw_only=True)
 class KeystoreScan:
-    """What lies in a keystore's folder, found by `look`."""
+    """The content of a keystore's folder, filled by `run`."""
 
     keystore: Keystore
     now: datetime
     anchors: TrustAnchors
     domains: DomainSet
-    """The governance's, once that was looked at."""
+    """Those of the governance, once it was read."""
     list_file: Path | None = None
-    """The revocation list that enclaves have; the newest, if they differ."""
+    """The revocation list in the enclaves; the newest, if they differ."""
     entries: list[Entry] = field(default_factory=list)
     """For the ledger."""
     participants: dict[int, str] = field(default_factory=dict)
     """Serial number -> name."""
     refused: dict[str, str] = field(default_factory=dict)
-    """Files, relative to the keystore, that the CAs do not stand for, and why."""
+    """Files, relative to the keystore, that are not entered in the ledger, and why."""
 
     @classmethod
     def of(cls, keystore: Keystore, now: datetime) -> Self:
-        """Nothing is found yet but the CAs."""
+        """A scan that has read the CAs only."""
         return cls(
             keystore=keystore,
             now=now,
@@ -52,22 +52,22 @@ class KeystoreScan:
 
     @property
     def identity_ca(self) -> Certificate:
-        """The one that issues."""
+        """The identity CA that issues."""
         return self.anchors.identity_ca
 
     @property
     def permissions_ca(self) -> Certificate:
-        """The one that signs documents."""
+        """The permissions CA, which signs documents."""
         return self.anchors.permissions_ca
 
-    def look(self) -> None:
-        """At the CAs, the governance, every enclave, and their revocation list."""
-        self._look_at_ca_files()
+    def run(self) -> None:
+        """Read the CAs, the governance, every enclave, and the enclaves' revocation list."""
+        self._check_ca_files()
         self._authority("identity-ca", self.identity_ca)
         self._authority("permissions-ca", self.permissions_ca)
         if self.anchors.countersigner:
             self._authority("permissions-ca", self.anchors.countersigner)
-        with self._telling(f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}") as path:
+        with self._reported(f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}") as path:
             governance = Governance.from_xml(self._document("governance", "", path))
             self.domains = governance.domain_rules[0].domains
         names = self.keystore.names()
@@ -80,14 +80,14 @@ class KeystoreScan:
                 self.refused[place] = f"a link to {path.readlink()}, which is not there"
         self._find_list(names)
 
-    def _look_at_ca_files(self) -> None:
-        """Certificates that nobody asked for, and keys that are not there or fit nothing."""
+    def _check_ca_files(self) -> None:
+        """Report further certificates in a CA's file, and CA keys that are missing or wrong."""
         for role, ca in (("identity", self.identity_ca), ("permissions", self.permissions_ca)):
-            with self._telling(f"{_layout.PUBLIC}/{role}_ca.cert.pem") as path:
+            with self._reported(f"{_layout.PUBLIC}/{role}_ca.cert.pem") as path:
                 count = len(Certificate.all_from_pem(read(path)))
                 if count > 1:
                     raise KeystoreError(f"{count} certificates: the first one is the CA")
-            with self._telling(f"{_layout.PRIVATE}/{role}_ca.key.pem") as path:
+            with self._reported(f"{_layout.PRIVATE}/{role}_ca.key.pem") as path:
                 _check_key(path, ca)
 
     def _authority(self, kind: str, ca: Certificate) -> None:
@@ -95,20 +95,20 @@ class KeystoreScan:
 
     def _participant(self, name: str) -> None:
         folder, details = _layout.enclave_folder(name), {"profile": self.keystore.profile.name}
-        with self._telling(f"{folder}/{_layout.CERTIFICATE}") as path:
+        with self._reported(f"{folder}/{_layout.CERTIFICATE}") as path:
             certificate = self._certificate(name, path)
             self.participants[certificate.serial_number] = name
-            with self._telling(f"{folder}/{_layout.PERMISSIONS}") as signed:
+            with self._reported(f"{folder}/{_layout.PERMISSIONS}") as signed:
                 permissions = Permissions.from_xml(self._document("permissions", name, signed))
                 details["domains"] = domains_of(permissions, certificate.subject_name)
             what = ("participant", name, certificate, self.now)
             self.entries.append(certificate_entry(*what, issuer=self.identity_ca, details=details))
 
     def _certificate(self, name: str, path: Path) -> Certificate:
-        """One that the identity CA issued, under a serial number of its own."""
+        """The certificate at `path`, issued by the identity CA with a unique serial number."""
         _layout.enclave_name(name)
         certificate, ca = load_certificate(path), self.identity_ca
-        begin = max(certificate.not_before, ca.not_before)  # that it may have ended is no matter
+        begin = max(certificate.not_before, ca.not_before)  # it may have expired
         problems = list(self.anchors.identity_problems(certificate, begin))
         if problems:
             raise VerificationError(*problems)
@@ -118,18 +118,18 @@ class KeystoreScan:
         return certificate
 
     def _document(self, kind: str, name: str, path: Path) -> bytes:
-        """The document in a signed file; the permissions CA's signature holds."""
+        """The document in a signed file, verified with the permissions CA."""
         signed = read(path)
         verified = self.anchors.signed(signed)
         self.entries.append(document_entry(kind, name, signed, self.now))
         return verified.document
 
     def _find_list(self, names: list[str]) -> None:
-        """It stays in force: the next one that the CA makes takes over what it revokes."""
+        """Find the newest list. It stays valid: the CA's next list includes its revocations."""
         lists: dict[Path, RevocationList] = {}
         for place in (f"{_layout.enclave_folder(name)}/{_layout.LIST}" for name in names):
             if os.path.lexists(self.keystore.root / place):
-                with self._telling(place) as path:
+                with self._reported(place) as path:
                     found = load_revocation_list(path)
                     twice = self.anchors.signed_twice
                     found.verify(self.identity_ca, require_alternative=twice)
@@ -148,8 +148,8 @@ class KeystoreScan:
         self.entries.append(list_entry(found, pem, self.identity_ca, self.now))
 
     @contextmanager
-    def _telling(self, place: str) -> Iterator[Path]:
-        """The file at `place`; what is wrong with it is written down."""
+    def _reported(self, place: str) -> Iterator[Path]:
+        """The file at `place`; an error in the block is recorded in `refused`."""
         path = self.keystore.root / place
         try:
             yield path
@@ -158,10 +158,10 @@ class KeystoreScan:
 
 
 def _check_key(path: Path, ca: Certificate) -> None:
-    """KeystoreError, FileError or MalformedError if nothing could be signed with it.
+    """KeystoreError, FileError or MalformedError if the key at `path` is not usable for `ca`.
 
-    Whether an encrypted one fits shows when it is used.
+    An encrypted key is only checked when it is used.
     """
     with suppress(PassphraseError):
         if load_private_key(read(path)).public_key.spki != ca.spki:
-            raise KeystoreError("the key is not that of the CA: nothing can be issued with it")
+            raise KeystoreError("the key does not match the CA's certificate: it cannot issue")

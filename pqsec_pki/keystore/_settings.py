@@ -1,4 +1,4 @@
-"""pqsec.json: the profile that everything in a keystore was made with, and its default domains."""
+"""pqsec.json: the profile of a keystore, and its default domains."""
 
 import json
 from pathlib import Path
@@ -13,13 +13,13 @@ _NOT_SETTINGS = (ValueError, KeyError, TypeError, AttributeError, RecursionError
 
 
 def settings_file(profile: Profile, domains: DomainSet) -> bytes:
-    """What pqsec.json holds."""
+    """The content of pqsec.json."""
     settings = {"format": FORMAT, "algorithms": profile.to_names(), "domains": str(domains)}
     return json.dumps(settings, indent=2).encode() + b"\n"
 
 
 def read_settings(path: Path) -> tuple[Profile, DomainSet]:
-    """What the file says; FileError if it cannot be read, KeystoreError for anything else."""
+    """The settings in `path`; FileError if it cannot be read, KeystoreError if it is invalid."""
     try:
         settings = json.loads(read(path))
         if settings["format"] != FORMAT:

@@ -1,7 +1,7 @@
-"""Private keys that go: held by a second name until the change is done, then zeroed.
+"""Overwrites removed private keys: a hard link keeps each until the change is done.
 
-Zeros reach the blocks that the file had on ext4, XFS and other file systems that write in
-place. On btrfs, ZFS, an SSD's spare blocks, snapshots and backups the old bytes may stay.
+On ext4, XFS and other file systems that write in place, the zeros replace the file's blocks.
+On btrfs, ZFS, an SSD's spare blocks, snapshots and backups the old bytes may remain.
 """
 
 import os
@@ -12,13 +12,13 @@ from contextlib import suppress
 from pqsec_pki.keystore._folder import Folder
 
 FOLDER = "spent"
-"""Inside a drafted change: the files that it does away with."""
+"""Folder in a staged change: hard links to the files that it removes."""
 _PIECE = 1 << 20
 _WRITE = os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 def hold(change: Folder, folder: Folder, name: str) -> None:
-    """Give the file `name` in `folder` a second name in the drafted change, if it is there."""
+    """Create a hard link to the file `name` of `folder` in the staged change, if it exists."""
     with suppress(FileExistsError):
         os.mkdir(FOLDER, 0o700, dir_fd=change.handle)
     if folder.kind(name) != stat.S_IFREG:
@@ -33,10 +33,10 @@ def hold(change: Folder, folder: Folder, name: str) -> None:
 
 
 def shred(change: Folder) -> None:
-    """Overwrite what the change held, once its own names are gone; may be repeated.
+    """Overwrite the files that `hold` kept; may be repeated.
 
-    A file that still has another name is somebody's own copy, and stays. So does what no
-    change holds: another's file, or what a link shows.
+    Files with another hard link are a user's own copies and are kept; so are files of another
+    user, and targets of links.
     """
     if change.kind(FOLDER) is None:
         return

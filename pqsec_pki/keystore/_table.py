@@ -1,4 +1,4 @@
-"""The ledger's table in SQLite: what lines become in it, and how an older one is taken over."""
+"""The ledger's table in SQLite: its rows, and the conversion of an older table."""
 
 import json
 import sqlite3
@@ -44,21 +44,21 @@ _INSERT = (
 
 
 def format_of(database: sqlite3.Connection) -> int:
-    """What the database says of itself; 0 if it was just begun."""
+    """The database's format; 0 if it is new."""
     version: int = database.execute("PRAGMA user_version").fetchone()[0]
     return version
 
 
 def has_format_1(database: sqlite3.Connection) -> bool:
-    """Whether lines of format 1 are still to be taken over."""
+    """Whether there are lines of format 1 to convert."""
     there = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'issued'"
     return database.execute(there).fetchone() is not None
 
 
 def is_our_own(database: sqlite3.Connection) -> bool:
-    """Whether the table is what `make` makes, and nothing else hangs on it.
+    """Whether the table is the one that `make` creates, without anything added.
 
-    A view in its place need have no end, and a trigger could leave lines out.
+    A view in its place could return rows without end, and a trigger could drop lines.
     """
     there = "SELECT sql FROM sqlite_master WHERE tbl_name = 'ledger' AND sql IS NOT NULL"
     found = {sql for (sql,) in database.execute(there)}
@@ -66,7 +66,7 @@ def is_our_own(database: sqlite3.Connection) -> bool:
 
 
 def make(database: sqlite3.Connection) -> None:
-    """Make the table, with the lines of format 1 if there are any; within a transaction."""
+    """Create the table with the lines of format 1, if there are any; within a transaction."""
     for statement in _SCHEMA:
         database.execute(statement)
     append(database, _format_1(database))
@@ -75,7 +75,7 @@ def make(database: sqlite3.Connection) -> None:
 
 
 def _format_1(database: sqlite3.Connection) -> list[Entry]:
-    """The lines of format 1; there was one identity CA, and it issued all participants."""
+    """The lines of format 1, in which the only identity CA issued all participants."""
     if not has_format_1(database):
         return []
     rows = database.execute(
@@ -88,13 +88,13 @@ def _format_1(database: sqlite3.Connection) -> list[Entry]:
 
 
 def last(database: sqlite3.Connection) -> tuple[int, str]:
-    """The number and the chain value of the newest line; 0 and START before there is one."""
+    """The number and the chain value of the newest line; 0 and START if there is none."""
     newest = "SELECT number, chain FROM ledger ORDER BY number DESC LIMIT 1"
     return database.execute(newest).fetchone() or (0, START)
 
 
 def append(database: sqlite3.Connection, entries: Iterable[Entry]) -> None:
-    """Add lines behind the newest, but none that is there already."""
+    """Append lines; lines that exist already are skipped."""
     number, before = last(database)
     for entry in entries:
         chain = link(before, number + 1, entry)
@@ -104,17 +104,17 @@ def append(database: sqlite3.Connection, entries: Iterable[Entry]) -> None:
 
 
 def line(row: Sequence[Any]) -> Line:
-    """The line of a row of number, chain and COLUMNS."""
+    """The line in a row of number, chain and COLUMNS."""
     number, chain, *columns = row
     found = entry(columns)
-    # Another spelling could tell SQLite something else than us.
+    # SQLite could read other values than Python from another JSON spelling.
     if details_text(found) != columns[_DETAILS]:
         found = replace(found, details={"unreadable": columns[_DETAILS]})
     return Line(number, found, chain)
 
 
 def entry(row: Iterable[Any]) -> Entry:
-    """The entry of a row of COLUMNS; its details may say that they cannot be read."""
+    """The entry in a row of COLUMNS; damaged details become {"unreadable": text}."""
     at, kind, name, serial, sha256, not_after, issuer, details, operator = row
     return Entry(
         *(at, kind, name, serial, sha256, not_after),
@@ -125,7 +125,7 @@ def entry(row: Iterable[Any]) -> Entry:
 
 
 def _details(text: str) -> dict[str, str]:
-    """The details of a line; of one that somebody damaged, what no line was written with."""
+    """The details of a line; {"unreadable": text} if they are damaged."""
     with suppress(ValueError, RecursionError):
         read = json.loads(text)
         if isinstance(read, dict):

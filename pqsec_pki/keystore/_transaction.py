@@ -1,6 +1,6 @@
-"""A change to a keystore in the making: files in folders of its own, and what shall be done.
+"""A staged change to a keystore: files in its own folders, and the steps after the commit.
 
-Whatever could stand in the way later is refused here, while nothing has been touched.
+Anything that would make a later step fail is refused here, before the keystore is touched.
 """
 
 import os
@@ -19,31 +19,31 @@ from pqsec_pki.keystore._folder import Folder, should_be
 
 @dataclass(frozen=True, slots=True)
 class StagedFolder:
-    """Files that will stand in one folder of the keystore. Forks of this process may fill it."""
+    """Files for one folder of the keystore. Forks of this process may fill it."""
 
     transaction: int
-    """The handle of the draft's folder, where nobody else may write."""
+    """The descriptor of the transaction's folder, where only the owner may write."""
     name: str
 
     def public(self, name: str, data: bytes) -> None:
-        """A file anyone may read."""
+        """Stage a file that everyone may read."""
         create(f"{self.name}/{name}", data, mode=PUBLIC_MODE, folder=self.transaction)
 
     def private(self, name: str, data: bytes) -> None:
-        """A file for its owner only."""
+        """Stage a file for its owner only."""
         create(f"{self.name}/{name}", data, mode=PRIVATE_MODE, folder=self.transaction)
 
     def link(self, name: str, target: str) -> None:
-        """A symbolic link, relative to where it will stand."""
+        """Stage a symbolic link; `target` is relative to the final folder."""
         os.symlink(target, f"{self.name}/{name}", dir_fd=self.transaction)
 
     def set_mode(self, mode: int) -> None:
-        """The folder's permission bits, from the beginning on."""
+        """Set the folder's permission bits."""
         os.chmod(self.name, mode, dir_fd=self.transaction)
 
     @property
     def names(self) -> list[str]:
-        """What is in it so far, sorted."""
+        """The names staged so far, sorted."""
         handle = os.open(self.name, os.O_RDONLY | os.O_DIRECTORY, dir_fd=self.transaction)
         try:
             return sorted(os.listdir(handle))
@@ -53,22 +53,22 @@ class StagedFolder:
 
 @dataclass(slots=True)
 class Transaction:
-    """A change in the making. Folders are added by one thread; each may be filled by any."""
+    """A staged change. One thread adds folders; any thread or fork may fill each of them."""
 
     root: Folder
-    """The keystore's."""
+    """The keystore's folder."""
     made: Folder
-    """Its own, in there."""
+    """The folder inside it where the change is staged."""
     targets: list[str] = field(default_factory=list)
     links: list[tuple[str, str]] = field(default_factory=list)
-    """Where, and what it will show, relative to its folder."""
+    """Place of each link, and its target relative to its folder."""
     removed: list[str] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
     begins_ledger: bool = False
     """Whether the ledger may be missing when the lines are written."""
 
     def folder(self, target: str, *, private: bool) -> StagedFolder:
-        """An empty folder that will stand at, or be merged into, `target`."""
+        """Stage an empty folder that will become, or be merged into, `target`."""
         refuse_detours(self.root, [target])
         name = str(len(self.targets))
         os.mkdir(name, dir_fd=self.made.handle)
@@ -78,9 +78,9 @@ class Transaction:
         return staged
 
     def link(self, place: str, target: str) -> None:
-        """A symbolic link at `place`, in a folder that is there; another link is replaced.
+        """Record a symbolic link at `place`, in an existing folder; it replaces another link.
 
-        KeystoreError if a file or folder is there.
+        KeystoreError if a file or folder is at `place`.
         """
         refuse_detours(self.root, [os.path.dirname(place)])
         if self.root.kind(place) not in {None, stat.S_IFLNK}:
@@ -88,9 +88,9 @@ class Transaction:
         self.links.append((place, target))
 
     def remove(self, place: str) -> None:
-        """The file or link at `place`, if there is one, goes when the change is done.
+        """Record that the file or link at `place`, if there is one, will be removed.
 
-        KeystoreError if that is a folder.
+        KeystoreError if a folder is at `place`.
         """
         refuse_detours(self.root, [os.path.dirname(place)])
         if self.root.kind(place) == stat.S_IFDIR:
@@ -98,25 +98,25 @@ class Transaction:
         self.removed.append(place)
 
     def shred(self, place: str) -> None:
-        """What the file at `place` held is overwritten, once the change has replaced it."""
+        """Overwrite the old content of the file at `place` after the change has replaced it."""
         folder, _, name = place.rpartition("/")
         with suppress(FileNotFoundError), self.root.below(folder) as there:
             _shredding.hold(self.made, there, name)
 
     def record(self, *entries: Entry) -> None:
-        """Lines for the ledger, written when the change is.
+        """Add entries for the ledger, written with the change.
 
-        KeystoreError if that will not be possible.
+        KeystoreError if the ledger cannot be written.
         """
         if not self.entries:
-            # A keystore has a ledger; CAs of others, which are being adopted, do not.
+            # A keystore has a ledger; a keystore that is being adopted has none.
             self.begins_ledger = self.root.kind(_layout.SETTINGS) is None
             _check_ledger(self.root, begin=self.begins_ledger)
         operator = user(os.getuid())
         self.entries += [replace(entry, operator=operator) for entry in entries]
 
     def refuse_folders(self) -> None:
-        """KeystoreError if a drafted file would have to replace a folder."""
+        """KeystoreError if a staged file would have to replace a folder."""
         for number, target in enumerate(self.targets):
             with suppress(FileNotFoundError), self.root.below(target) as goal:
                 with os.scandir(goal.handle) as found:
@@ -131,15 +131,15 @@ class Transaction:
 
 
 def _check_ledger(root: Folder, *, begin: bool) -> None:
-    """Before the point of no return: the ledger can be written, and is where it should be."""
+    """Check before the commit that the ledger is in place and can be written."""
     with suppress(FileNotFoundError), root.below(_layout.PRIVATE) as private:
         _ledger.check(private, begin=begin)
 
 
 def refuse_detours(root: Folder, targets: Iterable[str]) -> None:
-    """KeystoreError if anything would be written through a link, or where a file stands.
+    """KeystoreError if a target's folder is a link or a file.
 
-    So that it is told before anything is done; who does it goes by handles.
+    It reports this before the commit; the moves themselves use descriptors and follow no link.
     """
     places = set(targets)
     for target in targets:

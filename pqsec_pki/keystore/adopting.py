@@ -1,8 +1,7 @@
-"""A keystore that others made becomes one of pqsec's: nothing in its files is changed.
+"""Makes a keystore of another tool a pqsec keystore, without changing its files.
 
-SROS2's, and one in its layout whose CAs and certificates OpenSSL made. What is added is
-pqsec.json, the ledger and, where the enclaves have a revocation list of their own, a copy
-of it in public/.
+It may be SROS2's, or have SROS2's layout with CAs and certificates made by OpenSSL. pqsec.json
+and the ledger are added and, if the enclaves have a revocation list, a copy of it in public/.
 """
 
 import os
@@ -40,24 +39,24 @@ _NEEDED = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adopted:
-    """What was found, and entered in the ledger."""
+    """The adopted keystore, and what was entered in the ledger."""
 
     keystore: Keystore
     participants: list[str]
     refused: dict[str, str]
-    """Files, relative to the keystore, that are in no line of the ledger, and why."""
+    """Files, relative to the keystore, that are not in the ledger, and why."""
     one_ca: bool
-    """Whether one key is identity CA and permissions CA (CVE-2023-24010)."""
+    """Whether the identity CA and the permissions CA have the same key (CVE-2023-24010)."""
     fitting: bool
-    """Whether the profile is what the files were made with; else it holds for new ones."""
+    """Whether the files follow the profile; if not, the profile applies to new files only."""
 
 
 def adopt(root: Path, *, now: datetime) -> Adopted:
-    """Make the folder `root` a keystore of pqsec's.
+    """Make the folder `root` a pqsec keystore.
 
     ExistsError if it is one, KeystoreError if it lacks the CAs' certificates or the
-    governance; what is wrong with a participant's files is told, and keeps them out of
-    the ledger.
+    governance. A participant's faulty files are reported in `refused`, and not entered in the
+    ledger.
     """
     _refuse_unfit(root)
     with _journal.change(root) as transaction:
@@ -65,7 +64,7 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
         profile = _profile(root)
         keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
         scan = KeystoreScan.of(keystore, now)
-        scan.look()
+        scan.run()
         keystore = replace(keystore, domains=scan.domains)
         _stage(transaction, keystore, scan)
     return Adopted(
@@ -87,14 +86,14 @@ def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> 
     if scan.list_file and not keystore.has_revocation_list:
         public.public(_layout.CA_LIST, read(scan.list_file))
     for staged, there in ((settings, root), (public, root / _layout.PUBLIC)):
-        staged.set_mode(there.stat().st_mode & 0o777)  # so that it stays as it is
+        staged.set_mode(there.stat().st_mode & 0o777)  # keep the folder's mode
     transaction.record(*scan.entries)
 
 
 def _refuse_unfit(root: Path) -> None:
     with disk_errors(root):
         if os.path.lexists(root / _layout.SETTINGS):
-            raise ExistsError(f"{root} is a keystore of pqsec's already")
+            raise ExistsError(f"{root} is a pqsec keystore already")
         missing = [name for name in _NEEDED if not (root / name).is_file()]
         links = [root / name for name in _FOLDERS if (root / name).is_symlink()]
     if missing:
@@ -104,22 +103,22 @@ def _refuse_unfit(root: Path) -> None:
         )
     if links:
         raise KeystoreError(
-            f"{links[0]} should be a folder, and is a link: nothing could be changed there later",
-            hint="put the folder itself there",
+            f"{links[0]} should be a folder, and is a link: pqsec could not change it later",
+            hint="replace the link with the folder itself",
         )
 
 
 def _profile(root: Path) -> Profile | None:
-    """One whose promises the CAs and the first participant keep; None if there is none.
+    """A profile that the CAs and the first participant comply with; None if there is none.
 
-    MalformedError, with the way out, for a CA that is no certificate in PEM.
+    MalformedError, with a hint, for a CA that is not a certificate in PEM.
     """
     public = root / _layout.PUBLIC
     try:
         identity = load_first_certificate(public / _layout.IDENTITY_CA)
         permissions = load_first_certificate(public / _layout.PERMISSIONS_CA)
     except MalformedError as error:
-        error.hint = error.hint or "`openssl x509 -inform DER` makes PEM of DER"
+        error.hint = error.hint or "`openssl x509 -inform DER` converts DER to PEM"
         raise
     participant = _first_participant(root) or identity
     second = identity.alternative_key
@@ -137,24 +136,24 @@ def _profile(root: Path) -> Profile | None:
 
 
 def _nearest_first(ca: Certificate) -> list[Profile]:
-    """Profiles with keys of the CA's family before others, which may promise less: composite
-    keys keep what pq promises, and pq does not promise what hybrid does. Then classical first."""
+    """Profiles with keys of the CA's family first: others may demand less. Composite keys also
+    satisfy pq, but pq does not demand what hybrid does. Then classical first."""
     family = ca.public_key.algorithm.family
     near = [each for each in reversed(PROFILES) if each.identity_key.family == family]
     return near + [each for each in reversed(PROFILES) if each not in near]
 
 
 def _first_participant(root: Path) -> Certificate | None:
-    """The certificate of the first that can be read; the others are told of later."""
+    """The first participant certificate that can be read; faulty ones are reported later."""
     for name in _layout.names_in(root):
         with suppress(PqsecError):
             found = load_certificate(root / _layout.enclave_folder(name) / _layout.CERTIFICATE)
-            if found.public_key.algorithm.name:  # it is of a kind that is known
+            if found.public_key.algorithm.name:  # raises for an unknown algorithm
                 return found
     return None
 
 
 def _kind(ca: Certificate, path: Path) -> str:
-    """The algorithm of its key; UnknownAlgorithmError, naming the file, for a strange one."""
+    """The algorithm of the CA's key; UnknownAlgorithmError names the file."""
     with located(path):
         return ca.public_key.algorithm.name

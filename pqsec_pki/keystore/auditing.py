@@ -1,4 +1,4 @@
-"""Does the ledger still say what was written, and does it know what lies here?"""
+"""Checks that the ledger is intact and has a line for each issued file of the keystore."""
 
 import hashlib
 from collections.abc import Iterator
@@ -14,31 +14,31 @@ from pqsec_pki.keystore.overlap import trusted_last
 
 
 def audit(keystore: Keystore, head: str | None = None) -> tuple[int, str]:
-    """How many lines there are and the newest one's chain value, if nothing shows.
+    """The number of lines and the newest chain value, if no problem is found.
 
-    The chain must hold from the first line on, every certificate, signed document and
-    list in the keystore must have its line, the list the newest one, and `head`, as an
-    earlier audit gave it, be in the chain. VerificationError lists everything that is wrong.
+    The chain must be complete from the first line. Every certificate, signed document and list
+    in the keystore must have a line; the list must be the newest. `head`, from an earlier
+    audit, must be in the chain. VerificationError lists all problems.
 
-    Whoever may write the ledger can make a whole new one that holds: against that, keep
-    the head elsewhere.
+    Someone who may write the ledger can replace it by another complete one: to detect that,
+    keep the head elsewhere.
     """
     lines = keystore.lines()
     found = [*problems(lines), *_head_problems(lines, head), *_unknown(keystore, lines)]
     if found:
         raise VerificationError(
-            *found, hint="compare it with a backup: whoever did it can write in the keystore"
+            *found, hint="compare it with a backup: somebody with write access changed it"
         )
     return len(lines), lines[-1].chain if lines else START
 
 
 def _head_problems(lines: list[Line], head: str | None) -> Iterator[str]:
     if head is not None and head.lower() not in {START, *(line.chain for line in lines)}:
-        yield "the head is not in the ledger: lines up to it were removed or written anew"
+        yield "the head is not in the ledger: lines up to it were removed or rewritten"
 
 
 def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
-    """What lies in the keystore and was never entered, or whose line is missing."""
+    """The files of the keystore that have no line in the ledger, or a wrong one."""
     entries = [line.entry for line in lines]
     known = {(each.kind, name, each.sha256) for each in entries for name in (each.name, None)}
     lists = [each.sha256 for each in entries if each.kind == "crl"]
@@ -50,20 +50,20 @@ def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
             try:
                 hashes = _hashes(path)
             except FileError:
-                raise  # what cannot be read is not known to be wrong
+                raise  # an unreadable file may still be right
             except PqsecError as error:
                 yield str(error)
                 continue
             if any((kind, name, each) not in known for each in hashes):
-                yield f"{path} is in no line of the ledger"
+                yield f"{path} is not in the ledger"
             elif len(hashes) > 1 and not (trusted and _is_file(trusted, path)):
-                yield f"{path} holds {len(hashes)} certificates, and the ledger knows of one"
+                yield f"{path} has {len(hashes)} certificates, but the ledger has one"
             elif kind == "crl" and hashes != [lists[-1]]:
                 yield f"{path} is not the newest list in the ledger"
 
 
 def _issued(keystore: Keystore) -> Iterator[tuple[Path, str, str | None]]:
-    """Where it lies, and the kind and name of its line; no name where the file tells it."""
+    """The path of each file, and the kind and name of its line; None if any name is right."""
     public, enclaves = keystore.root / _layout.PUBLIC, keystore.root / _layout.ENCLAVES
     yield public / _layout.IDENTITY_CA, "identity-ca", None
     yield public / _layout.PERMISSIONS_CA, "permissions-ca", None
@@ -81,9 +81,9 @@ def _is_file(line: Entry, path: Path) -> bool:
 
 
 def _hashes(path: Path) -> list[str]:
-    """As the ledger has them: of a certificate's DER, of any other file.
+    """SHA-256 as in the ledger: of each certificate's DER, or of any other file.
 
-    Of all certificates in it: Fast DDS trusts whatever stands in a CA's file.
+    All certificates of a file count: Fast DDS trusts every certificate in a CA's file.
     """
     if path.name.endswith(_layout.CERTIFICATE):
         with located(path):

@@ -1,4 +1,4 @@
-"""The CAs of a keystore, unlocked: what issuing and signing need."""
+"""The CAs of a keystore with their private keys, for issuing and signing."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -39,20 +39,20 @@ _KEYLESS = (
 class Authorities:
     """The identity CA, the permissions CA, and the permissions CA's countersigner.
 
-    They are distinct, always: with one CA for both, a participant's key could sign
-    permissions (CVE-2023-24010).
+    The two CAs always have different keys: with one CA for both roles, a participant's key
+    could sign permissions (CVE-2023-24010).
     """
 
     identity: Authority
     permissions: Authority
     countersigner: Authority | None
-    """The ML-DSA half of the permissions CA, in a certificate of its own: documents
-    travel in every handshake, and need not carry it."""
+    """The ML-DSA half of the permissions CA. It has its own certificate, which documents need
+    not carry: they are sent in every handshake."""
     embed_certificate: bool
 
     @classmethod
     def create(cls, profile: Profile, name: str, *, now: datetime, validity: timedelta) -> Self:
-        """New CAs as the profile wants them, called `name` Identity CA and Permissions CA."""
+        """Create the profile's CAs, named `name` Identity CA and `name` Permissions CA."""
         second = profile.alternative_key
         signing = f"{name} Permissions CA".strip()
         return cls(
@@ -78,15 +78,15 @@ class Authorities:
         )
 
     def sign(self, document: bytes, *, now: datetime, embed_certificate: bool = False) -> bytes:
-        """The S/MIME file of a document; KeystoreError if a signer is past its time."""
+        """The S/MIME file of a document; KeystoreError if a signer has expired."""
         counter = self.countersigner
         for each in filter(None, (self.permissions, counter)):
             end = each.certificate.not_after
             if now > end:
                 name = each.certificate.subject_name
                 raise KeystoreError(
-                    f"{name} expired on {end:%Y-%m-%d}: it cannot sign any more",
-                    hint="make new CAs with `pqsec ca rotate`, or set the clock right",
+                    f"{name} expired on {end:%Y-%m-%d}: it can no longer sign",
+                    hint="replace the CAs with `pqsec ca rotate`, or correct the clock",
                 )
         return sign(
             document,
@@ -106,36 +106,36 @@ class Authorities:
     ) -> None:
         """Stage the certificates and, encrypted under `passphrase`, the keys.
 
-        `trusted` is another identity CA, which participants trust too: it comes behind.
+        `trusted` is another identity CA that participants trust; it is added to the file.
         """
         for name, certificate in _certificates(self):
-            behind = trusted.pem if trusted and name == _layout.IDENTITY_CA else b""
-            public.public(name, certificate.pem + behind)
+            second = trusted.pem if trusted and name == _layout.IDENTITY_CA else b""
+            public.public(name, certificate.pem + second)
         self.write_keys(private, passphrase)
 
     def write_keys(self, private: StagedFolder, passphrase: bytes | None) -> None:
-        """Stage the keys, encrypted under `passphrase`; None leaves them open."""
+        """Stage the keys, encrypted under `passphrase`; not encrypted for None."""
         keys = list(_keys(self))
-        # Each encryption costs 600,000 hashes, and does not hold the interpreter.
+        # Each encryption takes 600,000 hashes, and releases the interpreter lock.
         with ThreadPoolExecutor() as pool:
             pems = pool.map(lambda item: private_key_pem(item[1], passphrase), keys)
             for (name, _), pem in zip(keys, pems, strict=True):
                 private.private(name, pem)
 
     def refuse_outdated(self, root: Path) -> None:
-        """KeystoreError if the keystore at `root` has other CAs now: they were rotated.
+        """KeystoreError if the CAs of the keystore at `root` have been replaced.
 
-        To be asked while the keystore is locked.
+        Call it while the keystore is locked.
         """
         for name, certificate in _certificates(self):
             if load_first_certificate(root / _layout.PUBLIC / name).der != certificate.der:
                 raise KeystoreError(
-                    f"{certificate.subject_name} has made way for another CA meanwhile",
+                    f"{certificate.subject_name} has been replaced by another CA meanwhile",
                     hint="run the command again",
                 )
 
     def entries(self, now: datetime) -> Iterator[Entry]:
-        """The lines for the ledger."""
+        """The CAs' entries for the ledger."""
         for name, certificate in _certificates(self):
             kind = "identity-ca" if name == _layout.IDENTITY_CA else "permissions-ca"
             yield certificate_entry(kind, certificate.subject_name, certificate, now)
@@ -192,23 +192,23 @@ def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
 
 
 def read_ca_key(path: Path) -> bytes:
-    """The file of a CA's private key; KeystoreError if it is not here, or closed to this user."""
+    """The file of a CA's private key; KeystoreError if it is missing, FileError if unreadable."""
     try:
         return read(path)
     except MissingError:
         raise KeystoreError(
             "the CA's private key is not here",
-            hint="put it back there for as long as this takes; or, if it is kept on a machine"
-            f" without a network, have requests signed there: `pqsec sign-request`. {_KEYLESS}",
+            hint="put it back for this command; or, if it is kept on an offline machine, sign"
+            f" requests there: `pqsec sign-request`. {_KEYLESS}",
             where=path,
         ) from None
     except FileError as error:
-        error.hint = error.hint or f"who may not read {path.parent} cannot sign. {_KEYLESS}"
+        error.hint = error.hint or f"signing needs read access to {path.parent}. {_KEYLESS}"
         raise
 
 
 def load_ca_key(path: Path, passphrase: bytes | None) -> PrivateKey:
-    """The private key in the file `path`; PassphraseError if `passphrase` is not its own.
+    """The private key in the file `path`; PassphraseError if `passphrase` is wrong.
 
     Errors as of `read_ca_key`.
     """
@@ -221,11 +221,11 @@ def load_ca_key(path: Path, passphrase: bytes | None) -> PrivateKey:
 
 
 def _check_pairs(authorities: Authorities) -> None:
-    """A key that is not its certificate's would sign what nobody can verify."""
+    """KeystoreError if the CAs share a key, or a key does not match its certificate."""
     if authorities.identity.certificate.spki == authorities.permissions.certificate.spki:
         raise KeystoreError(
-            "one key is identity CA and permissions CA (CVE-2023-24010)",
-            hint="make two that are distinct, and everything anew with them: `pqsec ca rotate`",
+            "the identity CA and the permissions CA have the same key (CVE-2023-24010)",
+            hint="replace them by two distinct CAs and reissue everything: `pqsec ca rotate`",
         )
     for authority in (authorities.identity, authorities.permissions, authorities.countersigner):
         if authority:
@@ -233,11 +233,13 @@ def _check_pairs(authorities: Authorities) -> None:
 
 
 def check_pair(authority: Authority) -> None:
-    """KeystoreError if a private key is not its certificate's."""
+    """KeystoreError if a private key does not match its certificate."""
     certificate = authority.certificate
     held: list[tuple[PrivateKey, PublicKey | None]] = [(authority.key, certificate.public_key)]
     if authority.alternative_key:
         held.append((authority.alternative_key, certificate.alternative_key))
     for key, known in held:
         if known is None or key.public_key.spki != known.spki:
-            raise KeystoreError(f"{certificate.subject_name}: a private key is not its own")
+            raise KeystoreError(
+                f"{certificate.subject_name}: a private key does not match the certificate"
+            )

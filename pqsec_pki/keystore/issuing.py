@@ -26,21 +26,21 @@ _SHARED_ALT = {_layout.PERMISSIONS_ALT_CA: f"{_layout.PUBLIC}/{_layout.PERMISSIO
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantSpec:
-    """What a participant shall be called and may do."""
+    """The name, permissions and keys of a participant to issue."""
 
     name: str
     """An enclave path, such as /fleet/robot1; also the CN of its certificate."""
     domains: DomainSet
     publish: tuple[str, ...] = ()
-    """DDS topic expressions, as they stand on the wire."""
+    """DDS topic expressions, with the topic names of the wire."""
     subscribe: tuple[str, ...] = ()
     validity: timedelta
     grants: tuple[Grant, ...] = ()
-    """Of a policy: their rules hold in place of the domains and topics above."""
+    """Grants of a policy: their rules replace the domains and topics above."""
     keys: PublicKeys | None = None
-    """Of a request that was checked; None to make new keys here."""
+    """The keys of a verified request; None to make new keys here."""
     config_digest: str = ""
-    """What the caller wants to find again in the ledger and in `holdings`, renewed or not."""
+    """A value of the caller's, kept in the ledger through renewals; see `participant_states`."""
 
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -53,13 +53,12 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     after_revocation: bool = False,
     compromised_keys: bool = False,
 ) -> list[Issued]:
-    """Make every participant wished for; on any failure, none.
+    """Issue all participants in `specs`, or none if one fails.
 
-    Names are taken as `ParticipantSpec.name` says and must differ. ExistsError for participants
-    that are there already, unless `force`; KeystoreError for those that were revoked,
-    unless `after_revocation`; VerificationError for keys that were revoked as compromised,
-    unless `compromised_keys`, and for those of another participant; UsageError for a name,
-    topic or validity that cannot be used.
+    Names must differ. ExistsError for participants that exist already, unless `force`;
+    KeystoreError for revoked participants, unless `after_revocation`; VerificationError for
+    keys that were revoked as compromised, unless `compromised_keys`, and for keys of another
+    participant; UsageError for an invalid name, topic or validity.
     """
     specs = _checked(keystore, specs, force=force)
     issuer = Issuer(keystore, authorities, now)
@@ -106,7 +105,7 @@ def _make(
 
 
 def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
-    """What was there for other keys, if anything was: it would pass for its own."""
+    """Remove files of the participant's previous keys: they do not belong to the new ones."""
     folder = _layout.enclave_folder(spec.name)
     if spec.keys is None:
         transaction.remove(f"{folder}/{_layout.REQUEST}")
@@ -117,15 +116,15 @@ def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
 
 
 def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
-    """What all enclaves link to."""
+    """The shared files that all enclaves link to."""
     shared = _SHARED | (_SHARED_ALT if authorities.countersigner else {})
     return shared | (_layout.LIST_TARGET if keystore.has_revocation_list else {})
 
 
 def permissions_for(spec: ParticipantSpec, certificate: Certificate) -> Permissions:
-    """What `wish` asks for, granted to the certificate's subject as long as it is valid.
+    """The permissions of `spec` for the certificate's subject, while the certificate is valid.
 
-    UsageError for a grant of a policy that is over before the certificate begins.
+    UsageError for a policy's grant that ends before the certificate begins.
     """
     if spec.grants:
         return Permissions(grants=tuple(_fitted(grant, certificate) for grant in spec.grants))
@@ -142,11 +141,13 @@ def permissions_for(spec: ParticipantSpec, certificate: Certificate) -> Permissi
 
 
 def _fitted(grant: Grant, certificate: Certificate) -> Grant:
-    """The grant, for the certificate's subject and while both are valid."""
+    """The grant for the certificate's subject, limited to the certificate's validity."""
     not_before = max(grant.not_before, certificate.not_before)
     not_after = min(grant.not_after, certificate.not_after)
     if not_before >= not_after:
-        raise UsageError(f"the policy's grant for {grant.name} and its certificate never hold both")
+        raise UsageError(
+            f"the policy's grant for {grant.name} and its certificate are never valid together"
+        )
     return replace(
         grant,
         subject_name=certificate.subject_name,
@@ -158,13 +159,13 @@ def _fitted(grant: Grant, certificate: Certificate) -> Grant:
 def _checked(
     keystore: Keystore, specs: Iterable[ParticipantSpec], *, force: bool
 ) -> list[ParticipantSpec]:
-    """The wishes with their names made regular, and nothing in the way of any."""
+    """The specs with normalized names; errors as of `issue`."""
     regular: dict[str, ParticipantSpec] = {}
     for spec in specs:
         name = _layout.enclave_name(spec.name)
         common_name(name)  # refuses what no certificate can carry
         if name in regular:
-            raise UsageError(f"{name} is asked for twice")
+            raise UsageError(f"{name} is given twice")
         regular[name] = replace(spec, name=name)
     _refuse_issued(keystore, regular.values(), force=force)
     return list(regular.values())
@@ -175,7 +176,7 @@ def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, forc
     if there:
         raise ExistsError(
             f"already issued: {', '.join(there)}",
-            hint="choose another name; `pqsec renew` keeps what it may do, --force replaces key,"
+            hint="choose another name; `pqsec renew` keeps its permissions, --force replaces key,"
             " certificate and permissions",
         )
 
@@ -183,23 +184,23 @@ def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, forc
 def _refuse_keys(
     keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime, *, compromised: bool
 ) -> None:
-    """Of requests, those that somebody else has too."""
+    """VerificationError for requested keys that are compromised or another participant's."""
     asked = {spec.name: spec.keys[:2] for spec in specs if spec.keys}
     if asked:
         with keystore.open_ledger() as ledger:
-            stolen = {} if compromised else compromised_keys_in(keystore.root, ledger)
+            known = {} if compromised else compromised_keys_in(keystore.root, ledger)
             for name, keys in asked.items():
-                refuse_compromised(stolen, name, keys)
+                refuse_compromised(known, name, keys)
             refuse_shared(ledger, asked, now)
 
 
 def _refuse_revoked(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
     with keystore.open_ledger() as ledger:
-        dead = {each.sha256 for each in ledger.of_kind("revocation")}
-        newest = [ledger.of_name("participant", spec.name)[-1:] for spec in specs if dead]
-    names = sorted(each.name for [each] in filter(None, newest) if each.sha256 in dead)
+        revoked = {each.sha256 for each in ledger.of_kind("revocation")}
+        newest = [ledger.of_name("participant", spec.name)[-1:] for spec in specs if revoked]
+    names = sorted(each.name for [each] in filter(None, newest) if each.sha256 in revoked)
     if names:
         raise KeystoreError(
             f"revoked: {', '.join(names)}",
-            hint="if it may come back, issue it with --force --after-revocation",
+            hint="to admit it again, issue it with --force --after-revocation",
         )

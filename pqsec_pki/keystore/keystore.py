@@ -1,4 +1,4 @@
-"""A keystore: made once, opened by every command after."""
+"""A keystore: created once by `ca init`, and opened by every later command."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,14 +29,14 @@ from pqsec_pki.keystore.participant import (
 
 @dataclass(frozen=True, slots=True)
 class Keystore:
-    """The folder `root`, and the profile everything in it was made with."""
+    """The keystore in the folder `root`, with its profile and default domains."""
 
     root: Path
     profile: Profile
     domains: DomainSet
-    """Where participants may join unless they are issued for other domains."""
+    """Domains of participants that are not issued for other domains."""
     to_change: bool = field(default=False, compare=False, repr=False)
-    """Whether it was opened to be changed; else nothing at all is written in it."""
+    """Whether it was opened for changes; otherwise nothing is written in it."""
 
     @classmethod
     def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
@@ -50,9 +50,9 @@ class Keystore:
         passphrase: bytes | None,
         now: datetime,
     ) -> Self:
-        """Two new CAs and a signed default governance in the folder `root`.
+        """Create two CAs and a signed default governance in the folder `root`.
 
-        ExistsError if a keystore is there already; CA keys are never overwritten.
+        ExistsError if a keystore is there already: CA keys are never overwritten.
         """
         cls.refuse_occupied(root)
         authorities = Authorities.create(profile, name, now=now, validity=validity)
@@ -75,10 +75,11 @@ class Keystore:
 
     @classmethod
     def open(cls, root: Path, *, to_change: bool = False) -> Self:
-        """The keystore at `root`; KeystoreError if there is none.
+        """Open the keystore at `root`; KeystoreError if there is none.
 
-        To read it alters nothing: InterruptedChangeError if a change was interrupted. `to_change`
-        finishes that; KeystoreError if the keystore is another user's, or others may write there.
+        Opening it for reading writes nothing: InterruptedChangeError if a change is unfinished.
+        With `to_change` that change is finished first; KeystoreError if another user owns the
+        keystore or may write there.
         """
         if to_change:
             _journal.recover(root)
@@ -88,11 +89,11 @@ class Keystore:
         with disk_errors(path):
             there = path.is_file()
         if not there:
-            way = "make one with `pqsec ca init`, or name another with -k"
+            hint = "make one with `pqsec ca init`, or name another with -k"
             if _parts_in(root):
-                way = f"restore {_layout.SETTINGS} from a backup, or `pqsec adopt {root}`"
+                hint = f"restore {_layout.SETTINGS} from a backup, or `pqsec adopt {root}`"
             raise KeystoreError(
-                f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}", hint=way
+                f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}", hint=hint
             )
         if to_change:
             _journal.check(root)
@@ -101,9 +102,9 @@ class Keystore:
 
     @staticmethod
     def recover(root: Path) -> bool:
-        """Finish a change of the keystore at `root` that was interrupted; whether one was.
+        """Finish an interrupted change of the keystore at `root`; True if there was one.
 
-        KeystoreError if there is no keystore, it is another user's, or others may write there.
+        KeystoreError if there is no keystore, or another user owns it or may write there.
         """
         finished = _journal.recover(root)
         Keystore.open(root, to_change=True)
@@ -111,7 +112,7 @@ class Keystore:
 
     @staticmethod
     def refuse_occupied(root: Path) -> None:
-        """ExistsError if anything of a keystore is in the folder `root` already."""
+        """ExistsError if the folder `root` has any part of a keystore already."""
         if taken := _parts_in(root):
             raise ExistsError(
                 f"{root} already has {', '.join(taken)}",
@@ -125,7 +126,7 @@ class Keystore:
 
     @property
     def permissions_ca_path(self) -> Path:
-        """Where the permissions CA's certificate is."""
+        """The path of the permissions CA's certificate."""
         return self.root / _layout.PUBLIC / _layout.PERMISSIONS_CA
 
     @property
@@ -141,9 +142,9 @@ class Keystore:
 
     @property
     def anchors(self) -> TrustAnchors:
-        """Whom its participants trust, and the revocation list that counts for them.
+        """The CAs that the participants trust, and their revocation list.
 
-        MalformedError if a file of the CAs is not what it should be.
+        MalformedError for an invalid file of the CAs.
         """
         public = self.root / _layout.PUBLIC
         there = [each for each in CA_FILES if each in NEEDED or exists(public / each)]
@@ -152,7 +153,7 @@ class Keystore:
 
     @property
     def issuing_cas(self) -> TrustAnchors:
-        """The CAs that issue and sign here, each the first one in its file."""
+        """The CAs that issue and sign, each the first one in its file."""
         return TrustAnchors(
             identity_cas=(self.identity_ca,),
             permissions_ca=self.permissions_ca,
@@ -166,58 +167,58 @@ class Keystore:
 
     @property
     def revocation_list(self) -> RevocationList | None:
-        """The identity CA's revocation list, once there is one."""
+        """The identity CA's revocation list; None if there is none."""
         return load_revocation_list(self.revocation_list_path) if self.has_revocation_list else None
 
     @property
     def has_revocation_list(self) -> bool:
-        """Whether there is one; whether it can be read is not looked at."""
+        """Whether there is a revocation list, readable or not."""
         return exists(self.revocation_list_path)
 
     @property
     def revocation_list_path(self) -> Path:
-        """Where it is, or will be; each enclave has a link to it, crl.pem."""
+        """The path of the revocation list; each enclave links to it as crl.pem."""
         return self.root / _layout.PUBLIC / _layout.CA_LIST
 
     @contextmanager
     def hold(self) -> Iterator[None]:
-        """Nobody else changes it meanwhile; who holds it may, as often as they like.
+        """Lock the keystore against other commands; the holder may make any number of changes.
 
-        KeystoreError if another command holds it for half a minute.
+        KeystoreError if another command locks it for half a minute.
         """
         with _journal.hold(self.root):
             yield
 
     @property
     def head(self) -> str:
-        """The chain value of the ledger's last line: another one once anything was changed."""
+        """The chain value of the ledger's last line; every change gives another value."""
         with self.open_ledger() as ledger:
             return ledger.head
 
     def unlock(self, passphrase: bytes | None) -> Authorities:
-        """The CAs with their private keys; PassphraseError if `passphrase` is not theirs."""
+        """The CAs with their private keys; PassphraseError if `passphrase` is wrong."""
         return unlock(self.root, self.profile, passphrase)
 
     @property
     def is_locked(self) -> bool:
-        """Whether CA keys need a passphrase; of CAs that others made, it may be one of them."""
+        """Whether at least one CA key is encrypted; in an adopted keystore it may be only one."""
         keys = (_layout.IDENTITY_KEY, _layout.PERMISSIONS_KEY)
         return any(is_encrypted(read_ca_key(self.root / _layout.PRIVATE / each)) for each in keys)
 
     def names(self) -> list[str]:
-        """The participants' names, sorted; FileError if a folder cannot be looked into."""
+        """The participants' names, sorted; FileError if a folder cannot be read."""
         return _layout.names_in(self.root)
 
     def incomplete(self) -> list[str]:
-        """Who has files of its own and no certificate, sorted; FileError as from `names`."""
+        """The enclaves with files but no certificate, sorted; FileError as from `names`."""
         return _layout.incomplete_in(self.root)
 
     def has(self, name: str) -> bool:
-        """Whether there is anything of a participant called `name`, with or without the rest."""
+        """Whether there is any file of a participant called `name`."""
         return _layout.is_there(self.root, _layout.enclave_name(name))
 
     def has_key(self, name: str) -> bool:
-        """Whether the private key of the participant called `name` lies here."""
+        """Whether the private key of the participant called `name` is in the keystore."""
         folder = _layout.enclave_folder(_layout.enclave_name(name))
         return exists(f"{self.root}/{folder}/{_layout.KEY}", follow=False)
 
@@ -230,7 +231,7 @@ class Keystore:
         return load_participant(self.root, _layout.enclave_name(name), passphrase)
 
     def ledger(self) -> list[Entry]:
-        """Everything that was ever issued or taken back here, oldest first."""
+        """Everything that was ever issued, signed or revoked here, oldest first."""
         return [line.entry for line in self.lines()]
 
     def lines(self) -> list[Line]:
@@ -239,7 +240,7 @@ class Keystore:
             return list(ledger.lines())
 
     def open_ledger(self) -> Ledger:
-        """The ledger, for the modules of this room."""
+        """The ledger, for this package's modules."""
         with (
             disk_errors(self.root / _layout.PRIVATE),
             Folder.opened(self.root) as root,
@@ -249,7 +250,7 @@ class Keystore:
 
 
 def _parts_in(root: Path) -> list[str]:
-    """What of a keystore is in the folder `root`; `ca init` makes none over it."""
+    """The parts of a keystore in the folder `root`; `ca init` refuses to overwrite them."""
     parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
     with disk_errors(root):
         return [name for name in parts if (root / name).exists()]

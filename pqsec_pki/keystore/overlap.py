@@ -1,8 +1,8 @@
-"""Two identity CAs trusted at once: what a keystore says of that.
+"""The state of an overlap, in which two identity CAs are trusted.
 
-Both certificates stand in public/identity_ca.cert.pem, which every enclave links to: first
-the CA that issues, behind it the other. Stacks that read the first one only go on as
-before (docs/adr/0010-two-identity-cas-in-one-file.md).
+Both certificates are in public/identity_ca.cert.pem, which every enclave links to: the issuing
+CA first, then the other. Stacks that read only the first one are not affected
+(docs/adr/0010-two-identity-cas-in-one-file.md).
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from pqsec_pki.keystore.keystore import Keystore
 
 
 class Phase(StrEnum):
-    """How far an overlap is."""
+    """The phase of an overlap."""
 
     BEGUN = "begun"
     """Both are trusted, and the old one issues."""
@@ -30,18 +30,19 @@ class Phase(StrEnum):
 
 
 TRUST, TRUST_END = "trust", "trust-end"
-"""The kinds of the ledger's lines on a file of two trusted identity CAs: that it was written,
-and, with the same hash, that it counts no more."""
-WAIT = "no CA makes way for another before that has come to its end"
-_WAY_ON = {
-    Phase.BEGUN: "`pqsec ca rotate --overlap switch` goes on, and `--overlap cancel` back",
-    Phase.SWITCHED: "`pqsec ca rotate --overlap finish` ends it",
+"""The kinds of ledger lines for a file of two trusted identity CAs: the first says that it was
+written; the second, with the same hash, that it is no longer valid."""
+WAIT = "no CA can be replaced before the overlap ends"
+_NEXT_STEPS = {
+    Phase.BEGUN: "continue with `pqsec ca rotate --overlap switch`, or undo it with"
+    " `--overlap cancel`",
+    Phase.SWITCHED: "end it with `pqsec ca rotate --overlap finish`",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """Whom the participants trust, while they trust two."""
+    """The two identity CAs that the participants trust."""
 
     phase: Phase
     issuing: Certificate
@@ -49,11 +50,11 @@ class Overlap:
 
     @classmethod
     def of(cls, keystore: Keystore) -> Self | None:
-        """The keystore's; None if it has one identity CA.
+        """The keystore's overlap; None if it trusts one identity CA.
 
-        Of several certificates that are not what the ledger says last, or says the end of,
-        only the first counts: others put them there. Errors as of `load_first_certificate`, and
-        KeystoreError for a damaged ledger.
+        It is also None if the file is not the one in the ledger's newest line, or that overlap
+        has ended: then only the first certificate counts. Errors as of `load_first_certificate`,
+        and KeystoreError for a damaged ledger.
         """
         path = keystore.root / _layout.PUBLIC / _layout.IDENTITY_CA
         with located(path):
@@ -69,7 +70,7 @@ class Overlap:
 
     @classmethod
     def that_is(cls, keystore: Keystore, phase: Phase) -> Self:
-        """The keystore's; KeystoreError if it has none, or is not as far or further."""
+        """The keystore's overlap; KeystoreError if there is none, or in another phase."""
         found = cls.of(keystore)
         if found is None:
             raise KeystoreError(
@@ -77,29 +78,29 @@ class Overlap:
                 hint="begin one with `pqsec ca rotate --overlap begin`",
             )
         if found.phase is not phase:
-            raise KeystoreError(f"the overlap is {found.phase}", hint=found.way_on)
+            raise KeystoreError(f"the overlap is {found.phase}", hint=found.next_step)
         return found
 
     @property
-    def way_on(self) -> str:
-        """What ends it, for a hint."""
-        return _WAY_ON[self.phase]
+    def next_step(self) -> str:
+        """The commands that continue or end the overlap, for a hint."""
+        return _NEXT_STEPS[self.phase]
 
 
-def refuse_overlap(keystore: Keystore, what: str) -> None:
-    """KeystoreError if two identity CAs are trusted, and `what` has to wait for the end."""
+def refuse_overlap(keystore: Keystore, why: str) -> None:
+    """KeystoreError if two identity CAs are trusted; `why` says why that prevents the action."""
     overlap = Overlap.of(keystore)
     if overlap:
-        raise KeystoreError(f"two identity CAs are trusted: {what}", hint=overlap.way_on)
+        raise KeystoreError(f"two identity CAs are trusted: {why}", hint=overlap.next_step)
 
 
 def trust_file(authorities: Sequence[Certificate]) -> bytes:
-    """What public/identity_ca.cert.pem holds when these are trusted, the one that issues first."""
+    """The content of public/identity_ca.cert.pem for these CAs, the issuing CA first."""
     return b"".join(each.pem for each in authorities)
 
 
 def trust_entry(overlap: Overlap, now: datetime, *, end: str = "") -> Entry:
-    """The ledger's line on that file of both; `end` says how it ended, if it did."""
+    """The ledger entry for the file of both CAs; `end` is how the overlap ended, if it did."""
     both = trust_file((overlap.issuing, overlap.other))
     return Entry(
         at=now.isoformat(timespec="seconds"),
@@ -113,7 +114,10 @@ def trust_entry(overlap: Overlap, now: datetime, *, end: str = "") -> Entry:
 
 
 def trusted_last(entries: Collection[Entry]) -> Entry | None:
-    """The newest line on a file of two CAs, the oldest first; None if that has ended."""
+    """The newest entry for a file of two CAs; None if that overlap has ended.
+
+    `entries` are ordered from the oldest to the newest.
+    """
     lines = [each for each in entries if each.kind == TRUST][-1:]
     ended = {each.sha256 for each in entries if each.kind == TRUST_END}
     return next((each for each in lines if each.sha256 not in ended), None)

@@ -1,11 +1,11 @@
-"""Beginning and ending an overlap, in which participants trust two identity CAs.
+"""Begins and ends an overlap, in which participants trust two identity CAs.
 
-begin:   a new CA is made and trusted by all, behind the one that issues;
-switch:  the new one issues, and everybody is issued again; the old one is still trusted;
-finish:  the new one alone is trusted.
+begin:   creates a new CA, which all trust beside the one that issues;
+switch:  lets the new CA issue, and reissues all participants; the old CA is still trusted;
+finish:  removes the trust in the old CA.
 
-Each is one change. Between two of them every robot gets its new files, and those that have
-them meet those that do not (docs/adr/0010-two-identity-cas-in-one-file.md).
+Each is one change. Between two of them every robot gets its new files; robots with new files
+still accept robots with old ones (docs/adr/0010-two-identity-cas-in-one-file.md).
 """
 
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ from pqsec_pki.keystore.rotating import Rotated, new_authorities, rotate
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BegunOverlap:
-    """What an overlap began with."""
+    """The result of `begin_overlap`."""
 
     overlap: Overlap
     generation: int
-    """Of the CA that will issue."""
+    """Of the CA that will issue next."""
     dropped_list: bool
-    """Whether there was a revocation list, which revoked nobody, and which is gone."""
+    """Whether an empty revocation list was removed."""
 
 
 def begin_overlap(
@@ -43,7 +43,7 @@ def begin_overlap(
     passphrase: bytes | None,
     now: datetime,
 ) -> BegunOverlap:
-    """A new identity CA that all participants trust beside the old one, which still issues.
+    """Create an identity CA that all participants trust beside the old one, which still issues.
 
     Its key is encrypted under `passphrase`. Errors as of `check_begin`.
     """
@@ -75,10 +75,10 @@ def switch_overlap(
     passphrase: bytes | None,
     now: datetime,
 ) -> Rotated:
-    """The new identity CA issues from now on, also to all who are there; the old one stays trusted.
+    """Let the new identity CA issue, and reissue all participants; the old CA stays trusted.
 
-    KeystoreError if no overlap has begun, PassphraseError if `passphrase` is not the new
-    CA's; else as `rotate`.
+    KeystoreError if no overlap has begun, PassphraseError if `passphrase` is not that of the
+    new CA's key; other errors as of `rotate`.
     """
     overlap = Overlap.that_is(keystore, Phase.BEGUN)
     successor = _next_authority(keystore, overlap.other, passphrase)
@@ -86,9 +86,9 @@ def switch_overlap(
 
 
 def finish_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
-    """The old identity CA is trusted no more; which it was.
+    """Remove the old identity CA from the trusted ones; returns the ended overlap.
 
-    KeystoreError if the new one does not issue yet. No key is needed.
+    KeystoreError if the new CA does not issue yet. No CA key is needed.
     """
     with _journal.change(keystore.root) as transaction:
         overlap = Overlap.that_is(keystore, Phase.SWITCHED)
@@ -98,9 +98,9 @@ def finish_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
 
 
 def cancel_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
-    """The new identity CA, which has issued nothing, is not trusted after all; which it was.
+    """Remove the new identity CA, which has issued nothing; returns the cancelled overlap.
 
-    Its key is overwritten with zeros. KeystoreError if it issues already.
+    Its key is overwritten with zeros. KeystoreError if the new CA issues already.
     """
     with _journal.change(keystore.root) as transaction:
         overlap = Overlap.that_is(keystore, Phase.BEGUN)
@@ -113,39 +113,40 @@ def cancel_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
 
 
 def check_begin(keystore: Keystore, terms: Rollover, now: datetime) -> None:
-    """Refuse what `begin_overlap` would.
+    """Raise the errors that `begin_overlap` would raise.
 
-    KeystoreError if an overlap has begun already, or somebody is revoked: no list would
-    say so to who trusts two CAs. UsageError if more than the identity CA shall follow.
+    KeystoreError if an overlap has begun already, or a certificate is revoked: participants
+    that trust two CAs cannot use a revocation list. UsageError if the permissions CA is to be
+    replaced too.
     """
     if terms.scope is not Scope.IDENTITY:
         raise UsageError(
-            "an overlap is of identity CAs: no stack trusts two permissions CAs",
-            hint="leave --only out: the permissions CA stays as it is",
+            "only the identity CA can overlap: no stack trusts two permissions CAs",
+            hint="leave out --only: the permissions CA stays as it is",
         )
     check_scope(keystore, terms)
     refuse_overlap(keystore, "an overlap has begun already")
     if count := len(_revoked(keystore, now)):
         raise KeystoreError(
-            f"{count} revoked would be let in again: no revocation list can be given to who"
-            " trusts two CAs",
-            hint="without --overlap it is a switch; or wait until their certificates have ended",
+            f"{count} revoked would be accepted again: participants that trust two CAs cannot"
+            " use a revocation list",
+            hint="rotate without --overlap, or wait until their certificates have expired",
         )
 
 
 def _new_identity(keystore: Keystore, terms: Rollover, number: int, now: datetime) -> Authority:
-    """UsageError if it would be called as the old one: who looks for an issuer goes by name."""
+    """The new CA; UsageError if it has the old CA's name: issuers are found by name."""
     new = new_authorities(keystore, terms, number, now).identity
     if new.certificate.subject_der == keystore.identity_ca.subject_der:
         raise UsageError(
-            f"{new.certificate.subject_name} is what the old identity CA is called",
+            f"{new.certificate.subject_name} is the name of the old identity CA",
             hint="choose another --name",
         )
     return new
 
 
 def _revoked(keystore: Keystore, now: datetime) -> set[int]:
-    """Serial numbers of the identity CA that are revoked and have not ended."""
+    """Serial numbers of the identity CA's certificates that are revoked and not expired."""
     issuer, found = keystore.identity_ca.fingerprint, keystore.revocation_list
     with keystore.open_ledger() as ledger:
         lines = [each for each in ledger.of_kind("revocation") if each.issuer == issuer]
@@ -155,13 +156,13 @@ def _revoked(keystore: Keystore, now: datetime) -> set[int]:
 
 
 def _trust(transaction: Transaction, *authorities: Certificate) -> None:
-    """These identity CAs, the first of which issues."""
+    """Stage the file of trusted identity CAs; the first one issues."""
     public = transaction.folder(_layout.PUBLIC, private=False)
     public.public(_layout.IDENTITY_CA, trust_file(authorities))
 
 
 def _link_all(keystore: Keystore, transaction: Transaction) -> None:
-    """Links to that file where enclaves have one of their own, as adopted ones may."""
+    """Link to that file in enclaves that have their own copy, as adopted ones may."""
     shared = {_layout.IDENTITY_CA: _layout.CA_TARGETS[_layout.IDENTITY_CA]}
     for name in keystore.names():
         folder = _layout.enclave_folder(name)
@@ -172,7 +173,10 @@ def _link_all(keystore: Keystore, transaction: Transaction) -> None:
 
 
 def _drop_list(keystore: Keystore, transaction: Transaction) -> bool:
-    """An empty list too: stacks that are given one CA's refuse what the other one issued."""
+    """Remove the revocation list; True if there was one.
+
+    Even an empty list has to go: stacks with one CA's list refuse certificates of the other CA.
+    """
     if not keystore.has_revocation_list:
         return False
     transaction.remove(f"{_layout.PUBLIC}/{_layout.CA_LIST}")

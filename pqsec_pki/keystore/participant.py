@@ -1,4 +1,4 @@
-"""A participant as it lies in its enclave: its files, and what they say."""
+"""Reads the files of a participant's enclave."""
 
 import os
 from contextlib import suppress
@@ -26,9 +26,9 @@ def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> 
 def enclave_files(root: Path, name: str) -> dict[str, bytes]:
     """The files of the participant called `name`, links followed, by their names in FILES.
 
-    Those that are not NEEDED may be missing. KeystoreError if there is no such
-    participant, or it lacks one that is; FileError for a link that leads out of the keystore,
-    or a key that is a link: who bundles a keystore of somebody else's hands on nothing else.
+    Files that are not NEEDED may be missing. KeystoreError if there is no such participant, or
+    a needed file is missing. FileError for a link that leads out of the keystore, or a key that
+    is a link: a bundle must not contain other files of this machine.
     """
     return _files(root, name, NEEDED)
 
@@ -51,17 +51,17 @@ def refuse_unknown(root: Path, name: str) -> None:
         raise KeystoreError(
             f"{folder} lacks {_layout.CERTIFICATE}",
             code=Code.FILE_MISSING,
-            hint=f"restore it from a backup; or make all anew, its keys and permissions too:"
+            hint=f"restore it from a backup; or issue it again, with new keys and permissions:"
             f" pqsec issue {name} --force ...",
         )
-    instead = ""
-    with suppress(FileError):  # that this one is not there is known all the same
-        instead = meant(name, _layout.names_in(root))
-    way = f"make it with `pqsec issue {name}`; `pqsec ca show` lists those there are"
+    suggestion = ""
+    with suppress(FileError):  # the name is missing whatever the other folders are
+        suggestion = meant(name, _layout.names_in(root))
+    hint = f"issue it with `pqsec issue {name}`; `pqsec ca show` lists the participants"
     raise KeystoreError(
         f"there is no participant {name} in {root}",
         code=Code.FILE_MISSING,
-        hint=f"{instead} If not, {way}" if instead else way,
+        hint=f"{suggestion} If not, {hint}" if suggestion else hint,
     )
 
 
@@ -71,7 +71,7 @@ def load_certificate(path: Path) -> Certificate:
 
 
 def load_first_certificate(path: Path) -> Certificate:
-    """The first one, for who then compares it, or the CA that issues: others trust all there."""
+    """The first certificate in PEM file `path`: in a CA's file, the issuing CA."""
     with located(path):
         return Certificate.from_pem(read(path))
 
@@ -82,28 +82,28 @@ def load_revocation_list(path: Path) -> RevocationList:
 
 
 def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[str, ...]) -> None:
-    """KeystoreError for what is missing; ROS 2 does not say which file it misses.
+    """KeystoreError that names the missing files; ROS 2 does not name them.
 
-    Nor does it say that a link to a revocation list leads nowhere: it takes everybody.
+    A broken link to a revocation list counts as missing: ROS 2 then revokes nothing.
     """
     links = {each for each in FILES if (folder / each).is_symlink()}
     missing = [each for each in FILES if each not in there and each in {*needed, *links}]
     if missing == [_layout.KEY] and exists(folder / _layout.REQUEST):
         raise KeystoreError(
             f"{folder} lacks {_layout.KEY}: its keys are on its robot",
-            hint="what is here can be checked without them: `pqsec check`, `pqsec explain`",
+            hint="`pqsec check` and `pqsec explain` work without its keys",
             code=Code.FILE_MISSING,
         )
     if missing:
-        lost = [_shown_by(folder / each) for each in missing if each in links]
+        lost = [_target(folder / each) for each in missing if each in links]
         hint = f"restore {', '.join(lost)}, which all participants share" if lost else None
         if _layout.PERMISSIONS in missing:
-            hint = hint or f"put it back, or say what it may do: pqsec issue {name} --force ..."
+            hint = hint or f"restore it, or issue it again: pqsec issue {name} --force ..."
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}", hint=hint, code=Code.FILE_MISSING
         )
 
 
-def _shown_by(link: Path) -> str:
-    """What the link should show, as a path from where the user is."""
+def _target(link: Path) -> str:
+    """The path that the link leads to, relative to the working directory."""
     return os.path.normpath(link.parent / link.readlink())

@@ -1,7 +1,7 @@
-"""What each participant has, by the ledger; and whether its files are that still.
+"""The state of each participant by the ledger, and whether its files are the ledger's newest.
 
-For thousands at a time: nothing is parsed, and files that were found to be right before
-and have the same inode, size and time of change since are not read again.
+It is fast for thousands: nothing is parsed, and files that were right before are not read
+again while their inode, size and change time stay the same.
 """
 
 import base64
@@ -28,58 +28,58 @@ from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
 
 _SEEN = "seen.json"
-"""In private/: what was found to be right. Without it, all files are read."""
+"""In private/: the files that were right. Without it, all files are read."""
 _MAX_SEEN = 64 << 20
-"""Bytes; of 10,000 participants it has half a million."""
+"""Bytes; 10,000 participants take half a million."""
 
 
 class Files(StrEnum):
-    """How a participant's files stand to the ledger."""
+    """How a participant's files compare with the ledger."""
 
     RIGHT = "right"
     GONE = "gone"
-    """There is no certificate."""
+    """The folder has no certificate."""
     OTHER_CERTIFICATE = "other certificate"
     OTHER_PERMISSIONS = "other permissions"
-    """The certificate is right."""
+    """The certificate is right, the permissions are not."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParticipantState:
-    """One participant."""
+    """The state of one participant."""
 
     made_at: datetime
     not_after: datetime
     """Of its newest certificate."""
     revoked: bool
     issued_by_previous_ca: bool
-    """Whether its identity CA made way for another, and it did not come along."""
+    """Whether its certificate was issued by an identity CA that has been replaced."""
     compromised: bool
-    """Whether a certificate of its key, but not this one, was revoked as compromised."""
+    """Whether a certificate for its key was revoked as compromised."""
     keys: str
-    """Hashes of those that are certified, as `key_hashes` has them; empty if not known."""
+    """Hashes of the certified keys, as of `key_hashes`; empty if not known."""
     requested: bool
-    """Whether it ever asked for a certificate of its own key, which is not here then."""
+    """Whether it ever sent a certificate request; then its key is not here."""
     config_digest: str
-    """What it was issued, or given permissions, with; renewed or not."""
+    """The config digest with which it was issued or its permissions were signed."""
     files: Files
 
 
 @dataclass(frozen=True, slots=True)
 class KeystoreState:
-    """A keystore's participants, and its governance."""
+    """The state of a keystore's participants and governance."""
 
     participants: dict[str, ParticipantState]
     governance_digest: str | None
-    """What the governance was signed with; None if the file is not the newest that was."""
+    """The governance's config digest; None if the file is not the newest governance signed."""
     head: str
-    """Of the ledger, before it was asked."""
+    """The ledger's head when the state was read."""
 
 
 def participant_states(keystore: Keystore) -> KeystoreState:
-    """All participants of the ledger, by name, and how their files are.
+    """The state of all participants in the ledger, by name, and of the governance.
 
-    KeystoreError for a damaged ledger; FileError if the disk refuses.
+    KeystoreError for a damaged ledger; FileError for a disk error.
     """
     authority = keystore.identity_ca.fingerprint
     with keystore.open_ledger() as ledger, disk_errors(keystore.root):
@@ -97,29 +97,29 @@ def participant_states(keystore: Keystore) -> KeystoreState:
                 compromised=any(each in compromised for each in line.keys.split()),
                 keys=line.keys,
                 requested=line.requests > 0,
-                config_digest=intern(config_digest),  # thousands have the same
-                files=files.look(line.name, line.sha256, permissions),
+                config_digest=intern(config_digest),  # thousands share one
+                files=files.compare(line.name, line.sha256, permissions),
             )
         if keystore.to_change:
-            files.remember()
+            files.save()
         governance = _governance_digest(keystore, ledger.of_name("governance", "")[-1:])
         return KeystoreState(found, governance, head)
 
 
 def config_digests_in(ledger: Ledger) -> dict[str, str]:
-    """Name -> what it was issued, or given permissions, with."""
+    """Name -> the config digest with which it was issued or its permissions were signed."""
     return {line.name: config_digest for line, config_digest, _ in _newest(ledger)}
 
 
 def _newest(ledger: Ledger) -> Iterator[tuple[Newest, str, str]]:
-    """Of each participant its newest line, its mark, and the SHA-256 of its permissions.
+    """Each participant's newest line, its config digest, and the SHA-256 of its permissions.
 
-    Permissions that were signed again for the same certificate have a mark of their own.
+    Permissions that were signed again for the same certificate have their own config digest.
     """
     documents = ledger.newest_with_digest("permissions")
     document = next(documents, None)
     for line in ledger.newest_with_digest("participant"):
-        while document and document.name < line.name:  # of somebody who was not issued here
+        while document and document.name < line.name:  # its participant was not issued here
             document = next(documents, None)
         if document and document.name == line.name:
             yield line, document.config_digest or line.config_digest, document.sha256
@@ -129,13 +129,13 @@ def _newest(ledger: Ledger) -> Iterator[tuple[Newest, str, str]]:
 
 @lru_cache(maxsize=1024)
 def _time(text: str) -> datetime:
-    """Those of one batch are alike."""
+    """Parse a time of the ledger; cached, because one batch shares its times."""
     try:
         return datetime.fromisoformat(text)
     except ValueError:
         raise KeystoreError(
             f"the ledger has {shown(text)} for a time",
-            hint="`pqsec log --verify` tells which lines were altered",
+            hint="`pqsec log --verify` shows which lines were altered",
         ) from None
 
 
@@ -152,24 +152,24 @@ def _governance_digest(keystore: Keystore, newest: list[Entry]) -> str | None:
 
 
 class _Files:
-    """Looks at participants' files, and keeps what it has seen to be right."""
+    """Compares participants' files with the ledger, and remembers those that are right."""
 
     def __init__(self, root: Path, seen: dict[str, str]) -> None:
         self._enclaves = f"{root}/{_layout.ENCLAVES}"
         self._root = root
         self._seen = seen
-        self._news = False
+        self._changed = False
 
     @classmethod
     def of(cls, keystore: Keystore) -> "_Files":
         seen: object = {}
         with suppress(FileError, ValueError, RecursionError):
-            memory = keystore.root / _layout.PRIVATE / _SEEN
-            seen = json.loads(read(memory, limit=_MAX_SEEN))
+            path = keystore.root / _layout.PRIVATE / _SEEN
+            seen = json.loads(read(path, limit=_MAX_SEEN))
         return cls(keystore.root, seen if isinstance(seen, dict) else {})
 
-    def look(self, name: str, certificate: str, permissions: str) -> Files:
-        """How they are, against the SHA-256 of each in the ledger."""
+    def compare(self, name: str, certificate: str, permissions: str) -> Files:
+        """Compare `name`'s files with the SHA-256 of its certificate and permissions."""
         folder = f"{self._enclaves}{name}"
         try:
             stamps = [_stamp(f"{folder}/{_layout.CERTIFICATE}")]
@@ -181,7 +181,7 @@ class _Files:
         seen = hashlib.blake2b(whole, digest_size=12).hexdigest()
         if self._seen.get(name) == seen:
             return Files.RIGHT
-        self._news = True
+        self._changed = True
         found = _compared(folder, certificate, permissions)
         if found is Files.RIGHT:
             self._seen[name] = seen
@@ -189,9 +189,9 @@ class _Files:
             self._seen.pop(name, None)
         return found
 
-    def remember(self) -> None:
-        """For the next time; who may only read the keystore looks at all files again."""
-        if not self._news:
+    def save(self) -> None:
+        """Save the files that are right, for the next time; errors are ignored."""
+        if not self._changed:
             return
         data = json.dumps(self._seen, separators=(",", ":")).encode()
         with suppress(OSError, PqsecError), Folder.opened(self._root) as root:
@@ -201,7 +201,7 @@ class _Files:
 
 
 def _stamp(path: str) -> str:
-    """What changes whenever the file does, or another takes its place."""
+    """A value that changes when the file is changed or replaced."""
     found = os.lstat(path)
     return f"{found.st_ino}:{found.st_size}:{found.st_ctime_ns}"
 
@@ -221,7 +221,7 @@ def _sha256(path: str) -> str:
 
 
 def _fingerprint(path: str) -> str | None:
-    """SHA-256 of the DER in a PEM file of one certificate; None if it is none."""
+    """SHA-256 of the DER in a PEM file with one certificate; None if it is not base64."""
     with Path(path).open("rb") as file:
         lines: Iterator[bytes] = iter(file.read().split(b"\n"))
     for line in lines:

@@ -1,4 +1,4 @@
-"""Another passphrase for the CA keys: all of them at once, and the old files overwritten."""
+"""Changes the passphrase of all CA keys at once, and overwrites the old files."""
 
 from pathlib import Path
 
@@ -12,11 +12,11 @@ from pqsec_pki.keystore.overlap import Overlap, Phase
 def change_passphrase(
     keystore: Keystore, authorities: Authorities, passphrase: bytes | None
 ) -> list[Path]:
-    """Encrypt the CA keys under `passphrase`, or not at all for None; which files it was.
+    """Encrypt the CA keys under `passphrase`, or store them unencrypted for None.
 
-    Keys of older generations keep the passphrase they had. KeystoreError for a key that
-    is a link: what it shows would stay as it is; and while the CA that will issue next
-    has a key of its own.
+    Returns the key files. Keys of older generations keep their passphrase. KeystoreError for a
+    key that is a link, because its target would not change, and during an overlap before the
+    switch.
     """
     with _journal.change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
@@ -24,7 +24,7 @@ def change_passphrase(
         if overlap and overlap.phase is Phase.BEGUN:
             raise KeystoreError(
                 "the identity CA that will issue next would keep the old passphrase",
-                hint=overlap.way_on,
+                hint=overlap.next_step,
             )
         folder = transaction.folder(_layout.PRIVATE, private=True)
         authorities.write_keys(folder, passphrase)
@@ -32,8 +32,8 @@ def change_passphrase(
         for path in paths:
             if path.is_symlink():
                 raise KeystoreError(
-                    f"{path} is a link: the key it shows would stay as it is",
-                    hint="put the key itself there first",
+                    f"{path} is a link: the key that it leads to would not change",
+                    hint="replace the link with the key itself",
                 )
             transaction.shred(f"{_layout.PRIVATE}/{path.name}")
     return paths

@@ -1,8 +1,8 @@
-"""Renewing: the same participant, allowed the same, for another while.
+"""Renews participants: a new certificate and new permissions with the same content.
 
-Certificate and permissions are made together and end together. What it may do is taken
-from the signed permissions in its folder, once the permissions CA's signature holds and
-the ledger tells that they are the newest.
+Certificate and permissions are made together and end together. The content is read from the
+signed permissions in the participant's folder, after the permissions CA's signature was
+verified; they must be the newest in the ledger.
 """
 
 from collections.abc import Sequence
@@ -32,11 +32,11 @@ class Renewal:
 
     rekey: bool | None = None
     """Whether to make new keys, or keep the public keys of the certificate; None makes new
-    ones where the private key lies here."""
+    keys if the private key is here."""
     validity: timedelta | None = None
-    """From now on; None for as long as the old certificate was issued for."""
+    """From now on; None for the validity of the old certificate."""
     due: timedelta | None = None
-    """A revocation list that ends within this time is made again; None as in `status`."""
+    """A revocation list that ends within this time is issued again; None as in `status`."""
     compromised_keys: bool = False
     """Whether keys that were revoked as compromised may be kept."""
 
@@ -49,11 +49,11 @@ def renew(
     *,
     now: datetime,
 ) -> list[Issued]:
-    """Give every participant in `names` a new certificate and new permissions, or none.
+    """Issue a new certificate and new permissions to all participants in `names`, or to none.
 
-    A revocation list that is due is made again with them. KeystoreError for a participant
-    that is not there, was revoked, or has files that are not the newest ones issued to
-    it; VerificationError for permissions that the CA did not sign.
+    A revocation list that is due is issued again too. KeystoreError for a participant that does
+    not exist, was revoked, or has files that are not its newest; VerificationError for
+    permissions that the CA did not sign.
     """
     regular = list(dict.fromkeys(map(_layout.enclave_name, names)))
     issuer = Issuer(keystore, authorities, now)
@@ -77,14 +77,14 @@ def renew(
 
 @dataclass(frozen=True, slots=True)
 class Renewer:
-    """Issues a participant again, from what the inspector lets pass."""
+    """Reissues a participant from the files that the inspector verified."""
 
     issuer: Issuer
     inspector: Inspector
     terms: Renewal
 
     def make(self, name: str, folder: StagedFolder) -> Issued:
-        """Stage certificate, permissions and, where they are new, keys into `folder`."""
+        """Stage certificate, permissions and, if new, the keys into `folder`."""
         keystore, now = self.issuer.keystore, self.issuer.now
         there = keystore.root / _layout.enclave_folder(name)
         with disk_errors(there):
@@ -109,12 +109,12 @@ class Renewer:
         if self.terms.rekey and not has_key:
             raise KeystoreError(
                 f"{name} has no key.pem here: its key was made elsewhere",
-                hint="keep it (--keep-key), or have a new one made where the old one is",
+                hint="keep it (--keep-key), or make a new one where the old one is",
             )
         return has_key if self.terms.rekey is None else self.terms.rekey
 
     def _kept_keys(self, name: str, old: Certificate) -> PublicKeys:
-        """Those in the certificate: the private ones may be elsewhere."""
+        """The public keys of the certificate; the private keys may be elsewhere."""
         profile = self.issuer.keystore.profile
         if not keys_fit(old, profile):
             raise KeystoreError(
@@ -128,25 +128,25 @@ class Renewer:
 
 
 def keys_fit(certificate: Certificate, profile: Profile) -> bool:
-    """Whether its keys are of the kinds that the profile wants of participants."""
+    """Whether its keys have the algorithms that the profile demands of participants."""
     try:
         first, second = certificate.public_key, certificate.alternative_key
-    except UnknownAlgorithmError:  # of a certificate that was adopted
+    except UnknownAlgorithmError:  # possible in an adopted certificate
         return False
     kinds = (first.algorithm, second.algorithm if second else None)
     return kinds == (profile.participant_key, profile.alternative_key)
 
 
 def _length(old: Certificate) -> timedelta:
-    """How long it was issued for, to the second."""
+    """The validity that the certificate was issued for, to the second."""
     whole = old.not_after - old.not_before
     return whole - BACKDATE if whole > BACKDATE else whole
 
 
 def _moved(grant: Grant, old: Certificate, new: Certificate) -> Grant:
-    """The grant, while `new` lasts: but an end that a policy set before `old`'s stays.
+    """The grant for the validity of `new`; an end that a policy set before `old`'s end is kept.
 
-    Grants of other subjects stay as they are. The names of `old` and `new` differ where the
+    Grants of other subjects are not changed. The subjects of `old` and `new` differ if the
     participant was adopted.
     """
     if grant.subject_name not in {old.subject_name, new.subject_name}:
@@ -155,8 +155,8 @@ def _moved(grant: Grant, old: Certificate, new: Certificate) -> Grant:
     end = new.not_after if grant.not_after >= old.not_after else grant.not_after
     if not max(begin, new.not_before) < end:
         raise KeystoreError(
-            f"what {grant.name} was allowed ended on {grant.not_after:%Y-%m-%d}",
-            hint="say anew what it may do: pqsec issue --force, with topics or a --policy",
+            f"the permissions of {grant.name} ended on {grant.not_after:%Y-%m-%d}",
+            hint="issue it again: pqsec issue --force, with its topics or a --policy",
         )
     return replace(
         grant,

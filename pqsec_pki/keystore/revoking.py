@@ -1,7 +1,7 @@
-"""Taking certificates back: a line in the ledger, a new revocation list, a link to it everywhere.
+"""Revokes certificates: ledger lines, a new revocation list, and links to it in all enclaves.
 
-All of it is one change. The list is made from the ledger; it lies once, in public/, and
-each enclave has a link to it, so a new list reaches all of them in one rename.
+All of it is one change. The list is made from the ledger. There is one file, in public/, and
+each enclave links to it, so one rename gives all enclaves the new list.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -26,16 +26,16 @@ from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import refuse_overlap
 
 COMPROMISE = "compromise"
-"""The kind of the ledger's lines on what was revoked for another reason before."""
+"""The kind of ledger lines that change the reason of an earlier revocation to keyCompromise."""
 
 LIST_VALIDITY = timedelta(days=365)
-"""Once a list has ended, stacks that were given it refuse everybody: it lasts as long as
-participants do, unless the user wants another risk."""
+"""As long as participants by default: once a list has expired, stacks with it refuse every
+peer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Revoked:
-    """A certificate that was taken back."""
+    """A revoked certificate."""
 
     name: str
     serial: str
@@ -43,9 +43,9 @@ class Revoked:
     since: datetime
     reason: str
     before: bool
-    """Whether it had been already."""
+    """Whether it had been revoked before."""
     listed: bool
-    """Whether the list names it: not if an earlier CA issued it, whose lists are no more made."""
+    """Whether the list has it: not if a previous CA issued it, which issues no more lists."""
 
 
 def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -57,12 +57,12 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     now: datetime,
     validity: timedelta = LIST_VALIDITY,
 ) -> tuple[list[Revoked], RevocationList]:
-    """Take back what `subjects` name, and make a new list; all of it or nothing.
+    """Revoke the certificates of all `subjects` and issue a new list, or do nothing.
 
-    A subject is a participant, which means all its certificates that have not expired,
-    or one certificate's serial number in hex. What was revoked before stays so, since then
-    and for its reason; only that a key is compromised may become known later. KeystoreError
-    for a subject the ledger does not know or that has expired.
+    A subject is a participant's name, for all its certificates that have not expired, or a
+    certificate's serial number in hex. A certificate that was revoked before keeps its time and
+    reason; only the reason keyCompromise may be added later. KeystoreError for a subject that
+    is not in the ledger or has expired.
     """
     with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
@@ -82,7 +82,7 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
         )
     after = _merged((*before.values(), *new))
     listed = {each.serial_number for each in made.revoked}
-    return [_told(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
+    return [_result(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
 
 
 def renew_list(
@@ -92,7 +92,7 @@ def renew_list(
     now: datetime,
     validity: timedelta = LIST_VALIDITY,
 ) -> RevocationList:
-    """A new list that takes back what the last one did, and is due later."""
+    """Issue a new list with the same revocations and a later nextUpdate."""
     with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         publisher = Publisher(keystore, authorities.identity, ledger, now)
@@ -101,7 +101,7 @@ def renew_list(
 
 @dataclass(frozen=True, slots=True)
 class Publisher:
-    """What the next list of a CA is made from, while the keystore is locked."""
+    """Issues the next list of an identity CA, while the keystore is locked."""
 
     keystore: Keystore
     identity: Authority
@@ -111,11 +111,11 @@ class Publisher:
     def publish(
         self, transaction: Transaction, new: Sequence[Entry], validity: timedelta
     ) -> RevocationList:
-        """Stage the next list, with `new` revocations, and the links to it that are missing.
+        """Stage the next list, with `new` revocations, and the missing links to it.
 
-        KeystoreError while two identity CAs are trusted: a list of one is none of the other.
+        KeystoreError while two identity CAs are trusted: a list covers one CA only.
         """
-        refuse_overlap(self.keystore, "a revocation list would be of one of them only")
+        refuse_overlap(self.keystore, "a revocation list would cover only one of them")
         made = self.stage(transaction, new, validity)
         for place, target in _missing_links(self.keystore):
             transaction.link(place, target)
@@ -124,8 +124,8 @@ class Publisher:
     def stage(
         self, transaction: Transaction, new: Sequence[Entry], validity: timedelta
     ) -> RevocationList:
-        """Stage the next list, with `new` revocations; the links to it are the caller's."""
-        last, old = self._last(), self._believed()
+        """Stage the next list, with `new` revocations, but no links to it."""
+        last, old = self._last(), self._verified()
         made = revocation_list(
             self.identity,
             self._revoked(last, old, new),
@@ -145,8 +145,8 @@ class Publisher:
         lists = [each for each in self.ledger.of_kind("crl") if each.issuer == self._issuer]
         return lists[-1] if lists else None
 
-    def _believed(self) -> RevocationList | None:
-        """The list that lies there, if it is this CA's."""
+    def _verified(self) -> RevocationList | None:
+        """The keystore's list; None if there is none, or this CA did not sign it."""
         try:
             found = self.keystore.revocation_list
             if found:
@@ -158,13 +158,13 @@ class Publisher:
     def _revoked(
         self, last: Entry | None, old: RevocationList | None, new: Sequence[Entry]
     ) -> list[RevokedCertificate]:
-        """What the ledger says; and what only the old list does, if the ledger was lost."""
+        """The revocations in the ledger, and those only in the old list, if the ledger was lost."""
         listed = {each.serial_number: each for each in old.revoked} if old else {}
         for entry in _merged((*_revoked_since(self.ledger).values(), *new)).values():
             if entry.issuer != self._issuer:
                 continue
-            # RFC 5280 3.3: an entry goes once a list later than the certificate had it
-            # (and by the clock of now too, if that list's was wrong)
+            # RFC 5280 3.3: an entry is removed after it was in a list that was issued after the
+            # certificate's end (which must be past now too, in case that list's clock was wrong)
             if last and entry.ends < min(last.made_at, self.now):
                 listed.pop(entry.serial_number, None)
             else:
@@ -173,21 +173,21 @@ class Publisher:
 
 
 def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
-    """The participants' lines that the user means."""
+    """The entries of the certificates that `subject` names."""
     named = ledger.of_name("participant", _name(subject))
     if not named:
         serial = subject.replace(":", "").lower().lstrip("0")
         named = [each for each in ledger.of_kind("participant") if each.serial == serial]
     if not named:
         raise KeystoreError(
-            f"the ledger knows no participant and no serial number {subject}",
+            f"the ledger has no participant and no serial number {subject}",
             hint="`pqsec status` lists both",
         )
     good = [each for each in named if now <= each.ends]
     if not good:
         raise KeystoreError(
-            f"{subject} expired on {named[-1].ends:%Y-%m-%d}: nobody takes it any more",
-            hint="there is nothing to take back",
+            f"{subject} expired on {named[-1].ends:%Y-%m-%d}: no participant accepts it any more",
+            hint="there is nothing to revoke",
         )
     return good
 
@@ -205,7 +205,7 @@ def _revoked_since(ledger: Ledger) -> dict[str, Entry]:
 
 
 def _merged(lines: Iterable[Entry]) -> dict[str, Entry]:
-    """The first line on each certificate, with the reason that the last one gives."""
+    """The first entry for each certificate, with the details of the last one."""
     found: dict[str, Entry] = {}
     for line in lines:
         first = found.get(line.sha256, line)
@@ -236,7 +236,7 @@ def _revoked(entry: Entry) -> RevokedCertificate:
 
 
 def _missing_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
-    """Where a link to the list should be and is not, and what it should show."""
+    """The place and the target of each missing link to the list."""
     for name in keystore.names():
         [(link, target)] = _layout.shared_links(name, _layout.LIST_TARGET).items()
         place = f"{_layout.enclave_folder(name)}/{link}"
@@ -245,7 +245,7 @@ def _missing_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
             yield place, target
 
 
-def _told(entry: Entry, listed: Collection[int], *, before: bool) -> Revoked:
+def _result(entry: Entry, listed: Collection[int], *, before: bool) -> Revoked:
     return Revoked(
         name=entry.name,
         serial=f"{entry.serial_number:x}",

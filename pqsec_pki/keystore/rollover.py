@@ -1,4 +1,4 @@
-"""What a rollover shall be, and whom it takes along: known before anything is done."""
+"""The options of a rollover, and which participants it reissues."""
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -21,7 +21,7 @@ CA_VALIDITY = timedelta(days=3650)
 
 
 class Scope(StrEnum):
-    """Which CAs make way."""
+    """Which CAs are replaced."""
 
     BOTH = "both"
     IDENTITY = "identity"
@@ -30,31 +30,31 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rollover:
-    """What shall follow."""
+    """The options of a rollover."""
 
     profile: Profile
     scope: Scope = Scope.BOTH
     name: str | None = None
-    """The start of the new CAs' names; None for the old one's with the generation: Lab G2."""
+    """The start of the new CAs' names; None for the old name and the generation: Lab G2."""
     validity: timedelta = CA_VALIDITY
-    """Of the new CAs; participants last as long as they were issued for."""
+    """Of the new CAs; participants keep the validity that they were issued for."""
     rekey: bool = False
-    """Whether participants get new keys also where the profile asks for no other kind."""
+    """Whether participants get new keys even if their algorithms fit the profile."""
     destroy: bool = False
-    """Whether the old CAs' keys are overwritten with zeros, and not kept."""
+    """Whether the old CAs' keys are overwritten with zeros instead of archived."""
 
 
 def check_scope(keystore: Keystore, terms: Rollover) -> None:
-    """UsageError for a rollover of one CA that changes what both are made with."""
+    """UsageError for a rollover of one CA that changes the profile, which applies to both."""
     if terms.scope is not Scope.BOTH and terms.profile.to_names() != keystore.profile.to_names():
         raise UsageError(
-            "another profile is for both CAs",
-            hint="leave --profile out; or --only and --overlap",
+            "a new profile applies to both CAs",
+            hint="leave out --profile; or leave out --only and --overlap",
         )
 
 
 def generation(keystore: Keystore) -> int:
-    """Which generation of CAs the keystore has now, counted from 1."""
+    """The generation of the keystore's CAs, counted from 1."""
     folder = keystore.root / _layout.GENERATIONS
     with disk_errors(folder):
         found = list(folder.iterdir()) if exists(folder) else []
@@ -64,35 +64,35 @@ def generation(keystore: Keystore) -> int:
 def not_reissued(
     keystore: Keystore, terms: Rollover, inspector: Inspector, now: datetime
 ) -> dict[str, str]:
-    """The participants that cannot come along, and why.
+    """The participants that cannot be reissued, and why.
 
-    KeystoreError for one whose files are not the newest that the ledger knows. That the CAs
-    signed them is not looked at: it takes long for thousands.
+    KeystoreError for a participant whose files are not the ledger's newest. The CAs' signatures
+    are not verified: that takes long for thousands.
     """
     names = keystore.names()
     issued_by_previous_ca = set(inspector.issued_by_previous_ca_of(names))
-    behind = dict.fromkeys(inspector.revoked_of(names), "revoked")
-    others = [name for name in names if name not in behind]
+    revoked = dict.fromkeys(inspector.revoked_of(names), "revoked")
+    others = [name for name in names if name not in revoked]
 
-    def why(name: str) -> str:
+    def reason(name: str) -> str:
         folder = keystore.root / _layout.enclave_folder(name)
         certificate = inspector.certificate(name, folder)
         has_key = (folder / _layout.KEY).exists()
         if name in issued_by_previous_ca:
-            return "it stayed behind before: an earlier CA issued it"
+            return "it was not reissued before: its CA has been replaced"
         if not (has_key or keys_fit(certificate, terms.profile)):
-            return "its key is not here, and of another kind: it needs a new request"
+            return "its key is not here and does not fit the profile: it needs a new request"
         if not has_key and _is_compromised(inspector, certificate):
-            return "its key is not here, and compromised: it needs a new request"
+            return "its key is not here and is compromised: it needs a new request"
         ended = _ended(inspector.signed_permissions(name, folder), certificate, now)
-        return f"what it was allowed ended on {ended:%Y-%m-%d}" if ended else ""
+        return f"its permissions ended on {ended:%Y-%m-%d}" if ended else ""
 
-    reasons = zip(others, shared_out(why, others), strict=True)
-    return behind | {name: reason for name, reason in reasons if reason}
+    reasons = zip(others, shared_out(reason, others), strict=True)
+    return revoked | {name: words for name, words in reasons if words}
 
 
 def _ended(signed: bytes, certificate: Certificate, now: datetime) -> datetime | None:
-    """When a policy took back what its holder was allowed, if it did before the certificate."""
+    """The past end of its own grant, if a policy set it before the certificate's end."""
     own = certificate.subject_name
     ends = [
         grant.not_after
@@ -103,9 +103,9 @@ def _ended(signed: bytes, certificate: Certificate, now: datetime) -> datetime |
 
 
 def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: str) -> bool:
-    """Whether that participant, which comes along, gets new keys."""
+    """Whether that participant, which is reissued, gets new keys."""
     folder = keystore.root / _layout.enclave_folder(name)
-    if not (folder / _layout.KEY).exists():  # it was made elsewhere, and fits
+    if not (folder / _layout.KEY).exists():  # its key was made elsewhere, and fits
         return False
     certificate = inspector.certificate(name, folder)
     fits = keys_fit(certificate, terms.profile)
@@ -113,6 +113,6 @@ def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: s
 
 
 def _is_compromised(inspector: Inspector, certificate: Certificate) -> bool:
-    """Whether one with the same key was revoked for that."""
+    """Whether a certificate with the same key was revoked as compromised."""
     hashes = keys_detail(certificate).get(KEYS, "").split()
     return any(each in inspector.compromised for each in hashes)

@@ -1,4 +1,4 @@
-"""What a rollover will do, told before it is done; nothing is changed, no key is unlocked."""
+"""Previews a rollover, without changing anything or unlocking a key."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -25,37 +25,37 @@ from pqsec_pki.keystore.rollover import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RolloverPlan:
-    """A rollover that has not happened yet."""
+    """What a rollover will do."""
 
     generation: int
-    """Of the CAs that will be made."""
+    """Of the new CAs."""
     before: Profile
     after: Profile
     scope: Scope
     one_ca: bool
-    """Whether the keystore has one key for both CAs now (CVE-2023-24010)."""
+    """Whether both CAs have the same key now (CVE-2023-24010)."""
     keeping: tuple[str, ...]
-    """Participants that are certified again with the keys they have."""
+    """Participants that are reissued with their keys."""
     rekeyed: tuple[str, ...]
     """Participants that get new keys."""
     left_out: dict[str, str]
-    """Participants that stay behind, and why."""
+    """Participants that are not reissued, and why."""
     new_list: bool
-    """Whether a new revocation list, with nothing in it, takes the place of the old."""
+    """Whether a new, empty revocation list replaces the old one."""
     archive: Path
     destroy: bool
-    """Whether the old keys are not kept there, but destroyed."""
+    """Whether the old keys are destroyed instead of archived."""
 
     @property
     def participants(self) -> int:
-        """How many come along."""
+        """How many participants are reissued."""
         return len(self.keeping) + len(self.rekeyed)
 
 
 def plan_rollover(
     keystore: Keystore, terms: Rollover, *, now: datetime, within_overlap: bool = False
 ) -> RolloverPlan:
-    """What `rotate` would do with these terms; it refuses what that refuses beforehand."""
+    """What `rotate` would do with these terms; raises the errors of its checks."""
     check_scope(keystore, terms)
     if not within_overlap:
         refuse_overlap(keystore, WAIT)

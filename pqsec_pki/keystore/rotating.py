@@ -1,7 +1,7 @@
-"""A new generation of CAs: everybody is issued again, every document signed again, in one change.
+"""Replaces the CAs: all participants are reissued and all documents signed again, in one change.
 
-The CAs that go need not be unlocked, unless one of the two stays: what they signed is
-checked with their certificates. They are kept in private/generations/, or destroyed.
+The keys of the old CAs are not needed, unless one of the two stays: their signatures are
+verified with their certificates. They are archived in private/generations/, or destroyed.
 """
 
 import re
@@ -29,21 +29,21 @@ from pqsec_pki.keystore.rollover import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rotated:
-    """What was done."""
+    """The result of `rotate`."""
 
     keystore: Keystore
-    """As it is now."""
+    """With the new profile."""
     generation: int
     archive: Path
-    """Where the CAs are that made way."""
+    """The folder of the replaced CAs."""
     issued: list[Issued]
     left_out: dict[str, str]
-    """Participants that stay with what the old CAs gave them, and why."""
+    """Participants that were not reissued, and why."""
     new_list: bool
-    """Whether there is a new revocation list, with nothing in it."""
+    """Whether there is a new, empty revocation list."""
 
 
-def rotate(  # noqa: PLR0913 -- what follows, by what, and when, all by name
+def rotate(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,
     terms: Rollover,
     *,
@@ -52,15 +52,14 @@ def rotate(  # noqa: PLR0913 -- what follows, by what, and when, all by name
     now: datetime,
     successor: Authority | None = None,
 ) -> Rotated:
-    """New CAs, every participant and document again from them; all of it or nothing.
+    """Create new CAs, and reissue all participants and documents with them, or do nothing.
 
-    `kept` are the keystore's CAs, needed where one of them stays. The new keys are
-    encrypted under `passphrase`. `successor` is the identity CA that an overlap began with
-    (`overlapping.py`): it issues from now on, and the old one stays trusted. KeystoreError
-    for a participant whose files are not the newest that the ledger knows, or whose keys
-    cannot be made again here, and during an overlap without its successor; VerificationError
-    for documents that the old permissions CA did not sign; UsageError for another profile
-    while one CA stays.
+    `kept` are the keystore's CAs, needed if one of them stays. The new keys are encrypted
+    under `passphrase`. `successor` is the new identity CA of an overlap (`overlapping.py`): it
+    issues from now on, and the old one stays trusted. KeystoreError for a participant whose
+    files are not the ledger's newest, and during an overlap without its successor;
+    VerificationError for documents that the old permissions CA did not sign; UsageError for
+    another profile while one CA stays.
     """
     check_scope(keystore, terms)
     new = replace(keystore, profile=terms.profile)
@@ -92,7 +91,7 @@ def rotate(  # noqa: PLR0913 -- what follows, by what, and when, all by name
 
 
 def _check_overlap(keystore: Keystore, successor: Authority | None) -> None:
-    """KeystoreError if CAs would make way for others than those that an overlap is about."""
+    """KeystoreError during an overlap, unless its new CA is the successor."""
     if successor is None:
         refuse_overlap(keystore, WAIT)
         return
@@ -117,7 +116,7 @@ def _authorities(  # noqa: PLR0913 -- of this module only
     if terms.scope is Scope.BOTH:
         return new_authorities(keystore, terms, number, now)
     if kept is None:
-        raise UsageError("one CA stays, and its key is needed")
+        raise UsageError("the key of the CA that stays is needed")
     kept.refuse_outdated(keystore.root)
     if successor:
         return replace(kept, identity=successor)
@@ -128,18 +127,18 @@ def _authorities(  # noqa: PLR0913 -- of this module only
 
 
 def new_authorities(keystore: Keystore, terms: Rollover, number: int, now: datetime) -> Authorities:
-    """CAs of generation `number`, called as `terms` say or after the keystore's."""
+    """Create the CAs of generation `number`, named by `terms` or after the old CA."""
     name = terms.name if terms.name is not None else _name(keystore.identity_ca, number)
     try:
         return Authorities.create(terms.profile, name, now=now, validity=terms.validity)
     except UsageError as error:
         if terms.name is None and error.hint is None:
-            error.hint = "say how the new CAs shall be called: --name"
+            error.hint = "name the new CAs with --name"
         raise
 
 
 def _name(old: Certificate, number: int) -> str:
-    """Lab Identity CA -> Lab G2, of which the new CAs' names are made."""
+    """The start of the new CAs' names: Lab Identity CA -> Lab G2."""
     found = re.search(r"(?:^|,)CN=([A-Za-z0-9_./ -]+)", old.subject_name)
     base = (found[1] if found else "").removesuffix("Identity CA").strip()
     base = re.sub(r"(^| )G[0-9]+$", "", base)

@@ -1,7 +1,7 @@
-"""New documents for what is there: permissions for a certificate, the governance, any other.
+"""Signs permissions for an existing certificate, the governance, and any other document.
 
-Keys and certificates stay as they are. The new document takes the place of the old in one
-change with its line in the ledger.
+Keys and certificates stay as they are. The new document replaces the old one, and its ledger
+line is written, in one change.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ from pqsec_pki.smime import document_in
 def sign_permissions(
     keystore: Keystore, authorities: Authorities, specs: Sequence[ParticipantSpec], *, now: datetime
 ) -> None:
-    """Give participants that are there the permissions wished for, or none of them.
+    """Sign new permissions for all existing participants in `specs`, or for none.
 
-    They hold as long as the certificate; the wishes' validity does not count.
-    KeystoreError for a participant that is not there, was revoked, or whose certificate
-    is not the newest one issued to it.
+    They are valid as long as the certificate; the validity in `specs` is ignored.
+    KeystoreError for a participant that does not exist, was revoked, or whose certificate
+    is not its newest.
     """
     names = [_layout.enclave_name(spec.name) for spec in specs]
     with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
@@ -54,7 +54,7 @@ def sign_governance(
 ) -> None:
     """Sign the governance that all participants of the keystore share.
 
-    `mark` goes into the ledger as it is.
+    `config_digest` is copied into the ledger.
     """
     document = governance.to_xml()
     signed = authorities.sign(document, now=now)
@@ -81,8 +81,8 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
 ) -> bytes:
     """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
 
-    Over a document of the keystore, its XML changes in the same step. ExistsError if
-    something is at `goal`, unless `force`; then nothing is entered.
+    If `goal` is a document of the keystore, its XML file is replaced in the same change.
+    ExistsError if `goal` exists, unless `force`; then nothing is entered.
     """
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with _journal.change(keystore.root) as transaction:
@@ -101,7 +101,7 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
 
 
 def signed_governance(keystore: Keystore) -> Governance:
-    """What the governance there says; whether the ledger knows it is for `holdings` to tell."""
+    """The keystore's governance; `participant_states` compares it with the ledger."""
     return Governance.from_xml(document_in(keystore.governance))
 
 

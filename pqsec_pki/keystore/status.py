@@ -1,4 +1,4 @@
-"""What there is and how long it lasts, from the ledger: no participant's files are read."""
+"""When certificates, CAs and lists expire, from the ledger: no participant's files are read."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from pqsec_pki.keystore.overlap import Overlap
 
 
 class State(StrEnum):
-    """How a certificate or list stands, the most urgent first."""
+    """The state of a certificate or list, the most urgent first."""
 
     EXPIRED = "expired"
     PREVIOUS_CA = "previous-ca"
-    """Its identity CA made way for another, and it did not come along."""
+    """It was issued by an identity CA that has been replaced."""
     DUE = "due"
     VALID = "valid"
     REVOKED = "revoked"
     GONE = "gone"
-    """Its folder has no certificate any more."""
+    """Its folder no longer has a certificate."""
 
     @property
     def calls_for_renewal(self) -> bool:
-        """Whether `pqsec renew --due` would do something about it."""
+        """Whether `pqsec renew --due` would renew it."""
         return self in {State.EXPIRED, State.DUE}
 
 
@@ -37,21 +37,21 @@ _URGENCY = {state: place for place, state in enumerate(State)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantStatus:
-    """How one participant stands, by its newest certificate."""
+    """The state of one participant's newest certificate."""
 
     name: str
     state: State
     not_after: datetime
     serial: str
     profile: str | None
-    """None where the ledger does not tell, for what was issued before it did."""
+    """None if the ledger line is older than this detail."""
     domains: str | None
-    """Where it was allowed anything when it was issued: 0,2-5."""
+    """The domains that its permissions allowed when it was issued: 0,2-5."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SharedStatus:
-    """How long something lasts that all share: a CA, or the revocation list."""
+    """The state of a CA, or of the revocation list."""
 
     kind: str
     """identity-ca, permissions-ca, countersigner, trusted-too (overlap.py) or crl."""
@@ -62,7 +62,7 @@ class SharedStatus:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A keystore at one moment."""
+    """The state of a keystore at the time `at`."""
 
     at: datetime
     shared: tuple[SharedStatus, ...]
@@ -83,7 +83,7 @@ class Status:
 
     @property
     def list_is_due(self) -> bool:
-        """Whether there is a revocation list, and it is to be renewed."""
+        """Whether there is a revocation list that is to be renewed."""
         return any(each.kind == "crl" and each.state.calls_for_renewal for each in self.shared)
 
 
@@ -94,10 +94,10 @@ def status(
     now: datetime,
     due: timedelta | None = None,
 ) -> Status:
-    """How everything stands at `now`; of `names` only, if they are given.
+    """The state of all participants, or of `names` only, and of the CAs and the list at `now`.
 
-    What ends within `due` is due; without it, what has less than a third of its life
-    left. KeystoreError for a name that the ledger does not have.
+    A certificate is due if it ends within `due`; if that is None, when less than a third of
+    its validity is left. KeystoreError for a name that is not in the ledger.
     """
     authority = keystore.identity_ca.fingerprint
     with keystore.open_ledger() as ledger:
@@ -106,9 +106,9 @@ def status(
         participants = ledger.newest("participant")
     if names is not None:
         participants = _chosen(participants, names)
-    gone = {each.name for each in participants if _gone(keystore, each.name)}
+    gone = {each.name for each in participants if _has_no_certificate(keystore, each.name)}
 
-    def standing(entry: Entry) -> ParticipantStatus:
+    def status_of(entry: Entry) -> ParticipantStatus:
         end = entry.ends
         state = _state(entry.made_at, end, now, due)
         if entry.issuer not in {None, authority}:
@@ -127,27 +127,28 @@ def status(
         )
 
     ordered = sorted(
-        map(standing, participants),
+        map(status_of, participants),
         key=lambda each: (_URGENCY[each.state], each.not_after, each.name),
     )
-    shared = (*_authorities(keystore, now, due), *(_term(each, now, due) for each in lists))
+    shared = (*_authorities(keystore, now, due), *(_shared(each, now, due) for each in lists))
     return Status(now, shared, tuple(ordered))
 
 
 def _authorities(
     keystore: Keystore, now: datetime, due: timedelta | None
 ) -> Iterator[SharedStatus]:
-    """The CAs that are in use, by their certificates; also one that is trusted beside."""
+    """The CAs in use, and a second trusted identity CA, by their certificates."""
     signers = (keystore.permissions_ca, keystore.countersigner)
     overlap = Overlap.of(keystore)
     kinds = ("identity-ca", "permissions-ca", "countersigner", "trusted-too")
     others = (*signers, overlap.other if overlap else None)
     for kind, each in zip(kinds, (keystore.identity_ca, *others), strict=True):
         if each:
-            yield _term(certificate_entry(kind, each.subject_name, each, each.not_before), now, due)
+            entry = certificate_entry(kind, each.subject_name, each, each.not_before)
+            yield _shared(entry, now, due)
 
 
-def _term(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
+def _shared(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
     state = _state(entry.made_at, entry.ends, now, due)
     return SharedStatus(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
 
@@ -165,12 +166,12 @@ def _chosen(participants: list[Entry], names: Iterable[str]) -> list[Entry]:
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise KeystoreError(
-            f"the ledger knows no participant {', '.join(unknown)}",
-            hint=meant(unknown[0], known) or "`pqsec status` lists those there are",
+            f"the ledger has no participant {', '.join(unknown)}",
+            hint=meant(unknown[0], known) or "`pqsec status` lists the participants",
         )
     return [known[name] for name in wanted]
 
 
-def _gone(keystore: Keystore, name: str) -> bool:
+def _has_no_certificate(keystore: Keystore, name: str) -> bool:
     folder = _layout.enclave_folder(name)
     return not exists(f"{keystore.root}/{folder}/{_layout.CERTIFICATE}", follow=False)

@@ -15,26 +15,26 @@ IF_WANTED = "for whom was revoked, and only if it may come back"
 JUSTIFIED = {
     "choose another place, or --force to replace it": REPLACES_A_FILE,
     "choose another -o, or --force to replace it": REPLACES_A_FILE,
-    "choose another name; `pqsec renew` keeps what it may do, --force replaces key,"
+    "choose another name; `pqsec renew` keeps its permissions, --force replaces key,"
     " certificate and permissions": "the user named a participant that is there",
-    "if it may come back, issue it with --force --after-revocation": IF_WANTED,
-    "if it may come back, `pqsec issue` it with --force --after-revocation": IF_WANTED,
+    "to admit it again, issue it with --force --after-revocation": IF_WANTED,
+    "to admit it again: `pqsec issue` with --force --after-revocation": IF_WANTED,
     "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
     "Delete its enclave. To allow it again, run `pqsec issue` with --force"
     " --after-revocation.": IF_WANTED,
-    "say anew what it may do: pqsec issue --force, with topics or a --policy": SAYS_WHAT,
-    "`pqsec issue` it with --force and all that it may do; with --csr, if its key is on the"
-    " robot": SAYS_WHAT,
+    "issue it again: pqsec issue --force, with its topics or a --policy": SAYS_WHAT,
+    "issue it again: `pqsec issue` with --force and all its topics; with --csr if its key is on"
+    " the robot": SAYS_WHAT,
     "Restore the files that were issued. Or run `pqsec issue` with --force and all rights of the"
     " participant.": SAYS_WHAT,
-    "put it back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
-    "put that back, or say what it may do: pqsec issue * --force ...": SAYS_WHAT,
-    "restore it from a backup; or make all anew, its keys and permissions too: pqsec issue *"
+    "restore it, or issue it again: pqsec issue * --force ...": SAYS_WHAT,
+    "restore that file, or issue it again: pqsec issue * --force ...": SAYS_WHAT,
+    "restore it from a backup; or issue it again, with new keys and permissions: pqsec issue *"
     " --force ...": SAYS_WHAT,
     "add the domain to * and run `pqsec -k * sign-governance * --force`; the permissions must"
     " name the domain too": "it signs what the user edits, in place of what was signed before",
-    "`pqsec -k * sign-permissions * --force` signs what it says now; or remove *, and it is made"
-    " anew from what was signed": "it signs what the user edited, and the hint names the file",
+    "`pqsec -k * sign-permissions * --force` signs what it says now; or remove *: it is written"
+    " again from the signed document": "it signs what the user edited, and names the file",
     "*: the permissions CA did not sign it as it is (*), and no participant starts with it: put"
     " back what was signed, or look through governance.xml and `pqsec -k * sign-governance *"
     " --force`": "it replaces a governance that nobody takes, and says to look first",

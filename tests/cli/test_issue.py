@@ -429,7 +429,7 @@ def test_a_ca_key_that_is_not_its_certificates_issues_nothing(pqsec, keystore, f
     k, other = keystore("transition"), keystore("transition", "other", "another")
     name = f"private/{file}.key.pem"
     (k / name).write_bytes((other / name).read_bytes())
-    pqsec(f"-k k issue /a {TOPIC}").refused(3, "a private key is not its own")
+    pqsec(f"-k k issue /a {TOPIC}").refused(3, "a private key does not match the certificate")
     assert not (k / "enclaves/a").exists()
 
 

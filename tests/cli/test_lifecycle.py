@@ -168,7 +168,7 @@ def test_needs_renewal_answers_by_its_exit_code(pqsec, k):
     assert (yes.code, len(yes.out.splitlines())) == (0, 2)
     one = pqsec("-k k needs-renewal /talker --due 2y --json")
     assert (one.code, [each["name"] for each in one.json["participants"]]) == (0, ["/talker"])
-    pqsec("-k k needs-renewal /nobody").refused(3, "knows no participant /nobody")
+    pqsec("-k k needs-renewal /nobody").refused(3, "has no participant /nobody")
     pqsec("-k nowhere needs-renewal").refused(3, "is not a pqsec keystore")
     pqsec("-k k needs-renewal --due soon").refused(2, "'soon' is not a duration")
 

@@ -88,7 +88,7 @@ def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
     assert "1 previous-ca, 1 valid" in pqsec("-k k status").done().out
     renewed = pqsec("-k k renew --all --json").done().json["issued"]
     assert [each["name"] for each in renewed] == ["/listener"]
-    pqsec("-k k renew /talker").refused(3, "stayed behind with an earlier CA", hint="--csr")
+    pqsec("-k k renew /talker").refused(3, "issued by a CA that has been replaced", hint="--csr")
 
 
 def test_new_cas_have_the_passphrase_that_is_given(pqsec, k, secret):
@@ -108,7 +108,7 @@ def test_new_cas_have_the_passphrase_that_is_given(pqsec, k, secret):
     ("options", "code", "words"),
     [
         ("--plan --apply", 2, "exclude each other"),
-        ("--profile pq --only identity", 2, "another profile is for both CAs"),
+        ("--profile pq --only identity", 2, "a new profile applies to both CAs"),
         ("--profile none", 2, "'none' is not one of"),
         ("--only governance", 2, "'governance' is not one of"),
         ("--apply --no-passphrase --validity 999999y", 2, "beyond 2261"),
@@ -180,7 +180,7 @@ def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
     [
         ("--overlap soon", 2, "'soon' is not one of"),
         ("--overlap begin --only permissions", 2, "no stack trusts two permissions CAs"),
-        ("--overlap begin --profile pq", 2, "another profile is for both CAs"),
+        ("--overlap begin --profile pq", 2, "a new profile applies to both CAs"),
         ("--overlap begin --rekey", 2, "--rekey says nothing about --overlap begin"),
         ("--overlap switch --name x", 2, "--name says nothing about --overlap switch"),
         ("--overlap finish --validity 1y", 2, "--validity says nothing about --overlap finish"),
@@ -276,7 +276,7 @@ def test_what_is_not_taken_is_told(pqsec, tmp_path):
 
 
 def test_what_is_no_keystore_is_not_adopted(pqsec, k, tmp_path):
-    pqsec("adopt k").refused(3, "k is a keystore of pqsec's already")
+    pqsec("adopt k").refused(3, "k is a pqsec keystore already")
     pqsec("adopt").refused(2, "no keystore is named")
     (tmp_path / "empty").mkdir()
     pqsec("adopt empty").refused(3, "empty lacks public/identity_ca.cert.pem", hint="SROS2")

@@ -371,7 +371,7 @@ def test_a_key_that_is_not_the_cas_is_told(sros2, tmp_path):
     key = SROS2(tmp_path / "other").root / "private/ca.key.pem"
     (sros2.root / "private/ca.key.pem").write_bytes(key.read_bytes())
     refused = adopt(sros2.root, now=NOW).refused
-    assert refused["private/identity_ca.key.pem"].startswith("the key is not that of the CA")
+    assert refused["private/identity_ca.key.pem"].startswith("the key does not match the CA's certificate")
     assert list(refused) == ["private/identity_ca.key.pem", "private/permissions_ca.key.pem"]
 
 
@@ -439,7 +439,7 @@ def test_a_list_without_the_alternative_signature_is_told_and_left_alone(tmp_pat
 
 def test_a_keystore_of_ours_is_not_adopted(tmp_path):
     keystore = made(tmp_path / "k", "classical")
-    with pytest.raises(ExistsError, match="is a keystore of pqsec's already"):
+    with pytest.raises(ExistsError, match="is a pqsec keystore already"):
         adopt(keystore.root, now=NOW)
 
 

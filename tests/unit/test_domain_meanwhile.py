@@ -98,7 +98,7 @@ def test_new_cas_meanwhile_end_it(scene):
     authorities = keystore.unlock(None)
     terms = Rollover(profile=profile_named("classical"))
     rotate(scene.keystore, terms, passphrase=None, now=NOW)
-    with pytest.raises(KeystoreError, match="has made way for another CA meanwhile"):
+    with pytest.raises(KeystoreError, match="has been replaced by another CA meanwhile"):
         list(apply_plan(desired, keystore, authorities, found, now=NOW))
     assert scene.allowed("/r1")[1] == ["rt/cmd"]
 

@@ -299,7 +299,7 @@ def test_one_key_for_both_cas_is_refused(keystore, root):
     for kind in ("public/{}.cert.pem", "private/{}.key.pem"):
         data = (root / kind.format("identity_ca")).read_bytes()
         (root / kind.format("permissions_ca")).write_bytes(data)
-    with pytest.raises(KeystoreError, match="one key is identity CA and permissions CA"):
+    with pytest.raises(KeystoreError, match="the identity CA and the permissions CA have the same key"):
         keystore.unlock(None)
 
 
@@ -396,7 +396,7 @@ def test_keys_of_another_keystore_are_refused(root):
     for key in (root / "private").glob("*.key.pem"):
         mine = key.read_bytes()
         key.write_bytes((other.root / "private" / key.name).read_bytes())
-        with pytest.raises(KeystoreError, match=r"CN=Lab .*: a private key is not its own"):
+        with pytest.raises(KeystoreError, match=r"CN=Lab .*: a private key does not match the certificate"):
             keystore.unlock(None)
         key.write_bytes(mine)
     keystore.unlock(None)
@@ -470,7 +470,7 @@ def test_a_participant_that_another_command_is_issuing_is_not_replaced(keystore,
 
 
 def test_a_name_asked_for_twice_is_refused(keystore):
-    with pytest.raises(UsageError, match="/talker is asked for twice"):
+    with pytest.raises(UsageError, match="/talker is given twice"):
         issue_to(keystore, "/talker", "talker/")
 
 

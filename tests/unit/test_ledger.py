@@ -161,7 +161,7 @@ ALTERATIONS = {
     "a hash": ("UPDATE ledger SET sha256 = 'x' WHERE number = 4", "line 4 was altered"),
     "a chain value": (
         "UPDATE ledger SET chain = 'x' WHERE number = 5",
-        "line 5 was altered, or is not the one that stood here",
+        "line 5 was altered or replaced",
     ),
     "a line removed": ("DELETE FROM ledger WHERE number = 3", "line 3 is missing"),
     "lines removed": ("DELETE FROM ledger WHERE number IN (2, 3)", "lines 2 to 3 are missing"),
@@ -232,7 +232,7 @@ def test_a_second_certificate_behind_a_participants_own_shows(keystore, tmp_path
     path = keystore.root / "enclaves/talker/cert.pem"
     other = made(tmp_path / "other", "classical").root / "enclaves/talker/cert.pem"
     path.write_bytes(path.read_bytes() + other.read_bytes())
-    with pytest.raises(VerificationError, match=r"talker/cert\.pem is in no line of the ledger"):
+    with pytest.raises(VerificationError, match=r"talker/cert\.pem is not in the ledger"):
         audit(keystore)
 
 
@@ -244,7 +244,7 @@ def test_what_was_never_issued_here_shows(keystore, tmp_path, file):
     path.write_bytes(data)
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    assert refusal.value.lines == (f"{path} is in no line of the ledger",)
+    assert refusal.value.lines == (f"{path} is not in the ledger",)
 
 
 def test_a_certificate_in_the_folder_of_another_shows(keystore):
@@ -491,7 +491,7 @@ def test_a_change_that_is_finished_does_not_begin_a_lost_ledger_anew(keystore, t
     with pytest.raises(KeystoreError, match="is missing or empty") as refused:
         Keystore.recover(copy.root)
     assert refused.value.hint is not None
-    assert "put it back from a backup" in refused.value.hint
+    assert "restore it from a backup" in refused.value.hint
     assert sorted(ledger.parent.iterdir()) == there
     for path, data in whole.items():  # from a backup
         path.write_bytes(data)
@@ -501,9 +501,9 @@ def test_a_change_that_is_finished_does_not_begin_a_lost_ledger_anew(keystore, t
 
 def test_what_another_program_was_stopped_at_is_not_read(keystore, tmp_path):
     copy = as_sqlite_leaves_it(keystore, tmp_path / "copy", "DELETE", committed=False)
-    with pytest.raises(KeystoreError, match="another program was stopped while it changed it"):
+    with pytest.raises(KeystoreError, match="another program was stopped while changing it"):
         copy.ledger()
-    with pytest.raises(KeystoreError, match="another program was stopped while it changed it"):
+    with pytest.raises(KeystoreError, match="another program was stopped while changing it"):
         add(copy, later="0")
 
 

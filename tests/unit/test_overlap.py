@@ -356,7 +356,7 @@ def test_an_overlap_of_permissions_cas_is_refused(keystore, scope):
 
 def test_two_cas_of_one_name_are_refused(keystore):
     before = snapshot(keystore.root)
-    with pytest.raises(UsageError, match="is what the old identity CA is called"):
+    with pytest.raises(UsageError, match="is the name of the old identity CA"):
         begin(keystore, name="Test")
     assert snapshot(keystore.root) == before
 
@@ -364,7 +364,7 @@ def test_two_cas_of_one_name_are_refused(keystore):
 def test_another_profile_is_no_overlap(tmp_path, keystore):
     other = made(tmp_path / "other", "pq").profile
     how = Rollover(profile=other, scope=Scope.IDENTITY)
-    with pytest.raises(UsageError, match="another profile is for both CAs"):
+    with pytest.raises(UsageError, match="a new profile applies to both CAs"):
         begin_overlap(keystore, how, kept=keystore.unlock(None), passphrase=None, now=LATER)
 
 
@@ -374,7 +374,7 @@ def test_who_is_revoked_is_not_let_in_again_by_an_overlap(keystore, lost):
     if lost:
         (keystore.root / "public/identity_ca.crl.pem").unlink()
     before = snapshot(keystore.root)
-    with pytest.raises(KeystoreError, match="1 revoked would be let in again"):
+    with pytest.raises(KeystoreError, match="1 revoked would be accepted again"):
         begin(keystore)
     assert snapshot(keystore.root) == before
 
@@ -432,7 +432,7 @@ def test_a_key_that_is_not_the_next_cas_does_not_issue(tmp_path, keystore):
     key = keystore.root / "private/next_identity_ca.key.pem"
     key.write_bytes((other.root / "private/identity_ca.key.pem").read_bytes())
     before = snapshot(keystore.root)
-    with pytest.raises(KeystoreError, match="a private key is not its own"):
+    with pytest.raises(KeystoreError, match="a private key does not match the certificate"):
         switch(keystore)
     assert snapshot(keystore.root) == before
 

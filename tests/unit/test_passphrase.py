@@ -60,7 +60,7 @@ def test_a_wrong_passphrase_changes_nothing(keystore):
 def test_cas_that_made_way_meanwhile_are_not_put_back(keystore):
     old = keystore.unlock(None)
     rotate(keystore, Rollover(profile=keystore.profile), passphrase=None, now=NOW)
-    with pytest.raises(KeystoreError, match="has made way for another CA meanwhile"):
+    with pytest.raises(KeystoreError, match="has been replaced by another CA meanwhile"):
         change_passphrase(keystore, old, b"new")
     Keystore.open(keystore.root).unlock(None)
 
@@ -69,7 +69,7 @@ def test_a_key_that_is_a_link_is_refused(keystore, tmp_path):
     path = keystore.root / "private/identity_ca.key.pem"
     path.rename(tmp_path / "stick.pem")
     path.symlink_to(tmp_path / "stick.pem")
-    with pytest.raises(KeystoreError, match="the key it shows would stay as it is"):
+    with pytest.raises(KeystoreError, match="the key that it leads to would not change"):
         change(keystore, None, b"secret")
     assert path.is_symlink()
     keystore.unlock(None)

@@ -187,7 +187,7 @@ def test_a_begin_that_the_policy_set_stays(keystore):
 
 def test_what_the_policy_let_end_is_not_given_again(keystore):
     put_permissions(keystore, grant_of("/talker", rule("a"), end=NOW + 10 * DAY))
-    with pytest.raises(KeystoreError, match="what g/talker was allowed ended on 2026-12-01"):
+    with pytest.raises(KeystoreError, match="the permissions of g/talker ended on 2026-12-01"):
         renewed(keystore, "/talker")
 
 

@@ -87,7 +87,7 @@ def test_a_serial_number_takes_back_one_certificate(keystore, spelled):
     "subject", ["/nobody", "", "/", "../x", "a b", "12ab", "x" * 400, "\0", "é", "/talker/cert.pem"]
 )
 def test_who_is_not_known_is_refused_and_nothing_is_changed(keystore, subject):
-    with pytest.raises(KeystoreError, match="the ledger knows no participant"):
+    with pytest.raises(KeystoreError, match="the ledger has no participant"):
         take_back(keystore, "/talker", subject)
     assert keystore.revocation_list is None
     assert not (keystore.root / "enclaves/talker/crl.pem").is_symlink()

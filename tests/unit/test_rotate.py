@@ -189,14 +189,14 @@ def test_one_ca_may_stay(tmp_path, profile, scope):
 
 
 def test_one_ca_cannot_stay_while_the_profile_changes(keystore):
-    with pytest.raises(UsageError, match="another profile is for both CAs"):
+    with pytest.raises(UsageError, match="a new profile applies to both CAs"):
         rotated(keystore, "pq", scope=Scope.IDENTITY, kept=keystore.unlock(None))
 
 
 def test_cas_that_made_way_meanwhile_are_not_kept(keystore):
     kept = keystore.unlock(None)
     rotated(keystore)
-    with pytest.raises(KeystoreError, match="has made way for another CA meanwhile"):
+    with pytest.raises(KeystoreError, match="has been replaced by another CA meanwhile"):
         rotated(keystore, scope=Scope.IDENTITY, kept=kept)
 
 
@@ -238,7 +238,7 @@ def test_a_key_that_is_a_link_to_elsewhere_is_not_said_to_be_destroyed(keystore,
     path = keystore.root / "private/identity_ca.key.pem"
     path.rename(tmp_path / "stick.pem")
     path.symlink_to(tmp_path / "stick.pem")
-    with pytest.raises(KeystoreError, match=r"is a link: what it shows is not destroyed"):
+    with pytest.raises(KeystoreError, match=r"is a link: pqsec does not destroy its target"):
         rotated(keystore, destroy=True)
     assert_whole(rotated(keystore).keystore)
     load_private_key((tmp_path / "stick.pem").read_bytes())
@@ -325,7 +325,7 @@ def test_whose_policy_has_ended_stays_behind_and_is_in_nobodys_way(keystore):
         issue(keystore, keystore.unlock(None), [spec], now=NOW)
     told = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER).left_out
     done = rotated(keystore)
-    assert done.left_out == told == {"/ended": f"what it was allowed ended on {end:%Y-%m-%d}"}
+    assert done.left_out == told == {"/ended": f"its permissions ended on {end:%Y-%m-%d}"}
     assert sorted(each.name for each in done.issued) == sorted([*TWO, "/goes/on"])
     setup = HandshakeSetup(keystore=done.keystore, domain=0, now=LATER)
     assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/goes/on")).ok
@@ -358,7 +358,7 @@ def test_who_stayed_behind_once_is_in_nobodys_way_later(keystore):
     told = plan_rollover(pq, Rollover(profile=profile_named("classical")), now=LATER).left_out
     done = rotated(pq, "classical")  # the profile that its key is of
     assert done.left_out == told
-    assert done.left_out == {"/talker": "it stayed behind before: an earlier CA issued it"}
+    assert done.left_out == {"/talker": "it was not reissued before: its CA has been replaced"}
     assert [each.name for each in done.issued] == ["/listener"]
     audit(done.keystore)
 
@@ -505,7 +505,7 @@ def test_who_unlocked_the_cas_before_cannot_issue_after(keystore):
         lambda: revoke(new, old, ["/talker"], now=LATER),
         lambda: sign_document(new, Kind.GOVERNANCE, b"", new.root / "x.p7s", old, now=LATER),
     ):
-        with pytest.raises(KeystoreError, match="has made way for another CA meanwhile"):
+        with pytest.raises(KeystoreError, match="has been replaced by another CA meanwhile"):
             work()
     assert_whole(new)
 
