@@ -354,7 +354,7 @@ def test_several_certificates_in_a_cas_file_are_told(sros2, tmp_path):
         ["public/identity_ca.cert.pem", "public/permissions_ca.cert.pem"],
         "2 certificates: the first one is the CA",
     )
-    with pytest.raises(VerificationError, match=r"identity_ca\.cert\.pem is in no line"):
+    with pytest.raises(VerificationError, match=r"identity_ca\.cert\.pem is not in the ledger"):
         audit(done.keystore)
 
 

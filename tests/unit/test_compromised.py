@@ -169,7 +169,7 @@ def test_two_robots_of_one_disk_do_not_share_a_key(keystore):
         VerificationError, match="/copy: its key is that of /fleet/robot1"
     ) as caught:
         issued(keystore, robot.spec(keystore, "/copy"))
-    assert "revoke the old one first" in caught.value.hint
+    assert "revoke the old name first" in caught.value.hint
     issued(keystore, robot.spec(keystore), force=True)  # itself, again
     revoked(keystore, reason=Reason.SUPERSEDED)
     issued(keystore, robot.spec(keystore, "/copy"))

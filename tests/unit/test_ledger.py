@@ -197,7 +197,7 @@ def test_a_line_removed_and_the_others_moved_up_shows(keystore):
         "DELETE FROM ledger WHERE number = 4",
         "UPDATE ledger SET number = number - 1 WHERE number > 4",
     )
-    with pytest.raises(VerificationError, match="line 4 was altered, or is not the one"):
+    with pytest.raises(VerificationError, match="line 4 was altered or replaced"):
         audit(keystore)
 
 
@@ -205,7 +205,7 @@ def test_the_newest_lines_missing_show_by_what_lies_in_the_keystore(keystore):
     alter(keystore, "DELETE FROM ledger WHERE number > 5")
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    files = [problem.split(" is in no line")[0] for problem in refusal.value.lines]
+    files = [problem.split(" is not in the ledger")[0] for problem in refusal.value.lines]
     found = {file.rpartition("/")[2] for file in files}
     assert found == {"cert.pem", "permissions.p7s"}
 
@@ -250,14 +250,14 @@ def test_what_was_never_issued_here_shows(keystore, tmp_path, file):
 def test_a_certificate_in_the_folder_of_another_shows(keystore):
     folder = keystore.root / "enclaves"
     shutil.copy(folder / "listener/cert.pem", folder / "talker/cert.pem")
-    with pytest.raises(VerificationError, match=r"talker/cert\.pem is in no line"):
+    with pytest.raises(VerificationError, match=r"talker/cert\.pem is not in the ledger"):
         audit(keystore)
 
 
 def test_signed_permissions_in_the_place_of_the_governance_show(keystore):
     folder = keystore.root / "enclaves"
     shutil.copy(folder / "talker/permissions.p7s", folder / "governance.p7s")
-    with pytest.raises(VerificationError, match=r"governance\.p7s is in no line"):
+    with pytest.raises(VerificationError, match=r"governance\.p7s is not in the ledger"):
         audit(keystore)
 
 
@@ -401,7 +401,7 @@ HOSTILE_TABLES = {
 def test_a_ledger_that_does_anything_but_hold_lines_is_not_opened(keystore, statements):
     alter(keystore, *statements)
     for work in (keystore.ledger, lambda: audit(keystore)):
-        with pytest.raises(KeystoreError, match="not a ledger: somebody else made"):
+        with pytest.raises(KeystoreError, match="not a ledger: another program made"):
             work()
 
 

@@ -408,7 +408,7 @@ def test_a_second_ca_that_others_put_there_is_no_overlap_and_shows(tmp_path, key
     path = keystore.root / "public/identity_ca.cert.pem"
     path.write_bytes(path.read_bytes() + rogue.pem)
     assert Overlap.of(keystore) is None
-    with pytest.raises(VerificationError, match=r"identity_ca\.cert\.pem is in no line"):
+    with pytest.raises(VerificationError, match=r"identity_ca\.cert\.pem is not in the ledger"):
         audit(keystore)
     begin(keystore)  # which writes the file anew
     audit(keystore)
@@ -422,7 +422,7 @@ def test_a_ca_that_is_put_back_after_the_end_shows(keystore, steps):
         step(keystore)
     path.write_bytes(both)
     assert Overlap.of(keystore) is None
-    with pytest.raises(VerificationError, match="holds 2 certificates, and the ledger"):
+    with pytest.raises(VerificationError, match="has 2 certificates, but the ledger"):
         audit(keystore)
 
 

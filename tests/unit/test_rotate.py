@@ -427,7 +427,7 @@ def copied(keystore):
     ("flaw", "words", "hint"),
     [
         (unsigned, "governance.p7s: not an S/MIME", "sign-governance"),
-        (of_before, "is not the newest permissions", "put that back"),
+        (of_before, "is not the newest permissions", "restore that file"),
         (copied, "the ledger has no certificate for /copied", "move its folder out"),
     ],
 )
