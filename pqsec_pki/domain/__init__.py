@@ -1,7 +1,7 @@
-"""A domain as one file wants it: what differs from that in a keystore, and making it so.
+"""Brings a keystore into the state that a domain file describes.
 
-For whoever keeps a fleet: `read_domain` says what domain.yaml wants, `plan` which steps lead
-there from what the keystore's ledger says, and `perform` takes them.
+`read_domain` reads domain.yaml, `plan` compares it with the keystore's ledger and lists the
+steps, and `apply_plan` executes them.
 """
 
 from pqsec_pki.domain.apply import apply_plan, create_keystore

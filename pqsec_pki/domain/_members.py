@@ -1,4 +1,4 @@
-"""From the items of a domain file to its participants, each once."""
+"""Makes participants of the items of a domain file, each participant once."""
 
 import os
 import re
@@ -15,7 +15,7 @@ from pqsec_pki.domain._listing import (
     MAX_PARTICIPANTS,
     MAX_PROBLEMS,
     Listed,
-    gathered,
+    expanded,
     names_in_csv,
     names_in_list,
 )
@@ -27,75 +27,76 @@ from pqsec_pki.problems import Problem
 
 _NOTHING: Mapping[str, str] = {}
 _COLUMNS: Readers = {"domains": domains, "validity": validity_in, "request": text}
-"""What a row may say beside its name and role."""
+"""The columns of a row besides name and role."""
 _PATTERN = re.compile(r"[*?\[\\]")
-"""What POSIX fnmatch takes for more than itself."""
+"""The special characters of POSIX fnmatch."""
 _ALMOST = 0.8
-"""Of difflib's measure: domain and Validity, but not site."""
+"""Ratio of difflib: it matches domain and Validity, but not site."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One item of `participants`, as it was read."""
+    """One item of `participants`."""
 
     line: int
     roles: Mapping[str, Role]
-    """All there are: a CSV file may name them."""
-    said: Mapping[str, Any]
+    """All roles of the file: a CSV file may name them."""
+    settings: Mapping[str, Any]
+    """The values of the item's keys."""
 
     def listed(self, folder: Path) -> tuple[Path | None, list[Listed]]:
-        """The names it stands for, and the file that they are in if it is another."""
-        if "csv" in self.said:
-            path = folder / self.said["csv"]
+        """The item's names, and the file that they are in if it is another file."""
+        if "csv" in self.settings:
+            path = folder / self.settings["csv"]
             return path, names_in_csv(path)
-        if "list" in self.said:
-            path = folder / self.said["list"]
+        if "list" in self.settings:
+            path = folder / self.settings["list"]
             return path, names_in_list(path)
-        return None, gathered(self.said["name"])
+        return None, expanded(self.settings["name"])
 
 
 def members_of(
-    source: Path, entries: Iterable[Entry], said: Mapping[str, Any]
+    source: Path, entries: Iterable[Entry], settings: Mapping[str, Any]
 ) -> dict[str, Member]:
-    """All participants by name; `said` is what the file says for all of them.
+    """All participants by name; `settings` are the file's values for all of them.
 
-    InvalidDocumentError where one comes twice, lacks a value or has a bad one.
+    InvalidDocumentError for a duplicate, and for a missing or invalid value.
     """
-    gatherer = _Gatherer(source, said)
+    collector = _Collector(source, settings)
     for entry in entries:
-        gatherer.gather(entry)
-    one_of_each_role = {member.role: member for member in gatherer.members.values()}
+        collector.add(entry)
+    one_of_each_role = {member.role: member for member in collector.members.values()}
     for member in one_of_each_role.values():
-        member.spec()  # so that a slip in a role shows before anything is made
-    return gatherer.members
+        member.spec()  # reports a mistake in a role before anything is issued
+    return collector.members
 
 
-class _Gatherer:
-    """Participants so far, and where each was found."""
+class _Collector:
+    """Collects participants, and the place of each."""
 
-    def __init__(self, source: Path, said: Mapping[str, Any]) -> None:
+    def __init__(self, source: Path, settings: Mapping[str, Any]) -> None:
         self._source = source
-        self._said = said
+        self._settings = settings
         self._places: dict[str, str] = {}
         self._requests: dict[Path, str] = {}
         self.members: dict[str, Member] = {}
 
-    def gather(self, entry: Entry) -> None:
+    def add(self, entry: Entry) -> None:
         path, listed = entry.listed(self._source.parent)
         problems: list[Problem] = []
         with located(path or self._source):
-            _refuse_slips(listed[:1], entry)
+            _refuse_misspelled_columns(listed[:1], entry)
             for each in listed:
                 try:
-                    self._add(each, entry, f"{path}: " if path else "")
+                    self._add_name(each, entry, f"{path}: " if path else "")
                 except InvalidDocumentError as error:
                     problems += error.problems
             if problems:
                 raise InvalidDocumentError(problems[:MAX_PROBLEMS])
 
-    def _add(self, each: Listed, entry: Entry, file: str) -> None:
+    def _add_name(self, each: Listed, entry: Entry, file: str) -> None:
         if place := self._places.get(each.name):
-            raise refused(each.line, f"{each.name} comes twice, first in {place}")
+            raise refused(each.line, f"{each.name} appears twice, first in {place}")
         if len(self.members) == MAX_PARTICIPANTS:
             raise refused(each.line, f"more than {MAX_PARTICIPANTS} participants")
         self._places[each.name] = intern(f"{file}line {each.line}")
@@ -103,46 +104,46 @@ class _Gatherer:
         if member.request:
             first = self._requests.setdefault(member.request, each.name)
             if first != each.name:
-                message = f"{first} and {each.name} cannot have one request; name a folder,"
-                raise refused(each.line, f"{message} with one called like each: a+b.csr for /a/b")
+                message = f"{first} and {each.name} cannot have the same request; name a folder"
+                raise refused(each.line, f"{message} with a file for each: a+b.csr for /a/b")
 
     def _member(self, each: Listed, entry: Entry) -> Member:
-        said = {**entry.said, **_columns(each, entry.roles)}
-        role: Role | None = said.get("role")
+        settings = {**entry.settings, **_columns(each, entry.roles)}
+        role: Role | None = settings.get("role")
         if role is None:
             raise refused(each.line, f"{each.name} has no role")
         return Member(
             name=each.name,
             role=role,
-            domains=said.get("domains") or role.domains or self._said["domains"],
-            validity=self._validity(each, said.get("validity") or role.validity),
-            values=_values(each, role, said.get("values", _NOTHING)),
+            domains=settings.get("domains") or role.domains or self._settings["domains"],
+            validity=self._validity(each, settings.get("validity") or role.validity),
+            values=_values(each, role, settings.get("values", _NOTHING)),
             source=self._source,
-            request=self._request(each.name, said.get("request")),
+            request=self._request(each.name, settings.get("request")),
         )
 
-    def _request(self, name: str, said: str | None) -> Path | None:
-        """A file, or in a folder the one that is called like the participant."""
-        if not said:
+    def _request(self, name: str, request: str | None) -> Path | None:
+        """The file, or the file with the participant's name in the folder."""
+        if not request:
             return None
-        path = self._source.parent / said
-        is_folder = said.endswith("/") or os.path.isdir(path)  # noqa: PTH112 -- never raises
+        path = self._source.parent / request
+        is_folder = request.endswith("/") or os.path.isdir(path)  # noqa: PTH112 -- never raises
         return path / f"{flat_name(name)}.csr" if is_folder else path
 
     def _validity(self, each: Listed, own: timedelta | None) -> timedelta:
-        validity: timedelta = own or self._said["validity"]
-        notice: timedelta | None = self._said["renew_before"]
+        validity: timedelta = own or self._settings["validity"]
+        notice: timedelta | None = self._settings["renew_before"]
         if notice is not None and notice >= validity:
-            message = f"{each.name} would be due when it is made: renew_before is not shorter"
+            message = f"{each.name} would be due when it is issued: renew_before must be shorter"
             raise refused(each.line, f"{message} than its validity")
         return validity
 
 
-def _refuse_slips(first: Iterable[Listed], entry: Entry) -> None:
-    """A column that fills no blank, and is called almost like one that counts for its row."""
-    own = entry.said.get("role")
+def _refuse_misspelled_columns(first: Iterable[Listed], entry: Entry) -> None:
+    """InvalidDocumentError for a column without a placeholder, named almost like a known one."""
+    own = entry.settings.get("role")
     roles = (*entry.roles.values(), *([own] if own else []))
-    placeholders = {blank for role in roles for blank in role.placeholders}
+    placeholders = {each for role in roles for each in role.placeholders}
     for column in (column for each in first for column in each.columns):
         meant = get_close_matches(column.lower(), ("role", *_COLUMNS), 1, _ALMOST)
         if meant and column not in {"role", *_COLUMNS, *placeholders}:
@@ -150,29 +151,29 @@ def _refuse_slips(first: Iterable[Listed], entry: Entry) -> None:
 
 
 def _values(each: Listed, role: Role, of_entry: Mapping[str, str]) -> Mapping[str, str]:
-    """Of what is known, that which the role asks for."""
-    wanted = role.placeholders.difference(OWN)
-    if not wanted:
+    """The values for the role's placeholders; InvalidDocumentError if one is missing."""
+    needed = role.placeholders.difference(OWN)
+    if not needed:
         return _NOTHING
     known = {**of_entry, **each.columns}
-    missing = sorted(f"${name}" for name in wanted - known.keys())
+    missing = sorted(f"${name}" for name in needed - known.keys())
     if missing:
-        message = f"{each.name}: its role ({role.label}) asks for {', '.join(missing)}"
+        message = f"{each.name}: its role ({role.label}) needs {', '.join(missing)}"
         raise refused(each.line, message)
-    for name in wanted & each.columns.keys():
+    for name in needed & each.columns.keys():
         _refuse_pattern(name, Text(each.line, each.columns[name], plain=False))
-    return {name: known[name] for name in wanted}
+    return {name: known[name] for name in needed}
 
 
 def _refuse_pattern(column: str, value: Text) -> None:
-    """Who keeps an inventory does not decide that a robot may use the topics of all."""
+    """InvalidDocumentError for a pattern: an inventory must not give a robot all topics."""
     if found := _PATTERN.search(fit(value)):
         message = f"'{shown(value.text)}' in column '{shown(column)}' has a {found[0]}"
-        raise refused(value, f"{message}: patterns stand in a role, or in `values`")
+        raise refused(value, f"{message}: patterns are allowed only in a role or in `values`")
 
 
 def _columns(each: Listed, roles: Mapping[str, Role]) -> dict[str, Any]:
-    """What a row says of role, domains, validity and request; an empty value says nothing."""
+    """A row's role, domains, validity and request; empty values are ignored."""
     readers: Readers = {"role": lambda item: roles[chosen(item, roles)], **_COLUMNS}
     return {
         key: reader(Text(each.line, each.columns[key], plain=False))

@@ -1,4 +1,4 @@
-"""What a role leaves open: `$name` in its texts, filled in for each participant."""
+"""Placeholders of a role: `$name` in its texts, replaced for each participant."""
 
 import hashlib
 import json
@@ -9,17 +9,17 @@ from string import Template
 from pqsec_pki.documents.parts_yaml import Item, Items, Table, Text, refused
 
 OWN = ("name", "base", "parent")
-"""What is known of each participant: /fleet/robot1, robot1 and /fleet."""
+"""Placeholders that each participant has: /fleet/robot1, robot1 and /fleet."""
 
 
 _UNFIT = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What XML cannot carry (XML 1.0, 2.2)."""
+"""Characters that XML cannot contain (XML 1.0, 2.2)."""
 
 
 def fit(item: Text) -> str:
-    """The text; InvalidDocumentError for a character that no permissions document can hold."""
+    """The text; InvalidDocumentError for a character that XML cannot contain."""
     if found := _UNFIT.search(item.text):
-        raise refused(item, f"the character {found[0]!r}, which XML cannot carry")
+        raise refused(item, f"XML cannot contain the character {found[0]!r}")
     return item.text
 
 
@@ -30,18 +30,18 @@ def own_values(name: str) -> dict[str, str]:
 
 
 def placeholders_in(item: Item) -> frozenset[str]:
-    """The names behind a `$`; InvalidDocumentError for a `$` that no name follows, and as `fit`."""
+    """The placeholder names; InvalidDocumentError for a `$` without a name, and as of `fit`."""
     found: set[str] = set()
     for each in _texts(item):
         template = Template(fit(each))
         if not template.is_valid():
-            raise refused(each, "a $ that no name follows; write $$ for the character")
+            raise refused(each, "a $ without a name after it; write $$ for the character")
         found.update(template.get_identifiers())
     return frozenset(found)
 
 
 def filled(item: Item, values: Mapping[str, str]) -> Item:
-    """The item with values in its blanks; each line stays what it was."""
+    """The item with its placeholders replaced; line numbers are kept."""
     match item:
         case Text():
             text = Template(item.text).substitute(values)
@@ -56,13 +56,13 @@ def filled(item: Item, values: Mapping[str, str]) -> Item:
 
 
 def without(item: Table, keys: Collection[str]) -> Table:
-    """The mapping less these keys."""
+    """The mapping without these keys."""
     entries = {key: entry for key, entry in item.entries.items() if key not in keys}
     return Table(item.line, entries)
 
 
 def digest_of(item: Item) -> str:
-    """SHA-256, in hex, of what the item says: not of its lines, comments and order of keys."""
+    """SHA-256, in hex, of the item's content, independent of lines, comments and key order."""
     return hashlib.sha256(json.dumps(_plain(item), sort_keys=True).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""What one participant needs to be as it should be: steps, or why none can be taken."""
+"""Compares one participant with its wanted state: the steps, or why it is blocked."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,76 +15,76 @@ _NEVER = datetime.max.replace(tzinfo=UTC)
 _ELSEWHERE = "has its key elsewhere"
 _OTHER_KEY = "its request is for another key"
 _IF_MEANT = "if it is really the robot that asks: --new-keys"
-_ASK_AGAIN = "have it ask anew (`pqsec request`), and name the file as its `request`"
+_ASK_AGAIN = "make a new request on it (`pqsec request`), and name the file as its `request`"
 
 
 @dataclass(frozen=True, slots=True)
 class Reconciler:
-    """What all participants' needs depend on."""
+    """Compares participants with their wanted state; the fields apply to all of them."""
 
     profile: Profile
     keystore: Keystore | None = None
     """None if there is none yet."""
     ca_ends: datetime = _NEVER
     renew_before: timedelta | None = None
-    """None for a third of a certificate's life."""
+    """None for a third of a certificate's validity."""
     now: datetime = _NEVER
     new_keys: bool = False
     """Whether a request may be for other keys than its participant had."""
 
     def of(self, member: Member, held: ParticipantState | None) -> Iterator[Step | Blocked]:
-        """Of `member`, who has what `held` says; None for nothing."""
+        """The steps for `member`; `held` is its state in the keystore, None if it is new."""
         if held is None and self.keystore and self.keystore.has(member.name):
             yield Blocked(
                 member.name,
-                "has files that the ledger does not know",
+                "has files that are not in the ledger",
                 "move its folder out of enclaves/",
             )
         elif held is not None and held.revoked:
             yield Blocked(member.name, "was revoked")
-        elif again := self._why_again(member.name, held):
-            yield self._issuing(member, held, *again)
+        elif again := self._why_issue(member.name, held):
+            yield self._issue_step(member, held, *again)
         elif held is not None:
             answer = None
             if asks_for_other_keys(member, held.keys):
-                answer = self._answering(member, held, Action.REPLACE, _OTHER_KEY)
+                answer = self._answer_request(member, held, Action.REPLACE, _OTHER_KEY)
                 yield answer
             if not isinstance(answer, Step):
-                yield from self._keeping(member, held)
+                yield from self._steps_with_its_key(member, held)
 
-    def _keeping(self, member: Member, held: ParticipantState) -> Iterator[Step]:
-        """What leaves it its key, whatever somebody asks for in its name."""
+    def _steps_with_its_key(self, member: Member, held: ParticipantState) -> Iterator[Step]:
+        """The steps that keep its key, whatever its request asks for."""
         if why := _why_sign_permissions(member, held):
             yield Step(Action.SIGN_PERMISSIONS, member.name, why)
         if why := self._why_renew(member, held):
             yield Step(Action.RENEW, member.name, why)
 
-    def _why_again(self, name: str, held: ParticipantState | None) -> tuple[Action, str] | None:
-        """Why it needs a certificate that no renewal gives, if it does."""
+    def _why_issue(self, name: str, held: ParticipantState | None) -> tuple[Action, str] | None:
+        """Why it must be issued rather than renewed; None if it need not."""
         if held is None:
             return Action.ISSUE, "new"
         if held.files is Files.GONE:
             all_gone = not (self.keystore and self.keystore.has(name))
-            return Action.ISSUE if all_gone else Action.REPLACE, "its certificate is gone"
+            return Action.ISSUE if all_gone else Action.REPLACE, "its certificate is missing"
         faults = {
             "its certificate is not the one issued last": held.files is Files.OTHER_CERTIFICATE,
-            "its certificate is of a CA that made way for another": held.issued_by_previous_ca,
+            "its certificate was issued by a CA that has been replaced": held.issued_by_previous_ca,
             "its key was revoked as compromised": held.compromised,
         }
         why = next((why for why, is_so in faults.items() if is_so), "")
         return (Action.REPLACE, why) if why else None
 
-    def _issuing(
+    def _issue_step(
         self, member: Member, held: ParticipantState | None, action: Action, why: str
     ) -> Step | Blocked:
-        """The step, if the keys are to be made here or its request may be answered."""
+        """The step, if its keys are made here or its request may be answered."""
         if member.request:
-            return self._answering(member, held, action, why)
+            return self._answer_request(member, held, action, why)
         if held and self._key_is_elsewhere(member.name, held):
             return Blocked(member.name, f"{_ELSEWHERE}, and {why}", _ASK_AGAIN)
         return Step(action, member.name, why)
 
-    def _answering(
+    def _answer_request(
         self, member: Member, held: ParticipantState | None, action: Action, why: str
     ) -> Step | Blocked:
         name = member.name
@@ -93,17 +93,17 @@ class Reconciler:
         try:
             keys = hashes_in(admitted(member, self.profile))
         except PqsecError as error:
-            return Blocked(name, f"asks for what it cannot have: {error}", _ASK_AGAIN)
+            return Blocked(name, f"its request is refused: {error}", _ASK_AGAIN)
         same = held is None or keys == held.keys
         if held and held.compromised and same:
             return Blocked(name, f"{_ELSEWHERE}, and {why}", _ASK_AGAIN)
         if not (same or self.new_keys):
             why = _OTHER_KEY if why == _OTHER_KEY else f"{_OTHER_KEY}, and {why}"
-            return Blocked(name, f"stays as it is: {why}", _IF_MEANT)
+            return Blocked(name, f"is not changed: {why}", _IF_MEANT)
         return Step(action, name, why, keys)
 
     def _key_is_elsewhere(self, name: str, held: ParticipantState) -> bool:
-        """It asked for its certificate, and was given no key that was made here since."""
+        """Whether it sent a request, and the keystore has no key for it."""
         return held.requested and not (self.keystore and self.keystore.has_key(name))
 
     def _why_renew(self, member: Member, held: ParticipantState) -> str:
@@ -127,5 +127,5 @@ def _why_sign_permissions(member: Member, held: ParticipantState) -> str:
     return (
         f"its role ({member.role.label}) was changed"
         if held.config_digest
-        else "not made of the file"
+        else "its permissions were not made from the file"
     )

@@ -1,4 +1,4 @@
-"""Roles, and the items of `participants` that have one or say themselves what they may do."""
+"""Reads roles, and the items of `participants`, which name a role or have rules of their own."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -23,17 +23,17 @@ from pqsec_pki.domain._placeholders import OWN, digest_of, fit, placeholders_in,
 from pqsec_pki.domain.desired import ROLE_KEYS, Role, rules_of, validity_in
 
 
-def _as_it_is(item: Item) -> Item:
-    """What a role says is read once its blanks are filled."""
+def _unread(item: Item) -> Item:
+    """Rules of a role are read after its placeholders are replaced."""
     return item
 
 
-_SAID: Readers = {"domains": domains, "validity": validity_in}
-_ROLE: Readers = dict.fromkeys(ROLE_KEYS, _as_it_is) | _SAID
+_TERMS: Readers = {"domains": domains, "validity": validity_in}
+_ROLE: Readers = dict.fromkeys(ROLE_KEYS, _unread) | _TERMS
 
 
 def roles_in(item: Item) -> dict[str, Role]:
-    """What `roles` says, by the names they have there."""
+    """The roles in `roles`, by name."""
     found = table(item)
     readers: Mapping[str, Callable[[Item], Role]] = {
         key: partial(_role, key) for key in found.entries
@@ -42,28 +42,28 @@ def roles_in(item: Item) -> dict[str, Role]:
 
 
 def _role(label: str, item: Item) -> Role:
-    said = fields(item, _ROLE)
-    return _made(label, without(table(item), _SAID), said)
+    settings = fields(item, _ROLE)
+    return _made(label, without(table(item), _TERMS), settings)
 
 
-def _made(label: str, item: Table, said: Mapping[str, Any]) -> Role:
+def _made(label: str, item: Table, settings: Mapping[str, Any]) -> Role:
     if not item.entries:
         raise refused(item, "allows nothing: give it publish, subscribe, nodes or rules")
     placeholders = placeholders_in(item)
     if not placeholders:
-        rules_of(item, DomainSet.of(0))  # what it allows, wherever that will be
+        rules_of(item, DomainSet.of(0))  # reports mistakes; any domain will do
     return Role(
         label=label,
         item=item,
         placeholders=placeholders,
         digest=digest_of(item),
-        domains=said.get("domains"),
-        validity=said.get("validity"),
+        domains=settings.get("domains"),
+        validity=settings.get("validity"),
     )
 
 
 def entry_in(roles: Mapping[str, Role] | None, item: Item) -> Entry:
-    """One item of `participants`: names, and the role they have or what they may do."""
+    """Read one item of `participants`: names, and their role or rules."""
     readers: Readers = {
         "name": partial(one_or_more, reader=_with_line),
         "csv": text,
@@ -72,18 +72,18 @@ def entry_in(roles: Mapping[str, Role] | None, item: Item) -> Entry:
         "role": text if roles is None else partial(_named_role, roles),
         "values": _values,
     }
-    said = fields(item, readers | _ROLE)
-    sources = [key for key in ("name", "csv", "list") if key in said]
+    settings = fields(item, readers | _ROLE)
+    sources = [key for key in ("name", "csv", "list") if key in settings]
     if len(sources) != 1:
-        raise refused(item, "an item has one of the keys name, csv and list")
-    own = without(table(item), [*readers, *_SAID])
-    if own.entries and "role" in said:
-        raise refused(item, "it has a role, so what it may do stands there")
+        raise refused(item, "an item must have exactly one of the keys name, csv and list")
+    own = without(table(item), [*readers, *_TERMS])
+    if own.entries and "role" in settings:
+        raise refused(item, "it has a role: put its rules into the role")
     if own.entries:
-        said["role"] = _made("its own", own, said)
-    if "role" not in said and "csv" not in said:
-        raise refused(item, "what it may do is missing: a role, or publish, subscribe, nodes")
-    return Entry(item.line, roles=roles or {}, said=said)
+        settings["role"] = _made("its own", own, settings)
+    if "role" not in settings and "csv" not in settings:
+        raise refused(item, "it has no rules: add a role, or publish, subscribe, nodes")
+    return Entry(item.line, roles=roles or {}, settings=settings)
 
 
 def _with_line(item: Item) -> tuple[str, int]:
@@ -100,7 +100,7 @@ def _values(item: Item) -> dict[str, str]:
     found = table(item)
     taken = [key for key, _ in found.entries.values() if key.text in OWN]
     if taken:
-        raise refused(taken[0], f"${taken[0].text} is known already")
+        raise refused(taken[0], f"${taken[0].text} is a reserved name")
     return fields(found, dict.fromkeys(found.entries, _value))
 
 
@@ -111,5 +111,5 @@ def _value(item: Item) -> str:
 def _file_name(item: Item) -> str:
     found = text(item)
     if not found:
-        raise refused(item, "no file is named")
+        raise refused(item, "the file name is empty")
     return found

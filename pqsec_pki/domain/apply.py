@@ -1,6 +1,6 @@
-"""Taking the steps of a plan, in batches: each is one change of the keystore, whole or absent.
+"""Executes the steps of a plan in batches; each batch is one atomic change of the keystore.
 
-Killed between two batches, or in one, a new plan has what is left.
+If it is killed, a new plan has the steps that are left.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,7 +11,7 @@ from pathlib import Path
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.certificates import Reason
 from pqsec_pki.domain.desired import Desired
-from pqsec_pki.domain.plan import plan as plan_again
+from pqsec_pki.domain.plan import plan as make_plan
 from pqsec_pki.domain.requests import spec_of
 from pqsec_pki.domain.steps import Action, Plan, Step
 from pqsec_pki.errors import (
@@ -35,22 +35,22 @@ from pqsec_pki.keystore import (
 )
 
 BATCH = 500
-"""Participants in one change: enough that its overhead does not show, and as many as a
-kill can undo."""
+"""Participants in one change: enough to make its overhead small, and the most that is lost
+when pqsec is killed."""
 
 MAX_FAILURES = 10
-"""Participants that fail by themselves; with more, the fault is not theirs."""
+"""Failing participants; if more fail, the participants are not the cause."""
 
 _OWN_FAULTS = (InvalidDocumentError, KeystoreError, MalformedError, UsageError, VerificationError)
-"""Of a participant, and not of the disk or of another command at work."""
+"""Errors that a participant may cause, unlike errors of the disk."""
 
 
 def create_keystore(
     desired: Desired, root: Path, *, passphrase: bytes | None, now: datetime
 ) -> Keystore:
-    """A keystore with the desired CAs, as the plan's first step wants it.
+    """Create a keystore with the desired CAs: the first step of a plan without a keystore.
 
-    ExistsError if something of a keystore is at `root`.
+    ExistsError if `root` has any part of a keystore.
     """
     profile = profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE
     return Keystore.create(
@@ -67,23 +67,23 @@ def create_keystore(
 def apply_plan(
     desired: Desired, keystore: Keystore, authorities: Authorities, plan: Plan, *, now: datetime
 ) -> Iterator[Sequence[Step]]:
-    """Take the steps, but that of making the keystore; gives those of each batch, done.
+    """Execute the steps except the creation of the keystore; yields the steps of each batch.
 
-    What another command did since the plan was made is not done again: such a step is left
-    out. Errors as those of the keystore's operations. What was given is done, whatever comes
-    after; a participant that cannot be done keeps nobody else from it, and is told last.
+    Steps that another command has done since the plan was made are skipped. Yielded steps are
+    done, even if a later batch fails. A participant that fails does not stop the others; its
+    error is raised at the end. Errors as of the keystore's operations.
     """
     worker = _Worker(desired, keystore, authorities, plan, now)
     for action, group in groupby(plan.steps, key=lambda step: step.action):
         for steps in worker.alike(action, group):
-            size = len(steps) if action is Action.REVOKE else BATCH  # one list tells of all
+            size = len(steps) if action is Action.REVOKE else BATCH  # one revocation list for all
             for start in range(0, len(steps), size):
                 yield from worker.batch(action, steps[start : start + size])
-    worker.tell_failures()
+    worker.raise_failures()
 
 
 class _Worker:
-    """Takes a batch of steps of one kind."""
+    """Executes batches of steps with the same action."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class _Worker:
         self._failures: list[PqsecError] = []
 
     def alike(self, action: Action, steps: Iterable[Step]) -> Iterable[list[Step]]:
-        """Those that can be taken in one change: renewals have one validity."""
+        """Group the steps for one change each: renewals in a change have the same validity."""
         if action is not Action.RENEW:
             return [list(steps)]
         found: dict[timedelta, list[Step]] = {}
@@ -111,7 +111,7 @@ class _Worker:
         return found.values()
 
     def batch(self, action: Action, steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
-        """Take them all at once; if one fails by itself, those that do not."""
+        """Execute all steps in one change; if some fail, execute the others without them."""
         steps, error = self._try(action, steps)
         if error is None:
             yield steps
@@ -127,13 +127,13 @@ class _Worker:
     def _try(
         self, action: Action, steps: Sequence[Step]
     ) -> tuple[Sequence[Step], PqsecError | None]:
-        """The steps that are still wanted, taken; or what is wrong with some of them.
+        """Execute the steps that are still needed; returns them, and the error if one failed.
 
-        No other command comes between the question and the deed.
+        The lock keeps other commands from changing the keystore between check and change.
         """
         with self._keystore.hold():
             if self._keystore.head != self._head:
-                self._look_again()
+                self._update_plan()
             steps = [step for step in steps if (step.action, step.name) in self._wanted]
             try:
                 if steps:
@@ -144,29 +144,29 @@ class _Worker:
                 self._head = self._keystore.head
         return steps, None
 
-    def _look_again(self) -> None:
-        """Another command was at work since: what is left of the plan?"""
+    def _update_plan(self) -> None:
+        """Drop the steps that another command has done meanwhile."""
         self._authorities.refuse_outdated(self._keystore.root)
         prune = any(action is Action.REVOKE for action, _ in self._wanted)
-        found = plan_again(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
+        found = make_plan(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
         self._wanted &= {(step.action, step.name) for step in found.steps} | {
             (Action.CREATE_CAS, "")
         }
 
-    def tell_failures(self) -> None:
-        """The error, if there was one; KeystoreError for several."""
+    def raise_failures(self) -> None:
+        """Raise the error of the failed participant; KeystoreError if several failed."""
         if not self._failures:
             return
         first, *others = self._failures
         if not others:
             raise first
         raise KeystoreError(
-            f"{len(self._failures)} participants could not be done; the first: {first}",
+            f"{len(self._failures)} participants failed; the first: {first}",
             hint=first.hint,
         )
 
     def take(self, action: Action, steps: Sequence[Step]) -> None:
-        """Do it, for all or for none."""
+        """Execute the steps in one change, all or none."""
         at = (self._keystore, self._authorities)
         names = [step.name for step in steps]
         members, profile = self._desired.members, self._keystore.profile

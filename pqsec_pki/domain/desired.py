@@ -1,4 +1,4 @@
-"""What a domain shall be: its CAs, its governance, and each participant with its role."""
+"""The wanted state of a domain: its CAs, its governance, and its participants with roles."""
 
 import hashlib
 import json
@@ -25,8 +25,8 @@ from pqsec_pki.errors import located
 from pqsec_pki.keystore import ParticipantSpec
 
 EDITION = 1
-"""Of what roles mean. Counted up when the same words come to mean other rules, so that the
-permissions made of them are signed again."""
+"""The version of the meaning of roles. It is increased when the same text gives other rules,
+so that permissions are signed again."""
 
 _ALWAYS = (datetime(1970, 1, 1, tzinfo=UTC), datetime(2261, 1, 1, tzinfo=UTC))
 """Permissions end with the certificate; a grant of a role sets no other limit."""
@@ -34,24 +34,24 @@ _ALWAYS = (datetime(1970, 1, 1, tzinfo=UTC), datetime(2261, 1, 1, tzinfo=UTC))
 _LONGEST = timedelta(days=200 * 365)
 
 ROLE_KEYS = (*ALLOWED, "rules", "default")
-"""What says what a participant may do, in the words of permissions in YAML."""
+"""The keys of a role, as in permissions in YAML."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Role:
-    """What several participants may do alike; two are one only if they are the same object."""
+    """The permissions that several participants share; roles are compared by identity."""
 
     label: str
     item: Table = field(repr=False)
-    """Only ROLE_KEYS."""
+    """With ROLE_KEYS only."""
     placeholders: frozenset[str]
-    """What it leaves open."""
+    """The names of its placeholders."""
     digest: str
     domains: DomainSet | None
     validity: timedelta | None
 
     def grant(self, name: str, domains: DomainSet, values: Mapping[str, str]) -> Grant:
-        """What `name` may do in this role; InvalidDocumentError with the lines at fault."""
+        """The grant for `name` in this role; InvalidDocumentError with the lines at fault."""
         if self.placeholders:
             rules, default = rules_of(filled(self.item, {**values, **own_values(name)}), domains)
         else:
@@ -68,26 +68,26 @@ class Role:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A participant as it shall be."""
+    """The wanted state of a participant."""
 
     name: str
     role: Role = field(repr=False)
     domains: DomainSet
     validity: timedelta
     values: Mapping[str, str]
-    """For the blanks of its role, but those that any participant has."""
+    """For the placeholders of its role, without those that each participant has."""
     source: Path
     """The domain file, for errors in its role."""
     request: Path | None = None
-    """Where its own request is, or will be; None if its keys are made here."""
+    """The path of its request, which may not exist yet; None if its keys are made here."""
 
     @property
     def config_digest(self) -> str:
-        """Differs whenever what it may do does: SHA-256, in hex."""
+        """SHA-256, in hex, of its permissions' source: it changes when its permissions do."""
         return _config_digest(self.role.digest, self.domains, tuple(sorted(self.values.items())))
 
     def spec(self) -> ParticipantSpec:
-        """What `issue` and `permit` take; InvalidDocumentError where the role is wrong for it."""
+        """The input of `issue` and `sign_permissions`; InvalidDocumentError for a bad role."""
         with located(self.source):
             grant = told(lambda: self.role.grant(self.name, self.domains, self.values))
         return ParticipantSpec(
@@ -101,31 +101,31 @@ class Member:
 
 @dataclass(frozen=True)
 class Desired:
-    """A domain file, read."""
+    """The content of a domain file."""
 
     path: Path
     name: str
-    """Of the CAs; empty if the file does not say."""
+    """Of the CAs; empty if the file has no name."""
     profile: str | None
-    """None for whatever the keystore has, or the default for a new one."""
+    """None for the keystore's profile, or the default for a new keystore."""
     domains: DomainSet
     ca_validity: timedelta
     renew_before: timedelta | None
-    """None for a third of a certificate's life."""
+    """None for a third of a certificate's validity."""
     governance: Governance
     members: Mapping[str, Member]
     """By name."""
     prune: bool
-    """Whether to revoke participants that it does not name."""
+    """Whether to revoke participants that are not in the file."""
 
     @cached_property
     def governance_digest(self) -> str:
-        """Differs whenever the governance does."""
+        """SHA-256, in hex: it changes when the governance does."""
         return hashlib.sha256(repr(self.governance).encode()).hexdigest()
 
     @property
     def ungoverned(self) -> list[int]:
-        """Domains where participants may be, and that the governance does not name."""
+        """Domains of participants that the governance does not have."""
         wanted = {domain for each in self._domain_sets for domain in each.ids()}
         return sorted(each for each in wanted if self.governance.rule_for(each) is None)
 
@@ -140,7 +140,7 @@ def _read_once(role: Role, domains: DomainSet) -> tuple[tuple[Rule, ...], Defaul
 
 
 def validity_in(item: Item) -> timedelta:
-    """A duration that a certificate can have."""
+    """Read a validity; InvalidDocumentError if it is longer than a certificate's can be."""
     found = duration(item)
     if found > _LONGEST:
         raise refused(item, "certificates end in 2261 at the latest: 200y is the longest")
@@ -148,16 +148,16 @@ def validity_in(item: Item) -> timedelta:
 
 
 def rules_of(item: Item, domains: DomainSet) -> tuple[tuple[Rule, ...], DefaultAction]:
-    """The rules that an item without blanks says, and what holds where none does."""
+    """The rules of an item without placeholders, and its default action."""
     common: Readers = {"default": lambda value: one_of(DefaultAction, value)}
-    rules, said = rules_in(domains, item, common)
+    rules, settings = rules_in(domains, item, common)
     if not rules:
-        raise refused(item, "no rule in it, so it allows nothing")
-    return rules, said.get("default", DefaultAction.DENY)
+        raise refused(item, "it has no rule, so it allows nothing")
+    return rules, settings.get("default", DefaultAction.DENY)
 
 
 @lru_cache(maxsize=1024)
 def _config_digest(digest: str, domains: DomainSet, values: tuple[tuple[str, str], ...]) -> str:
-    # Without the name: the mark stands in the ledger beside it.
-    said = json.dumps([EDITION, digest, str(domains), values])
-    return hashlib.sha256(said.encode()).hexdigest()
+    # Without the participant's name: the ledger line has it too.
+    content = json.dumps([EDITION, digest, str(domains), values])
+    return hashlib.sha256(content.encode()).hexdigest()

@@ -1,7 +1,7 @@
-"""What differs between a domain file and a keystore, as the steps that lead from one to the other.
+"""Compares a domain file with a keystore: the steps that bring the keystore into that state.
 
-All is asked of the ledger, of the files' stamps and of requests; no certificate or document is
-parsed.
+It reads the ledger, the files' inodes and times, and requests; it parses no certificate or
+document.
 """
 
 from dataclasses import dataclass
@@ -33,10 +33,10 @@ def plan(
     prune: bool = False,
     new_keys: bool = False,
 ) -> Plan:
-    """The steps from the keystore, None if there is none yet, to what is desired.
+    """The steps from the keystore, None if there is none yet, to the desired state.
 
-    `prune` as in the file, if that does not say it. `new_keys` answers requests for other
-    keys than a participant had. KeystoreError if the keystore is of another name or profile.
+    `prune` has the same effect as in the file. `new_keys` allows requests for other keys than
+    the participant had. KeystoreError if the keystore has another name or profile.
     """
     if keystore is None:
         return _from_nothing(desired)
@@ -67,15 +67,16 @@ def _from_nothing(desired: Desired) -> Plan:
 def _refuse_another(desired: Desired, keystore: Keystore) -> None:
     if desired.profile not in {None, keystore.profile.name}:
         raise KeystoreError(
-            f"{desired.path} wants profile {desired.profile}, and {keystore.root} has"
+            f"{desired.path} has profile {desired.profile}, but {keystore.root} has profile"
             f" {keystore.profile.name}",
             hint="`pqsec ca rotate` changes the profile of a keystore",
         )
     subject = keystore.identity_ca.subject_name
     if desired.name and f"CN={desired.name} " not in subject:
         raise KeystoreError(
-            f"{desired.path} is about {desired.name}, and the CA of {keystore.root} is {subject}",
-            hint="name the right keystore with -k, or leave `name` out of the file",
+            f"{desired.path} has the name {desired.name}, but the CA of {keystore.root} is"
+            f" {subject}",
+            hint="name the right keystore with -k, or remove `name` from the file",
         )
 
 
@@ -114,15 +115,15 @@ class _Planner:
     def _why_sign_governance(self) -> str:
         config_digest = self.actual.governance_digest
         if config_digest is None:
-            return "the file there is not the one signed last"
+            return "the file is not the one signed last"
         if config_digest == self.desired.governance_digest:
             return ""
         if not config_digest and signed_governance(self.keystore) == self.desired.governance:
-            return ""  # by other means, but the same
-        return "it was changed" if config_digest else "it says something else"
+            return ""  # signed by another command, with the same content
+        return "it was changed" if config_digest else "its content differs"
 
     def _others(self) -> tuple[str, ...]:
-        """Whom somebody would still take for a participant, and the file does not name."""
+        """The participants with a valid certificate that are not in the file."""
         return tuple(
             name
             for name, held in self.actual.participants.items()
@@ -132,9 +133,9 @@ class _Planner:
         )
 
     def _list_steps(self, steps: list[Step]) -> list[Step]:
-        """Renewing and revoking see to the list themselves."""
-        seen_to = any(step.action in {Action.RENEW, Action.REVOKE} for step in steps)
-        if seen_to or not self.keystore.has_revocation_list:
+        """The step that renews the list; renewing and revoking include it."""
+        included = any(step.action in {Action.RENEW, Action.REVOKE} for step in steps)
+        if included or not self.keystore.has_revocation_list:
             return []
         shared = status(self.keystore, (), now=self.now, due=self.desired.renew_before)
         ends = [term.not_after for term in shared.shared if term.kind == "crl"]

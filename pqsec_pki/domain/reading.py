@@ -1,4 +1,4 @@
-"""The domain file: YAML, with roles in the words of permissions and lists of participants.
+"""Reads the domain file: YAML, with roles as in permissions and lists of participants.
 
     validity: 90d
     roles:
@@ -57,29 +57,28 @@ YEAR = timedelta(days=365)
 
 
 def read_domain(path: Path) -> Desired:
-    """What the file, and those it names, want.
+    """Read the domain file and the files that it names.
 
-    InvalidDocumentError, located, with all that is wrong in a file; FileError for one that
-    cannot be read.
+    InvalidDocumentError with the file and all its problems; FileError if a file cannot be read.
     """
     data = read_file(path)
     with located(path):
-        said = read(data, _domain)
-    governance = said["governance"]
+        settings = read(data, _domain)
+    governance = settings["governance"]
     if isinstance(governance, _GovernanceFile):
         governance = governance.read(path.parent)
     with located(path):
-        members = members_of(path, said["participants"], said)
+        members = members_of(path, settings["participants"], settings)
         return Desired(
             path=path,
             governance=governance,
             members=members,
-            **{key: said[key] for key in _KEPT},
+            **{key: settings[key] for key in _KEPT},
         )
 
 
 def new_domain(name: str) -> bytes:
-    """A commented domain file for people to edit; `name` is that of the CAs."""
+    """A commented domain file for users to edit; `name` is the name of the CAs."""
     template = Template(asset("templates", "domain.yaml").read_text("utf-8"))
     return template.substitute(name=name).encode()
 
@@ -89,7 +88,7 @@ _KEPT = ("name", "profile", "domains", "ca_validity", "renew_before", "prune")
 
 def _domain(item: Item) -> dict[str, Any]:
     default_domains = peeked(item, "domains", domains, DomainSet.of(0))
-    # Without them where they have mistakes: those are told, and not that roles are missing.
+    # None if the roles have mistakes: then only the mistakes are reported, not missing roles.
     unknown: dict[str, Role] | None = None if "roles" in table(item).entries else {}
     roles = peeked(item, "roles", roles_in, unknown)
     readers: Readers = {
@@ -104,9 +103,9 @@ def _domain(item: Item) -> dict[str, Any]:
         "participants": partial(each, reader=partial(entry_in, roles)),
         "prune": boolean,
     }
-    said = fields(item, readers)
-    said.setdefault("governance", PRESETS[0].governance(default_domains))
-    return {**_DEFAULTS, "domains": default_domains, **said}
+    settings = fields(item, readers)
+    settings.setdefault("governance", PRESETS[0].governance(default_domains))
+    return {**_DEFAULTS, "domains": default_domains, **settings}
 
 
 _DEFAULTS: Mapping[str, Any] = {
@@ -121,7 +120,7 @@ _DEFAULTS: Mapping[str, Any] = {
 
 
 def _ca_name(item: Item) -> str:
-    """One that the CAs' certificates can carry."""
+    """A name that fits into the CAs' certificates."""
     name = text(item)
     build(item, common_name, name=f"{name} Permissions CA".strip())
     return name
@@ -132,7 +131,7 @@ def _ca_name(item: Item) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _GovernanceFile:
-    """It stands in a file of its own, XML or YAML."""
+    """A governance in its own file, XML or YAML."""
 
     name: str
 
@@ -146,7 +145,7 @@ class _GovernanceFile:
 
 
 def _governance(default_domains: DomainSet, item: Item) -> Governance | _GovernanceFile:
-    """A preset's name, the name of a file, or what would stand in one."""
+    """A preset, a file, or the content of a governance file."""
     if isinstance(item, Text):
         name = chosen(item, [preset.name for preset in PRESETS])
         return preset_named(name).governance(default_domains)

@@ -1,4 +1,4 @@
-"""Participants whose keys are on their robots: the requests that the domain file names."""
+"""Requests that the domain file names, of participants whose keys are on their robots."""
 
 import os
 from contextlib import suppress
@@ -14,7 +14,7 @@ from pqsec_pki.errors import FileError, KeystoreError, PqsecError, VerificationE
 from pqsec_pki.keystore import ParticipantSpec, PublicKeys, key_hashes
 
 MAX_FILE = 1 << 20
-"""Bytes. A request with the largest keys has 20 kB."""
+"""Bytes; a request with the largest keys has 20 kB."""
 
 
 def is_there(member: Member) -> bool:
@@ -23,10 +23,10 @@ def is_there(member: Member) -> bool:
 
 
 def admitted(member: Member, profile: Profile) -> PublicKeys | None:
-    """The keys that the member's request asks for; None if the file names no request.
+    """The keys of the member's request; None if the domain file names no request.
 
-    FileError or MalformedError if it cannot be read, VerificationError if it may not be
-    answered: not for this name, of other kinds of keys, or without proof of possession.
+    FileError or MalformedError if it cannot be read. VerificationError if it has another name,
+    keys of other algorithms, or no proof of possession.
     """
     if member.request is None:
         return None
@@ -35,9 +35,9 @@ def admitted(member: Member, profile: Profile) -> PublicKeys | None:
 
 
 def asks_for_other_keys(member: Member, certified: str) -> bool:
-    """Whether its request has arrived, and is not for the keys that are certified already.
+    """Whether its request has arrived, and is for other keys than the certified ones.
 
-    For thousands: whether it may be answered is not asked.
+    The request is not verified: that takes long for thousands.
     """
     if member.request is None or not is_there(member):
         return False
@@ -48,10 +48,10 @@ def asks_for_other_keys(member: Member, certified: str) -> bool:
 
 
 def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:
-    """What `issue` takes, for the keys of its request if it has one; errors as with both.
+    """The input of `issue`, with the keys of its request if it has one.
 
-    VerificationError also if they are not those `planned`, by their hashes; KeystoreError if
-    the request has gone.
+    Errors as of `admitted` and `Member.spec`. VerificationError also if the keys' hashes are
+    not those `planned`; KeystoreError if the request cannot be read any more.
     """
     try:
         keys = admitted(member, profile)
@@ -60,18 +60,18 @@ def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:
     if hashes_in(keys) != planned:
         raise VerificationError(
             f"{member.request}: it is for another key than when the plan was made",
-            hint="apply again; who else can write there?",
+            hint="apply again, and check who else can write there",
         )
     return replace(member.spec(), keys=keys)
 
 
 def hashes_in(keys: PublicKeys | None) -> str:
-    """As the ledger has them; empty for none."""
+    """The keys' hashes as in the ledger; empty for None."""
     return key_hashes(keys.key, keys.alternative) if keys else ""
 
 
 def _read(path: Path) -> CertificateRequest:
-    """Others may write where requests arrive: no pipe is waited for."""
+    """Read a request; only a regular file, because others may put a pipe there."""
     if not os.path.isfile(path):  # noqa: PTH113 -- never raises
         raise FileError("there is no file")
     return CertificateRequest.from_pem(read(path, limit=MAX_FILE))

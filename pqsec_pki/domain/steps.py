@@ -1,11 +1,11 @@
-"""The steps from a keystore to what is desired, and what stands in their way: values alone."""
+"""The values of a plan: its steps, and the participants that are blocked."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 
 class Action(StrEnum):
-    """What a step does, in the order in which steps are taken."""
+    """What a step does, in the order of execution."""
 
     CREATE_CAS = "create-cas"
     SIGN_GOVERNANCE = "sign-governance"
@@ -18,7 +18,7 @@ class Action(StrEnum):
 
     @property
     def words(self) -> str:
-        """It, for a person."""
+        """The action in words, for messages."""
         return _WORDS[self]
 
 
@@ -36,44 +36,44 @@ _WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing to be done."""
+    """One step of a plan."""
 
     action: Action
     name: str
-    """Of the participant; empty where all share the thing."""
+    """Of the participant; empty if the step is not for one participant."""
     why: str
     keys: str = field(default="", compare=False)
-    """Hashes of those that its request asks for, as the ledger will have them."""
+    """Hashes of the keys in its request, as in the ledger."""
 
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """A participant that no step can make, bring back or revoke, and should be."""
+    """A participant that should be changed, but no step can do it."""
 
     name: str
     why: str
-    way_out: str = "take it out of the file, or issue it by hand"
+    way_out: str = "remove it from the file, or issue it by hand"
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be done, and what is not."""
+    """The steps, and the participants that they do not change."""
 
     steps: tuple[Step, ...]
     blocked: tuple[Blocked, ...]
     unlisted: tuple[str, ...]
-    """In the keystore and not in the file, and valid: they stay, as nothing says `prune`."""
+    """Valid participants that are not in the file; they are kept, because `prune` is not set."""
     unchanged: int
-    """Participants that are as they should be."""
+    """How many participants are in the wanted state."""
     head: str | None = field(default=None, compare=False)
-    """Of the ledger that it was made from; None if there was none."""
+    """The ledger's head when the plan was made; None if there was no ledger."""
 
     @property
     def revoked(self) -> int:
-        """How many participants it revokes."""
+        """How many participants the plan revokes."""
         return sum(step.action is Action.REVOKE for step in self.steps)
 
     @property
     def in_order(self) -> bool:
-        """Whether the keystore is as the file wants it."""
+        """Whether the keystore is in the wanted state."""
         return not self.steps and not self.blocked

@@ -115,7 +115,7 @@ def test_who_was_revoked_keeps_the_answer_at_no(pqsec, applied):
     for line in ("plan", "apply --check", "apply"):
         told = pqsec(f"-k k {line}")
         assert told.code == 1
-        assert "blocked: /r2 was revoked; take it out of the file" in told.out
+        assert "blocked: /r2 was revoked; remove it from the file" in told.out
     shutil.rmtree(applied.parent / "k/enclaves/r1")
     told = pqsec("-k k apply --yes")
     assert (told.code, told.out) == (1, "issue: 1\n")
@@ -127,14 +127,17 @@ def test_who_has_its_key_elsewhere_is_given_no_other(pqsec, applied, tmp_path):
     [request] = (tmp_path / "robot").rglob("*.csr")
     pqsec("-k k issue /r4 --publish x --csr", request).done()
     applied.write_text(FILE.replace("1..3", "1..4"))
-    assert "sign permissions for  /r4  (not made of the file)" in pqsec("-k k plan").out
+    assert (
+        "sign permissions for  /r4  (its permissions were not made from the file)"
+        in pqsec("-k k plan").out
+    )
     pqsec("-k k apply --yes").done()
     pqsec("-k k renew /r4").done()
     assert not (tmp_path / "k/enclaves/r4/key.pem").exists()
     shutil.rmtree(tmp_path / "k/enclaves/r4")
     told = pqsec("-k k plan")
     assert told.code == 1
-    assert "blocked: /r4 has its key elsewhere, and its certificate is gone; " in told.out
+    assert "blocked: /r4 has its key elsewhere, and its certificate is missing; " in told.out
 
 
 def test_many_names_are_counted_and_json_has_them_all(pqsec, domain, change):
@@ -275,7 +278,7 @@ def test_another_key_is_certified_only_if_that_is_said(pqsec, robots):
     for line in ("plan", "apply --yes"):
         told = pqsec(f"-k k {line}")
         assert told.code == 1
-        assert "/r3 stays as it is: its request is for another key" in told.out
+        assert "/r3 is not changed: its request is for another key" in told.out
     assert "if it is really the robot that asks: --new-keys" in told.out
     assert pqsec("-k k plan --new-keys --json").json["steps"] == [
         {"action": "replace", "name": "/r3", "why": "its request is for another key"}

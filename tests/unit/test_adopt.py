@@ -371,7 +371,9 @@ def test_a_key_that_is_not_the_cas_is_told(sros2, tmp_path):
     key = SROS2(tmp_path / "other").root / "private/ca.key.pem"
     (sros2.root / "private/ca.key.pem").write_bytes(key.read_bytes())
     refused = adopt(sros2.root, now=NOW).refused
-    assert refused["private/identity_ca.key.pem"].startswith("the key does not match the CA's certificate")
+    assert refused["private/identity_ca.key.pem"].startswith(
+        "the key does not match the CA's certificate"
+    )
     assert list(refused) == ["private/identity_ca.key.pem", "private/permissions_ca.key.pem"]
 
 

@@ -241,8 +241,8 @@ def swap(path):
 @pytest.mark.parametrize(
     ("file", "what", "step"),
     [
-        ("cert.pem", drop, (Action.ISSUE, "its certificate is gone")),
-        ("cert.pem", os.unlink, (Action.REPLACE, "its certificate is gone")),
+        ("cert.pem", drop, (Action.ISSUE, "its certificate is missing")),
+        ("cert.pem", os.unlink, (Action.REPLACE, "its certificate is missing")),
         ("cert.pem", damage, (Action.REPLACE, "its certificate is not the one issued last")),
         ("cert.pem", swap, (Action.REPLACE, "its certificate is not the one issued last")),
         (
@@ -325,7 +325,7 @@ def test_who_was_revoked_by_hand_is_told(scene):
 def test_a_governance_that_is_not_the_one_signed_is_signed_anew(scene, what):
     what(scene.root / "enclaves/governance.p7s")
     assert scene.steps() == [(Action.SIGN_GOVERNANCE, "")]
-    assert scene.whys()[""] == "the file there is not the one signed last"
+    assert scene.whys()[""] == "the file is not the one signed last"
     scene.apply()
     assert scene.plan().in_order
     check_whole(scene.keystore, "/r1")
@@ -336,10 +336,10 @@ def test_a_keystore_made_by_hand_is_taken_over(tmp_path):
     create_transition(scene.root)
     issue_plain(scene.keystore, "/r1", "/stranger")
     scene.change("name: Lab", "name: Lab\ngovernance: migration")
-    assert scene.whys()[""] == "it says something else"
+    assert scene.whys()[""] == "its content differs"
     scene.change("governance: migration", "")
     assert scene.steps()[0] == (Action.ISSUE, "/r2")  # the governance says the same
-    assert scene.whys()["/r1"] == "not made of the file"
+    assert scene.whys()["/r1"] == "its permissions were not made from the file"
     scene.apply()
     assert scene.plan().in_order
     assert scene.plan().unlisted == ("/stranger",)
@@ -403,9 +403,9 @@ def alter(root, statement, value):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("profile: transition", "profile: pq", "wants profile pq, and .* has transition"),
-        ("name: Lab", "name: Works", "is about Works, and the CA of .* is CN=Lab Identity CA"),
-        ("name: Lab", "name: La", "is about La, and"),
+        ("profile: transition", "profile: pq", "has profile pq, but .* has profile transition"),
+        ("name: Lab", "name: Works", "has the name Works, but the CA of .* is CN=Lab Identity CA"),
+        ("name: Lab", "name: La", "has the name La, but"),
     ],
 )
 def test_another_domains_keystore_is_refused(scene, old, new, told):
@@ -448,7 +448,7 @@ def test_who_cannot_be_renewed_keeps_nobody_else_from_it(scene):
     for name in ("/r1", "/monitor"):
         with scene.file_of(name, "permissions.xml").open("ab") as file:
             file.write(b"<!-- somebody is at work here -->")
-    with pytest.raises(KeystoreError, match=r"2 participants could not .*; the first: .*r1"):
+    with pytest.raises(KeystoreError, match=r"2 participants failed; the first: .*r1"):
         scene.apply(now)
     assert scene.steps(now) == [(Action.RENEW, "/r1"), (Action.RENEW, "/monitor")]
     audit(scene.keystore)

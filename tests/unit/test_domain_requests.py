@@ -197,7 +197,9 @@ def test_requests_that_were_answered_may_go(fleet):
 def test_a_file_is_for_one_participant(tmp_path):
     text = FILE.replace("inbox/", "one.csr")
     fleet = Fleet(tmp_path, text)
-    with pytest.raises(InvalidDocumentError, match=r"line 9: /r1 and /r2 cannot have one request"):
+    with pytest.raises(
+        InvalidDocumentError, match=r"line 9: /r1 and /r2 cannot have the same request"
+    ):
         fleet.plan()
     fleet.write(text.replace("/r{1..2}", "/r1"))
     assert read_domain(fleet.file).members["/r1"].request == tmp_path / "one.csr"
@@ -225,7 +227,7 @@ def test_a_renewal_keeps_the_robots_key(fleet):
 
 def test_another_request_is_how_a_robot_gets_another_key(fleet):
     fleet.ask("/r1")
-    assert fleet.blocked() == {"/r1": "stays as it is: its request is for another key"}
+    assert fleet.blocked() == {"/r1": "is not changed: its request is for another key"}
     assert [each.way_out for each in fleet.plan().blocked] == [
         "if it is really the robot that asks: --new-keys"
     ]
@@ -305,12 +307,13 @@ def test_who_did_not_come_along_to_the_new_ca_needs_a_new_request(fleet):
     shutil.copytree(backup, fleet.root / "enclaves/made", symlinks=True)
     fleet.change("profile: classical", "profile: pq")
     fleet.change("name: Lab", "")
-    assert fleet.whys()["/made"] == "its certificate is of a CA that made way for another"
+    assert fleet.whys()["/made"] == "its certificate was issued by a CA that has been replaced"
     assert "it has ecdsa-p256; profile pq here has ml-dsa-65" in fleet.blocked()["/r1"]
     shutil.rmtree(fleet.inbox)
     whys = fleet.blocked()
     assert (
-        whys["/r1"] == "has sent no request (its certificate is of a CA that made way for another)"
+        whys["/r1"]
+        == "has sent no request (its certificate was issued by a CA that has been replaced)"
     )
     fleet.change(", request: inbox/", "")
     assert fleet.blocked()["/r1"].startswith(
@@ -361,7 +364,7 @@ def test_a_key_that_was_revoked_as_compromised_is_seen_in_its_next_certificate(f
 def test_a_folder_that_the_ledger_does_not_know_keeps_nobody_else_from_it(fleet):
     shutil.copytree(fleet.root / "enclaves/made", fleet.root / "enclaves/copy", symlinks=True)
     fleet.change("name: /made", "name: [/made, /copy, /new]")
-    assert fleet.blocked() == {"/copy": "has files that the ledger does not know"}
+    assert fleet.blocked() == {"/copy": "has files that are not in the ledger"}
     fleet.apply()
     assert "/new" in fleet.keystore.names()
     shutil.rmtree(fleet.root / "enclaves/copy")

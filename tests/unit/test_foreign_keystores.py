@@ -254,7 +254,8 @@ def test_the_superuser_changes_nothing_in_a_keystore_of_another_user(root, where
     interrupted(root)
     os.chown(root / where, NOBODY, NOBODY)
     with pytest.raises(
-        KeystoreError, match=r"it belongs to another user \(nobody\); anyone who may write there can"
+        KeystoreError,
+        match=r"it belongs to another user \(nobody\); anyone who may write there can",
     ) as refused:
         Keystore.recover(root)
     assert "sudo -u nobody pqsec" in refused.value.hint

@@ -299,7 +299,9 @@ def test_one_key_for_both_cas_is_refused(keystore, root):
     for kind in ("public/{}.cert.pem", "private/{}.key.pem"):
         data = (root / kind.format("identity_ca")).read_bytes()
         (root / kind.format("permissions_ca")).write_bytes(data)
-    with pytest.raises(KeystoreError, match="the identity CA and the permissions CA have the same key"):
+    with pytest.raises(
+        KeystoreError, match="the identity CA and the permissions CA have the same key"
+    ):
         keystore.unlock(None)
 
 
@@ -396,7 +398,9 @@ def test_keys_of_another_keystore_are_refused(root):
     for key in (root / "private").glob("*.key.pem"):
         mine = key.read_bytes()
         key.write_bytes((other.root / "private" / key.name).read_bytes())
-        with pytest.raises(KeystoreError, match=r"CN=Lab .*: a private key does not match the certificate"):
+        with pytest.raises(
+            KeystoreError, match=r"CN=Lab .*: a private key does not match the certificate"
+        ):
             keystore.unlock(None)
         key.write_bytes(mine)
     keystore.unlock(None)
