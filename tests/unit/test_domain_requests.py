@@ -317,7 +317,7 @@ def test_who_did_not_come_along_to_the_new_ca_needs_a_new_request(fleet):
     )
     fleet.change(", request: inbox/", "")
     assert fleet.blocked()["/r1"].startswith(
-        "has its key elsewhere, and its certificate is of a CA"
+        "has its key elsewhere, and its certificate was issued by a CA"
     )
     fleet.change(
         "role: robot}\n  - {name: /made", "role: robot, request: inbox/}\n  - {name: /made"
