@@ -227,7 +227,7 @@ def _unauthenticated(report: Report) -> Iterator[str]:
         why = "not put to the test" if not report.accepted else "did not come up"
         yield f"{'FAIL' if report.accepted else '    '}  outsider  {UNAUTHENTICATED}: {why}"
     elif report.unauthenticated_heard:
-        yield f"FAIL  outsider  {UNAUTHENTICATED} got the sample: `pqsec explain` tells why"
+        yield f"FAIL  outsider  {UNAUTHENTICATED} got the sample: `pqsec explain` shows why"
     else:
         yield f"ok    outsider  {UNAUTHENTICATED} got nothing"
 

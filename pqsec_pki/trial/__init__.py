@@ -1,8 +1,8 @@
-"""Two participants of a real stack, with credentials of a keystore: do they meet?
+"""Runs two participants of a real stack with credentials of a keystore, for `pqsec try`.
 
-For `pqsec try` and for whoever must know what a stack makes of what pqsec writes. Each
-participant is a process; they meet on a loopback of their own, one sends a sample to the
-other, and a third one without credentials listens.
+It shows whether a stack accepts what pqsec writes. Each participant is a process. In a network
+with only a loopback, one sends a sample to the other, and a third one, without credentials,
+listens.
 """
 
 from pqsec_pki.trial.building import BuildError, built

@@ -1,4 +1,4 @@
-"""Peers: compiled when they are first needed, and kept."""
+"""Compiles peers when they are first needed, and caches them."""
 
 import hashlib
 import os
@@ -29,28 +29,28 @@ class BuildError(PqsecError):
 def built(installation: Installation) -> Path:
     """The program of a peer, compiled now unless it is in the user's cache.
 
-    It is kept for the build of the library that it was linked to, and for no other. BuildError
-    with the compiler's words if it does not compile, FileError if the disk refuses, or if others
-    may write to the cache.
+    The cached program is used only with the build of the library that it was linked to.
+    BuildError with the compiler's message if it does not compile; FileError for a disk error,
+    or if others may write to the cache.
     """
     goal = cache() / f"{installation.build.stack}-{installation.version}-{_digest(installation)}"
     with disk_errors(goal):
         if not is_own(goal):
-            with _workshop(installation) as folder:
+            with _build_folder(installation) as folder:
                 _compile(installation, folder)
-                _refuse_another(installation, folder / _PEER)
-                _keep(folder / _PEER, goal)
+                _check_linked(installation, folder / _PEER)
+                _install(folder / _PEER, goal)
     return goal
 
 
 def source(name: str) -> bytes:
-    """A file that goes into a peer, or is its configuration."""
+    """A source file of a peer, or its configuration."""
     return (_SOURCES / name).read_bytes()
 
 
 def cache() -> Path:
-    """Where programs are kept that were compiled for trials; FileError if others may write."""
-    found = _named_cache()
+    """The folder of programs that were compiled for trials; FileError if others may write."""
+    found = _cache_path()
     with disk_errors(found):
         for place in (found.parent, found):
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -58,27 +58,27 @@ def cache() -> Path:
     return found
 
 
-def _named_cache() -> Path:
+def _cache_path() -> Path:
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    try:  # a relative one is to be ignored, says the XDG Base Directory Specification
+    try:  # the XDG Base Directory Specification says to ignore a relative path
         home = named if named.is_absolute() else Path.home() / ".cache"
     except RuntimeError:
         hint = "set XDG_CACHE_HOME to a folder of yours"
-        raise FileError("this user has no home, and so no cache", hint=hint) from None
+        raise FileError("this user has no home folder for the cache", hint=hint) from None
     return home / "pqsec" / "peers"
 
 
 def _refuse_shared(folder: Path) -> None:
-    """What is in there will be run."""
+    """FileError if others may write to the folder: its programs will be run."""
     if not is_own(folder):
         raise FileError(
-            f"{folder}: not of this user's alone, and no place for programs to run",
+            f"{folder}: others may write here, so pqsec runs no programs from it",
             hint="move it away, or set XDG_CACHE_HOME to a folder of yours",
         )
 
 
 def is_own(path: Path) -> bool:
-    """Whether it is there, no link, and nobody but this user may change it."""
+    """Whether it exists, is not a link, and only this user may change it."""
     try:
         found = path.lstat()
     except FileNotFoundError:
@@ -88,17 +88,17 @@ def is_own(path: Path) -> bool:
 
 
 def _digest(installation: Installation) -> str:
-    """What else the program depends on."""
+    """A digest of everything else that the program depends on."""
     places = (installation.root, installation.prefix, installation.folder)
-    said = (*places, installation.library.build, installation.build.commands)
-    parts = [repr(each).encode() for each in said]
+    inputs = (*places, installation.library.build, installation.build.commands)
+    parts = [repr(each).encode() for each in inputs]
     parts += map(source, installation.build.sources)
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
 
 @contextmanager
-def _workshop(installation: Installation) -> Iterator[Path]:
-    """A folder with the sources, where the compiler can see it."""
+def _build_folder(installation: Installation) -> Iterator[Path]:
+    """A temporary folder with the sources, below the installation's root."""
     there = None if installation.root == MACHINE else installation.root / "tmp"
     with tempfile.TemporaryDirectory(prefix="pqsec-peer-", dir=there) as folder:
         for name in installation.build.sources:
@@ -110,29 +110,29 @@ def _compile(installation: Installation, folder: Path) -> None:
     place = f"/{folder.relative_to(installation.root)}"
     for command in installation.build.commands:
         name = command[0].rpartition("/")[2]
-        code, said = _run(name, installation.tool(command, place))
+        code, output = _run(name, installation.tool(command, place))
         if code:
-            lines = [line for line in said.splitlines() if "error" in line.lower()]
-            words = (lines or said.splitlines() or ["it said nothing"])[0]
+            lines = [line for line in output.splitlines() if "error" in line.lower()]
+            words = (lines or output.splitlines() or ["it printed nothing"])[0]
             raise BuildError(
                 f"{name} cannot compile the peer for {installation.title}: {shown(words, 300)}",
-                hint=f"is all of it installed? apt-get install {installation.build.packages}",
+                hint=f"install all packages: apt-get install {installation.build.packages}",
             )
 
 
-def _refuse_another(installation: Installation, program: Path) -> None:
-    """BuildError if the program was linked to another library than the one that it is for."""
+def _check_linked(installation: Installation, program: Path) -> None:
+    """BuildError if the program was linked to another library than the installation's."""
     linked = read_library(program).needed
     if installation.soname not in linked:
         raise BuildError(
             f"the peer for {installation.title} is linked to {shown(', '.join(linked), 300)}, and"
             f" not to {shown(installation.soname)}",
-            hint="is another version of it installed beside? take one of them away",
+            hint="another version may be installed too: remove one of them",
         )
 
 
 def _run(name: str, command: list[str]) -> tuple[int, str]:
-    """Its exit code and what it complained of; nothing that it started is left running."""
+    """The exit code and stderr of `command`; processes that it started are killed."""
     with subprocess.Popen(  # noqa: S603 -- a row's command
         command,
         stdin=subprocess.DEVNULL,
@@ -143,17 +143,17 @@ def _run(name: str, command: list[str]) -> tuple[int, str]:
         start_new_session=True,
     ) as process:
         try:
-            said = process.communicate(timeout=PATIENCE)[1]
+            errors = process.communicate(timeout=PATIENCE)[1]
         except subprocess.TimeoutExpired:
             raise BuildError(f"{name} took more than {PATIENCE} seconds") from None
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-    return process.returncode, said
+    return process.returncode, errors
 
 
-def _keep(program: Path, goal: Path) -> None:
-    """`program` at `goal`, whole or not at all."""
+def _install(program: Path, goal: Path) -> None:
+    """Copy `program` to `goal` atomically."""
     handle, draft = tempfile.mkstemp(prefix=f".{goal.name}.", dir=goal.parent)
     os.close(handle)
     try:

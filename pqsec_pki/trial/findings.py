@@ -1,4 +1,4 @@
-"""Why it came to nothing: what the stacks said, with cause and remedy."""
+"""Explains why a trial failed: the stacks' messages, with cause and remedy."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,51 +9,51 @@ from pqsec_pki.trial.words import words
 from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
 
 _MOST = 3
-"""Of one participant's; what comes first is what matters."""
-_NO_NAME = "topic: Bad Parameter"
-"""What Cyclone DDS says of a topic with other characters than letters, digits, / and _."""
+"""Messages of one participant; the first ones matter most."""
+_BAD_TOPIC = "topic: Bad Parameter"
+"""Cyclone DDS's message for a topic with other characters than letters, digits, / and _."""
 _LONGEST = 300
-"""Characters of a message that is shown as it is."""
+"""Characters of an unknown message that are shown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What participants, or their stacks, said."""
+    """A message of participants or their stacks, with its cause and remedy."""
 
     participants: tuple[str, ...]
     said: str
     cause: str | None
-    """None for words that are not known here."""
+    """None for an unknown message."""
     remedy: str | None
 
 
 def findings(
     outcomes: Sequence[PeerOutcome], *, stack: str, topic: str, by_standard: bool = False
 ) -> tuple[Finding, ...]:
-    """What matters most of what the accounts tell, said once if both say it.
+    """The most important messages of the outcomes; equal ones of several participants once.
 
-    `by_standard` if our plugin decided, and not the stack's own. Causes if there are any, else
-    symptoms; words that are not known, as they are.
+    `by_standard` if pqsec's plugin decided instead of the stack's own. Causes if there are any,
+    else symptoms, else unknown messages as they are.
     """
     interpretation = "" if by_standard else f" --as {stack}"
     alike: dict[tuple[str, str | None, str | None], list[str]] = {}
     for outcome in outcomes:
-        for said in _matter(outcome, stack, topic, interpretation):
-            alike.setdefault(said, []).append(outcome.role.name)
+        for found in _main_messages(outcome, stack, topic, interpretation):
+            alike.setdefault(found, []).append(outcome.role.name)
     if not alike:
         names = tuple(outcome.role.name for outcome in outcomes)
-        alike[_silence(names, interpretation)] = list(names)
+        alike[_no_message(names, interpretation)] = list(names)
     return tuple(
         Finding(participants=tuple(who), said=said, cause=cause, remedy=remedy)
         for (said, cause, remedy), who in alike.items()
     )
 
 
-def _matter(
+def _main_messages(
     outcome: PeerOutcome, stack: str, topic: str, interpretation: str
 ) -> Iterator[tuple[str, str | None, str | None]]:
-    said = words(outcome.log)
-    known = recognise("\n".join(said), stack=stack)
+    lines = words(outcome.log)
+    known = recognise("\n".join(lines), stack=stack)
     causes = [each for each in known if each.message.tells is Tells.CAUSE]
     symptoms = [each for each in known if each.message.tells is Tells.SYMPTOM]
     joined_only = outcome.joined and outcome.refused is not None
@@ -61,21 +61,21 @@ def _matter(
         yield from map(_explained, _one_each(causes))
     elif symptoms and not joined_only:
         for each in _one_each(symptoms):
-            yield shown(said[each.line - 1], _LONGEST), each.cause, each.remedy
+            yield shown(lines[each.line - 1], _LONGEST), each.cause, each.remedy
     elif outcome.refused:
         yield _refusal(outcome, topic, interpretation)
     else:
-        yield from ((shown(each, _LONGEST), None, None) for each in said[:_MOST])
+        yield from ((shown(each, _LONGEST), None, None) for each in lines[:_MOST])
     if outcome.signal:
         yield f"the stack crashed ({outcome.signal})", None, None
 
 
-def _silence(names: Sequence[str], interpretation: str) -> tuple[str, None, str]:
-    question = f"pqsec verify-handshake {' '.join(names)}{interpretation}{interpretation}"
+def _no_message(names: Sequence[str], interpretation: str) -> tuple[str, None, str]:
+    command = f"pqsec verify-handshake {' '.join(names)}{interpretation}{interpretation}"
     return (
-        "no word of why",
+        "no message",
         None,
-        f"`{question}` goes through it step by step; a slow machine needs a longer --timeout.",
+        f"`{command}` checks each step; a slow machine needs a longer --timeout.",
     )
 
 
@@ -91,14 +91,16 @@ def _explained(known: Recognised) -> tuple[str, str, str]:
 def _refusal(
     outcome: PeerOutcome, topic: str, interpretation: str
 ) -> tuple[str, str | None, str | None]:
-    """What the peer says of its stack, which itself says nothing of use."""
-    said = f"its own stack refused to make a {outcome.refused}"
+    """The peer's message about a refusal of its stack, whose own log does not help."""
+    message = f"its own stack refused to create a {outcome.refused}"
     if not outcome.joined:
         target = interpretation.replace("--as", "--target")
-        return said, None, f"`pqsec check{target}` tells what is wrong with its files"
-    if outcome.refused == _NO_NAME:
-        return said, f"No topic can be called {shown(topic)} there.", "Name another with --topic."
+        return message, None, f"`pqsec check{target}` shows what is wrong with its files"
+    if outcome.refused == _BAD_TOPIC:
+        cause = f"The stack does not allow the topic name {shown(topic)}."
+        return message, cause, "Name another with --topic."
     name, may = outcome.role.name, "publish" if outcome.role.act is Act.SEND else "subscribe"
-    word = topic if fit_for_a_command(topic) else "TOPIC"  # it is there to be copied
-    question = f"pqsec explain --participant {name} --{may} {word}{interpretation}"
-    return said, f"Its permissions do not let it {may} {shown(topic)}.", f"`{question}` tells why."
+    word = topic if fit_for_a_command(topic) else "TOPIC"  # users copy the command
+    command = f"pqsec explain --participant {name} --{may} {word}{interpretation}"
+    cause = f"Its permissions do not let it {may} {shown(topic)}."
+    return message, cause, f"`{command}` shows why."

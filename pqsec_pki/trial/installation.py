@@ -1,7 +1,7 @@
-"""A stack as it is installed on this machine, or in a root file system beside it.
+"""Finds a stack that is installed on this machine, or in another root file system.
 
-Headers, library, tools and plugins of one prefix belong together. A compiler left to itself takes
-the headers of /usr/local and the library of /usr; what it makes is neither version's.
+Headers, library, tools and plugins must come from one prefix. A compiler with its default paths
+may combine the headers in /usr/local with the library in /usr, and mix two versions.
 """
 
 import os
@@ -19,14 +19,14 @@ from pqsec_pki.vendors.elf import Library, read_library, runs_here
 
 MACHINE = Path("/")
 PREFIXES = ("usr/local", "usr")
-"""In the order in which a compiler looks for headers."""
+"""In the order in which a compiler searches for headers."""
 _FOLDERS = ("lib", "lib64", "lib/*-linux-gnu*")
 _UNFIT = ":;$"
-"""What the loader takes for its own in the name of a folder (ld.so(8))."""
+"""Characters in a folder's name that are special for the loader (ld.so(8))."""
 
 
 class MissingStackError(PqsecError):
-    """A stack, or what its peers are compiled with, is not installed."""
+    """A stack, or a tool that compiles its peers, is not installed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,17 +35,17 @@ class Installation:
 
     build: PeerBuild
     version: str
-    """That of the library, which peers are linked to and run with."""
+    """The version of the library that peers are linked to and run with."""
     root: Path
     prefix: str
     """Below the root, one of PREFIXES."""
     folder: Path
-    """Where the library is found."""
+    """The folder of the library."""
     library: Library
 
     @property
     def title(self) -> str:
-        """As in `Cyclone DDS 0.10.2`."""
+        """Name and version: `Cyclone DDS 0.10.2`."""
         return f"{self.build.title} {self.version}"
 
     @property
@@ -55,32 +55,32 @@ class Installation:
 
     @property
     def plugins(self) -> Path | None:
-        """The folder of the security plugins that belong to this library, if they are apart."""
+        """The folder of this library's security plugins, if the stack must be told."""
         return self.build.plugins(self.root, self.library.path) if self.build.plugins else None
 
     def tool(self, command: Command, folder: str) -> list[str]:
-        """What runs a compiler's `command` in `folder`, a path below the root."""
-        there = ["env", "-C", folder, *map(self._said, command)]
+        """The command line that runs a compiler's `command` in `folder`, a path below the root."""
+        line = ["env", "-C", folder, *map(self._filled, command)]
         if self.root == MACHINE:
-            return there
+            return line
         become_root = [] if os.geteuid() == 0 else ["unshare", "-r"]
-        return [*become_root, "chroot", str(self.root), *there]
+        return [*become_root, "chroot", str(self.root), *line]
 
     def peer(self, program: Path) -> list[str]:
-        """What runs a compiled `program`; in another root, with the libraries there."""
+        """The command line of a compiled `program`; in another root, with that root's libraries."""
         if self.root == MACHINE:
             return [str(program)]
         loaders = sorted(self.root.glob("usr/lib/*-linux-gnu*/ld-linux*.so.*"))
         if not loaders:
             raise MissingStackError(
-                f"below {self.root} there is nothing that starts programs: usr/lib/*/ld-linux*",
+                f"{self.root} has no program loader: usr/lib/*/ld-linux*",
                 hint="give --root the root file system of a Debian or Ubuntu",
             )
         places = dict.fromkeys([self.folder, *self._folders(), loaders[0].parent])
         return [str(loaders[0]), "--library-path", ":".join(map(str, places)), str(program)]
 
-    def _said(self, word: str) -> str:
-        """A word of a command, with the places of this installation in."""
+    def _filled(self, word: str) -> str:
+        """A word of a command, with this installation's paths filled in."""
         places = {
             "{bin}": f"/{self.prefix}/bin",
             "{include}": f"/{self.prefix}/include",
@@ -92,29 +92,31 @@ class Installation:
         return word
 
     def _folders(self) -> Iterator[Path]:
-        """Where the loader looks below the root, besides."""
+        """The other folders below the root that the loader searches."""
         for prefix in PREFIXES:
             yield from folders_of_libraries(self.root / prefix)
 
 
 def folders_of_libraries(prefix: Path) -> Iterator[Path]:
-    """Those that are there below `prefix`."""
+    """The library folders that exist below `prefix`."""
     for pattern in _FOLDERS:
         yield from (each for each in sorted(prefix.glob(pattern)) if each.is_dir())
 
 
 def find(stack: str, root: Path = MACHINE) -> Installation:
-    """The stack called `stack` below `root`: the one whose headers a compiler takes.
+    """Find the stack below `root` whose headers a compiler would use.
 
     UsageError for a stack that cannot be tried. MissingStackError, naming the packages, if it is
-    not installed, cannot be compiled against, or if its headers, its library and its plugins
-    are not of one version.
+    not installed, cannot be compiled against, or its headers, library and plugins have
+    different versions.
     """
     if stack not in STACKS:
         raise UsageError(f"{stack!r} cannot be tried", hint=f"these can: {', '.join(STACKS)}")
     root = root.absolute()
     if unfit := sorted(set(_UNFIT) & set(str(root))):
-        raise UsageError(f"{shown(str(root))}: nothing is loaded from a folder with {unfit[0]!r}")
+        raise UsageError(
+            f"{shown(str(root))}: the loader cannot use a folder with {unfit[0]!r} in its name"
+        )
     peer_builds = [build for build in PEER_BUILDS if build.stack == stack]
     with disk_errors(root):
         headers = next(_headers(peer_builds, root), None)
@@ -125,13 +127,13 @@ def find(stack: str, root: Path = MACHINE) -> Installation:
                     f"apt-get install {build.packages}" for build in reversed(peer_builds)
                 ),
             )
-        found = _whole(*headers, root)
+        found = _with_library(*headers, root)
         _refuse_missing_tools(found)
     return found
 
 
 def _headers(peer_builds: list[PeerBuild], root: Path) -> Iterator[tuple[PeerBuild, str, str]]:
-    """(kit, version, prefix) of headers, those first that a compiler takes first."""
+    """(build, version, prefix) of each set of headers, in a compiler's search order."""
     for prefix in PREFIXES:
         for build in peer_builds:
             version = re.compile(
@@ -147,29 +149,29 @@ def _headers(peer_builds: list[PeerBuild], root: Path) -> Iterator[tuple[PeerBui
                     yield build, match[1], prefix
 
 
-def _whole(build: PeerBuild, version: str, prefix: str, root: Path) -> Installation:
-    """With the library of the same prefix; MissingStackError if it is of another version."""
+def _with_library(build: PeerBuild, version: str, prefix: str, root: Path) -> Installation:
+    """The installation with the library of that prefix; MissingStackError if versions differ."""
     headers = f"the headers of {build.title} {version} are in {root / prefix / 'include'}"
-    hint = f"install all of one version there, or take the headers away: {build.packages}"
+    hint = f"install all packages of one version there, or remove the headers: {build.packages}"
     found_in = next(_libraries(build, root / prefix), None)
     if found_in is None:
         raise MissingStackError(
-            f"{headers}, and {build.library} is not in {root / prefix / 'lib'}", hint=hint
+            f"{headers}, but {build.library} is not in {root / prefix / 'lib'}", hint=hint
         )
     folder, library = found_in
-    told = tuple(map(int, version.split(".")))
-    if not agree(told, library.release):
+    release = tuple(map(int, version.split(".")))
+    if not agree(release, library.release):
         raise MissingStackError(
-            f"{headers}, and {library.path} is of {in_words(library.release)}", hint=hint
+            f"{headers}, but {library.path} has version {in_words(library.release)}", hint=hint
         )
     if library.soname and (folder / library.soname).resolve() != library.path:
         raise MissingStackError(
             f"{folder / shown(library.soname)}, which programs load, is not {library.path}",
-            hint=f"`ldconfig -n {folder}` makes the link",
+            hint=f"`ldconfig -n {folder}` creates the link",
         )
     found = Installation(
         build=build,
-        version=in_words(max(library.release, told, key=len)),
+        version=in_words(max(library.release, release, key=len)),
         root=root,
         prefix=prefix,
         folder=folder,
@@ -177,14 +179,14 @@ def _whole(build: PeerBuild, version: str, prefix: str, root: Path) -> Installat
     )
     if build.plugins and found.plugins is None:
         raise MissingStackError(
-            f"{found.title} in {folder} is here without security plugins of its own",
-            hint="install them beside it: they are built with ENABLE_SECURITY",
+            f"{found.title} in {folder} has no security plugins",
+            hint="install its plugins there: they are built with ENABLE_SECURITY",
         )
     return found
 
 
 def _libraries(build: PeerBuild, prefix: Path) -> Iterator[tuple[Path, Library]]:
-    """(folder, library) of those below `prefix` that a peer could load."""
+    """(folder, library) of the libraries below `prefix` that a peer can load."""
     for folder in folders_of_libraries(prefix):
         if (folder / build.library).is_file():
             library = read_library(folder / build.library)
@@ -204,7 +206,7 @@ def _refuse_missing_tools(installation: Installation) -> None:
     ]
     if missing:
         raise MissingStackError(
-            f"{installation.title} is here, but not {' and '.join(missing)},"
-            " which the peer of the trial is made with",
+            f"{installation.title} is installed, but {' and '.join(missing)}, which the peer is"
+            " compiled with, is not",
             hint=f"apt-get install {installation.build.packages}",
         )

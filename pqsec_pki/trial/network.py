@@ -1,8 +1,8 @@
-"""A loopback of one's own, and what passes over it.
+"""Runs a trial in its own network namespace, and captures its packets.
 
-Participants of a trial must not meet others on this machine, nor trials that run at the same
-time. Where the system allows it, a trial has a network namespace to itself (namespaces(7)):
-that takes root, as does seeing what is on the wire (packet(7)).
+Participants of a trial must not discover other participants on this machine, or other trials.
+If the system allows it, a trial has its own network namespace (namespaces(7)). That needs root,
+as does capturing packets (packet(7)).
 """
 
 import ctypes
@@ -29,18 +29,18 @@ _LOOPBACK = b"lo"
 _PAUSE = 0.2
 _LARGEST = 1 << 16
 _BUFFER = 32 << 20
-"""Bytes that the kernel keeps until they are read."""
+"""Bytes that the kernel buffers until they are read."""
 
 
 def alone(work: Callable[["Network"], Result]) -> Result:
-    """`work`, done in a new network that has nothing but a loopback, if that may be had.
+    """The result of `work`, run in a new network with only a loopback if that is possible.
 
-    Who is not root stays in the machine's network. Only processes and sockets that `work`
-    begins itself, in the thread it runs in, are there. Whatever interrupts the caller asks
-    `work` to end, and waits for it.
+    Without root it runs in the machine's network. Only processes and sockets that `work` creates
+    in its own thread are in the new network. If the caller is interrupted, `work` is asked to
+    end, and waited for.
     """
     over = Event()
-    # The namespace is the thread's; a process inherits that of the thread which starts it.
+    # A namespace belongs to a thread; a process inherits it from the thread that starts it.
     with ThreadPoolExecutor(1) as thread:
         done = thread.submit(lambda: work(Network(_leave_the_network(), over)))
         try:
@@ -51,14 +51,14 @@ def alone(work: Callable[["Network"], Result]) -> Result:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """Where `work` is done."""
+    """The network in which `work` runs."""
 
     is_alone: bool
-    """Whether nobody else can be in this network."""
+    """Whether no other process can be in this network."""
     _over: Event
 
     def pause(self, seconds: float) -> bool:
-        """Let time go by; False if it is time to end."""
+        """Wait; False if `work` is asked to end."""
         return not self._over.wait(seconds)
 
 
@@ -73,18 +73,18 @@ def _leave_the_network() -> bool:
 
 @dataclass(slots=True)
 class Wire:
-    """What was seen on the loopback."""
+    """Counts of the packets on the loopback."""
 
     text: bytes
-    """What is looked for."""
+    """The text to search for."""
     packets: int = 0
     lost: int = 0
-    """Packets that came too fast to be looked at."""
+    """Packets that the kernel dropped before they were read."""
     readable: int = 0
-    """Those that had the text in the clear."""
+    """Packets with the text unencrypted."""
     _over: Event = field(default_factory=Event, repr=False)
 
-    def look(self, wire: socket.socket) -> None:
+    def capture(self, wire: socket.socket) -> None:
         while not self._over.is_set():
             try:
                 packet = wire.recv(_LARGEST)
@@ -101,7 +101,7 @@ class Wire:
 
 @contextmanager
 def watched(text: bytes) -> Iterator[Wire | None]:
-    """The loopback of this thread's network, watched for `text`; None if that is forbidden."""
+    """Capture the loopback of this thread's network for `text`; None if that is forbidden."""
     try:
         seen = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
     except PermissionError:
@@ -112,7 +112,7 @@ def watched(text: bytes) -> Iterator[Wire | None]:
         seen.bind((_LOOPBACK.decode(), 0))
         seen.settimeout(_PAUSE)
         wire = Wire(text)
-        watcher = Thread(target=wire.look, args=[seen], daemon=True)
+        watcher = Thread(target=wire.capture, args=[seen], daemon=True)
         watcher.start()
         try:
             yield wire

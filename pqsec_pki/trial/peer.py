@@ -1,4 +1,4 @@
-"""One participant of a trial: a process of its own, and what it said."""
+"""One participant of a trial: its process, and its output."""
 
 import os
 import signal
@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import IO
 
 MAX_LOG = 1 << 20
-"""Bytes of what one participant says; a stack can be talkative."""
+"""Bytes of one participant's output that are read."""
 _REFUSED = 3
-"""Exit code of a peer whose stack refused to make something."""
+"""Exit code of a peer whose stack refused to create an entity."""
 
 
 class Act(StrEnum):
@@ -26,24 +26,24 @@ class Act(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
-    """What one participant is told."""
+    """The task and configuration of one participant."""
 
     name: str
-    """Who it is, for people."""
+    """For messages."""
     act: Act
     text: str = ""
-    """What it sends."""
+    """The text that it sends."""
     environment: Mapping[str, str]
-    """With it the stack finds its configuration."""
+    """Variables that name the stack's configuration."""
     warnings: tuple[str, ...] = ()
-    """What is to be said of its credentials."""
+    """Warnings about its credentials."""
     unauthenticated: bool = False
-    """Whether it has no credentials: nobody waits for it."""
+    """Whether it has no credentials; the trial does not wait for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerOutcome:
-    """How it went for one participant."""
+    """The outcome of a trial for one participant."""
 
     role: Role
     joined: bool
@@ -51,18 +51,18 @@ class PeerOutcome:
     """Whether a sender saw a receiver."""
     received: str | None
     refused: str | None
-    """What its own stack refused to make, and why."""
+    """The entity that its own stack refused to create, and why."""
     signal: str | None
-    """What killed it, if it did not end by itself or by us."""
+    """The signal that killed it, unless pqsec sent it."""
     log: str
-    """All that it and its stack said."""
+    """The output of the participant and its stack."""
 
 
 class Peer:
     """A running participant."""
 
-    def __init__(self, role: Role, process: "subprocess.Popen[bytes]", said: IO[bytes]) -> None:
-        self.role, self._process, self._said = role, process, said
+    def __init__(self, role: Role, process: "subprocess.Popen[bytes]", output: IO[bytes]) -> None:
+        self.role, self._process, self._output = role, process, output
         self._stopped = False
 
     @property
@@ -72,35 +72,36 @@ class Peer:
 
     @property
     def refused(self) -> bool:
-        """Whether it ended since its own stack refused."""
+        """Whether it ended because its own stack refused."""
         return self._process.poll() == _REFUSED
 
     @property
     def outcome(self) -> PeerOutcome:
-        """How it has gone so far."""
-        # pread: the participant writes on at the offset that both share.
-        log = os.pread(self._said.fileno(), MAX_LOG, 0).decode(errors="replace")
+        """The outcome so far."""
+        # pread keeps the file offset, which the participant shares and writes at.
+        log = os.pread(self._output.fileno(), MAX_LOG, 0).decode(errors="replace")
         code = self._process.poll() or 0
         return PeerOutcome(
             role=self.role,
             joined="joined" in log.splitlines(),
             matched="matched" in log.splitlines(),
-            received=_said(log, "received "),
-            refused=_said(log, "refused "),
+            received=_line_after(log, "received "),
+            refused=_line_after(log, "refused "),
             signal=signal.Signals(-code).name if code < 0 and not self._stopped else None,
             log=log,
         )
 
     def stop(self) -> None:
-        """End it, with all it started."""
+        """Kill it, with all processes that it started."""
         self._stopped = not self.ended
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
 
-def _said(log: str, what: str) -> str | None:
-    lines = [line.removeprefix(what) for line in log.splitlines() if line.startswith(what)]
+def _line_after(log: str, prefix: str) -> str | None:
+    """The rest of the first line with `prefix`."""
+    lines = [line.removeprefix(prefix) for line in log.splitlines() if line.startswith(prefix)]
     return lines[0] if lines else None
 
 
@@ -109,22 +110,22 @@ def _log_in(folder: str) -> IO[bytes]:
 
 
 @contextmanager
-def playing(
+def running_peer(
     program: Sequence[str], role: Role, *, domain: int, topic: str, seconds: float
 ) -> Iterator[Peer]:
-    """A participant that plays its role, for `seconds` at most, and is gone after."""
+    """Run a participant for `seconds` at most; it is killed when the block ends."""
     words = [role.act.value, str(domain), topic, role.text, str(seconds)]
-    with tempfile.TemporaryDirectory(prefix="pqsec-peer-") as folder, _log_in(folder) as said:
+    with tempfile.TemporaryDirectory(prefix="pqsec-peer-") as folder, _log_in(folder) as output:
         process = subprocess.Popen(  # noqa: S603 -- a peer that was compiled here
             [*program, *words],
             cwd=folder,  # a stack may leave files where it runs
             env=os.environ | role.environment,
             stdin=subprocess.DEVNULL,
-            stdout=said,
+            stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-        peer = Peer(role, process, said)
+        peer = Peer(role, process, output)
         try:
             yield peer
         finally:

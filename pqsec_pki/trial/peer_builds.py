@@ -1,4 +1,4 @@
-"""What a stack's peers are compiled with, one row for each line of versions."""
+"""How the peers of each stack are compiled, one row for each series of versions."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -7,41 +7,41 @@ from pathlib import Path
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 
 Command = tuple[str, ...]
-"""Words; {bin}, {include} and {lib} in them are those of the stack's prefix, as the compiler sees
-them, and {run} is the folder of its library, as the peer will see it."""
+"""Words; {bin}, {include} and {lib} are replaced by the folders of the stack's prefix as the
+compiler sees them, and {run} by the folder of its library as the peer sees it."""
 _LIBRARY = ("-L{lib}", "-Wl,--disable-new-dtags", "-Xlinker", "-rpath", "-Xlinker", "{run}")
-"""What is linked is what is loaded, whatever LD_LIBRARY_PATH says (ld.so(8), DT_RPATH)."""
+"""The linked library is the one that is loaded, despite LD_LIBRARY_PATH (ld.so(8), DT_RPATH)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerBuild:
-    """How to compile a peer, and how to see that it can be."""
+    """How to compile a peer, and how to find what it needs."""
 
     stack: str
-    """Its name in the room `vendors`."""
+    """Its name in the package `vendors`."""
     title: str
     header: str
-    """The file that tells the version: a pattern below a folder of headers."""
+    """The header with the version: a pattern below a folder of headers."""
     macro: str
-    """What is the version in there."""
+    """The macro that defines the version there."""
     library: str
-    """The file that a peer is linked to, in a folder of libraries."""
+    """The library that a peer is linked to, in a folder of libraries."""
     sources: tuple[str, ...]
-    """In the folder peers/, all that the peer is made of."""
+    """The peer's source files, in the folder peers/."""
     commands: tuple[Command, ...]
-    """One after the other, in a folder with the sources; the last makes `peer`."""
+    """Run in order in a folder with the sources; the last one creates `peer`."""
     packages: str
     """Of Debian and Ubuntu."""
     open: str
     """The configuration, in peers/, of a participant without credentials."""
     variable: str
-    """Of the environment: it names the configuration."""
+    """The environment variable that names the configuration."""
     plugins: Callable[[Path, Path], Path | None] | None = None
-    """Where the security plugins of a library are below a root, for a stack that must be told."""
+    """Finds a library's security plugins below a root, for a stack that must be told."""
 
     @property
     def tools(self) -> Iterator[str]:
-        """The commands that must be there."""
+        """The commands that must be installed."""
         yield from (command[0] for command in self.commands)
 
 
@@ -99,4 +99,4 @@ PEER_BUILDS = (
     ),
 )
 STACKS = tuple(dict.fromkeys(build.stack for build in PEER_BUILDS))
-"""Those that can be tried."""
+"""The stacks that can be tried."""

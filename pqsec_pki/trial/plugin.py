@@ -1,4 +1,4 @@
-"""pqsec's own plugin for a trial: compiled when it is first needed, with an agent of its own."""
+"""Compiles pqsec's own plugin when it is first needed, and runs it with an agent for a trial."""
 
 import hashlib
 import subprocess
@@ -18,7 +18,7 @@ from pqsec_pki.trial.building import cache, is_own
 
 _RUNTIME = Path("/tmp")  # noqa: S108 -- a socket's path must be short; the folder in it is 0700
 _IDLE = "20"
-"""Seconds after which the agent ends by itself, should nobody be left to end it."""
+"""Seconds after which the agent ends by itself, if the trial was killed."""
 _START = 10.0
 _PAUSE = 0.02
 
@@ -29,7 +29,7 @@ class AgentError(PqsecError):
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """The plugin, and how those that load it find its agent."""
+    """The plugin's folder, and the variables with which it finds its agent."""
 
     folder: Path
     environment: Mapping[str, str]
@@ -37,10 +37,10 @@ class Plugin:
 
 @contextmanager
 def plugin(runtime: Path = _RUNTIME) -> Iterator[Plugin]:
-    """The plugin with an agent that serves nobody else, below `runtime`, and is gone after.
+    """The plugin with its own agent, below `runtime`; the agent is stopped when the block ends.
 
-    CompileError if it does not compile, AgentError if the agent does not start, FileError if
-    the disk refuses.
+    CompileError if it does not compile, AgentError if the agent does not start, FileError for
+    a disk error.
     """
     folder = _built()
     with disk_errors(folder), tempfile.TemporaryDirectory(prefix="pqsec-", dir=runtime) as own:
@@ -59,13 +59,13 @@ def _built() -> Path:
             made = Path(draft) / "made"
             made.mkdir(mode=0o700)
             build(made)
-            if not is_own(goal):  # and another trial was not faster
+            if not is_own(goal):  # another trial may have been faster
                 made.rename(goal)
     return goal
 
 
 def _digest() -> str:
-    """Of all that it is made of, and the interpreter that its agent runs in."""
+    """A digest of the plugin's sources and of the compiler's command."""
     parts = [path.read_bytes() for path in sorted(SOURCES.iterdir()) if path.is_file()]
     parts += [word.encode() for word in command("cc", Path(LIBRARY))]
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
@@ -94,6 +94,6 @@ def _wait_for(process: "subprocess.Popen[bytes]", place: AgentFolder) -> None:
     end = time.monotonic() + _START
     while agent_status(place) is None:
         if process.poll() is not None or time.monotonic() > end:
-            said = place.log.read_text(errors="replace").strip().splitlines() or ["it said nothing"]
-            raise AgentError(f"the agent does not start: {said[-1]}")
+            lines = place.log.read_text(errors="replace").strip().splitlines() or ["no message"]
+            raise AgentError(f"the agent does not start: {lines[-1]}")
         time.sleep(_PAUSE)

@@ -1,4 +1,4 @@
-"""Participants of a stack on one loopback: they start together, and come to an end."""
+"""Runs participants of a stack together on one loopback."""
 
 import secrets
 import time
@@ -7,21 +7,22 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from pqsec_pki.trial.network import Network, Wire, alone, watched
-from pqsec_pki.trial.peer import Peer, PeerOutcome, Role, playing
+from pqsec_pki.trial.peer import Peer, PeerOutcome, Role, running_peer
 
 _PAUSE = 0.05
 _SETTLE = 1.0
-"""Seconds that the others are given when one has ended; a stranger, at least."""
+"""Seconds that other participants get after one has ended; for unauthenticated peers the
+minimum."""
 _SPARE = 30.0
-"""Seconds after which a participant ends by itself, should nobody be left to end it."""
+"""Further seconds after which a participant ends by itself, if the trial was killed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSetup:
-    """Where participants meet, and for how long."""
+    """The program, domain, topic and time limit of a trial."""
 
     program: Sequence[str]
-    """What runs one participant."""
+    """The command line of one participant, without its arguments."""
     domain: int
     topic: str
     timeout: float
@@ -30,39 +31,39 @@ class TrialSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRun:
-    """How it went."""
+    """The result of running all participants."""
 
     outcomes: tuple[PeerOutcome, ...]
     """In the order of the roles."""
     seconds: float
-    """Until the first one, strangers apart, had ended, or until the time was over."""
+    """Until the first authenticated participant ended, or the time limit."""
     wire: Wire | None
-    """None for who may not watch it."""
+    """None if capturing is forbidden."""
     alone: bool
-    """Whether it was in a network of its own."""
+    """Whether the trial had its own network."""
 
 
 def unique_text() -> str:
-    """A text that is nowhere by chance."""
+    """A random text, which is on the wire only if it was sent unencrypted."""
     return f"pqsec-trial-{secrets.token_hex(16)}"
 
 
 def run_peers(setup: TrialSetup, roles: Sequence[Role]) -> TrialRun:
-    """Run all roles at once, and watch the wire for what the first one sends.
+    """Run all roles together, and search the wire for the text that the first one sends.
 
-    It is over when one that is no stranger ends: it has received, or its own stack refused, or
-    it crashed. Strangers are then given as long again. At `scene.timeout` it is over in any
-    case, and nothing of it is left running.
+    The run is over when an authenticated participant ends: it has received the sample, its own
+    stack refused, or it crashed. Unauthenticated ones then get the same time again. At
+    `setup.timeout` the run is over in any case, and all processes are killed.
     """
-    return alone(lambda network: _perform(setup, roles, network))
+    return alone(lambda network: _run_peers(setup, roles, network))
 
 
-def _perform(setup: TrialSetup, roles: Sequence[Role], network: Network) -> TrialRun:
+def _run_peers(setup: TrialSetup, roles: Sequence[Role], network: Network) -> TrialRun:
     with ExitStack() as stack:
         wire = stack.enter_context(watched(roles[0].text.encode()))
         peers = [
             stack.enter_context(
-                playing(
+                running_peer(
                     setup.program,
                     role,
                     domain=setup.domain,
@@ -78,13 +79,13 @@ def _perform(setup: TrialSetup, roles: Sequence[Role], network: Network) -> Tria
 
 
 def _wait(peers: Sequence[Peer], timeout: float, network: Network) -> float:
-    """Seconds until the first one, strangers apart, ended; no more than `timeout`."""
+    """Seconds until the first authenticated participant ended; at most `timeout`."""
     start = time.monotonic()
     waited_for = [peer for peer in peers if not peer.role.unauthenticated]
     while network.pause(_PAUSE) and (spent := time.monotonic() - start) < timeout:
         ended = [peer for peer in waited_for if peer.ended]
         if any(peer.refused for peer in ended):
-            _let_speak(waited_for, network)
+            _settle(waited_for, network)
             return spent
         if ended:
             if waited_for != peers:
@@ -93,8 +94,8 @@ def _wait(peers: Sequence[Peer], timeout: float, network: Network) -> float:
     return timeout
 
 
-def _let_speak(peers: Sequence[Peer], network: Network) -> None:
-    """The stack of the other may be about to refuse too."""
+def _settle(peers: Sequence[Peer], network: Network) -> None:
+    """Wait for the other participant: its stack may refuse too."""
     end = time.monotonic() + _SETTLE
     while network.pause(_PAUSE) and time.monotonic() < end:
         if all(peer.ended for peer in peers):

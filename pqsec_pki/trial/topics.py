@@ -1,4 +1,4 @@
-"""A topic that one participant may publish and another may subscribe to."""
+"""Finds a topic that one participant may publish and another may subscribe to."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from pqsec_pki.vendors import Enclave
 Value = TypeVar("Value")
 
 _ANY = "pqsec/trial"
-"""For those who may use every topic."""
+"""For participants that may use every topic."""
 _PATTERN = set("*?[")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicRoute:
-    """Who sends to whom, on what."""
+    """The sender, the receiver, the domain and the topic."""
 
     sender: str
     receiver: str
@@ -35,10 +35,10 @@ class TopicRoute:
 def topic_route(
     keystore: Keystore, names: tuple[str, str], domain: int, now: datetime
 ) -> TopicRoute:
-    """The first topic that the first one may send to the second, or else the other way round.
+    """The first topic that the first one may publish to the second, or else the reverse.
 
-    A topic that goes one way only comes before those that both may publish, as all nodes of
-    ROS 2 may some. UsageError if there is none.
+    Topics that only the sender may publish come first: all nodes of ROS 2 may publish some
+    topics. UsageError if there is none.
     """
     first, second = (_Participant.of(keystore, name, domain, now) for name in names)
     ways = [
@@ -49,9 +49,9 @@ def topic_route(
     ]
     if not ways:
         raise UsageError(
-            f"on domain {domain} neither of {names[0]} and {names[1]} may publish what the other"
-            " may subscribe to",
-            hint="`pqsec who-may` tells who may what; --topic tries one all the same",
+            f"on domain {domain} neither of {names[0]} and {names[1]} may publish a topic that"
+            " the other may subscribe to",
+            hint="`pqsec who-may` shows the permissions; --topic tries a topic anyway",
         )
     _, sender, receiver, topic = min(ways, key=lambda way: way[0])
     return TopicRoute(sender=sender, receiver=receiver, domain=domain, topic=topic)
@@ -59,7 +59,7 @@ def topic_route(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Participant:
-    """One participant, and what its documents let it do. Its stack will verify them."""
+    """One participant, and its documents, which its stack will verify."""
 
     name: str
     subject: str
@@ -84,14 +84,14 @@ class _Participant:
         )
 
     def names(self, action: Action) -> Iterator[str]:
-        """The topics that its rules name for that; not the patterns."""
+        """The topics that its rules name for the action, without patterns."""
         for grant in self.permissions.grants:
             for rule in grant.rules:
                 for criteria in rule.publish if action is Action.PUBLISH else rule.subscribe:
                     yield from (topic for topic in criteria.topics if not _PATTERN & set(topic))
 
     def may(self, action: Action, topic: str) -> bool:
-        """Whether it may, by the standard."""
+        """Whether the standard allows it the action."""
         question = Question(
             subject=self.subject, domain=self.domain, action=action, now=self.now, topic=topic
         )

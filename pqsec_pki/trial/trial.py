@@ -1,4 +1,4 @@
-"""The trial: two participants with their credentials, and a stranger without."""
+"""The trial: two participants with credentials, and one without."""
 
 import os
 import tempfile
@@ -20,35 +20,35 @@ from pqsec_pki.trial.topics import TopicRoute
 from pqsec_pki.vendors import Enclave, Options, export, stack_named, write
 
 UNAUTHENTICATED = "a participant without credentials"
-_IN_MEMORY = Path("/dev/shm")  # noqa: S108 -- open to all as /tmp is, and used like it
+_IN_MEMORY = Path("/dev/shm")  # noqa: S108 -- writable for all like /tmp, and used like it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """What is tried."""
+    """The options of a trial."""
 
     installation: Installation
     keystore: Keystore
     timeout: float
     """Seconds to wait for the sample."""
     password: str | None = field(default=None, repr=False)
-    """Of the participants' keys, where they are encrypted."""
+    """Of the participants' keys, if they are encrypted."""
     anyway: bool = False
-    """Whether to try what the stack is known to refuse."""
+    """Whether to try credentials that the stack is known to refuse."""
     plugin: Plugin | None = None
-    """pqsec's own, if that is to run in the stack."""
+    """pqsec's plugin, if it is to run in the stack."""
     stock: tuple[str, ...] = ()
-    """Who runs the stack's own plugins all the same."""
+    """Participants that run the stack's own plugins nevertheless."""
     now: datetime
 
     def plugin_of(self, name: str) -> Plugin | None:
-        """What this participant runs in place of the stack's own."""
+        """The plugin that this participant runs; None for the stack's own."""
         return None if regular_name(name) in map(regular_name, self.stock) else self.plugin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """How it went."""
+    """The result of a trial."""
 
     installation: Installation
     topic_route: TopicRoute
@@ -57,17 +57,17 @@ class Report:
     unauthenticated: PeerOutcome
     trial_run: TrialRun
     plugged: tuple[str, ...] = ()
-    """Who ran pqsec's own plugin."""
+    """Participants that ran pqsec's plugin."""
 
     @property
     def accepted(self) -> bool:
-        """Whether the sample arrived, as it was sent."""
+        """Whether the sample arrived unchanged."""
         return self.receiver.received == self.sender.role.text
 
     @property
     def unauthenticated_heard(self) -> bool | None:
-        """Whether the one without credentials got the sample; None if it was not put to the
-        test: nothing was sent, or it did not take part."""
+        """Whether the participant without credentials got the sample; None if that was not
+        tested: nothing was sent, or it did not join."""
         if self.unauthenticated.received is not None:
             return True
         took_part = self.unauthenticated.joined and self.unauthenticated.signal is None
@@ -75,7 +75,7 @@ class Report:
 
     @property
     def readable(self) -> bool | None:
-        """Whether the sample could be read on the wire; None if that was not to be seen."""
+        """Whether the sample was readable on the wire; None if the wire could not be captured."""
         wire = self.trial_run.wire
         if not (wire and wire.packets and self.accepted):
             return None
@@ -83,7 +83,7 @@ class Report:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Why it came to nothing, where it did."""
+        """Why the trial failed; empty if it did not."""
         if self.accepted:
             return ()
         stack, topic = self.installation.build.stack, self.topic_route.topic
@@ -92,36 +92,36 @@ class Report:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Of the check that came before the exports."""
+        """Warnings of the check before the exports."""
         both = self.sender.role.warnings + self.receiver.role.warnings
         return tuple(dict.fromkeys(both))
 
     @property
     def ok(self) -> bool:
-        """Whether the two met and the stranger got nothing."""
+        """Whether the sample arrived, and the unauthenticated participant did not get it."""
         return self.accepted and self.unauthenticated_heard is False
 
 
 def refuse_untrusted(keystore: Keystore, names: Iterable[str], now: datetime) -> None:
     """VerificationError if the credentials of one of them cannot be trusted at `now`.
 
-    For who asks before a topic is looked for in their documents; `run_trial` refuses them too.
+    For a check before `topic_route` reads their documents; `run_trial` refuses them too.
     """
     problems = [each for name in names for each in Enclave.find(keystore, name).refusals(now)]
     if problems:
-        raise VerificationError(*problems, hint="`pqsec check` tells more; --anyway tries them")
+        raise VerificationError(*problems, hint="`pqsec check` shows more; --anyway tries them")
 
 
 def run_trial(trial: Trial, topic_route: TopicRoute) -> Report:
-    """Let the two meet on this machine: a process each, and one for the stranger.
+    """Run the two participants and an unauthenticated one on this machine, a process each.
 
     VerificationError if the credentials cannot be trusted or the stack is known to refuse them
-    (unless `trial.anyway`), BuildError and FileError where the peer cannot be made.
+    (unless `trial.anyway`); BuildError and FileError if the peer cannot be built.
     """
     installation = trial.installation
     with (
         disk_errors(Path(tempfile.gettempdir())),
-        tempfile.TemporaryDirectory(prefix="pqsec-trial-", dir=_memory()) as name,
+        tempfile.TemporaryDirectory(prefix="pqsec-trial-", dir=_in_memory()) as name,
     ):
         folder = Path(name)
         roles = [
@@ -150,16 +150,16 @@ def run_trial(trial: Trial, topic_route: TopicRoute) -> Report:
     )
 
 
-def _memory() -> Path | None:
-    """A folder on no disk, if there is one: configurations may hold a passphrase, and a trial
-    that is killed cannot remove them. Fast DDS 3.1.2 reads them at a path only."""
+def _in_memory() -> Path | None:
+    """A folder in memory, if there is one: configurations may hold a passphrase, and a killed
+    trial cannot remove them. Fast DDS 3.1.2 reads them only from a path."""
     return _IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None
 
 
 def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = "") -> Role:
-    """A participant of the keystore, run as `pqsec export` says.
+    """The role of a participant of the keystore, configured by `pqsec export`.
 
-    Its configuration goes into `folder`, one for each act.
+    Its configuration is written into `folder`, one for each act.
     """
     installation, plugin = trial.installation, trial.plugin_of(name)
     options = Options(
@@ -184,7 +184,7 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
 
 
 def unauthenticated(installation: Installation, act: Act, folder: Path, text: str = "") -> Role:
-    """A participant without credentials; its configuration goes into `folder`."""
+    """The role of a participant without credentials; its configuration goes into `folder`."""
     build = installation.build
     path = folder / build.open
     path.write_bytes(source(build.open))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from pqsec_pki.trial import Role, TrialRun, TrialSetup, run_peers
 from pqsec_pki.trial.network import alone
-from pqsec_pki.trial.peer import PeerOutcome, playing
+from pqsec_pki.trial.peer import PeerOutcome, running_peer
 from tests.interop.ros2 import Ros2
 
 TOPIC = "/chatter"
@@ -158,7 +158,7 @@ class Nodes:
             return outcomes + ([first.outcome] if first else [])
 
     def _playing(self, role: Role, seconds: float):
-        return playing(self._program, role, domain=0, topic=TOPIC, seconds=seconds)
+        return running_peer(self._program, role, domain=0, topic=TOPIC, seconds=seconds)
 
     @property
     def _program(self) -> list[str]:

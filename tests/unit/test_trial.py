@@ -137,7 +137,7 @@ def test_headers_without_a_library_of_theirs_are_refused(root):
     with pytest.raises(MissingStackError, match=r"headers of Cyclone DDS 11\.0\.1") as refusal:
         find("cyclonedds", root.path)
     assert "usr/local/lib" in str(refusal.value)
-    assert "take the headers away" in refusal.value.hint
+    assert "remove the headers" in refusal.value.hint
 
 
 @pytest.mark.parametrize(("headers", "library_of"), [("11.0.1", "0.10.2"), ("0.10.2", "0.10.5")])
@@ -162,7 +162,7 @@ def test_a_cyclone_without_its_own_plugins_is_refused(root):
     """Or else those of the other would be loaded."""
     folder = root(CYCLONE, CYCLONE_11) / "usr/local/lib"
     (folder / "libdds_security_ac.so").unlink()
-    with pytest.raises(MissingStackError, match="without security plugins"):
+    with pytest.raises(MissingStackError, match="has no security plugins"):
         find("cyclonedds", root.path)
 
 
