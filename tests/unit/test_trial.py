@@ -204,7 +204,7 @@ def test_a_header_that_tells_no_version_is_none(root):
 def test_a_missing_compiler_is_named_with_its_package(root):
     for lacking in ("idlc", "gcc"):
         (root(CYCLONE) / "usr/bin" / lacking).unlink()
-        with pytest.raises(MissingStackError, match=f"not {lacking}") as missing:
+        with pytest.raises(MissingStackError, match=f"but {lacking}") as missing:
             find("cyclonedds", root.path)
         assert "cyclonedds-tools" in missing.value.hint
 
