@@ -1,4 +1,4 @@
-"""ASN.1 structures of X.509, PKCS#8, PKCS#10 and CMS; the one user of hazmat.asn1.
+"""ASN.1 structures of X.509, PKCS#8, PKCS#10 and CMS; the only user of hazmat.asn1.
 
 cryptography marks that module as unstable, so nothing else may import it, pyproject
 pins the versions it was tested with, and golden-file tests watch its output. It reads
@@ -87,7 +87,7 @@ def encode(value: object) -> bytes:
 
 
 def decode(kind: type[T], der: bytes, what: str) -> T:
-    """`der` read as a `kind`; MalformedError, naming `what`, if it is none."""
+    """`der` decoded as a `kind`; MalformedError, naming `what`, if it is not one."""
     try:
         return asn1.decode_der(kind, der)
     except (ValueError, TypeError, OverflowError) as error:
@@ -96,30 +96,30 @@ def decode(kind: type[T], der: bytes, what: str) -> T:
 
 _PARSE_ERROR = re.compile(r"ParseError \{ kind: (\w+)(?:.*location: \[(.*?)\])?")
 _PARSE_ERRORS = {
-    "EncodedDefault": "a default is written out, as cA FALSE, which DER forbids",
-    "ExtraData": "there is more than there should be",
+    "EncodedDefault": "a default value is encoded, such as cA FALSE, which DER forbids",
+    "ExtraData": "there is data after the end",
     "IntegerOverflow": "a number is too large",
-    "InvalidLength": "a length is not written as DER has it",
-    "InvalidSetOrdering": "a set is not in order",
+    "InvalidLength": "a length is not encoded as in DER",
+    "InvalidSetOrdering": "the elements of a SET are not in order",
     "ShortData": "it ends too soon",
-    "UnexpectedTag": "something else stands in the place of a value",
+    "UnexpectedTag": "a value has another tag than expected",
 }
 
 
 def plain_words(error: Exception) -> str:
-    """What cryptography says of a structure, in words for those who do not know its parser."""
+    """The message of cryptography's parser in plain words."""
     found = _PARSE_ERROR.search(str(error))
     if not found:
         return str(error)
     place = f" ({found[2]})".replace('"', "") if found[2] else ""
-    return _PARSE_ERRORS.get(found[1], "a value is not what it should be") + place
+    return _PARSE_ERRORS.get(found[1], "a value is invalid") + place
 
 
 def elements(der: bytes, count: int, what: str) -> list[bytes]:
-    """The first `count` values inside the SEQUENCE `der`, each as it stands there.
+    """The first `count` values inside the SEQUENCE `der`, each with its header.
 
-    This and `content` cut where the lengths say, and judge nothing else: for octets that a
-    strict reader has to take as well. MalformedError, naming `what`, if there are fewer.
+    This and `content` use only the lengths and check nothing else: for octets that a strict
+    reader has to accept as well. MalformedError, naming `what`, if there are fewer.
     """
     found = []
     try:
@@ -136,13 +136,13 @@ def elements(der: bytes, count: int, what: str) -> list[bytes]:
 
 
 def content(der: bytes) -> bytes:
-    """What is in the value `der`, without its header."""
+    """The content of the value `der`, without its header."""
     start, end = _extent(der, 0)
     return der[start:end]
 
 
 def _extent(der: bytes, at: int) -> tuple[int, int]:
-    """Where the content of the value at `at` begins and ends (X.690 8.1.3)."""
+    """Offsets of the start and end of the content of the value at `at` (X.690 8.1.3)."""
     size, start = der[at + 1], at + 2
     if size > _SHORT:
         first, start = start, start + (size & _SHORT)
@@ -151,7 +151,7 @@ def _extent(der: bytes, at: int) -> tuple[int, int]:
 
 
 def raw(der: bytes) -> TLV:
-    """A complete DER value, kept as it is inside another structure."""
+    """A complete DER value, embedded unchanged in another structure."""
     return asn1.decode_der(TLV, der)
 
 
@@ -174,7 +174,7 @@ def time_of(moment: datetime) -> Time:
 
 
 def read_time(der: bytes, what: str) -> datetime:
-    """The moment in a DER Time; MalformedError if it is none."""
+    """The time in a DER Time; MalformedError if it is not one."""
     if der[:1] == b"\x17":
         return moment_of(decode(UTCTime, der, what))
     return moment_of(decode(GeneralizedTime, der, what))
@@ -229,7 +229,7 @@ class TBSCertificate:
 
 @sequence
 class PreTBSCertificate:
-    """What an alternative signature covers: no `signature`, no altSignatureValue (9.8)."""
+    """What an alternative signature covers: without `signature` and altSignatureValue (9.8)."""
 
     version: Annotated[int, Explicit(0), Default(0)]
     serial_number: int
@@ -385,7 +385,7 @@ class TBSCertList:
 
 @sequence
 class PreTBSCertList:
-    """What an alternative signature covers: no `signature`, no altSignatureValue (9.8)."""
+    """What an alternative signature covers: without `signature` and altSignatureValue (9.8)."""
 
     version: int | None
     issuer: TLV
@@ -396,7 +396,7 @@ class PreTBSCertList:
 
 
 def algorithm(oid: str, *, null: bool = False) -> AlgorithmIdentifier:
-    """An AlgorithmIdentifier without parameters, or with NULL as RSA wants it."""
+    """An AlgorithmIdentifier without parameters, or with NULL, as RSA requires."""
     return AlgorithmIdentifier(algorithm=Oid(oid), parameters=Null() if null else None)
 
 

@@ -1,8 +1,8 @@
 """Where the data files are: XSD schemas and document templates.
 
-They live at the top of the repository, and the wheel holds copies of them inside the
-package (pyproject.toml, force-include). An editable install has only the first, so
-that one is looked at second.
+They are at the top of the repository, and the wheel contains copies inside the package
+(pyproject.toml, force-include). An editable install has only those of the repository,
+which are tried second.
 """
 
 from pathlib import Path

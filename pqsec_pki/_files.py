@@ -1,7 +1,7 @@
-"""Reading files with clear refusals; writing them atomically.
+"""Read files with clear errors; write them atomically.
 
-A file is written beside its place and then linked or renamed into it, so a reader sees
-the old bytes or the new ones, never half. Private files are 0600 whatever the umask.
+A file is written beside its target and then linked or renamed to it, so a reader sees the
+old content or the new one, never a part. Private files are 0600 whatever the umask.
 """
 
 import errno
@@ -17,10 +17,10 @@ from typing import BinaryIO
 from pqsec_pki.errors import ExistsError, FileError, MissingError
 
 MAX_FILE = 8 << 20
-"""Bytes. The largest document any stack was measured to take is 0.5 MB."""
+"""Bytes. The largest document that any stack was measured to accept is 0.5 MB."""
 
 PIPE_PATIENCE = 5.0
-"""Seconds for which a pipe may have no writer; a writer may take any time."""
+"""Seconds to wait for a writer of a pipe; a writer may take any time."""
 
 _KINDS = {
     errno.EEXIST: ExistsError,
@@ -28,7 +28,7 @@ _KINDS = {
     errno.ENOTDIR: MissingError,
 }
 _NOWHERE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
-"""The last is of a link that leads to itself."""
+"""ELOOP is for a link that points to itself."""
 
 PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
@@ -38,7 +38,7 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY
 def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
     """The bytes of `path`; FileError if it cannot be read or is over `limit` bytes.
 
-    A pipe is read to its end, and refused if nobody writes into it within PIPE_PATIENCE.
+    A pipe is read to its end, and refused if it gets no writer within PIPE_PATIENCE.
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
@@ -48,10 +48,10 @@ def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
 
 
 def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) -> bytes:
-    """The same of a file that lies below `root`, wherever links on the way lead.
+    """The bytes of a file below `root`; links on its path are resolved.
 
-    FileError if it lies elsewhere: who hands on a folder of somebody else's hands on nothing
-    of his own. Unless `follow`, `path` itself may not be a link.
+    FileError if a link leads out of `root`: otherwise a folder made by another user could
+    make pqsec copy any file of the caller. Unless `follow`, `path` itself must not be a link.
     """
     flags = 0 if follow else os.O_NOFOLLOW
     try:
@@ -62,7 +62,7 @@ def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) 
             if not place.is_relative_to(root.resolve()):
                 raise FileError(
                     f"{path} leads out of {root}",
-                    hint="put a copy of what it should show in place of the link",
+                    hint="replace the link by a copy of the file it should point to",
                 )
             return _all_of(file, path, limit)
     except (OSError, ValueError) as error:
@@ -73,7 +73,7 @@ def _all_of(file: BinaryIO, path: Path, limit: int) -> bytes:
     data = _begin(file)
     data += file.read(limit + 1 - len(data))
     if len(data) > limit:
-        raise FileError(f"larger than {limit} bytes, so not what is expected here", where=path)
+        raise FileError(f"larger than {limit} bytes, so it cannot be the expected file", where=path)
     return data
 
 
@@ -82,39 +82,39 @@ def _without_waiting(path: str, flags: int) -> int:
 
 
 def _begin(file: BinaryIO) -> bytes:
-    """The first byte of a pipe, if it is there; nothing of a file. Then reading waits again."""
+    """The first byte of a pipe, once there is one; b"" for a file. Makes `file` blocking."""
     handle, byte = file.fileno(), b""
     if stat.S_ISFIFO(os.fstat(handle).st_mode):
         waiting = select.poll()
         waiting.register(handle, select.POLLIN)
         came = waiting.poll(PIPE_PATIENCE * 1000)
-        with suppress(BlockingIOError):  # somebody writes, and takes the time it needs
+        with suppress(BlockingIOError):  # there is a writer; it may take any time
             byte = os.read(handle, 1)
             if not (byte or came):
-                raise TimeoutError(errno.ETIMEDOUT, "a pipe that nobody writes into")
+                raise TimeoutError(errno.ETIMEDOUT, "a pipe without a writer")
     os.set_blocking(handle, True)
     return byte
 
 
 def is_there(path: Path) -> bool:
-    """Whether `path` leads to something; Path.exists raises where a name is too long, or closed."""
+    """Whether `path` exists; Path.exists raises if a name is too long or a folder inaccessible."""
     return os.path.exists(path)  # noqa: PTH110 -- see above
 
 
 def is_folder(path: Path) -> bool:
-    """Whether `path` leads to a folder; Path.is_dir raises where Path.exists does."""
+    """Whether `path` is a folder; Path.is_dir raises in the cases where Path.exists does."""
     return os.path.isdir(path)  # noqa: PTH112 -- see above
 
 
 def resolved(path: Path) -> Path:
-    """`path` without links; Path.resolve raises RuntimeError where one leads to itself."""
+    """`path` without links; Path.resolve raises RuntimeError if a link points to itself."""
     return Path(os.path.realpath(path))
 
 
 def exists(path: Path | str, *, follow: bool = True) -> bool:
-    """Whether something is at `path`, or where it leads; FileError if the system will not say.
+    """Whether `path`, or the target of a link there, exists; FileError if that cannot be known.
 
-    Path.exists says no in newer Pythons, and os.path.exists in all, where a folder is closed.
+    In an inaccessible folder os.path.exists, and Path.exists of newer Pythons, return False.
     """
     try:
         Path(path).stat(follow_symlinks=follow)
@@ -128,33 +128,35 @@ def exists(path: Path | str, *, follow: bool = True) -> bool:
 def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
     """Each folder below `root`, and `root`, with the names in it; no link is followed.
 
-    FileError for a folder that cannot be looked into, so that it is not taken for empty, and
-    for a link to a folder, which who asks for a file in it would find there. Path.rglob and
-    Path.glob pass over both in silence.
+    FileError for a folder that cannot be read, so that it does not count as empty, and for a
+    link to a folder, since opening a path would follow it. Path.rglob and Path.glob skip both
+    without an error.
     """
 
     def refuse(error: OSError) -> None:
         folder = Path(error.filename)
-        if folder == root or not isinstance(error, FileNotFoundError):  # else gone meanwhile
+        if folder == root or not isinstance(
+            error, FileNotFoundError
+        ):  # else it was removed meanwhile
             raise _refused(folder, error) from error
 
     for folder, folders, names in os.walk(root, onerror=refuse):
         folders.sort()
         for path in (Path(folder, name) for name in folders):
             if os.path.islink(path):  # noqa: PTH114 -- no error where a folder is closed
-                hint = "put that folder itself in its place, or take the link away"
+                hint = "replace the link by the folder itself, or remove the link"
                 raise FileError("a link to a folder, which is not followed", where=path, hint=hint)
         yield Path(folder), [*folders, *names]
 
 
 def refuse_existing(path: Path) -> None:
-    """ExistsError if anything is at `path`, were it a link that leads nowhere."""
+    """ExistsError if anything is at `path`, including a broken link."""
     if os.path.lexists(path):
         raise ExistsError(f"{path} exists", hint="choose another place, or --force to replace it")
 
 
 def write(path: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
-    """Put `data` at `path`, durable when this returns.
+    """Write `data` to `path`; it is durable when this returns.
 
     Without `force` an existing file stays and ExistsError is raised. A symbolic link
     at `path` is itself replaced, never followed. FileError if the folder refuses.
@@ -180,7 +182,7 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
 
 
 def _refuse_devices(path: Path) -> None:
-    """A file or a link is replaced; /dev/null and its like are not."""
+    """Refuse to replace anything but a file or a link, such as /dev/null."""
     with suppress(FileNotFoundError):
         mode = path.lstat().st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
@@ -190,9 +192,9 @@ def _refuse_devices(path: Path) -> None:
 def create(
     path: Path | str, data: bytes, *, mode: int, sync: bool = False, folder: int | None = None
 ) -> None:
-    """Make the new file `path` with exactly `mode`; OSError as the system gives it.
+    """Create the new file `path` with exactly `mode`; OSError as the system raises it.
 
-    With `folder`, the handle of one, `path` is relative to that.
+    With `folder`, the descriptor of a folder, `path` is relative to it.
     """
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_MODE, dir_fd=folder)
     try:
@@ -209,7 +211,7 @@ def create(
 
 @contextmanager
 def disk_errors(place: Path) -> Iterator[None]:
-    """Say what the system refuses as a FileError: of the file it names, or else of `place`."""
+    """Turn errors of the system into FileError, for the file they name, or else for `place`."""
     try:
         yield
     except OSError as error:
@@ -217,7 +219,7 @@ def disk_errors(place: Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in `folder` durable."""
+    """Make the directory entries of `folder` durable."""
     handle = os.open(folder, _FOLDER)
     try:
         os.fsync(handle)
@@ -228,9 +230,9 @@ def sync_folder(folder: Path) -> None:
 def sync_filesystem(folder: Path | int) -> None:
     """Make everything written so far on the file system durable: one call for many.
 
-    That of `folder`, which may be the handle of one.
+    The file system of `folder`, a path or a descriptor.
     """
-    import ctypes  # noqa: PLC0415 -- costs a millisecond that most commands need not pay
+    import ctypes  # noqa: PLC0415 -- takes a millisecond, and few commands need it
 
     handle = os.open(folder, _FOLDER) if isinstance(folder, Path) else os.dup(folder)
     try:

@@ -1,8 +1,8 @@
-"""Who beside the caller could change a folder or file: what sshd's StrictModes asks.
+"""Find out which other users could change a folder or file, like sshd's StrictModes.
 
-Whoever may write in a folder can put a link where the next command expects a file. So what
-is worked on must be the caller's own, and nobody else's to write: others (mode o+w), or a
-group, unless that is the user's private group, as Debian and others give each user one.
+A user who can write in a folder can put a link where the next command expects a file. So
+folders and files must belong to the caller, and must not be writable for others (mode o+w) or
+for a group. The caller's private group is allowed: Debian and others give each user one.
 """
 
 import grp
@@ -13,15 +13,15 @@ from functools import cache
 
 
 def outsider(found: os.stat_result, *, roots: bool = False, sticky: bool = False) -> str:
-    """Who else could change what `found` is of, in words; empty if nobody could.
+    """Which other user could change the file with the status `found`, in words; empty if none.
 
-    With `roots`, what is the superuser's is as good as the caller's own; with `sticky`,
-    a folder in which nobody may replace what is another's is good too, such as /tmp.
+    With `roots`, a file of the superuser is accepted like the caller's own; with `sticky`, a
+    sticky folder such as /tmp is accepted, since users cannot replace files of others there.
     """
     if found.st_uid != os.geteuid() and not (roots and found.st_uid == 0):
         return f"it belongs to another user ({user(found.st_uid)})"
     if stat.S_ISLNK(found.st_mode) or (sticky and found.st_mode & stat.S_ISVTX):
-        return ""  # the mode of a link says nothing
+        return ""  # the mode of a link has no meaning
     if found.st_mode & stat.S_IWOTH:
         return "anybody may write there"
     if found.st_mode & stat.S_IWGRP and not _is_private(found.st_gid):
@@ -30,18 +30,18 @@ def outsider(found: os.stat_result, *, roots: bool = False, sticky: bool = False
 
 
 def way_out(found: os.stat_result, path: str) -> str:
-    """What to do about an `outsider`, for a hint."""
+    """How to fix what `outsider` reports, for a hint."""
     if found.st_uid == os.geteuid():
         return f"chmod go-w {path}"
     owner = user(found.st_uid)
     if os.geteuid() == 0:
         return f"run the command as its owner, `sudo -u {owner} pqsec ...`; or chown it"
-    return f"{owner} may change it; you may change a copy of your own"
+    return f"only {owner} may change it; work on a copy of your own"
 
 
 @cache
 def user(number: int) -> str:
-    """What the system calls the user, or else `uid 1000`."""
+    """The user's name, or text such as `uid 1000` if there is none."""
     try:
         return pwd.getpwuid(number).pw_name
     except KeyError:
@@ -50,7 +50,7 @@ def user(number: int) -> str:
 
 @cache
 def _is_private(number: int) -> bool:
-    """Whether it is the caller's own group, of the same name and without other members."""
+    """Whether it is the caller's private group: of the same name, without other members."""
     try:
         me, group = pwd.getpwuid(os.geteuid()), grp.getgrgid(number)
     except KeyError:

@@ -1,8 +1,8 @@
-"""Work shared out to a process for each core.
+"""Distribute work to one process for each core.
 
-The library that makes keys and signatures holds the interpreter while it does, so threads
-would wait for each other. A fork has the CAs' keys in its memory: they travel through no
-pipe. OpenSSL and the system give a fork other random octets than its parent.
+The library that creates keys and signatures holds the interpreter lock, so threads would
+wait for each other. A fork has the CAs' keys in its memory, so they are sent through no pipe.
+OpenSSL and the system give a fork other random octets than its parent.
 """
 
 import os
@@ -19,30 +19,30 @@ from typing import Any, NamedTuple, TypeVar
 from pqsec_pki.errors import PqsecError
 
 LEAST = 16
-"""Items that are worth a process."""
+"""Number of items for which another process is started."""
 _MOMENTS = 20
-"""Milliseconds that a thread may take to be gone once it has ended."""
+"""Milliseconds until the system no longer lists a thread that has ended."""
 
 Done = TypeVar("Done")
 
 
 class _Failure(NamedTuple):
     number: int
-    """Of the item."""
+    """The number of the item."""
     error: Exception
 
 
 class _Fork(NamedTuple):
     process: int
     pipe: int
-    """What it did comes here, at its end."""
+    """Where it writes its result at its end."""
 
 
 def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]:
-    """As map, but by several processes where that is worth it.
+    """Like map, but in several processes if there are enough items.
 
-    What `work` gives and raises must be picklable. If it fails, the error of the first
-    item that fails is raised, once all processes have ended. PqsecError if one is killed.
+    Results and errors of `work` must be picklable. If it fails, the error of the first item
+    that fails is raised, after all processes have ended. PqsecError if a process is killed.
     """
     items = list(zip(*columns, strict=True))
     count = min(_cores(), len(items) // LEAST)
@@ -74,7 +74,7 @@ def _done(
     for number in share:
         try:
             found.append(work(*items[number]))
-        except Exception as error:  # noqa: BLE001 -- raised by who reads it
+        except Exception as error:  # noqa: BLE001 -- the parent raises it
             return _Failure(number, error)
     return found
 
@@ -83,9 +83,9 @@ def _done(
 def _forks(
     do: Callable[[Iterable[int]], object], shares: Sequence[range]
 ) -> Iterator[dict[range, _Fork]]:
-    """A process for each share, as far as the system lets there be more; at the end, none."""
+    """A process for each share, or fewer if the system allows no more; all end on exit."""
     forks: dict[range, _Fork] = {}
-    # Ctrl-C is for this process, which then ends the others.
+    # Only this process handles Ctrl-C; it then ends the others.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         with suppress(OSError):
@@ -113,16 +113,16 @@ def _fork(do: Callable[[Iterable[int]], object], share: Iterable[int]) -> _Fork:
         with os.fdopen(writer, "wb") as pipe:
             pipe.write(found)
     finally:
-        os._exit(0)  # whatever was raised: nothing of the parent's is ended twice
+        os._exit(0)  # even after an error, so that no exit handler of the parent runs twice
 
 
 def _packed(found: object) -> bytes:
-    """For the way home; of what cannot be read there, an error that says what it is."""
+    """The result, pickled; if that fails, an error that describes it."""
     try:
         packed = pickle.dumps(found)
         if isinstance(found, _Failure):
             pickle.loads(packed)  # noqa: S301 -- of this process
-    except Exception as error:  # noqa: BLE001 -- its class may be anybody's
+    except Exception as error:  # noqa: BLE001 -- any class may fail to pickle
         number, what = found if isinstance(found, _Failure) else (0, error)
         packed = pickle.dumps(_Failure(number, RuntimeError(f"{type(what).__name__}: {what}")))
     return packed
@@ -130,21 +130,20 @@ def _packed(found: object) -> bytes:
 
 def _answer(fork: _Fork) -> Any:
     with os.fdopen(fork.pipe, "rb", closefd=False) as pipe:
-        said = pipe.read()
+        answer = pipe.read()
     try:
-        return pickle.loads(said)  # noqa: S301 -- of a fork of this process
+        return pickle.loads(answer)  # noqa: S301 -- of a fork of this process
     except (EOFError, pickle.UnpicklingError) as error:
         raise PqsecError(
-            "one of the processes at work was killed", hint="if memory is short, do fewer at once"
+            "a worker process was killed", hint="if memory ran out, process fewer items at once"
         ) from error
 
 
 def _cores() -> int:
-    """How many this process may use; one where it cannot safely be forked.
+    """The number of cores that this process may use; 1 if it cannot safely be forked.
 
-    A fork of a process with several threads may hang: another may hold a lock. And where
-    the signal of a child's end is ignored, as its parent may have left it, nobody can wait
-    for one.
+    A fork of a process with several threads may hang, because another thread may hold a lock.
+    And if SIGCHLD is ignored, which a parent may have set, the process cannot wait for a fork.
     """
     if signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN or not _has_one_thread():
         return 1
@@ -152,7 +151,7 @@ def _cores() -> int:
 
 
 def _has_one_thread() -> bool:
-    """Also where one that was joined needs another moment to be gone."""
+    """Whether this process has one thread; waits a moment for joined threads to disappear."""
     for _ in range(_MOMENTS):
         try:
             threads = list(Path("/proc/self/task").iterdir())

@@ -1,9 +1,8 @@
-"""Every error a caller is meant to catch.
+"""All errors that a caller should catch.
 
-PqsecError is the one root: nothing else leaves a room on outside input. The command
-line prints the message, the hint, and exits with the error's exit_code: 1 where
-something was checked and the answer is no, 2 where the request makes no sense, 3 where
-the work could not be done.
+PqsecError is the base class: a room raises no other error for outside input. The command
+line prints the message and the hint, and exits with the error's exit_code: 1 if a check
+failed, 2 if the request makes no sense, 3 if the work could not be done.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,19 +13,19 @@ from typing import Self
 from pqsec_pki.problems import Code, Problem
 
 MOST_MEANT = 3
-"""Names that are offered in place of one that is not known."""
+"""The number of known names that are suggested for an unknown one."""
 _ALIKE = 0.7
-"""Of difflib's measure: /talkr and /talker, but not /listener."""
+"""Similarity by difflib: /talkr and /talker are similar enough, /listener is not."""
 
 
 def shown(text: str, limit: int = 80) -> str:
-    """`text` from outside made fit for a message: no control characters, not long."""
+    """`text` from outside, fit for a message: without control characters, and shortened."""
     short = text if len(text) <= limit else f"{text[: limit - 3]}..."
     return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in short)
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """`did you mean '/talker'?`, with up to three of `known` that are spelled alike; or nothing."""
+    """`did you mean '/talker'?`, with up to three of `known` that are spelled alike; or ''."""
     near = get_close_matches(word, known, MOST_MEANT, _ALIKE)
     return f"did you mean {' or '.join(repr(shown(each)) for each in near)}?" if near else ""
 
@@ -34,8 +33,8 @@ def meant(word: str, known: Iterable[str]) -> str:
 class PqsecError(Exception):
     """The work could not be done.
 
-    `hint` is the way out, one sentence. `where` names the file (or message) at fault;
-    the layer that knows it says it, or sets it with `located`. `words` are all but that.
+    `hint` says how to fix it, in one sentence. `where` names the file (or message) at fault;
+    the layer that knows it sets it, or uses `located`. `words` is the message without `where`.
     """
 
     exit_code = 3
@@ -64,17 +63,17 @@ class PqsecError(Exception):
         return super().__str__()
 
     def words_at(self, where: object) -> str:
-        """The message for a text that says `where` already; any other place stays in it."""
+        """The message for a text that names `where` already; another place stays in the message."""
         return self.words if self.where == str(where) else str(self)
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The message, a line for each thing that is wrong."""
+        """The message, with one line for each problem."""
         return (str(self),)
 
     @property
     def codes(self) -> frozenset[Code]:
-        """What is wrong, for programs."""
+        """The codes of what is wrong."""
         return frozenset({self.code})
 
     def _placed(self, message: str) -> str:
@@ -82,13 +81,13 @@ class PqsecError(Exception):
 
 
 class UsageError(PqsecError):
-    """What is asked for makes no sense, or breaks a promise that was also asked for."""
+    """The request makes no sense, or contradicts another option."""
 
     exit_code = 2
 
 
 class UnknownAlgorithmError(UsageError):
-    """No table has a row of that name, identifier or key type."""
+    """No table has a row with that name, identifier or key type."""
 
 
 class MalformedError(PqsecError):
@@ -102,21 +101,21 @@ class FileError(PqsecError):
 
 
 class MissingError(FileError):
-    """There is nothing at the path: that is known, where others cannot be read."""
+    """The path does not exist; for other errors of reading this is not known."""
 
     code = Code.FILE_MISSING
 
 
 class ExistsError(FileError):
-    """Something is there already, and nothing is overwritten unless told."""
+    """The file exists already, and is not overwritten without force."""
 
 
 class KeystoreError(PqsecError):
-    """The keystore lacks what the work needs, or is not a keystore."""
+    """The keystore lacks something that is needed, or is not a keystore."""
 
 
 class InterruptedChangeError(KeystoreError):
-    """A change of the keystore was interrupted, and what can be read is half of it."""
+    """A change of the keystore was interrupted, so its files may be from before and after it."""
 
 
 class PassphraseError(PqsecError):
@@ -124,7 +123,7 @@ class PassphraseError(PqsecError):
 
 
 class InvalidDocumentError(PqsecError):
-    """A governance or permissions document breaks its schema; `problems` has it all."""
+    """A governance or permissions document violates its schema; `problems` lists everything."""
 
     exit_code = 1
     code = Code.DOCUMENT_INVALID
@@ -134,7 +133,7 @@ class InvalidDocumentError(PqsecError):
         super().__init__("; ".join(map(str, self.problems)), hint=hint)
 
     def __reduce__(self) -> tuple[type[Self], tuple[tuple[Problem, ...]], dict[str, object]]:
-        """To travel between processes whole."""
+        """Pickle with all problems, to pass between processes."""
         return type(self), (self.problems,), self.__dict__
 
     @property
@@ -146,7 +145,7 @@ class InvalidDocumentError(PqsecError):
 class VerificationError(PqsecError):
     """A signature, chain, document or handshake message was checked and refused.
 
-    `problems` lists everything that is wrong, not only the first thing; words alone become
+    `problems` lists everything that is wrong, not only the first thing; a text becomes
     a Problem of that `code`.
     """
 
@@ -161,7 +160,7 @@ class VerificationError(PqsecError):
         super().__init__("; ".join(map(str, self.problems)), hint=hint)
 
     def __reduce__(self) -> tuple[type[Self], tuple[Problem, ...], dict[str, object]]:
-        """To travel between processes whole."""
+        """Pickle with all problems, to pass between processes."""
         return type(self), self.problems, self.__dict__
 
     @property
@@ -171,12 +170,12 @@ class VerificationError(PqsecError):
 
     @property
     def codes(self) -> frozenset[Code]:
-        """Of the problems."""
+        """The codes of the problems."""
         return frozenset(each.code for each in self.problems)
 
 
 def problems_of(error: PqsecError, code: Code = Code.OTHER) -> tuple[Problem, ...]:
-    """What `error` says is wrong; `code` is for an error that has no codes of its own."""
+    """The problems of `error`; `code` is for an error that has no codes of its own."""
     if isinstance(error, VerificationError):
         return error.problems
     return (Problem(str(error), code if error.code is Code.OTHER else error.code),)
@@ -184,7 +183,7 @@ def problems_of(error: PqsecError, code: Code = Code.OTHER) -> tuple[Problem, ..
 
 @contextmanager
 def located(where: object) -> Iterator[None]:
-    """Let errors that pass through here say where, unless they already do."""
+    """Set `where` in errors that pass through, unless it is set already."""
     try:
         yield
     except PqsecError as error:

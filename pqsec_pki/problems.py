@@ -1,7 +1,7 @@
-"""What can be wrong, as values: a code for programs, a subject, and words for people.
+"""Problems as values: a code for programs, a subject, and a message for people.
 
-Codes are stable and documented; messages may be reworded at any time, so nobody reads a
-message to learn what happened.
+Codes are stable and documented. Messages may be reworded at any time, so code must not
+parse them.
 """
 
 from dataclasses import dataclass, replace
@@ -10,44 +10,44 @@ from typing import Self
 
 
 class Code(StrEnum):
-    """What is wrong, for programs."""
+    """The kind of a problem, for programs."""
 
     OTHER = "other"
-    """The message alone says what."""
+    """Only the message says what is wrong."""
 
     # A file of an enclave, or a set of them
     FILE_MISSING = "file-missing"
     FILE_MALFORMED = "file-malformed"
-    """Not what its name says, or there are several in it where one is due."""
+    """Not what its name says, or it contains several values instead of one."""
     DOCUMENT_INVALID = "document-invalid"
-    """Signed, but its XML breaks the schema."""
+    """Signed, but its XML violates the schema."""
     ELEMENT_MISPLACED = "element-misplaced"
-    """An element of a document where its schema has another one, or none."""
+    """An element of a document in a place where its schema has another one, or none."""
     READERS_DISAGREE = "readers-disagree"
-    """Stacks could read another document in this file than the one that was verified."""
+    """Stacks could read a different document from this file than the verified one."""
 
     # A certificate, a key, an authority (RFC 5280 6.1)
     NOT_CA = "not-ca"
     NOT_SELF_SIGNED = "not-self-signed"
     NOT_PARTICIPANT = "not-participant"
-    """A CA's certificate where a participant's is due."""
+    """A CA's certificate instead of a participant's."""
     KEY_USAGE = "key-usage"
     CRITICAL_EXTENSION = "critical-extension"
     EXPIRED = "expired"
     NOT_YET_VALID = "not-yet-valid"
     WRONG_ISSUER = "wrong-issuer"
-    """Issued by a CA of another name than the one that is trusted."""
+    """Issued by a CA with another name than the trusted one."""
     BAD_SIGNATURE = "bad-signature"
-    """Of a CA of that name, and yet not signed by its key, or altered since."""
+    """Issued by a CA of that name, but not signed with its key, or altered."""
     ALTERNATIVE_MISSING = "alternative-missing"
-    """An alternative key or signature (X.509 9.8) is required and is not there."""
+    """An alternative key or signature (X.509 9.8) is required but missing."""
     ALTERNATIVE_BAD = "alternative-bad"
     KEY_MISMATCH = "key-mismatch"
-    """A private key that is not the certificate's."""
+    """A private key that does not match the certificate."""
     WRONG_SUBJECT = "wrong-subject"
     """A certificate or document of another participant."""
     PROFILE_MISMATCH = "profile-mismatch"
-    """A key of another kind than the keystore's profile promises."""
+    """A key of another algorithm than the keystore's profile has."""
 
     # Revocation (RFC 5280 6.3)
     REVOKED = "revoked"
@@ -59,13 +59,13 @@ class Code(StrEnum):
 
     # Who is trusted with what
     ONE_KEY_TWO_ROLES = "one-key-two-roles"
-    """The identity CA's key is the permissions CA's too (CVE-2023-24010)."""
+    """The identity CA and the permissions CA have the same key (CVE-2023-24010)."""
     CA_DOUBLED = "ca-doubled"
-    """The same CA stands twice where two are due."""
+    """The same CA twice instead of two CAs."""
     CA_UNKNOWN = "ca-unknown"
-    """A CA that is not trusted, or not with that role."""
+    """A CA that is not trusted, or not in that role."""
     CA_MISSING = "ca-missing"
-    """A CA that is trusted is not there."""
+    """A trusted CA is missing."""
     COUNTERSIGNER_MISSING = "countersigner-missing"
 
     # A signed document (RFC 5652)
@@ -74,7 +74,7 @@ class Code(StrEnum):
     CONTENT_CHANGED = "content-changed"
     SIGNATURE_BAD = "signature-bad"
     SIGNATURE_MISSING = "signature-missing"
-    """It holds, but lacks a classical or post-quantum signature that is required."""
+    """Valid, but a required classical or post-quantum signature is missing."""
     COUNTERSIGNATURE_BAD = "countersignature-bad"
 
     # What a document grants (DDS-Security 1.1, 9.4.3)
@@ -112,7 +112,7 @@ class Code(StrEnum):
     C25 = "C25"
     C26 = "C26"
 
-    # Against what was seen before
+    # Compared with what was installed before
     OLDER = "older"
 
 
@@ -123,11 +123,11 @@ class Problem:
     message: str
     code: Code = Code.OTHER
     subject: str = ""
-    """The file or participant at fault, where it is known."""
+    """The file or participant at fault, if known."""
     line: int | None = None
-    """Of the document, from 1."""
+    """The line of the document, from 1."""
     element: str | None = None
-    """Of the document: an XML element or a YAML key."""
+    """The XML element or YAML key in the document."""
 
     def __str__(self) -> str:
         subject = f"{self.subject}: " if self.subject else ""
@@ -136,9 +136,9 @@ class Problem:
         return f"{subject}{place}{element}{self.message}"
 
     def of(self, subject: str) -> Self:
-        """The same, with `subject` before the subject that it has."""
+        """The same problem, with `subject` before its own subject."""
         return replace(self, subject=": ".join(filter(None, (subject, self.subject))))
 
     def as_code(self, code: Code) -> Self:
-        """The same, under another code."""
+        """The same problem with another code."""
         return replace(self, code=code)

@@ -1,6 +1,6 @@
-"""Enrolment: a robot makes its own keys, asks for a certificate, and installs the answer.
+"""Enrolment: a robot generates its keys, requests a certificate, and installs the answer.
 
-For the commands on the robot (request, install, rollback) and those where the CAs are
+For the commands on the robot (request, install, rollback) and on the CA machine
 (issue --csr, bundle, sign-request). A bundle is the one file that goes to a robot.
 """
 

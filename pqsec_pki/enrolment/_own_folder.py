@@ -1,4 +1,4 @@
-"""A folder that is the caller's alone: nobody else changes it, and one process at a time does."""
+"""A folder that only the caller can change, one process at a time."""
 
 import fcntl
 import os
@@ -14,11 +14,11 @@ from pqsec_pki.errors import KeystoreError
 DRAFT = ".draft-"
 _PRIVATE_FOLDER = 0o700
 _DRAFTED = re.compile(r"(\.draft-|\.bundle\.(key|pub)\.pem\.)[0-9a-f]{16}")
-"""What a killed process leaves; the folder may have files of others."""
+"""Names of files that a killed process leaves; the folder may contain files of others."""
 
 
 def make_private(folder: Path) -> None:
-    """`folder` and what is missing above it, for their owner only; one that is there stays."""
+    """Create `folder` and missing parents, mode 0700; an existing folder stays as it is."""
     for each in (*reversed(folder.parents), folder):
         if not each.is_dir():
             each.mkdir(mode=_PRIVATE_FOLDER)
@@ -27,23 +27,23 @@ def make_private(folder: Path) -> None:
 
 @contextmanager
 def locked(root: Path) -> Iterator[None]:
-    """For one process at a time; KeystoreError if another has it."""
+    """Lock the folder for this process; KeystoreError if another process has the lock."""
     handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError:
-        raise KeystoreError(f"{root}: another pqsec command is at work here") from None
+        raise KeystoreError(f"{root}: another pqsec command is using this folder") from None
     finally:
         os.close(handle)
 
 
 def refuse_outsiders(root: Path) -> None:
-    """As sshd's StrictModes: the folder is the caller's alone, and those above theirs or root's.
+    """KeystoreError unless only the caller can change the folder, as with sshd's StrictModes.
 
-    Who may write in a folder above can rename this one, and put a link or a folder of their
-    own in its place; in a sticky one such as /tmp they cannot. Links on the way count too.
-    So what follows may go by paths. KeystoreError if not.
+    The folders above must be the caller's or root's. A user who can write in one of them could
+    rename this folder and put a link or another folder in its place, except in a sticky
+    folder such as /tmp. Links on the path are checked too. Later code may then use paths.
     """
     given, real = root.absolute(), Path(os.path.realpath(root))
     for path in dict.fromkeys((*given.parents, given, *real.parents, real)):
@@ -54,13 +54,13 @@ def refuse_outsiders(root: Path) -> None:
         above = path != real
         if who := outsider(found, roots=above, sticky=above):
             raise KeystoreError(
-                f"{path}: {who}; who may write there could change what this robot runs with",
+                f"{path}: {who}; a user who can write there could change this robot's credentials",
                 hint=f"{way_out(found, str(path))}; or choose another --dir",
             )
 
 
 def sweep(root: Path) -> None:
-    """Remove drafts of sets and requests, of the link, and of the key that opens bundles."""
+    """Remove temporary files of killed commands: sets, requests, the link, the sealing key."""
     for leftover in filter(_is_draft, root.iterdir()):
         if leftover.is_symlink() or leftover.is_file():
             leftover.unlink()

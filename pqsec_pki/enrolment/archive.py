@@ -1,7 +1,7 @@
-"""A parcel: files that travel together, and a manifest that says what each must be.
+"""An archive: files sent together, with a manifest of their hashes.
 
-The manifest is not signed. It shows damage and mistakes; whom to believe, the
-signatures inside the files say.
+The manifest is not signed. It shows damage and mistakes; authenticity comes from the
+signatures in the files.
 """
 
 import hashlib
@@ -17,19 +17,19 @@ from pqsec_pki.errors import MalformedError, VerificationError, shown
 FORMAT = 1
 MANIFEST = "manifest.json"
 MAX_MANIFEST = 8 << 20
-"""Bytes: as many files as an archive may have need 3 MB. Parsed, it takes many times more."""
+"""Bytes. The maximum number of files needs 3 MB; the parsed JSON takes many times more memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """Files by name, and what the manifest says beside their hashes."""
+    """Files by name, and the other values of the manifest (`about`)."""
 
     kind: str
     about: Mapping[str, Any]
     files: Mapping[str, bytes] = field(repr=False)
 
     def pack(self) -> bytes:
-        """One file; the same for the same parcel."""
+        """The archive as bytes; the same bytes for the same archive."""
         hashes = {name: _sha256(data) for name, data in sorted(self.files.items())}
         manifest = {"format": FORMAT, "kind": self.kind, **self.about, "files": hashes}
         text = json.dumps(manifest, indent=2, sort_keys=True) + "\n"
@@ -37,48 +37,48 @@ class Archive:
 
     @classmethod
     def unpack(cls, data: bytes, kind: str) -> Self:
-        """The parcel in `data`, complete and undamaged.
+        """The archive in `data`, complete and undamaged.
 
-        MalformedError if it is none of that kind, VerificationError, with all that is
-        wrong, if its files are not those of its manifest.
+        MalformedError if it is not an archive of that kind. VerificationError, with
+        everything that is wrong, if its files do not match its manifest.
         """
         files = tarball.unpack(data)
         try:
             text = files.pop(MANIFEST)
             if len(text) > MAX_MANIFEST:
-                raise MalformedError(f"a manifest of more than {MAX_MANIFEST} bytes")
+                raise MalformedError(f"the manifest is larger than {MAX_MANIFEST} bytes")
             manifest = json.loads(text)
             if manifest["format"] != FORMAT:
                 raise MalformedError("made by another version of pqsec")
             found, hashes = manifest["kind"], dict(manifest["files"])
         except (KeyError, ValueError, TypeError, RecursionError):
-            raise MalformedError(f"not a {kind} of pqsec: no manifest that can be read") from None
+            raise MalformedError(f"not a {kind} of pqsec: it has no readable manifest") from None
         if found != kind:
-            raise MalformedError(f"a {shown(str(found))}, not a {kind}")
+            raise MalformedError(f"this is a {shown(str(found))}, not a {kind}")
         _check(files, hashes)
         about = {key: manifest[key] for key in manifest.keys() - {"format", "kind", "files"}}
         return cls(kind, about, files)
 
     def text(self, key: str) -> str:
-        """What the manifest says under `key`; MalformedError if that is no text."""
+        """The text under `key` in the manifest; MalformedError if it is not a text."""
         value = self.about.get(key)
         if not isinstance(value, str):
-            raise MalformedError(f"the manifest does not say {key}")
+            raise MalformedError(f"the manifest lacks {key}")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """The same for a list of texts."""
+        """The list of texts under `key`; MalformedError if it is not one."""
         value = self.about.get(key)
         if not (isinstance(value, list) and all(isinstance(each, str) for each in value)):
-            raise MalformedError(f"the manifest does not say {key}")
+            raise MalformedError(f"the manifest lacks {key}")
         return tuple(value)
 
     def time(self, key: str) -> datetime:
-        """The same for a time, in UTC."""
+        """The time under `key`, in UTC; MalformedError if it is not a time."""
         try:
             return datetime.fromisoformat(self.text(key)).astimezone(UTC)
         except (ValueError, OverflowError):
-            raise MalformedError(f"the manifest does not say {key}") from None
+            raise MalformedError(f"the manifest lacks {key}") from None
 
 
 def _check(files: Mapping[str, bytes], hashes: Mapping[Any, Any]) -> None:
@@ -87,7 +87,7 @@ def _check(files: Mapping[str, bytes], hashes: Mapping[Any, Any]) -> None:
         if name not in hashes:
             problems.append(f"{name} is not in the manifest")
         elif hashes[name] != _sha256(data):
-            problems.append(f"{name} is not what the manifest says (SHA-256)")
+            problems.append(f"{name} differs from the manifest (SHA-256)")
     if problems:
         raise VerificationError(*problems)
 

@@ -1,7 +1,7 @@
-"""Bundles: all that one robot needs of a keystore, in one file, and never a CA's key.
+"""Bundles: all files of a keystore that one robot needs, in one file, never a CA's key.
 
-A bundle holds whole enclaves, one or several, under the paths that ROS 2 knows:
-enclaves/fleet/robot1/cert.pem. With keys that were made on the robot it has no key.
+A bundle contains one or several whole enclaves, under the paths of ROS 2, such as
+enclaves/fleet/robot1/cert.pem. It has no private key if the robot generated the keys.
 """
 
 import hashlib
@@ -32,9 +32,9 @@ from pqsec_pki.problems import Code
 KIND = "bundle"
 
 
-@dataclass(frozen=True)  # no slots: what is worked out once is kept
+@dataclass(frozen=True)  # no slots, for cached properties
 class Bundle:
-    """Enclaves by name, each with its files by name. Nothing of it is verified here."""
+    """Enclaves by name, each with its files by name. None of them is verified here."""
 
     created: datetime
     enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
@@ -43,15 +43,15 @@ class Bundle:
     def of(
         cls, keystore: Keystore, names: Iterable[str], *, now: datetime, keys: bool = True
     ) -> Self:
-        """The bundle of these participants; without `keys` only what anybody may read.
+        """The bundle of these participants; with `keys`, including their private keys.
 
-        What is in it was verified, as its robot will at `now`, and written again from that:
-        VerificationError lists everything that is wrong. KeystoreError if a participant is not
-        there or lacks a file, UsageError for no names.
+        The files are verified at `now`, as the robot will do, and written again from the
+        verified values. VerificationError lists everything that is wrong. KeystoreError if a
+        participant does not exist or lacks a file, UsageError without names.
         """
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
-            raise UsageError("a bundle is for at least one participant")
+            raise UsageError("a bundle needs at least one participant")
         enclaves = {
             name: _verified(name, enclave_files(keystore.root, name), now, keys=keys)
             for name in regular
@@ -64,18 +64,18 @@ class Bundle:
         archive = Archive.unpack(data, KIND)
         enclaves: dict[str, dict[str, bytes]] = {name: {} for name in archive.texts("names")}
         if not enclaves:
-            raise MalformedError("the bundle is for nobody")
+            raise MalformedError("the bundle has no participants")
         for path, content in archive.files.items():
             folder, _, file = path.rpartition("/")
             name = folder.removeprefix(ENCLAVES)
             if not folder.startswith(f"{ENCLAVES}/") or name not in enclaves or file not in FILES:
-                raise MalformedError(f"a bundle holds no {shown(path)}")
+                raise MalformedError(f"a bundle must not contain {shown(path)}")
             enclaves[name][file] = content
         for name, files in enclaves.items():
             _check_complete(name, files)
         bundle = cls(archive.time("created"), enclaves)
         if sorted(bundle.fingerprints) != sorted(archive.texts("ca_sha256")):
-            raise MalformedError("the manifest names other CAs than the bundle holds")
+            raise MalformedError("the manifest names other CAs than the bundle contains")
         return bundle
 
     def to_bytes(self) -> bytes:
@@ -94,7 +94,7 @@ class Bundle:
 
     @cached_property
     def sha256(self) -> str:
-        """Of the names and contents of its files, in hex; however it is packed."""
+        """SHA-256 of the names and contents of its files, in hex, whatever the compression."""
         hashes = [
             (name, file, hashlib.sha256(data).hexdigest())
             for name, files in sorted(self.enclaves.items())
@@ -109,7 +109,7 @@ class Bundle:
 
     @property
     def has_keys(self) -> bool:
-        """Whether it holds private keys."""
+        """Whether it contains private keys."""
         return any(key in files for files in self.enclaves.values() for key in KEYS)
 
     @property
@@ -119,10 +119,10 @@ class Bundle:
 
     @cached_property
     def roles(self) -> Mapping[str, frozenset[str]]:
-        """The same by the file that they stand in.
+        """The fingerprints of the CAs' certificates, by the file that contains them.
 
-        Of all in each file: a stack may trust the second one too. MalformedError for a file
-        that is not certificates.
+        Of all certificates in a file: a stack may trust the second one too. MalformedError for
+        a file without certificates.
         """
         found = {file: frozenset(self._authorities(file)) for file in CA_FILES}
         return {file: pins for file, pins in found.items() if pins}
@@ -135,12 +135,12 @@ class Bundle:
 
 
 def flat_name(name: str) -> str:
-    """A participant's name as a file's: fleet+robot1. No other participant has it."""
+    """A participant's name as a file name, such as fleet+robot1; unique for each participant."""
     return name.removeprefix("/").replace("/", "+")
 
 
 def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
-    """Write `data` to the file `goal`, and make its folder; errors as _files.write."""
+    """Write `data` to the file `goal`, and create its folder; errors as in _files.write."""
     with disk_errors(goal.parent):
         goal.parent.mkdir(parents=True, exist_ok=True)
     write(goal, data, private=private, force=force)
@@ -149,13 +149,15 @@ def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False)
 def _verified(
     name: str, files: Mapping[str, bytes], now: datetime, *, keys: bool
 ) -> dict[str, bytes]:
-    """The files, written again; with the private `keys`, which must be the certificate's."""
+    """The files, written again; with `keys`, the private keys, which must match the certificate."""
     private = {file: data for file, data in files.items() if file in KEYS} if keys else {}
     public = {file: data for file, data in files.items() if file not in KEYS}
     try:
         credentials = Credentials.of(name, {**public, **private})
     except PassphraseError as error:
-        error.hint = "no robot could open it: decrypt it, or let the robot make its own keys"
+        error.hint = (
+            "a robot cannot open it: decrypt the key, or let the robot generate its own keys"
+        )
         raise
     return {**verify_credentials(credentials, now=now).files, **private}
 

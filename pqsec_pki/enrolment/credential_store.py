@@ -1,12 +1,12 @@
-"""Where a robot keeps what it runs with: sets of credentials, and which one is current.
+"""The credential store of a robot: sets of credentials, and which one is current.
 
-current -> sets/3   what processes read; one rename changes all of it
-sets/<n>/           enclaves/<path>/..., and installed.json: what came before it
+current -> sets/3   what processes read; one rename changes all files at once
+sets/<n>/           enclaves/<path>/..., and installed.json: which set was current before
 requests/<name>/    key.pem [alt.key.pem] request.csr, until the answer is installed
-trust.json          the CAs that are trusted, and how new the newest was that was ever installed
-bundle.key.pem      what sealed bundles are opened with, where it was made
+trust.json          the trusted CAs, and the newest documents that were ever installed
+bundle.key.pem      the key that opens sealed bundles, if it was created
 
-A set never changes once it is there. The one before the current is kept.
+A set never changes after it was created. The set before the current one is kept.
 """
 
 import json
@@ -43,22 +43,22 @@ FORMAT = 1
 _NUMBER = re.compile("[1-9][0-9]{0,8}")
 
 Enclaves = Mapping[str, Mapping[str, bytes]]
-"""Files by name, by the name of their participant."""
+"""Files by name, for each participant's name."""
 
 
 @dataclass(frozen=True, slots=True)
 class InstalledSet:
-    """A set of credentials that is there."""
+    """A set of credentials in the store."""
 
     path: Path
     at: datetime
     """When it was installed."""
     previous: str | None
-    """The name of the set that it took the place of."""
+    """The name of the set that it replaced."""
 
     @property
     def enclaves(self) -> Enclaves:
-        """The files in it; FileError if they cannot be read."""
+        """The files of the set; FileError if they cannot be read."""
         root = self.path / ENCLAVES
         folders = sorted(folder for folder, names in walk(root) if CERTIFICATE in names)
         return {f"/{each.relative_to(root).as_posix()}": _files_in(each) for each in folders}
@@ -66,26 +66,26 @@ class InstalledSet:
 
 @dataclass(frozen=True, slots=True)
 class CredentialStore:
-    """The folder `root` of a robot."""
+    """The credential store in the folder `root`."""
 
     root: Path
 
     @property
     def current(self) -> InstalledSet | None:
-        """The set that is in use, if there is one; KeystoreError if it is damaged."""
+        """The current set, if there is one; KeystoreError if it is damaged."""
         link = self.root / CURRENT
         if not os.path.lexists(link):
             return None
         folder, _, name = str(link.readlink() if link.is_symlink() else "").partition("/")
         if folder != SETS or not _NUMBER.fullmatch(name):
             raise KeystoreError(
-                f"{link} is not a link that pqsec made", hint="install into another --dir"
+                f"{link} is not a link created by pqsec", hint="install into another --dir"
             )
         return self.set_named(name)
 
     @property
     def trust_state(self) -> TrustState | None:
-        """The trust state that was saved here, if any; KeystoreError if it is damaged."""
+        """The saved trust state, if any; KeystoreError if it is damaged."""
         path = self.root / TRUST
         if not os.path.lexists(path):
             return None
@@ -93,7 +93,7 @@ class CredentialStore:
             return TrustState.from_json(read(path))
 
     def trust(self, state: TrustState) -> None:
-        """Save the trust state, in one step."""
+        """Save the trust state atomically."""
         data, path = state.to_json(), self.root / TRUST
         if os.path.lexists(path) and read(path) == data:
             return
@@ -103,7 +103,7 @@ class CredentialStore:
         sync_folder(self.root)
 
     def set_named(self, name: str) -> InstalledSet:
-        """That set; KeystoreError if it is damaged, FileError if it is not there."""
+        """The set of that name; KeystoreError if it is damaged, FileError if it does not exist."""
         path = self.root / SETS / name
         try:
             record = json.loads(read(path / RECORD))
@@ -115,23 +115,23 @@ class CredentialStore:
             raise KeystoreError(f"{path / RECORD} cannot be read: {error}") from error
 
     def keys(self, name: str) -> Iterator[Mapping[str, bytes]]:
-        """Files with keys that were made or installed here for `name`: of requests, then of sets.
+        """Files with keys for `name` that were created or installed here: of requests, then sets.
 
-        Empty where there are none.
+        Empty if there are none.
         """
         yield _files_in(self.request_folder(name))
         for each in sorted(self._sets(), reverse=True):
             yield _files_in(self.root / SETS / str(each) / ENCLAVES / name.removeprefix("/"))
 
     def request_folder(self, name: str) -> Path:
-        """Where the keys for `name` wait for their certificate."""
+        """The folder with the keys for `name` until their certificate is installed."""
         return self.root / REQUESTS / flat_name(name)
 
     def put(self, enclaves: Enclaves, state: TrustState, now: datetime) -> None:
-        """Make a set of these files and let it be the current one; all of it or nothing.
+        """Create a set of these files and make it current, completely or not at all.
 
-        The trust state is saved once the set is whole and before it becomes current, so that a
-        kill between the two leaves marks that are no lower than what is installed.
+        The trust state is saved when the set is complete and before it becomes current. If the
+        process is killed between the two, the marks are not older than what is installed.
         """
         before = self.current
         draft = self._draft(enclaves, before.path.name if before else None, now)
@@ -141,7 +141,7 @@ class CredentialStore:
         self.point_to(name)
 
     def point_to(self, name: str) -> None:
-        """Let that set be the current one: one rename."""
+        """Make that set current, with one rename."""
         link = self.root / f"{DRAFT}{secrets.token_hex(8)}"
         link.symlink_to(f"{SETS}/{name}")
         sync_filesystem(self.root)
@@ -149,7 +149,7 @@ class CredentialStore:
         sync_folder(self.root)
 
     def tidy(self, answered: Mapping[str, Mapping[str, bytes]]) -> None:
-        """Remove what nothing needs any more: requests `answered` with these keys, old sets."""
+        """Remove requests whose keys are in `answered`, and old sets."""
         for name, keys in answered.items():
             folder = self.request_folder(name)
             if folder.is_dir() and _files_in(folder).get(KEY) == keys.get(KEY):
@@ -161,7 +161,7 @@ class CredentialStore:
                 self.remove(self.root / SETS / str(number))
 
     def remove(self, folder: Path) -> None:
-        """Take `folder` away in one step, then delete it."""
+        """Remove `folder` atomically: rename it, then delete it."""
         spent = self.root / f"{DRAFT}{secrets.token_hex(8)}"
         folder.rename(spent)
         shutil.rmtree(spent)
@@ -188,11 +188,11 @@ class CredentialStore:
 
 @contextmanager
 def changing(root: Path) -> Iterator[CredentialStore]:
-    """The place at `root`, for one process at a time, without leftovers of killed ones.
+    """The store at `root`, locked for this process, without temporary files of killed ones.
 
-    A folder that was made for it goes again if nothing came of it. FileError if the disk
-    refuses, KeystoreError if another process is at work there, or somebody else could change
-    what is there, or put another folder in its place.
+    A folder created for it is removed if nothing was stored. FileError if the disk refuses.
+    KeystoreError if another process has the lock, or if another user could change or replace
+    the folder.
     """
     with disk_errors(root):
         refuse_outsiders(root)
@@ -204,20 +204,20 @@ def changing(root: Path) -> Iterator[CredentialStore]:
                 try:
                     yield CredentialStore(root)
                 except BaseException:
-                    with suppress(OSError):  # then the next one sweeps
+                    with suppress(OSError):  # the next command removes it
                         sweep(root)
                     raise
         except BaseException:
             if new:
-                with suppress(OSError):  # something is in it
+                with suppress(OSError):  # it is not empty
                     root.rmdir()
             raise
 
 
 def _set_name(text: str | None) -> str | None:
-    """What a record says came before; ValueError if no set could be called so."""
+    """The name of the previous set in a record; ValueError if it is not a name of a set."""
     if text is not None and not _NUMBER.fullmatch(text):
-        raise ValueError(f"a set called {text!r}")
+        raise ValueError(f"{text!r} is not a name of a set")
     return text
 
 

@@ -1,4 +1,4 @@
-"""Where the CAs are: whether a request is one that may be answered."""
+"""Validate certificate requests, on the CA machine."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import PurePosixPath
@@ -18,25 +18,26 @@ def validate_csrs(
     names: Collection[str] = (),
     patterns: Collection[str] = (),
 ) -> dict[str, PublicKeys]:
-    """The keys to be certified, by the participant's name.
+    """The public keys to be certified, by the participant's name.
 
-    Each request must prove possession of its keys, they must be of the profile's kinds,
-    and its CN, alone, be a participant's name: one of `names`, all of which must be asked
-    for, or one that fits `patterns`, such as /fleet/* (`*` is any part without a slash).
-    VerificationError lists everything that is wrong; UsageError if neither is said.
+    Each request must prove possession of its keys, whose algorithms must be the profile's.
+    Its subject must be a CN alone, a participant's name: either one of `names`, which must
+    all be requested, or a name that matches `patterns`, such as /fleet/* (`*` matches any
+    part without a slash). VerificationError lists everything that is wrong; UsageError
+    without `names` and `patterns`.
     """
     if not names and not patterns:
         raise UsageError(
-            "a request may not choose its own name",
-            hint="say for whom it may be: NAME, or --allow-name '/fleet/*'",
+            "a request must not choose its own name",
+            hint="give the names that are allowed: NAME, or --allow-name '/fleet/*'",
         )
     for pattern in patterns:
         if not pattern.startswith("/"):
-            raise UsageError(f"{pattern!r} fits no name: they begin with a slash")
+            raise UsageError(f"{pattern!r} matches no name: names begin with a slash")
     wanted = set(map(regular_name, names))
     asked = [name_asked_for(request) for request in requests]
     problems = [
-        f"the request of {request.subject_name or 'nobody'}: {problem}"
+        f"the request of {request.subject_name or 'an empty subject'}: {problem}"
         for request, name in zip(requests, asked, strict=True)
         for problem in (*_name_problems(name, wanted, patterns), *_key_problems(request, profile))
     ]
@@ -54,12 +55,12 @@ def validate_csrs(
 
 
 def name_asked_for(request: CertificateRequest) -> str | None:
-    """The participant's name that the request asks for; None if that cannot be one."""
+    """The participant's name that the request asks for; None if it is not a valid name."""
     try:
         name = request.common_name
         if not name or regular_name(name) != name:
             return None
-        common_name(name)  # refuses what no certificate can carry
+        common_name(name)  # refuses names that do not fit into a certificate
         return name
     except PqsecError:
         return None
@@ -72,7 +73,7 @@ def _name_problems(
         yield NAMELESS
     elif name not in wanted and not any(PurePosixPath(name).match(each) for each in patterns):
         allowed = ", ".join([*sorted(wanted), *patterns])
-        yield f"its name is none of those that are allowed: {allowed}"
+        yield f"its name is not one of the allowed names: {allowed}"
 
 
 def _key_problems(request: CertificateRequest, profile: Profile) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Installing a bundle on its robot, and going back: all of it or nothing."""
+"""Install a bundle on its robot, or roll back, completely or not at all."""
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -25,20 +25,20 @@ from pqsec_pki.errors import (
 )
 
 MAX_FILE = MAX_ARCHIVE + (64 << 10)
-"""Bytes: sealing adds to the archive."""
+"""Bytes: more than an archive, because sealing adds to it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """What was installed, or is again what it was."""
+    """The result of an installation."""
 
     names: tuple[str, ...]
     not_after: datetime
-    """When the first of its certificates ends."""
+    """When the first of its certificates expires."""
     current: Path
-    """The link that leads to it."""
+    """The link to the current set."""
     already: bool
-    """Whether the very same is installed, and nothing was done."""
+    """Whether the same files were installed already, so nothing was done."""
 
 
 def install(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -51,17 +51,15 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     older: bool = False,
     alone: bool = False,
 ) -> Installed:
-    """Let the robot's folder `root` hold what is in the bundle in file `path`.
+    """Install the bundle in file `path` into the robot's folder `root`.
 
-    Its CAs must be those of `pins`, each in its role; without any, those that are trusted
-    here. On a first installation `trust_first` takes whatever CAs the bundle has. `older` also
-    takes what is older than what was installed before. Other participants that are installed
-    stay, with the bundle's revocation list, unless it shall be there `alone`.
+    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here.
+    On a first installation `trust_first` trusts the CAs in the bundle. `older` accepts
+    documents older than those installed before. Other installed participants stay, with the
+    bundle's revocation list, unless `alone`.
 
-    What is installed was verified, and is written again from what was verified.
-
-    VerificationError lists everything that is wrong with the bundle; then, as with any
-    error, nothing has changed.
+    The files are verified, and written again from the verified values. VerificationError lists
+    everything that is wrong with the bundle. After an error nothing has changed.
     """
     data = read(path, limit=MAX_FILE)
     with changing(root) as store, located(path):
@@ -82,24 +80,23 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
             store.trust(newer)
         else:
             store.put(wanted, newer, now)
-        store.tidy(keys)  # also what a killed installation left
-        return _told(found, store, already=already)
+        store.tidy(keys)  # also removes what a killed installation left
+        return _result(found, store, already=already)
 
 
 def rollback(root: Path, *, older: bool = False) -> InstalledSet:
-    """Let the set before the current one be current again.
+    """Make the set before the current one current again.
 
-    KeystoreError if there is none, or it cannot be read; VerificationError if it is of other
-    CAs than those that are trusted here, or anything in it is older than the newest that was
-    installed, unless `older`. What was seen here stays known: no older bundle can be installed
-    afterwards either.
+    KeystoreError if there is none, or it cannot be read. VerificationError if its CAs are not
+    those trusted here, or if anything in it is older than the newest that was installed,
+    unless `older`. The marks stay, so no older bundle can be installed afterwards either.
     """
     with changing(root) as store:
         current = store.current
         if current is None:
             raise KeystoreError(f"nothing is installed in {root}")
         if current.previous is None or not (current.path.parent / current.previous).is_dir():
-            raise KeystoreError(f"{root} keeps nothing from before {current.at:%Y-%m-%d %H:%M} UTC")
+            raise KeystoreError(f"{root} has no set from before {current.at:%Y-%m-%d %H:%M} UTC")
         earlier = store.set_named(current.previous)
         state = _trust_state(store, current, needed=not older)
         if state and not older:
@@ -108,7 +105,7 @@ def rollback(root: Path, *, older: bool = False) -> InstalledSet:
             seen = _installed(earlier)
             pins = pins_in(seen)
             if state is None:
-                with suppress(PqsecError):  # what cannot be read has shown nothing
+                with suppress(PqsecError):  # an unreadable set raises no marks
                     seen += _installed(current)
             store.trust(_raised(state, seen, pins))
         store.point_to(current.previous)
@@ -121,8 +118,8 @@ def _opened(data: bytes, root: Path) -> bytes:
     key = root / SEALING_KEY
     if not key.exists():
         raise KeystoreError(
-            "the bundle is sealed, and there is no key here to open it",
-            hint=f"`pqsec bundle-key --dir {root}` makes one; the bundle must be sealed for it",
+            "the bundle is sealed, and this robot has no key to open it",
+            hint=f"`pqsec bundle-key --dir {root}` creates one; the bundle must be sealed for it",
         )
     with located(key):
         opener = SealingPrivateKey.from_pem(read(key))
@@ -132,9 +129,9 @@ def _opened(data: bytes, root: Path) -> bytes:
 def _trust_state(
     store: CredentialStore, before: InstalledSet | None, *, needed: bool
 ) -> TrustState | None:
-    """The trust state here: as saved, or, where an older pqsec installed, from what is installed.
+    """The saved trust state, or, if an older pqsec installed the set, one derived from that set.
 
-    None where nothing is, or, unless it is `needed`, where it cannot be read.
+    None if nothing is installed, or if it cannot be read and is not `needed`.
     """
     try:
         state = store.trust_state
@@ -146,7 +143,7 @@ def _trust_state(
         if not needed:
             return None
         error.hint = error.hint or (
-            "to do without what was installed before: --older, and --ca-fingerprint for each CA"
+            "to ignore what was installed before: --older, and --ca-fingerprint for each CA"
         )
         raise
 
@@ -160,7 +157,7 @@ def _raised(
 def _pins(
     state: TrustState | None, pins: Pins | None, bundle: Bundle, *, trust_first: bool
 ) -> Pins:
-    """Which CAs are trusted, and with which role."""
+    """The CAs that are trusted, with their roles."""
     if pins:
         return pins
     if state:
@@ -168,8 +165,8 @@ def _pins(
     if trust_first:
         return bundle.roles
     raise UsageError(
-        "nothing is installed yet, so nothing tells which CAs to trust",
-        hint="name each: --ca-fingerprint ROLE:SHA256; `pqsec ca show --pins`, where they are,"
+        "nothing is installed yet, so no CAs are trusted",
+        hint="name each: --ca-fingerprint ROLE:SHA256; `pqsec ca show --pins` on the CA machine"
         " prints them",
     )
 
@@ -179,20 +176,21 @@ def _verified(bundle: Bundle, pins: Pins, now: datetime) -> VerifiedBundle:
         return verify_bundle(bundle, pins, now=now)
     except VerificationError as error:
         error.hint = error.hint or (
-            "`pqsec bundle`, where the CAs are, makes another; for what has ended, `pqsec renew`"
-            " comes first"
+            "`pqsec bundle` on the CA machine creates a new bundle; if anything expired, run"
+            " `pqsec renew` first"
         )
         raise
 
 
 def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> None:
-    """Nobody gets old rights back, or revoked peers in again, by sending an old bundle.
+    """VerificationError for credentials older than `state`: protection against rollback.
 
-    Nor by what is older in one enclave of a new bundle: `state` is that after its installation.
+    An old bundle could restore withdrawn rights or accept revoked peers, as could an older file
+    in one enclave of a new bundle. `state` is the one after its installation.
     """
     problems = [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
-        raise VerificationError(*dict.fromkeys(problems), hint="if that is meant: --older")
+        raise VerificationError(*dict.fromkeys(problems), hint="to install it anyway: --older")
 
 
 def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
@@ -201,12 +199,12 @@ def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
     problems += [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
         raise VerificationError(
-            *dict.fromkeys(problems), hint="if that is meant: `pqsec rollback --older`"
+            *dict.fromkeys(problems), hint="to roll back anyway: `pqsec rollback --older`"
         )
 
 
 def _installed(found: InstalledSet) -> list[Credentials]:
-    """What is installed, read; nothing of it is verified."""
+    """The installed credentials, read but not verified."""
     with located(found.path):
         return [
             Credentials.of(name, {file: each for file, each in files.items() if file not in KEYS})
@@ -217,13 +215,13 @@ def _installed(found: InstalledSet) -> list[Credentials]:
 def _others(
     before: InstalledSet | None, bundle: Bundle, found: VerifiedBundle
 ) -> dict[str, dict[str, bytes]]:
-    """What else is installed, of the same CAs; VerificationError for what is of others."""
+    """The other installed participants; VerificationError for those of other CAs."""
     there = before.enclaves if before else {}
     others = {name: dict(files) for name, files in there.items() if name not in bundle.names}
     if before and others and not _same_authorities(Bundle(before.at, others), bundle):
         raise VerificationError(
-            f"also installed: {', '.join(others)}, which are not of the bundle's CAs",
-            hint="`pqsec bundle` makes one for all of them; or --only lets them go",
+            f"also installed: {', '.join(others)}, which were not issued by the bundle's CAs",
+            hint="create a bundle for all of them with `pqsec bundle`, or remove them with --only",
         )
     for files in found.files.values():
         if REVOCATION_LIST in files:
@@ -233,7 +231,7 @@ def _others(
 
 
 def _same_authorities(one: Bundle, other: Bundle) -> bool:
-    """In the same places; not, if that of one cannot be read."""
+    """Whether both have the same CAs in the same files; False if one cannot be read."""
     try:
         return one.roles == other.roles
     except PqsecError:
@@ -243,13 +241,13 @@ def _same_authorities(one: Bundle, other: Bundle) -> bool:
 def _keys(
     verified: VerifiedCredentials, bundle: Bundle, store: CredentialStore
 ) -> Mapping[str, bytes]:
-    """The private keys: from the bundle, or made or installed here before."""
+    """The private keys: from the bundle, or created or installed here before."""
     name = verified.name
     inside = {key: data for key, data in bundle.enclaves[name].items() if key in KEYS}
     return keys_of(verified, [inside] if inside else store.keys(name))
 
 
-def _told(found: VerifiedBundle, store: CredentialStore, *, already: bool) -> Installed:
+def _result(found: VerifiedBundle, store: CredentialStore, *, already: bool) -> Installed:
     return Installed(
         names=tuple(each.name for each in found.verified),
         not_after=min(each.certificate.not_after for each in found.verified),

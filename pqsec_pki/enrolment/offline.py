@@ -1,8 +1,8 @@
-"""CAs on a machine without a network: requests go there in one file, answers come back.
+"""CAs on an offline machine: requests go there in one file, and answers come back in one.
 
-Who collects requests has no CA key. The files show damage, and an answer names the file
-that it answers by its SHA-256. What makes an answer true is the CAs' signatures in it;
-what makes a request true is that whoever signs compares its SHA-256.
+The machine that collects requests has no CA key. Both files detect damage, and an answer names
+the SHA-256 of the request file. An answer is authentic by the CAs' signatures in it; a
+request is authentic if the person who signs compares its SHA-256.
 """
 
 import hashlib
@@ -36,22 +36,22 @@ from pqsec_pki.keystore import Authorities, Keystore, ParticipantSpec, issue
 
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
 MAX_UNPACKED = 256 << 20
-"""Bytes of all bundles in an answer: four times what the answer itself may unpack to."""
+"""Bytes of all unpacked bundles in an answer: four times the limit of one archive."""
 
 
 @dataclass(frozen=True, slots=True)
 class SignRequest:
-    """Requests of robots, and what each shall be allowed."""
+    """Certificate requests of robots, and the permissions that each shall get."""
 
     requests: tuple[CertificateRequest, ...]
     specs: tuple[ParticipantSpec, ...]
     """One for each request, in their order."""
     sha256: str = ""
-    """Of the file it was read from, in hex."""
+    """SHA-256 of the file it was read from, in hex."""
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """MalformedError if `data` is none, VerificationError if it is damaged."""
+        """The sign request in `data`; MalformedError, or VerificationError if it is damaged."""
         archive = Archive.unpack(data, REQUEST_KIND)
         try:
             specs = tuple(read_spec(each, archive.files) for each in archive.about["wishes"])
@@ -59,14 +59,14 @@ class SignRequest:
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise MalformedError(f"the {REQUEST_KIND} cannot be read: {error}") from error
         except UsageError as error:
-            raise MalformedError(f"the {REQUEST_KIND} cannot be met: {error}") from error
+            raise MalformedError(f"the {REQUEST_KIND} is not valid: {error}") from error
         if not specs:
             raise MalformedError(f"the {REQUEST_KIND} asks for nothing")
         requests = tuple(map(CertificateRequest.from_pem, pems))
         return cls(requests, specs, hashlib.sha256(data).hexdigest())
 
     def to_bytes(self, *, now: datetime) -> bytes:
-        """The request as a file."""
+        """The sign request as the bytes of a file."""
         files: dict[str, bytes] = {}
         for request, spec in zip(self.requests, self.specs, strict=True):
             files[_request_file(spec.name)] = request.pem
@@ -81,9 +81,10 @@ class SignRequest:
     def admitted(
         self, profile: Profile, patterns: Collection[str] = ()
     ) -> tuple[ParticipantSpec, ...]:
-        """The wishes with their keys, if each request is for its wish's name and holds.
+        """The participant specs with their public keys, after all requests were validated.
 
-        With `patterns`, the names must fit one of them as well. VerificationError if not.
+        Each request must be valid and for the name of its spec; with `patterns`, the name must
+        also match one of them. VerificationError if not.
         """
         names = [spec.name for spec in self.specs]
         keys = validate_csrs(self.requests, profile, names=names)
@@ -105,10 +106,10 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     after_revocation: bool = False,
     compromised_keys: bool = False,
 ) -> bytes:
-    """Issue what is `asked` for, and give the answer: a bundle for each request.
+    """Issue everything in the sign request `asked`; returns the answer, a bundle per request.
 
-    What was issued for this very request before, and is the newest still, is not issued
-    again. Errors as with `admit` and `issue`.
+    A certificate that was issued for the same request before, and is still the newest, is not
+    issued again. Errors as in `validate_csrs` and `issue`.
     """
     specs = asked.admitted(keystore.profile, patterns)
     done = {
@@ -141,12 +142,12 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """A bundle that came back for a participant."""
+    """A bundle from an answer, for one participant."""
 
     name: str
     path: Path
     already: bool
-    """Whether it was there before."""
+    """Whether the file existed already with the same content."""
 
 
 def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -158,11 +159,10 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
     now: datetime,
     force: bool = False,
 ) -> list[Accepted]:
-    """Write the bundles of an answer to what was `asked` into `folder`, all or none.
+    """Write the bundles of an answer to the sign request `asked` into `folder`, all or none.
 
-    VerificationError if it answers something else or does not hold; with `pins`
-    its CAs must be these. ExistsError for another bundle in the place of one, unless
-    `force`.
+    VerificationError if it answers another request or is not valid; with `pins` its CAs must
+    be these. ExistsError if another bundle exists in the place of one, unless `force`.
     """
     bundles = _answers(Archive.unpack(answer, ANSWER_KIND), asked)
     for bundle in bundles.values():
@@ -175,32 +175,32 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
 
 
 def _answers(archive: Archive, asked: SignRequest) -> dict[str, Bundle]:
-    """The bundles by name: one for each request, for its keys, and no others."""
+    """The bundles by name: exactly one for each request, with a certificate for its keys."""
     if archive.text("request_sha256") != asked.sha256:
         raise VerificationError("it answers another request than this one")
     names = [spec.name for spec in asked.specs]
     if sorted(archive.files) != sorted(map(_bundle_file, names)):
-        raise VerificationError("it does not answer each request once")
+        raise VerificationError("it does not have exactly one answer for each request")
     found = dict(_bundles_in(archive, names))
     problems = []
     for (name, bundle), request in zip(found.items(), asked.requests, strict=True):
         if bundle.names != (name,):
             problems.append(f"the bundle of {name} is for {', '.join(bundle.names)}")
         elif not _fits(bundle, name, request):
-            problems.append(f"the certificate of {name} is for another key than was asked for")
+            problems.append(f"the certificate of {name} is for another key than in the request")
     if problems:
         raise VerificationError(*problems)
     return found
 
 
 def _bundles_in(archive: Archive, names: Sequence[str]) -> Iterator[tuple[str, Bundle]]:
-    """Each could be packed a thousandfold, so all together have a limit too."""
+    """The bundles in the answer, with a limit for their total size against compression bombs."""
     size = 0
     for name in names:
         bundle = Bundle.from_bytes(archive.files[_bundle_file(name)])
         size += sum(len(data) for files in bundle.enclaves.values() for data in files.values())
         if size > MAX_UNPACKED:
-            raise MalformedError(f"bundles of more than {MAX_UNPACKED} bytes")
+            raise MalformedError(f"its bundles are larger than {MAX_UNPACKED} bytes in total")
         yield name, bundle
 
 
@@ -213,7 +213,7 @@ def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:
 
 
 def _is_there(goal: Path, bundle: Bundle, *, force: bool) -> bool:
-    """Whether that bundle is there already; ExistsError if something else is."""
+    """Whether the same bundle exists already; ExistsError if anything else does."""
     if not is_there(goal):
         return False
     try:
@@ -222,7 +222,8 @@ def _is_there(goal: Path, bundle: Bundle, *, force: bool) -> bool:
         same = False
     if not same and not force:
         raise ExistsError(
-            f"{goal} exists, and is another", hint="choose another -o, or --force to replace it"
+            f"{goal} exists and is a different bundle",
+            hint="choose another -o, or --force to replace it",
         )
     return same
 

@@ -1,4 +1,4 @@
-"""A folder of bundles that follows the keystore: for each robot the one it should have."""
+"""A folder with the current bundle of each robot, updated from the keystore."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -15,10 +15,10 @@ from pqsec_pki.keystore import Keystore
 def refresh(
     keystore: Keystore, names: Iterable[str], folder: Path, *, now: datetime
 ) -> Iterator[Path]:
-    """Let `folder` have each one's bundle as the keystore has it; gives those it writes.
+    """Write the bundle of each participant into `folder`; returns those that it wrote.
 
-    Without private keys. A bundle of the same participant's is replaced; ExistsError for
-    anything else in its place. Errors as with `Bundle.of` and `save`.
+    The bundles have no private keys. An older bundle for the same participant is replaced;
+    ExistsError for anything else in its place. Errors as in `Bundle.of` and `save`.
     """
     for name in names:
         goal = folder / f"{flat_name(name)}.bundle"
@@ -37,5 +37,5 @@ def _bundle_at(goal: Path, name: str) -> Bundle | None:
     except PqsecError:
         found = None
     if found is None or found.names != (name,):
-        raise ExistsError(f"{goal} exists, and is no bundle of {name}", hint="move it away")
+        raise ExistsError(f"{goal} exists and is not a bundle for {name}", hint="move it away")
     return found

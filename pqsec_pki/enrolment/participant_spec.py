@@ -1,4 +1,4 @@
-"""Wishes as they travel to CAs without a network: values for JSON, a policy in its own file."""
+"""Participant specs in a sign request: values for JSON, with the policy in its own file."""
 
 from collections.abc import Mapping
 from datetime import timedelta
@@ -11,7 +11,7 @@ from pqsec_pki.keystore import ParticipantSpec, regular_name
 
 
 def spec_value(spec: ParticipantSpec) -> dict[str, Any]:
-    """The wish for JSON; its grants, if it has any, go into the file policy_file."""
+    """The spec as JSON values; its grants, if any, are in the file `policy_file` names."""
     return {
         "name": spec.name,
         "domains": str(spec.domains),
@@ -22,15 +22,15 @@ def spec_value(spec: ParticipantSpec) -> dict[str, Any]:
 
 
 def read_spec(value: Mapping[str, Any], files: Mapping[str, bytes]) -> ParticipantSpec:
-    """The wish in `value`; what a policy asks for is in one of `files`.
+    """The spec in `value`; the grants of its policy are in one of `files`.
 
-    KeyError, TypeError, ValueError, AttributeError, OverflowError or PqsecError for
-    anything else.
+    KeyError, TypeError, ValueError, AttributeError, OverflowError or PqsecError if it is
+    not valid.
     """
     name = str(value["name"])
     if regular_name(name) != name:
-        raise ValueError(f"{name!r} is not how participants are named")
-    common_name(name)  # refuses what no certificate can carry
+        raise ValueError(f"{name!r} is not a participant's name")
+    common_name(name)  # refuses names that do not fit into a certificate
     policy = files.get(policy_file(name))
     return ParticipantSpec(
         name=name,
@@ -43,11 +43,11 @@ def read_spec(value: Mapping[str, Any], files: Mapping[str, bytes]) -> Participa
 
 
 def policy_file(name: str) -> str:
-    """Where the permissions lie that a policy asks for."""
+    """The file name of the grants of a policy."""
     return f"policies/{flat_name(name)}.xml"
 
 
 def _texts(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list):
-        raise TypeError(f"{value!r} is no list")
+        raise TypeError(f"{value!r} is not a list")
     return tuple(map(str, value))

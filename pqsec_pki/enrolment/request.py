@@ -1,4 +1,4 @@
-"""On the robot: keys that never leave it, and the request for their certificate."""
+"""On the robot: generate keys that never leave it, and the request for their certificate."""
 
 import secrets
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ SEALING_KEY, SEALING_PUBLIC_KEY = "bundle.key.pem", "bundle.pub.pem"
 
 @dataclass(frozen=True, slots=True)
 class Requested:
-    """A request that was made, and where."""
+    """A certificate request, and its path."""
 
     name: str
     path: Path
@@ -34,11 +34,11 @@ class Requested:
 
 
 def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> Requested:
-    """Make the keys of participant `name` and the request for their certificate.
+    """Generate the keys of participant `name` and the request for their certificate.
 
-    They lie in a folder of their own under `root`, the keys for their owner only, until
-    `install` is given the answer. UsageError for a name that cannot be used; ExistsError
-    if there is a request for it already, unless `force`.
+    They are in their own folder under `root`, the keys with mode 0600, until `install`
+    gets the answer. UsageError for an invalid name; ExistsError if there is a request for it
+    already, unless `force`.
     """
     regular = regular_name(name)
     key, second = profile.participant_key.generate(), profile.alternative_key
@@ -61,16 +61,16 @@ def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> 
 
 
 def make_sealing_key(root: Path, *, force: bool = False) -> tuple[Path, str]:
-    """A key with which sealed bundles are opened; where its public half is, and its SHA-256.
+    """Generate the key that opens sealed bundles; returns its public key's path and SHA-256.
 
-    ExistsError if there is one, unless `force`: what was sealed for the old one is then
-    lost.
+    ExistsError if there is one, unless `force`: bundles sealed for the old key can then no
+    longer be opened.
     """
     key = SealingPrivateKey.generate()
     with changing(root):
         if not force:
             refuse_existing(root / SEALING_KEY)
-        # The public half first: a rerun mends it as long as there is no key.
+        # The public half first: as long as there is no private key, a second run repairs it.
         write(root / SEALING_PUBLIC_KEY, key.public_key.pem, force=True)
         write(root / SEALING_KEY, key.pem, private=True, force=force)
     return root / SEALING_PUBLIC_KEY, fingerprint(key.public_key)

@@ -1,4 +1,4 @@
-"""Bundles that only one robot can open: a line that says so, for whom, and what is sealed."""
+"""Sealed bundles, which only one robot can open: a first line, the recipient, the ciphertext."""
 
 import hashlib
 
@@ -10,21 +10,21 @@ _FINGERPRINT = 32
 
 
 def is_sealed(data: bytes) -> bool:
-    """Whether `data` says that it is a sealed bundle."""
+    """Whether `data` begins like a sealed bundle."""
     return data.startswith(_FIRST)
 
 
 def seal(bundle: bytes, recipient: SealingPublicKey) -> bytes:
-    """`bundle` for the holder of `recipient`'s private key alone."""
-    head = _head(recipient)
+    """`bundle` encrypted for the holder of `recipient`'s private key."""
+    head = _header(recipient)
     return head + recipient.seal(bundle, head)
 
 
 def open_sealed(data: bytes, key: SealingPrivateKey) -> bytes:
-    """The bundle in `data`; VerificationError if it is for another key, or was altered."""
-    head = _head(key.public_key)
+    """The bundle in `data`; VerificationError if it was sealed for another key or altered."""
+    head = _header(key.public_key)
     if len(data) < len(head):
-        raise MalformedError("the sealed bundle is cut short")
+        raise MalformedError("the sealed bundle is incomplete")
     if data[: len(head)] != head:
         raise VerificationError(
             "the bundle is sealed for another key",
@@ -38,5 +38,5 @@ def fingerprint(key: SealingPublicKey) -> str:
     return hashlib.sha256(key.raw).hexdigest()
 
 
-def _head(recipient: SealingPublicKey) -> bytes:
+def _header(recipient: SealingPublicKey) -> bytes:
     return _FIRST + bytes.fromhex(fingerprint(recipient))

@@ -1,7 +1,7 @@
-"""Files in one file: tar in gzip, the same bytes for the same files.
+"""Archives: tar in gzip, the same bytes for the same files.
 
-Read with care, because it comes from elsewhere: plain files only, under relative names,
-few and small, and nothing is unpacked to the disk.
+An archive is untrusted input. It may contain only plain files with relative names, within
+limits of number and size, and nothing is unpacked to the disk.
 """
 
 import gzip
@@ -14,22 +14,22 @@ from collections.abc import Iterator, Mapping
 from pqsec_pki.errors import MalformedError, shown
 
 MAX_ARCHIVE = 32 << 20
-"""Bytes, packed. A participant with profile cnsa2 has 60 kB."""
+"""Bytes, compressed. A participant with profile cnsa2 has 60 kB."""
 MAX_CONTENT = 64 << 20
-"""Bytes, unpacked: deflate could make a thousand of one."""
+"""Bytes, uncompressed: deflate can expand a thousandfold."""
 MAX_MEMBERS = 20_000
-"""Files: two thousand participants and more."""
+"""Files: enough for two thousand participants."""
 _NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*(/[A-Za-z0-9_+-][A-Za-z0-9_.+-]*)*")
-"""Relative; no part begins with a dot, so none is `.` or `..`."""
+"""Relative paths; no part begins with a dot, so none is `.` or `..`."""
 _GZIP = bytes.fromhex("1f8b0800000000")
-"""Deflate, no name, no time; what follows says how hard it was pressed, and where."""
+"""Deflate, no name, no time; the next bytes are the compression level and the system."""
 _GZIPPED = 31
-"""zlib's word for gzip alone."""
+"""The `wbits` of zlib for gzip only."""
 _UNREADABLE = (
     *(tarfile.TarError, ValueError, EOFError, OSError, RecursionError),
     *(LookupError, ArithmeticError),  # a sparse map that is cut, a size past every limit
 )
-"""What tarfile raises on archives that nobody packed."""
+"""Exceptions that tarfile raises for crafted archives."""
 
 
 def pack(files: Mapping[str, bytes]) -> bytes:
@@ -44,10 +44,10 @@ def pack(files: Mapping[str, bytes]) -> bytes:
 
 
 def unpack(data: bytes) -> dict[str, bytes]:
-    """The files in archive `data`, by name.
+    """The files in the archive `data`, by name.
 
-    MalformedError if it is none, is too large, or has anything but plain files with
-    plain names.
+    MalformedError if it is not an archive, is too large, or has anything but plain files
+    with plain names.
     """
     content = _inflated(data)
     files: dict[str, bytes] = {}
@@ -64,14 +64,14 @@ def unpack(data: bytes) -> dict[str, bytes]:
                 end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
     except _UNREADABLE as error:
         raise MalformedError(f"not an archive: {error}") from error
-    if content[end:].strip(b"\0"):  # where tarfile cannot read on, it says that there is no more
+    if content[end:].strip(b"\0"):  # tarfile reports an end where it cannot read on
         raise MalformedError("the archive has something after its last file")
     return files
 
 
 def _inflated(data: bytes) -> bytes:
     if len(data) > MAX_ARCHIVE:
-        raise MalformedError(f"an archive larger than {MAX_ARCHIVE} bytes")
+        raise MalformedError(f"the archive is larger than {MAX_ARCHIVE} bytes")
     if not data.startswith(_GZIP):
         raise MalformedError("not an archive of pqsec: no plain gzip header")
     machine = zlib.decompressobj(_GZIPPED)
@@ -80,19 +80,19 @@ def _inflated(data: bytes) -> bytes:
     except zlib.error as error:
         raise MalformedError(f"the archive is damaged: {error}") from error
     if len(content) > MAX_CONTENT:
-        raise MalformedError(f"an archive of more than {MAX_CONTENT} bytes")
+        raise MalformedError(f"the archive has more than {MAX_CONTENT} bytes of content")
     if not machine.eof:
-        raise MalformedError("the archive is cut short")
+        raise MalformedError("the archive is incomplete")
     if machine.unused_data:
-        raise MalformedError("something follows the archive")
+        raise MalformedError("there is data after the archive")
     return content
 
 
 def _members(tarball: tarfile.TarFile) -> Iterator[tarfile.TarInfo]:
     for count, member in enumerate(tarball, start=1):
         if count > MAX_MEMBERS:
-            raise MalformedError(f"an archive of more than {MAX_MEMBERS} files")
-        # Not isreg(): that takes sparse files too, whose size is anybody's word.
+            raise MalformedError(f"the archive has more than {MAX_MEMBERS} files")
+        # Not isreg(): that accepts sparse files too, whose size is only claimed.
         if member.type != tarfile.REGTYPE or member.pax_headers or member.sparse is not None:
             raise MalformedError(f"{shown(member.name)} in the archive is not a plain file")
         if not _NAME.fullmatch(member.name):

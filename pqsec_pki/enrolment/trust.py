@@ -1,8 +1,8 @@
-"""The trust state of a robot: what stays when one set of credentials replaces another.
+"""The trust state of a robot, which stays when one set of credentials replaces another.
 
 Pins are the CAs that the robot trusts, each with its role. Marks are the newest revocation list
-number, signing times and certificates that were ever installed here. They never go down, so that
-no older bundle restores withdrawn rights or admits a revoked peer, not even after a rollback.
+number, signing times and certificates that were ever installed here. They never decrease, so no
+older bundle restores withdrawn rights or accepts a revoked peer, not even after a rollback.
 """
 
 import hashlib
@@ -33,10 +33,10 @@ ROLES = {
     "permissions": PERMISSIONS_CA,
     "countersigner": PERMISSIONS_ALT_CA,
 }
-"""The role of a CA, as a person names it, and the file that it stands in."""
+"""The role of a CA, as written on the command line, and the file that contains it."""
 
 Pins: TypeAlias = Mapping[str, frozenset[str]]
-"""SHA-256 fingerprints of CA certificates, hex, by the file that they stand in."""
+"""SHA-256 fingerprints of CA certificates, hex, by the file that contains them."""
 
 _PIN = re.compile(rf"({'|'.join(ROLES)}):([0-9a-f]{{64}})")
 _WORDS = {GOVERNANCE: "the governance is", PERMISSIONS: "the permissions are"}
@@ -44,9 +44,9 @@ _NEVER = datetime.min.replace(tzinfo=UTC)
 
 
 def pins_of(texts: Iterable[str]) -> Pins:
-    """Pins as a person writes them: identity:0ab1..., with or without colons in the digits.
+    """Pins as written on the command line: identity:0ab1..., colons are optional.
 
-    UsageError for anything else: a fingerprint without a role would let one CA act as another.
+    UsageError for anything else: without roles, one CA could act as another.
     """
     found: dict[str, set[str]] = {}
     for text in texts:
@@ -56,38 +56,38 @@ def pins_of(texts: Iterable[str]) -> Pins:
             raise UsageError(
                 f"'{shown(text)}' is not a role and a SHA-256 fingerprint",
                 hint=f"write {', '.join(f'{each}:SHA256' for each in ROLES)};"
-                " `pqsec ca show --pins`, where the CAs are, prints them",
+                " `pqsec ca show --pins` on the CA machine prints them",
             )
         found.setdefault(ROLES[match[1]], set()).add(match[2])
     return {file: frozenset(pins) for file, pins in found.items()}
 
 
 def pin_problems(found: Pins, trusted: Pins) -> Iterator[Problem]:
-    """CAs that are not trusted with the role that they are `found` in, and those that lack."""
+    """CAs `found` in a role for which they are not trusted, and trusted CAs that are missing."""
     for role, file in ROLES.items():
         there, due = found.get(file, frozenset()), trusted.get(file, frozenset())
         for each in sorted(there - due):
-            words = f"the {role} CA is not one that is trusted as that: SHA-256 {each}"
+            words = f"the {role} CA is not trusted in this role: SHA-256 {each}"
             yield Problem(words, Code.CA_UNKNOWN, file)
         for each in sorted(due - there):
-            words = f"the {role} CA that is trusted is not there: SHA-256 {each}"
+            words = f"the {role} CA that is trusted is missing: SHA-256 {each}"
             yield Problem(words, Code.CA_MISSING, file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
-    """How new the newest was."""
+    """The newest documents that were ever installed."""
 
     lists: Mapping[str, int] = field(default_factory=dict)
     """CRL numbers, by SHA-256 of the identity CA's key (SPKI), hex."""
     signed: Mapping[str, datetime] = field(default_factory=dict)
-    """When documents were signed: 'governance.p7s', 'permissions.p7s /talker'."""
+    """Signing times of documents, by name: 'governance.p7s', 'permissions.p7s /talker'."""
     issued: Mapping[str, datetime] = field(default_factory=dict)
-    """From when certificates are valid, by participant."""
+    """Start of validity of certificates, by participant."""
 
     @classmethod
     def of(cls, credentials: Credentials) -> Self:
-        """Of one participant's credentials; VerificationError if signatures do not hold."""
+        """The marks of a participant's credentials; VerificationError for an invalid signature."""
         anchors, name = credentials.anchors, credentials.name
         governance = anchors.signatures(credentials.governance)[0].signed_at
         permissions = anchors.signatures(credentials.permissions)[0].signed_at
@@ -103,7 +103,7 @@ class Marks:
         )
 
     def raised_by(self, other: "Marks") -> "Marks":
-        """The newer of both."""
+        """The newer value of both, for each mark."""
         return Marks(
             lists=_highest(self.lists, other.lists),
             signed=_highest(self.signed, other.signed),
@@ -111,16 +111,16 @@ class Marks:
         )
 
     def problems(self, credentials: Credentials) -> Iterator[Problem]:
-        """What of `credentials`, whose signatures hold, is older than the marks."""
+        """Files of `credentials`, whose signatures are valid, that are older than the marks."""
         new, name = Marks.of(credentials), credentials.name
         for who, when in new.issued.items():
             if when < self.issued.get(who, _NEVER):
                 yield _older(name, CERTIFICATE, "the certificate is")
         key = _key_of(credentials)
         if key not in new.lists:
-            # Who trusts two identity CAs, in a rollover, has no list (docs/rollover.md).
+            # With two trusted identity CAs, in a rollover, there is no list (docs/rollover.md).
             if key in self.lists and not credentials.anchors.in_overlap:
-                words = "the revocation list is missing, and one was installed before"
+                words = "the revocation list is missing, but one was installed before"
                 yield Problem(words, Code.LIST_MISSING, f"{name}: {REVOCATION_LIST}")
         elif new.lists.get(key, -1) < self.lists.get(key, -1):
             yield _older(name, REVOCATION_LIST, "the revocation list is")
@@ -139,7 +139,7 @@ class TrustState:
 
     @classmethod
     def from_json(cls, data: bytes) -> Self:
-        """KeystoreError if it is damaged, or of another version."""
+        """The trust state in `data`; KeystoreError if it is damaged, or of another version."""
         try:
             value: dict[str, Any] = json.loads(data)
             if value["format"] != FORMAT:
@@ -164,7 +164,7 @@ class TrustState:
             raise KeystoreError(f"cannot be read: {shown(str(error))}") from error
 
     def to_json(self) -> bytes:
-        """The same text for the same state."""
+        """The state as JSON; the same bytes for the same state."""
         value = {
             "format": FORMAT,
             "pins": {
@@ -179,7 +179,7 @@ class TrustState:
         return json.dumps(value, indent=2, sort_keys=True).encode() + b"\n"
 
     def after(self, credentials: Collection[Credentials], pins: Pins) -> "TrustState":
-        """Once `credentials`, of the CAs `pins`, are installed."""
+        """The state after the installation of `credentials`, with the CAs `pins`."""
         marks = self.marks
         for each in credentials:
             marks = marks.raised_by(Marks.of(each))
@@ -187,7 +187,7 @@ class TrustState:
 
 
 def pins_in(credentials: Iterable[Credentials]) -> Pins:
-    """The CAs of `credentials` by their roles."""
+    """The fingerprints of the CAs of `credentials`, by their roles."""
     found: dict[str, set[str]] = {}
     for each in credentials:
         for file, authorities in each.anchors.roles.items():
@@ -210,5 +210,5 @@ def _highest(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]
 def _times(value: Mapping[str, str]) -> dict[str, datetime]:
     found = {str(key): datetime.fromisoformat(each) for key, each in value.items()}
     if any(each.tzinfo is None for each in found.values()):
-        raise ValueError("a time without a zone")
+        raise ValueError("a time without a time zone")
     return found

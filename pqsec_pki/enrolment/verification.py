@@ -1,7 +1,7 @@
-"""Is a bundle what its robot should run with? Asked before anything is replaced.
+"""Verify a bundle before its files replace any others.
 
-Only the fingerprints of the CAs' certificates, each with its role, are trusted without proof;
-the room `credentials` decides about everything else.
+Only the fingerprints of the CAs' certificates, each with its role, are trusted beforehand;
+the room `credentials` verifies everything else.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,23 +27,23 @@ from pqsec_pki.problems import Code
 
 @dataclass(frozen=True, slots=True)
 class VerifiedBundle:
-    """What of a bundle holds: all of it."""
+    """A bundle in which everything was verified."""
 
     credentials: tuple[Credentials, ...]
     verified: tuple[VerifiedCredentials, ...]
 
     @property
     def files(self) -> dict[str, dict[str, bytes]]:
-        """By participant: all but the keys, written again from what was verified."""
+        """The files of each participant without keys, written again from the verified values."""
         return {each.name: dict(each.files) for each in self.verified}
 
 
 def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundle:
-    """What is in `bundle`, if everything in it holds at `now`; its keys aside.
+    """Verify everything in `bundle` at the time `now`, except its private keys.
 
-    The CAs of each enclave must be those of `pins`, each in its role, and no others, so that
-    none can be left out either. VerificationError lists everything that is wrong, MalformedError
-    tells of a file that cannot be read.
+    The CAs of each enclave must be exactly those of `pins`, each in its role, so that none can
+    be left out. VerificationError lists everything that is wrong; MalformedError for a file
+    that cannot be read.
     """
     found = tuple(
         Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
@@ -54,7 +54,7 @@ def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundl
     ]
     if problems:
         raise VerificationError(
-            *problems, hint="`pqsec ca show --pins`, where the CAs are, prints the fingerprints"
+            *problems, hint="`pqsec ca show --pins` on the CA machine prints the fingerprints"
         )
     verified = []
     for each in found:
@@ -70,9 +70,9 @@ def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundl
 def keys_of(
     credentials: VerifiedCredentials, candidates: Iterable[Mapping[str, bytes]]
 ) -> Mapping[str, bytes]:
-    """The first of `candidates`, files by name, with the certificate's key or keys.
+    """The first of `candidates` (files by name) with the private keys of the certificate.
 
-    VerificationError if none has them.
+    VerificationError if none of them has the keys.
     """
     certificate = credentials.certificate
     second = alternative_spki(certificate)
@@ -85,7 +85,7 @@ def keys_of(
         if other is not None and other.public_key.spki == second:
             return {KEY: files[KEY], ALT_KEY: files[ALT_KEY]}
     raise VerificationError(
-        f"{credentials.name}: no private key here is that of the certificate",
+        f"{credentials.name}: no private key here matches the certificate",
         code=Code.KEY_MISMATCH,
         hint="the bundle is for another robot, or answers another request",
     )

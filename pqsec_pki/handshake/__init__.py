@@ -1,7 +1,7 @@
 """The DDS:Auth:PKI-DH handshake: three messages, one secret, one protected message.
 
-The pure protocol, for whoever has a way to carry messages: no files, no sockets, no
-clock. It speaks DDS-Security 1.1 with stock stacks, and post-quantum suites with itself.
+Only the protocol: no files, no sockets, no clock; the caller transports the messages. It
+implements DDS-Security 1.1 for stock stacks, and post-quantum suites between pqsec peers.
 """
 
 from pqsec_pki.handshake._cdr import ByteOrder

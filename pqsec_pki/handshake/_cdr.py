@@ -10,13 +10,13 @@ from pqsec_pki.errors import MalformedError
 
 T = TypeVar("T")
 _LEAST_ELEMENT = 8
-"""Bytes: every element of every sequence here begins with two lengths or more."""
+"""Minimum size of an element in bytes: each begins with two lengths or more."""
 _FILL = (b"", b"\0\0\0", b"\0\0", b"\0")
-"""What leads from an offset, modulo 4, to the next number."""
+"""Padding from an offset, modulo 4, to the next aligned number."""
 
 
 class ByteOrder(Enum):
-    """The byte order of a token; the value is struct's sign for it."""
+    """The byte order of a token; the value is its character in struct formats."""
 
     BIG = ">"
     LITTLE = "<"
@@ -24,11 +24,11 @@ class ByteOrder(Enum):
     def __init__(self, sign: str) -> None:
         self.u32 = struct.Struct(sign + "I")
         self.i64 = struct.Struct(sign + "q")
-        # Names of properties: the same few in every message.
+        # A cache for names of properties: every message has the same few.
         self.label = lru_cache(maxsize=64)(self._label)
 
     def _label(self, text: str) -> bytes:
-        """`text` as a string, filled up to where a number can follow."""
+        """`text` as a string, padded to the alignment of a number."""
         data = text.encode() + b"\0"
         return self.u32.pack(len(data)) + data + _FILL[len(data) & 3]
 
@@ -63,21 +63,21 @@ class Writer:
         self.octets(text.encode() + b"\0")
 
     def pairs(self, items: Sequence[tuple[str, bytes]]) -> None:
-        """A sequence of strings, each with octets: most of a message, so in one go."""
+        """A sequence of strings, each with octets: most of a message, so this is optimized."""
         self.u32(len(items))
         parts, label, length = self._parts, self._order.label, self._order.u32.pack
         for name, value in items:
             size = len(value)
             parts += (label(name), length(size), value, _FILL[size & 3])
         if items:
-            parts.pop()  # nothing has to follow the last
+            parts.pop()  # no padding after the last
 
     def done(self) -> bytes:
         return b"".join(self._parts)
 
 
 class Reader:
-    """Takes CDR values one after another; MalformedError where there is none."""
+    """Reads CDR values one after another; MalformedError if a value is missing or invalid."""
 
     __slots__ = ("_at", "_data", "_length", "_order")
 
@@ -105,7 +105,7 @@ class Reader:
         return self._number(self._order.i64)
 
     def octets(self) -> bytes:
-        data, start = self._data, (self._at + 7) & -4  # behind an aligned length
+        data, start = self._data, (self._at + 7) & -4  # after an aligned length
         if start > len(data):
             raise MalformedError("a number runs past the end")
         (size,) = self._length(data, start - 4)
@@ -121,19 +121,19 @@ class Reader:
         return tuple([item() for _ in range(self._count(limit))])
 
     def pairs(self, limit: int) -> tuple[tuple[str, bytes], ...]:
-        """A sequence of strings, each with octets: most of a message, so in one go."""
+        """A sequence of strings, each with octets: most of a message, so this is optimized."""
         count, data, length = self._count(limit), self._data, self._length
         end, found = self._at, []
         try:
             for _ in range(count):
-                name = (end + 7) & -4  # behind an aligned length
+                name = (end + 7) & -4  # after an aligned length
                 stop = name + length(data, name - 4)[0]
                 value = (stop + 7) & -4
                 end = value + length(data, value - 4)[0]
                 found.append((_text(data[name:stop]), data[value:end]))
         except struct.error:
             raise MalformedError("a number runs past the end") from None
-        if end > len(data):  # had one before run past it, there would have been no next number
+        if end > len(data):  # an earlier length past the end would have left no next number
             raise MalformedError("a length runs past the end")
         self._at = end
         return tuple(found)

@@ -1,4 +1,4 @@
-"""Which check of docs/wire.md, section 9, refuses: its number, as a code."""
+"""Set the number of the check in docs/wire.md, section 9, as the code of an error."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,12 +7,12 @@ from pqsec_pki.errors import PqsecError, VerificationError, problems_of
 from pqsec_pki.problems import Code
 
 _UNSAID = frozenset({Code.OTHER, Code.FILE_MALFORMED})
-"""Codes that tell no check: what cannot be decoded here is a message, not a file."""
+"""Codes that name no check: what cannot be decoded here is a message, not a file."""
 
 
 @contextmanager
 def check(code: Code) -> Iterator[None]:
-    """What is refused inside is refused by that check, unless the error has a code of its own.
+    """Give errors raised within the code of that check, unless they have their own code.
 
     VerificationError for every PqsecError.
     """
@@ -23,6 +23,6 @@ def check(code: Code) -> Iterator[None]:
             *(each.as_code(code) if each.code in _UNSAID else each for each in problems_of(error)),
             hint=error.hint,
         )
-        if isinstance(error, VerificationError):  # the words of all others say where
+        if isinstance(error, VerificationError):  # other messages name the place
             refused.where = error.where
         raise refused from error

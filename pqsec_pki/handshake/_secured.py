@@ -1,4 +1,4 @@
-"""Protected data as bytes: crypto header, crypto footer, and the submessages they travel in."""
+"""Protected data as bytes: crypto header, crypto footer, and the submessages around them."""
 
 import struct
 from collections.abc import Iterator
@@ -18,14 +18,14 @@ HEADER_SIZE = 4 + KEY_ID_SIZE + IV_SIZE
 TAG_SIZE = 16
 _RECEIVER_TAG_SIZE = KEY_ID_SIZE + TAG_SIZE
 MAX_RECEIVERS = (0xFFFF - TAG_SIZE - 4) // _RECEIVER_TAG_SIZE
-"""Their tags share one submessage, which says its size in 16 bits."""
+"""The limit for tags in one submessage, whose size field has 16 bits."""
 _FRAME = struct.Struct(">BBH")
 """Kind, flags, size of what follows (RTPS 2.3, 9.4.5.1)."""
 _LITTLE_ENDIAN = 0x01
 
 
 class CryptoHeader(NamedTuple):
-    """With what data was protected (DDS-Security 1.1, 9.5.2.3)."""
+    """The kind, key and vector that protect the data (DDS-Security 1.1, 9.5.2.3)."""
 
     kind: int
     key_id: bytes
@@ -75,7 +75,7 @@ class CryptoFooter(NamedTuple):
 
 
 class Secure(IntEnum):
-    """The submessages that a protected one is made of (7.3.6)."""
+    """Kinds of submessages that a protected submessage consists of (7.3.6)."""
 
     BODY = 0x30
     PREFIX = 0x31
@@ -88,7 +88,7 @@ class Frame(NamedTuple):
     kind: int
     content: bytes
     whole: bytes
-    """With its header."""
+    """The submessage with its header."""
 
 
 def framed(kind: Secure, content: bytes) -> bytes:
@@ -98,7 +98,7 @@ def framed(kind: Secure, content: bytes) -> bytes:
 
 
 def is_submessage(data: bytes) -> bool:
-    """Whether `data` is one submessage, aligned, that says its size and protects nothing."""
+    """Whether `data` is one aligned submessage with its size, and not a protected one."""
     try:
         found = list(islice(_frames(data), 2))
     except MalformedError:
@@ -107,7 +107,7 @@ def is_submessage(data: bytes) -> bool:
 
 
 def parted(data: bytes) -> tuple[CryptoHeader, Frame, CryptoFooter]:
-    """What SEC_PREFIX says, what is behind it, and what SEC_POSTFIX says.
+    """The header in SEC_PREFIX, the submessage after it, and the footer in SEC_POSTFIX.
 
     MalformedError for anything else.
     """
@@ -120,14 +120,14 @@ def parted(data: bytes) -> tuple[CryptoHeader, Frame, CryptoFooter]:
 
 
 def _frames(data: bytes) -> Iterator[Frame]:
-    """The submessages in `data`, in either byte order; MalformedError where there is none."""
+    """The submessages in `data`, in either byte order; MalformedError for anything else."""
     at = 0
     while at < len(data):
         start = at + _FRAME.size
         if start > len(data):
             raise MalformedError("half a submessage header")
         kind, flags, size = _FRAME.unpack_from(data, at)
-        # Only the size follows the flag: Cyclone DDS sets it, and what is inside stays
+        # The flag applies only to the size: Cyclone DDS sets it, and the content is still
         # big-endian.
         if flags & _LITTLE_ENDIAN:
             size = (size & 0xFF) << 8 | size >> 8

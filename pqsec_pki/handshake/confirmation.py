@@ -1,8 +1,8 @@
 """The first protected message, and the only one that confirms the key (docs/wire.md, C26).
 
-Crypto tokens are the first that two send each other under the key of their key exchange.
-Both use one key for both directions, so that a message opens proves too little: one's own,
-sent back, opens as well, and so does one to somebody else who was brought to the same key.
+Crypto tokens are the first messages that two peers send under the key of their key exchange.
+One key serves both directions, so successful decryption proves too little: a participant
+can also decrypt its own message sent back, and a message to a third one with the same key.
 The message must name its reader as the destination and the peer as the source.
 """
 
@@ -17,26 +17,26 @@ from pqsec_pki.handshake.wire import GenericMessage, MessageClass
 from pqsec_pki.problems import Code
 
 _PREFIX_SIZE = 12
-"""Bytes of a GUID that are the participant's."""
+"""Number of bytes of a GUID that identify the participant."""
 _WRITER, _READER = bytes.fromhex("ff0202c3"), bytes.fromhex("ff0202c4")
-"""Of the volatile secure topic (DDS-Security 1.1, 7.4.6.2)."""
+"""Entity IDs of the volatile secure topic (DDS-Security 1.1, 7.4.6.2)."""
 _DATA = struct.Struct("<BBHHH4s4sII")
 """A DATA submessage up to its payload (RTPS 2.3, 9.4.5.3), little-endian."""
 _DATA_KIND, _LITTLE_ENDIAN_WITH_PAYLOAD = 0x15, 0x05
 _TO_PAYLOAD = 16
-"""Bytes from behind the field that says so to the payload."""
+"""octetsToInlineQos: bytes from after that field to the payload."""
 
 
 def confirmation(own: bytes, done: Done, keys: KeyMaterial) -> bytes:
-    """What the participant of GUID `own` (16 bytes) sends first: `keys`, protected."""
+    """The first protected message of the participant with GUID `own` (16 bytes): its `keys`."""
     message = token_message(own, done.peer.guid, keys)
     return Sender(key_exchange_material(done)).protect_submessage(message)
 
 
 def confirmed(own: bytes, done: Done, data: bytes) -> KeyMaterial:
-    """The keys in the peer's first message to `own`; from here on the peer is confirmed.
+    """The keys in the peer's first message to `own`, which confirms the key of the peer.
 
-    VerificationError, of C26, if it does not open, is for another participant or from
+    VerificationError, with C26, if it cannot be decrypted, is for another participant or from
     another than the one that authenticated, or is not such a message.
     """
     with check(Code.C26):
@@ -52,7 +52,7 @@ def confirmed(own: bytes, done: Done, data: bytes) -> KeyMaterial:
 
 
 def token_message(source: bytes, destination: bytes, keys: KeyMaterial) -> bytes:
-    """The submessage, not protected, that takes `keys` from one participant to another.
+    """The submessage, not protected, that carries `keys` from one participant to another.
 
     Both are GUIDs of 16 bytes (DDS-Security 1.1, 7.4.4.3).
     """

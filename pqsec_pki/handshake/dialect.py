@@ -1,7 +1,7 @@
-"""How a side writes what the specification leaves open, and what it will not read.
+"""How an implementation writes what the specification leaves open, and what it refuses.
 
-DDS-Security 1.1 does not say whether algorithm names end in NUL, and stacks do not agree
-which optional properties may be absent. A dialect is one answer to all of it.
+DDS-Security 1.1 does not say whether algorithm names end in NUL, and stacks differ in which
+optional properties may be absent. A dialect is one choice for all of these.
 """
 
 from collections.abc import Iterator
@@ -15,20 +15,20 @@ Message = TypeVar("Message", Request, Reply, Final)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
-    """One way to speak. The default is ours, which every stack understands."""
+    """One implementation's choices. The default is pqsec's, which every stack accepts."""
 
     ends_names_in_nul: bool = True
-    """In a Request, and in a Reply unless it answers in kind."""
+    """Whether names end in NUL in a Request, and in a Reply unless `answers_in_kind`."""
     answers_in_kind: bool = True
-    """Whether a Reply ends names as the Request did."""
+    """Whether names in a Reply end in NUL if those of the Request did."""
     sends_optional: bool = True
-    """Whether hash_c1, hash_c2 and what is repeated of dh1 and dh2 are sent."""
+    """Whether hash_c1, hash_c2 and the repeated dh1 and dh2 are sent."""
     reads_request_names: bool | None = None
-    """Whether names in a Request must (True) or must not (False) end in NUL, or may."""
+    """Whether names in a Request must (True), must not (False) or may (None) end in NUL."""
     reads_reply_names: bool | None = None
     """The same for a Reply."""
     needs_in_reply: tuple[str, ...] = ()
-    """Properties that are optional, but not to this reader."""
+    """Optional properties that this reader requires in a Reply."""
 
     def written(self, message: Message) -> Message:
         """`message` as this side sends it."""
@@ -41,7 +41,7 @@ class Dialect:
         return self.ends_names_in_nul
 
     def problems(self, message: Request | Reply) -> Iterator[str]:
-        """What this side will not read in `message`, though others do."""
+        """Reasons why this side refuses `message` although others accept it."""
         is_request = isinstance(message, Request)
         wanted = self.reads_request_names if is_request else self.reads_reply_names
         found = message.introduction.ends_names_in_nul

@@ -1,4 +1,4 @@
-"""GUIDs that belong to a subject name, who speaks first, and c.pdata."""
+"""GUIDs that belong to a subject name, the initiator, and c.pdata."""
 
 import hashlib
 import struct
@@ -19,7 +19,7 @@ def adjusted_guid(subject_der: bytes, candidate: bytes) -> bytes:
     name's SHA-256, 48 bits of `candidate`'s, and the candidate's entity id.
     """
     # The stacks differ in the low half: Cyclone DDS hashes 12 bytes of the candidate, Fast
-    # DDS and OpenDDS all 16. Nobody checks that half.
+    # DDS and OpenDDS all 16. No stack checks that half.
     return _high_half(subject_der) + hashlib.sha256(candidate).digest()[:_DERIVED] + candidate[12:]
 
 
@@ -29,7 +29,7 @@ def belongs_to(guid: bytes, subject_der: bytes) -> bool:
 
 
 def initiates(own: bytes, peer: bytes) -> bool:
-    """Whether we, and not the peer, send the Request: the smaller GUID does.
+    """Whether `own` initiates: the participant with the smaller GUID sends the Request.
 
     Most bits come from the subject names, so these decide who initiates.
     """
@@ -37,7 +37,7 @@ def initiates(own: bytes, peer: bytes) -> bool:
 
 
 def participant_data(guid: bytes) -> bytes:
-    """The least c.pdata: a big-endian parameter list, without header, of the GUID alone."""
+    """The smallest c.pdata: a big-endian parameter list, without header, with the GUID alone."""
     return struct.pack(">HH16sHH", _PID_PARTICIPANT_GUID, GUID_SIZE, guid, _PID_SENTINEL, 0)
 
 
@@ -54,7 +54,7 @@ def participant_guid(data: bytes) -> bytes:
         if kind == _PID_PARTICIPANT_GUID:
             if size != GUID_SIZE:
                 raise MalformedError(f"c.pdata: a GUID of {size} bytes")
-            if found:  # readers could differ which of them counts
+            if found:  # readers could differ in which one they use
                 raise MalformedError("c.pdata: two participant GUIDs")
             found = data[at - size : at]
         at += -size % 4

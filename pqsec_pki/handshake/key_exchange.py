@@ -1,9 +1,9 @@
-"""After the handshake: the keys that the two send each other, and the key they send them with.
+"""After the handshake: key material of participants and endpoints, and the key that protects it.
 
-SharedSecret and challenges give both sides one key, for key exchange (DDS-Security 1.1,
-9.5.2.1.2). Under it they send the key material of everything else: a participant's, and
-of each writer and reader one for its submessages and, a writer, one for its payloads.
-Each travels as a crypto token, several in one message, over the volatile secure topic.
+Both sides derive one key from SharedSecret and the challenges, for the exchange of keys
+(DDS-Security 1.1, 9.5.2.1.2). With it they protect all other key material: the participant's,
+that of each writer and reader for submessages, and that of each writer for payloads. It is
+sent as crypto tokens, several in one message, over the volatile secure topic.
 """
 
 import hashlib
@@ -20,11 +20,11 @@ from pqsec_pki.handshake._secured import KEY_ID_SIZE
 from pqsec_pki.handshake.states import Done
 from pqsec_pki.handshake.wire import DataHolder
 
-CRYPTO_TOKEN = "DDS:Crypto:AES_GCM_GMAC"  # noqa: S105 -- a class name, no password
+CRYPTO_TOKEN = "DDS:Crypto:AES_GCM_GMAC"  # noqa: S105 -- a class name, not a password
 KEY_MATERIAL = "dds.cryp.keymat"
 NO_KEY_ID = bytes(KEY_ID_SIZE)
 _FILLING = bytes(20)
-"""What Fast DDS writes after key material of no kind."""
+"""Bytes that Fast DDS writes after key material of kind NONE."""
 
 
 class TransformationKind(IntEnum):
@@ -43,13 +43,13 @@ class TransformationKind(IntEnum):
 
     @property
     def encrypts(self) -> bool:
-        """Whether the content is hidden."""
+        """Whether the content is encrypted."""
         return self in {TransformationKind.AES128_GCM, TransformationKind.AES256_GCM}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyMaterial:
-    """KeyMaterial_AES_GCM_GMAC (9.5.2.1.1): master keys that session keys come from.
+    """KeyMaterial_AES_GCM_GMAC (9.5.2.1.1): master keys from which session keys are derived.
 
     Salt and keys have the size of the kind, key ids 4 bytes; without origin authentication
     there is no receiver key, and its id is all zero. MalformedError for anything else.
@@ -71,14 +71,14 @@ class KeyMaterial:
 
     @classmethod
     def generate(cls, kind: TransformationKind) -> Self:
-        """New material for what one participant, writer or reader sends."""
+        """New key material for one participant, writer or reader as a sender."""
         salt, key = os.urandom(kind.key_size), os.urandom(kind.key_size)
         return cls(kind=kind, salt=salt, sender_key_id=_new_key_id(), sender_key=key)
 
     def for_receiver(self) -> Self:
-        """The same with a new receiver key: for one receiver alone, for origin authentication.
+        """The same with a new receiver key, for one receiver only: for origin authentication.
 
-        All receivers hold the sender's key and could use it; only this one holds both.
+        All receivers have the sender's key and could use it; only this receiver has both keys.
         """
         key = os.urandom(self.kind.key_size)
         return replace(self, receiver_key_id=_new_key_id(), receiver_key=key)
@@ -128,7 +128,7 @@ class KeyMaterial:
         return self._session_key(b"SessionKey", self.sender_key, session_id)
 
     def session_receiver_key(self, session_id: bytes) -> bytes:
-        """The same for this receiver's tags (9.5.3.3.3); UsageError if it has no key."""
+        """The session key of this receiver's tags (9.5.3.3.3); UsageError if it has no key."""
         if not self.receiver_key:
             raise UsageError("this key material has no receiver's key")
         return self._session_key(b"SessionReceiverKey", self.receiver_key, session_id)
@@ -139,9 +139,9 @@ class KeyMaterial:
 
 
 def key_exchange_material(done: Done) -> KeyMaterial:
-    """What protects the exchange of keys between the two of `done` (9.5.2.1.2).
+    """The key material that protects the exchange of keys after `done` (9.5.2.1.2).
 
-    Both sides have the same, for both directions.
+    Both sides derive the same, for both directions.
     """
     one, two = done.challenge1, done.challenge2
     salt = _derive(one, b"keyexchange salt", two, done.shared_secret)
@@ -159,7 +159,7 @@ def _kind(number: int) -> TransformationKind:
 
 
 def _new_key_id() -> bytes:
-    """Any but NO_KEY_ID, which stands for the key of the key exchange or for none."""
+    """A random key id other than NO_KEY_ID, which means the key of the key exchange or none."""
     return (1 + secrets.randbelow((1 << 8 * KEY_ID_SIZE) - 1)).to_bytes(KEY_ID_SIZE)
 
 

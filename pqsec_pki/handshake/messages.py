@@ -1,7 +1,7 @@
-"""The messages of a handshake as values; to data holders and back.
+"""The messages of a handshake as values, converted to data holders and back.
 
-Reading takes properties by name and refuses what is missing, doubled or of a wrong size.
-Values keep the octets as they came, because the hashes cover those.
+Decoding reads properties by name, and refuses missing or repeated ones and wrong sizes.
+Values keep the octets as received, because the hashes cover these.
 """
 
 import hashlib
@@ -27,14 +27,14 @@ _SIZES = {
     "future_challenge": CHALLENGE_SIZE,
 }
 _ALGORITHMS = {"c.dsign_algo": Code.C16, "c.kagree_algo": Code.C8}
-"""With the check that judges the name."""
+"""Properties with algorithm names, with the number of the check for the name."""
 _LONGEST_NAME = 64
-"""Bytes. No algorithm has so long a name, and messages quote it."""
+"""Bytes. Algorithm names are shorter, and error messages quote the name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Introduction:
-    """What a side says of itself in Request or Reply (9.3.2.5.1, table 49)."""
+    """The c. properties of a Request or Reply: identity and algorithms (9.3.2.5.1, table 49)."""
 
     NAMES: ClassVar[tuple[str, ...]] = (
         "c.id",
@@ -78,7 +78,7 @@ _INTRODUCED = attrgetter(*(each.name for each in fields(Introduction)))
 
 
 def _picked(*names: str) -> Callable[[object], tuple[BinaryProperty, ...]]:
-    """A function that takes what is called so from a value, with the names."""
+    """A function that returns these attributes of a value, each with its name."""
     values = attrgetter(*names)
     return lambda value: tuple(zip(names, values(value), strict=True))
 
@@ -90,7 +90,7 @@ _IN_FINAL = _picked("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transcript:
-    """What both signatures cover: the same six values, each side's own first."""
+    """The six values that both signatures cover, each side's own first."""
 
     hash_c1: bytes
     hash_c2: bytes
@@ -112,7 +112,7 @@ class Transcript:
         return encode_properties(_IN_FINAL(self))
 
     def differences(self, message: "Reply | Final") -> list[Problem]:
-        """One problem for each value that `message` repeats, but not as it was."""
+        """One problem for each repeated value in `message` that differs from the original."""
         code = Code.C19 if isinstance(message, Reply) else Code.C23
         return [
             Problem(f"{name} is not what it was", code)
@@ -128,7 +128,7 @@ class _Message:
     CLASS_ID: ClassVar[str]
 
     def without_optional(self) -> Self:
-        """The same with only what must be there."""
+        """The message with only the required properties."""
         return replace(self, **{each.name: None for each in fields(self) if each.default is None})
 
     def to_holder(self) -> DataHolder:
@@ -143,7 +143,7 @@ class _Message:
 
     @classmethod
     def from_holder(cls, holder: DataHolder) -> Self:
-        """VerificationError, with all that is wrong, if `holder` is not such a message."""
+        """The message in `holder`; VerificationError lists everything that is wrong."""
         found = dict(holder.binary_properties)
         problems = [
             *_class_problems(holder, cls.CLASS_ID),
@@ -174,7 +174,7 @@ class Request(_Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply(_Message):
-    """HandshakeReplyMessageToken (9.3.2.5.2). Fast DDS refuses it without the optional ones."""
+    """HandshakeReplyMessageToken (9.3.2.5.2). Fast DDS requires the optional fields too."""
 
     CLASS_ID: ClassVar[str] = AUTHENTICATION + "+Reply"
 
@@ -243,7 +243,7 @@ def _missing_problems(found: dict[str, bytes], due: Iterable[str]) -> list[Probl
 
 
 def _double_problems(holder: DataHolder, found: dict[str, bytes]) -> Iterator[Problem]:
-    # Cyclone DDS takes the first of a doubled property, others may take the last.
+    # Cyclone DDS uses the first of a repeated property, others may use the last.
     if len(found) < len(holder.binary_properties):
         for name, count in Counter(name for name, _ in holder.binary_properties).items():
             if count > 1:

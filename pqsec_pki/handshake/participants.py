@@ -1,4 +1,4 @@
-"""Who takes part in a handshake: ourselves, what we insist on, and the peer."""
+"""The two sides of a handshake: our identity and policy, and the peer."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -24,22 +24,22 @@ from pqsec_pki.problems import Code, Problem
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Our side: what we show and what we sign with."""
+    """Our side: the credentials we send and the key we sign with."""
 
     certificate: Certificate
     key: PrivateKey = field(repr=False)
-    """The certificate's key, alone or paired with its alternative key."""
+    """The certificate's private key, alone or paired with the alternative key."""
     ca: Certificate
-    """The identity CA, ours and the peer's."""
+    """The identity CA of both sides."""
     guid: bytes
     """16 bytes; see adjusted_guid."""
     permissions: bytes = field(repr=False)
     """The signed permissions document."""
     revocation_list: RevocationList | None = field(default=None, repr=False)
-    """The identity CA's, if there is one; then it must be good, and not name the peer."""
+    """The identity CA's list, if any; it must be valid and not contain the peer's certificate."""
 
     def introduction(self, agreement: KeyAgreement, *, nul: bool) -> Introduction:
-        """What we say of ourselves; with `nul`, names end in NUL."""
+        """Our introduction; with `nul`, algorithm names end in NUL."""
         end = b"\0" if nul else b""
         return Introduction(
             certificate=self.certificate.pem,
@@ -52,15 +52,15 @@ class Identity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Policy:
-    """What we insist on, whatever the peer would rather have."""
+    """What we require of the peer, whatever it asks for."""
 
     agreements: tuple[KeyAgreement, ...]
-    """Those a Request may ask for; anything else is taken for a downgrade."""
+    """Key agreements that a Request may ask for; any other counts as a downgrade."""
     require_alternative: bool = False
-    """Whether the peer must prove its alternative key too, and its CA have signed twice."""
+    """Whether the peer needs an alternative key, and an alternative signature by its CA."""
 
     def agreement(self, name: str) -> KeyAgreement:
-        """The one that c.kagree_algo `name` stands for; VerificationError if not allowed."""
+        """The key agreement with the c.kagree_algo `name`; VerificationError if not allowed."""
         for row in self.agreements:
             if row.wire_name == name:
                 return row
@@ -71,7 +71,7 @@ class Policy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Discovered:
-    """What discovery said of the peer, not yet proved; None where it said nothing."""
+    """What discovery announced about the peer, not yet verified; None if not announced."""
 
     guid: bytes | None = None
     future_challenge: bytes | None = None
@@ -80,7 +80,7 @@ class Discovered:
 
 NOTHING = Discovered()
 _known: WeakValueDictionary[bytes, Certificate] = WeakValueDictionary()
-"""Certificates that somebody still needs, by their DER: one object for all handshakes of a peer."""
+"""Certificates still in use, by their DER: one object for all handshakes of a peer."""
 
 
 @contextmanager
@@ -94,21 +94,21 @@ def _read(code: Code) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peer:
-    """The other side, as its Introduction has it. What is here was read, not judged."""
+    """The other side, as in its Introduction: decoded, not verified."""
 
     certificate: Certificate
     guid: bytes
     """16 bytes."""
     permissions: bytes = field(repr=False)
-    """The signed permissions document; whose it is, the handshake does not ask."""
+    """The signed permissions document; the handshake does not check its subject."""
     keys: tuple[PublicKey, ...] = field(repr=False)
-    """Those its certificate lets it sign with, the strongest first."""
+    """The public keys of its certificate for handshake signatures, the strongest first."""
 
     @classmethod
     def read(cls, introduction: Introduction) -> Self:
-        """VerificationError if certificate, its keys, or c.pdata cannot be read."""
+        """The peer; VerificationError if certificate, keys or c.pdata cannot be decoded."""
         with _read(Code.C9):
-            # OpenDDS sends the file and a NUL, and the permissions likewise.
+            # OpenDDS adds a NUL to the file, also to the permissions.
             found = Certificate.from_pem(introduction.certificate.rstrip(b"\0"))
             certificate = _known.setdefault(found.der, found)
             keys = certificate.handshake_keys
@@ -118,14 +118,14 @@ class Peer:
         return cls(certificate=certificate, guid=guid, permissions=permissions, keys=keys)
 
     def key_for(self, name: str, policy: Policy) -> PublicKey | None:
-        """The key that signs under c.dsign_algo `name`, if it has one and `policy` lets it."""
+        """The peer's key with the c.dsign_algo `name`, if it has one and `policy` allows it."""
         keys = self.keys[:1] if policy.require_alternative else self.keys
         return next((key for key in keys if key.algorithm.wire_name == name), None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
-    """On what terms we meet one peer."""
+    """The parameters of our handshakes with one peer."""
 
     own: Identity
     policy: Policy
@@ -133,18 +133,18 @@ class Terms:
     announced: bytes | None = None
     """The future_challenge (32 bytes) in our own AuthRequest, if we sent one."""
     dialect: Dialect = OURS
-    """How we write and read. To speak as another implementation does is for tests."""
+    """How we write and read messages. Dialects of other implementations are for tests."""
 
     def challenge(self) -> bytes:
-        """Our challenge for one handshake: the announced one, or 32 fresh bytes."""
+        """Our challenge for one handshake: the announced one, or 32 new random bytes."""
         return self.announced or os.urandom(CHALLENGE_SIZE)
 
     def admit(
         self, introduction: Introduction, now: datetime, *, others: Iterable[Problem | str]
     ) -> tuple[Peer, PublicKey]:
-        """The peer and the key it must sign with.
+        """Verify the peer; returns it and the key that it must sign with.
 
-        VerificationError lists what speaks against it, and the problems in `others`.
+        VerificationError lists everything that is wrong with it, and the problems in `others`.
         """
         peer = Peer.read(introduction)
         name = introduction.signature_algorithm_name

@@ -1,10 +1,10 @@
-"""What is sent under session keys: submessages and serialized payloads.
+"""Protection with session keys, of submessages and serialized payloads.
 
 Both become a crypto header, their content and a crypto footer (DDS-Security 1.1, 9.5.3.3).
-Around a submessage these are submessages too: SEC_PREFIX, SEC_BODY, SEC_POSTFIX. AES-GCM
-encrypts the content. With GMAC it stays readable, a submessage in the place of SEC_BODY,
-and the footer's tag covers it. With origin authentication the footer has a further tag for
-each receiver, under a key that this receiver shares with the sender alone.
+For a submessage these are submessages too: SEC_PREFIX, SEC_BODY, SEC_POSTFIX. AES-GCM
+encrypts the content. With GMAC the submessage stays readable in the place of SEC_BODY, and
+the footer's tag covers it. With origin authentication the footer has one more tag for each
+receiver, under a key that only this receiver shares with the sender.
 """
 
 import hmac
@@ -37,11 +37,11 @@ from pqsec_pki.handshake._secured import (
 from pqsec_pki.handshake.key_exchange import KeyMaterial, TransformationKind
 
 MAX_SUBMESSAGE = 0xFFF8
-"""Bytes: a submessage says its size in 16 bits, and the content's stands in front."""
+"""Bytes: the size field of a submessage has 16 bits, and the content begins with its length."""
 MAX_PAYLOAD = 1 << 30
-"""Bytes: ciphers take less than 2**31 at a time."""
+"""Bytes: ciphers accept less than 2**31 in one call."""
 BLOCKS_PER_SESSION = 1 << 32
-"""Of 16 bytes, under one key; TLS 1.3 allows 2**34.5 (RFC 8446, 5.5)."""
+"""Blocks of 16 bytes under one session key; TLS 1.3 allows 2**34.5 (RFC 8446, 5.5)."""
 _BLOCK_SIZE = 16
 _PAYLOAD_FOOTER_SIZE = TAG_SIZE + 4
 _PAYLOAD_OVERHEAD = HEADER_SIZE + 4 + ALIGNED + _PAYLOAD_FOOTER_SIZE
@@ -50,11 +50,11 @@ _PAYLOAD_OVERHEAD = HEADER_SIZE + 4 + ALIGNED + _PAYLOAD_FOOTER_SIZE
 class Sender:
     """One participant, writer or reader that protects what it sends with its key material.
 
-    An initialization vector is session_id and a suffix. Both begin at random and the suffix
-    counts, so one sender repeats none in 2**64 messages. Two senders of one key, as the
-    sides of a key exchange are, use one twice with a probability of 2**-62 after 2**32
-    messages each. At random every time that were 2**-31, which is why NIST SP 800-38D, 8.3
-    stops there. So have one sender for a key; threads may share it, processes may not.
+    An initialization vector is a session_id and a suffix. Both start at random values and the
+    suffix counts up, so one sender repeats no vector in 2**64 messages. Two senders with one
+    key, as in a key exchange, use a vector twice with a probability of 2**-62 after 2**32
+    messages each. With random vectors it would be 2**-31, which is the limit of NIST SP
+    800-38D, 8.3. So use one sender for a key; threads may share it, processes must not.
     """
 
     __slots__ = ("_blocks", "_cipher", "_limit", "_lock", "_material", "_session", "_suffix")
@@ -62,9 +62,9 @@ class Sender:
     def __init__(
         self, material: KeyMaterial, *, blocks_per_session: int = BLOCKS_PER_SESSION
     ) -> None:
-        """UsageError for material that protects nothing.
+        """A sender with `material`; UsageError if its kind is NONE.
 
-        After `blocks_per_session` blocks of 16 bytes comes the next session, and its key.
+        After `blocks_per_session` blocks of 16 bytes the next session begins, with a new key.
         """
         if material.kind is TransformationKind.NONE:
             raise UsageError("this key material protects nothing")
@@ -79,9 +79,9 @@ class Sender:
     ) -> bytes:
         """`submessage`, header and content, between SEC_PREFIX and SEC_POSTFIX (9.5.3.3.4).
 
-        `receivers` are those of `material.for_receiver()` that it is meant for. UsageError
-        if the submessage or its receivers are too many bytes for one, if a receiver is
-        another sender's, or if what is only to be signed is not exactly one submessage.
+        `receivers` are results of `material.for_receiver()` for its receivers. UsageError if
+        the submessage or the tags are too large, if a receiver belongs to another sender, or
+        if `submessage` shall only be signed and is not exactly one submessage.
         """
         self._check(submessage, receivers)
         header, content, tag = self._sealed(submessage)
@@ -97,8 +97,8 @@ class Sender:
     def protect_payload(self, payload: bytes) -> bytes:
         """`payload` between crypto header and crypto footer (9.5.3.3.4.4).
 
-        UsageError if it is over 1 GiB, or is only to be signed and not padded to 4 bytes:
-        nothing tells then where it ends, and stacks differ.
+        UsageError if it is over 1 GiB, or if it shall only be signed and is not padded to 4
+        bytes: then its end is not marked, and stacks differ.
         """
         encrypts = self._material.kind.encrypts
         if len(payload) > MAX_PAYLOAD:
@@ -136,7 +136,7 @@ class Sender:
         return header, sealed[:-TAG_SIZE], sealed[-TAG_SIZE:]
 
     def _next(self, size: int) -> tuple[bytes, AESGCM]:
-        """An initialization vector that was never used, and the cipher for `size` bytes."""
+        """A new initialization vector, and the cipher for `size` bytes."""
         blocks = 1 + size // _BLOCK_SIZE
         with self._lock:
             if self._blocks + blocks > self._limit:
@@ -154,9 +154,9 @@ class Sender:
 def unprotect_submessage(material: KeyMaterial, data: bytes) -> bytes:
     """The submessage in `data`, three submessages as a Sender with `material` makes them.
 
-    MalformedError if it is not those; VerificationError if it was protected with other
-    keys or in another way, was changed, or if `material` has a receiver key and there is no
-    right tag for it.
+    MalformedError if `data` has another structure; VerificationError if it was protected with
+    other keys or another kind, was changed, or if `material` has a receiver key and no tag
+    for it is correct.
     """
     header, body, footer = parted(data)
     _check_name(material, header)
@@ -169,12 +169,12 @@ def unprotect_submessage(material: KeyMaterial, data: bytes) -> bytes:
 def unprotect_payload(material: KeyMaterial, data: bytes) -> bytes:
     """The serialized payload in `data`, as a Sender with `material` protects it.
 
-    MalformedError and VerificationError as above. A payload has no tags of receivers:
-    whoever holds the key may have made it.
+    Errors as for `unprotect_submessage`. A payload has no tags for receivers, so any holder
+    of the key may have created it.
     """
     if not HEADER_SIZE + _PAYLOAD_FOOTER_SIZE <= len(data) <= MAX_PAYLOAD + _PAYLOAD_OVERHEAD:
         raise MalformedError(f"{len(data)} bytes cannot be a protected payload")
-    # As CDR: the footer's count is aligned, Fast DDS and OpenDDS pad in front of it.
+    # As CDR: the footer's count is aligned, so Fast DDS and OpenDDS pad before it.
     reader = Reader(data, ByteOrder.BIG)
     header = CryptoHeader.decode(reader.raw(HEADER_SIZE))
     _check_name(material, header)
@@ -222,7 +222,7 @@ def _opened(material: KeyMaterial, header: CryptoHeader, content: bytes, tag: by
 
 
 def _check_origin(material: KeyMaterial, header: CryptoHeader, footer: CryptoFooter) -> None:
-    """That it was made for us, so by the sender and no other receiver (9.5.3.3.4)."""
+    """Check the tag for this receiver: so the sender made it, not another receiver (9.5.3.3.4)."""
     if not material.receiver_key:
         if footer.receiver_tags:
             raise VerificationError("receiver-specific tags where there is no receiver's key")
@@ -234,6 +234,6 @@ def _check_origin(material: KeyMaterial, header: CryptoHeader, footer: CryptoFoo
 
 
 def _receiver_tag(material: KeyMaterial, header: CryptoHeader, tag: bytes) -> bytes:
-    """GMAC of the common tag, under the receiver's session key and the same vector."""
+    """GMAC of the common tag, with the receiver's session key and the same vector."""
     cipher = AESGCM(material.session_receiver_key(header.session_id))
     return cipher.encrypt(header.iv, b"", tag)

@@ -1,8 +1,8 @@
-"""Where a handshake stands: one class a state, one method a step.
+"""The states of a handshake: one class for each state, one method for each step.
 
-A state is a value. Its method takes the message it waits for and gives what comes next;
-there is no other way on, so no step can be skipped or taken out of turn. Nothing here
-reads a file, a socket or a clock.
+A state is a value. Its method takes the message it waits for and returns the next message
+and state, so no step can be skipped or run out of order. Nothing here reads a file, a
+socket or a clock.
 
     initiator                                     replier
     begin() -> Request, RequestSent
@@ -10,7 +10,7 @@ reads a file, a socket or a clock.
     RequestSent.receive(reply) -> Final, Done
                                                   ReplySent.receive(final) -> Done
 
-Nobody confirms the key: only the first protected message shows that both have the same.
+No message confirms the key: only the first protected message shows that both have the same.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from pqsec_pki.problems import Code, Problem
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Done:
-    """The end: the peer holds its certificate's key. Both should have one secret now."""
+    """The final state: the peer holds its certificate's key; both should have the same secret."""
 
     peer: Peer
     agreement: KeyAgreement
@@ -49,18 +49,18 @@ class RequestSent:
     key_pair: KeyPair = field(repr=False)
 
     def receive(self, reply: Reply, *, now: datetime) -> tuple[Final, Done]:
-        """The Final and the end; VerificationError lists what is wrong with `reply`.
+        """The Final and the final state; VerificationError lists what is wrong with `reply`.
 
         Steps of DDS-Security 1.1, 9.3.3, table 52, process_handshake.
         """
         transcript = self._transcript(reply)
-        # c.id and c.pdata, then what is repeated
+        # c.id and c.pdata, then repeated values
         others = self._problems(reply, transcript)
         peer, key = self.terms.admit(reply.introduction, now, others=others)
         # the signature
         signed = transcript.reply_octets()
         _check_signature(Code.C21, key, reply.signature, signed)
-        # dh2, and with it the secret
+        # dh2, then the secret
         with check(Code.C22):
             secret = self.key_pair.decapsulate(reply.dh2)
         signature = self.terms.own.key.sign_handshake(transcript.final_octets())
@@ -82,7 +82,7 @@ class RequestSent:
         # Not in the specification: Cyclone DDS lets the replier choose another one.
         if reply.introduction.key_agreement_name != self.key_pair.agreement.wire_name:
             yield Problem("c.kagree_algo is not what was asked for", Code.C18)
-        # challenge1 must be there, and hash_c1, hash_c2 and dh1 right if they are
+        # challenge1 is required; hash_c1, hash_c2 and dh1 must be correct if present
         yield from transcript.differences(reply)
         # challenge2 is the announced one
         if self.terms.discovered.future_challenge not in (None, reply.challenge2):
@@ -95,19 +95,19 @@ class ReplySent:
 
     transcript: Transcript
     peer_key: PublicKey = field(repr=False)
-    """What the Final must be signed with."""
+    """The public key for the signature of the Final."""
     _outcome: Done = field(repr=False)
-    """What is true once it is."""
+    """The final state, once the signature was verified."""
 
     @property
     def peer(self) -> Peer:
-        """Who must send it. Its certificate is good; that it holds the key is not proved."""
+        """The peer that must send it: its certificate is valid, but its key is not yet proved."""
         return self._outcome.peer
 
     def sharing(self, permissions: bytes) -> Self:
-        """The same, with that object for the peer's permissions document.
+        """The same state with `permissions` as the object for the peer's permissions document.
 
-        It must equal the peer's: many states then hold one copy. ValueError if it does not.
+        It must equal the peer's, so that many states share one copy; ValueError if not.
         """
         if permissions != self.peer.permissions:
             raise ValueError("the document to share is not the peer's")
@@ -115,11 +115,11 @@ class ReplySent:
         return replace(self, _outcome=replace(self._outcome, peer=peer))
 
     def receive(self, final: Final) -> Done:
-        """The end; VerificationError lists what is wrong with `final`.
+        """The final state; VerificationError lists what is wrong with `final`.
 
         Steps of DDS-Security 1.1, 9.3.3, table 52, process_handshake.
         """
-        # the challenges must be there, and what else is repeated right
+        # the challenges are required; other repeated values must be correct if present
         if problems := self.transcript.differences(final):
             raise VerificationError(*problems)
         # the signature
@@ -129,12 +129,12 @@ class ReplySent:
 
 
 _own_digest = lru_cache(maxsize=16)(Introduction.digest)
-"""What we say of ourselves is the same to every peer."""
+"""A cache: our introduction is the same for every peer."""
 
 
 def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
     """The Request, and the state that waits for its Reply."""
-    # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS insists on it; all accept it.
+    # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS requires it; all accept it.
     introduction = terms.own.introduction(agreement, nul=terms.dialect.ends_names_in_nul)
     hash_c1 = _own_digest(introduction)
     pair = agreement.generate()
@@ -154,13 +154,13 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     VerificationError lists what is wrong with `request`. Steps of DDS-Security 1.1,
     9.3.3, table 52, begin_handshake_reply.
     """
-    # Not in the specification: c.kagree_algo is one of ours, or it ends here.
+    # Not in the specification: c.kagree_algo must be one that the policy allows.
     agreement = terms.policy.agreement(request.introduction.key_agreement_name)
-    # c.id and c.pdata, then what is repeated
+    # c.id and c.pdata, then repeated values
     hash_c1 = request.introduction.digest()
     others = _request_problems(request, hash_c1, terms)
     peer, key = terms.admit(request.introduction, now, others=others)
-    # dh1, and with it the secret
+    # dh1, then the secret
     with check(Code.C17):
         dh2, secret = agreement.encapsulate(request.dh1)
     # Fast DDS refuses names with NUL as initiator, OpenDDS refuses them without.

@@ -1,4 +1,4 @@
-"""Tokens of discovery: what a participant says of itself before anything is proved."""
+"""Discovery tokens: what a participant announces about itself, not authenticated."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
@@ -35,9 +35,9 @@ class _Token:
 
 @dataclass(frozen=True, slots=True)
 class IdentityToken(_Token):
-    """Whose certificate it is and what kinds of keys there are (9.3.2.1, table 45).
+    """Subject names and key algorithms of a participant and its CA (9.3.2.1, table 45).
 
-    Unauthenticated: good for a first look, never for a decision.
+    Not authenticated: use it for hints, never for a decision.
     """
 
     CLASS_ID: ClassVar[str] = "DDS:Auth:PKI-DH:1.0"
@@ -54,7 +54,7 @@ class IdentityToken(_Token):
     ca_subject: str | None = None
     ca_algorithm: str | None = None
     agreements: str | None = None
-    """Names for c.kagree_algo that a Request may have, with commas between."""
+    """Names for c.kagree_algo that a Request may have, separated by commas."""
 
     @classmethod
     def of(cls, certificate: Certificate, ca: Certificate) -> Self:
@@ -70,19 +70,19 @@ class IdentityToken(_Token):
     def announced(
         cls, certificate: Certificate, ca: Certificate, agreements: Iterable[KeyAgreement]
     ) -> Self:
-        """The token as we send it, if we take Requests for `agreements`.
+        """The token that we send if we accept Requests for `agreements`.
 
-        Without dds.ca.sn: OpenDDS 3.33 and 3.34 compare it with their own spelling, and
-        nobody else looks at it.
+        Without dds.ca.sn: OpenDDS 3.33 and 3.34 compare it with their own spelling, and no
+        other stack uses it.
         """
         names = ",".join(each.wire_name for each in agreements)
         return replace(cls.of(certificate, ca), ca_subject=None, agreements=names)
 
     def knows(self, agreement: KeyAgreement) -> bool:
-        """Whether the sender can take a Request for `agreement`, by what it says.
+        """Whether the sender announces that it accepts a Request for `agreement`.
 
-        Good for sparing it one, as OpenDDS crashes on a name that it does not know; not for
-        choosing another agreement instead.
+        Use it to avoid a Request, since OpenDDS crashes on an unknown name; do not use it to
+        choose another agreement.
         """
         if agreement.family is Family.CLASSICAL or self.algorithm in _NEW_KEYS:
             return True
@@ -90,7 +90,7 @@ class IdentityToken(_Token):
 
 
 _NEW_KEYS = {row.token_name for row in SIGNATURES if row.family is not Family.CLASSICAL}
-"""Whoever has such a key is not a stock stack."""
+"""Key algorithms that no stock stack has."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""Bytes to data holders and back: CDR as DDS-Security messages use it.
+"""Data holders as bytes: CDR as in DDS-Security messages.
 
-No keys, no state, no meaning: names and values only. Tokens travel in the sender's byte
+This module knows only names and values, no keys or states. Tokens are in the sender's byte
 order; hashes and signatures always cover the big-endian form (DDS-Security 1.1, 9.3.2.5).
 """
 
@@ -15,11 +15,11 @@ from pqsec_pki.handshake._cdr import ByteOrder, Reader, Writer
 MAX_TOKEN = 256 << 10
 """Bytes. The largest measured (ML-DSA-87, signed permissions) is 38 kB."""
 MAX_SAMPLE = MAX_TOKEN + (4 << 10)
-"""Bytes: a token and what is around it."""
+"""Bytes: a token and the message around it."""
 MAX_PROPERTIES = 64
-"""In one list. A Reply, the longest token, has twelve."""
+"""Properties in one list. A Reply, the longest token, has twelve."""
 MAX_TOKENS = 8
-"""In one message. Handshakes carry one, writers two."""
+"""Tokens in one message. Handshakes have one, writers two."""
 GUID_SIZE = 16
 _ALIGNED = 4
 _ENCAPSULATION_SIZE = 4
@@ -66,9 +66,9 @@ class DataHolder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenericMessage:
-    """ParticipantGenericMessage (7.2.6): tokens on their way between participants.
+    """ParticipantGenericMessage (7.2.6): tokens from one participant to another.
 
-    GUIDs have 16 bytes; all zero stands for none.
+    GUIDs have 16 bytes; all zero means none.
     """
 
     source: bytes
@@ -102,7 +102,7 @@ class GenericMessage:
         """The inverse; MalformedError for anything else. Padding to 4 bytes may follow."""
         if len(sample) > MAX_SAMPLE:
             raise MalformedError(f"a sample larger than {MAX_SAMPLE} bytes")
-        # RTPS 2.3, 10.2.1.2: the two last bytes of the header are options, not looked at.
+        # RTPS 2.3, 10.2.1.2: the two last bytes of the header are options, which are ignored.
         order = _ORDERS.get(sample[:2])
         if order is None or len(sample) < _ENCAPSULATION_SIZE:
             raise MalformedError("not CDR: unknown encapsulation")
@@ -128,7 +128,7 @@ _ORDERS = {header[:2]: order for order, header in _HEADERS.items()}
 
 
 def encode_properties(items: Iterable[BinaryProperty]) -> bytes:
-    """What hashes and signatures cover: the list alone, big-endian, no header, no tail."""
+    """The octets that hashes and signatures cover: the list alone, big-endian, without header."""
     writer = Writer()
     writer.pairs(tuple(items))
     return writer.done()

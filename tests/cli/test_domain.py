@@ -260,7 +260,7 @@ def test_a_bundle_that_cannot_be_written_is_the_next_applys(pqsec, robots, tmp_p
     told = pqsec("-k k apply --yes --no-passphrase --bundles out")
     assert told.code == 3
     assert "note: all 5 changes are done; apply again writes the bundles" in told.err
-    assert "error: out/r3.bundle exists, and is no bundle of /r3" in told.err
+    assert "error: out/r3.bundle exists and is not a bundle for /r3" in told.err
     (tmp_path / "out/r3.bundle").unlink()
     assert pqsec("-k k apply --bundles out").done().out == "bundles: 1\n"
 

@@ -85,9 +85,9 @@ def test_several_requests_have_a_bundle_each(pqsec, asked, tmp_path):
         ("issue", 2, "name at least one participant"),
         ("issue /x --allow-name '/*'", 2, "are for requests"),
         ("issue /x --bundles out", 2, "are for requests"),
-        (f"issue --csr r/{CSR}", 2, "may not choose its own name"),
-        (f"issue --csr r/{CSR} /other", 1, "none of those that are allowed"),
-        (f"issue --csr r/{CSR} --allow-name '/*'", 1, "none of those that are allowed"),
+        (f"issue --csr r/{CSR}", 2, "must not choose its own name"),
+        (f"issue --csr r/{CSR} /other", 1, "not one of the allowed names"),
+        (f"issue --csr r/{CSR} --allow-name '/*'", 1, "not one of the allowed names"),
         (f"issue --csr r/{CSR} --csr r/{CSR} {ROBOT}", 1, "2 requests are for"),
         (f"issue --csr nowhere {ROBOT}", 3, "nowhere: no such file"),
         (f"issue --csr k/public/identity_ca.cert.pem {ROBOT}", 3, "no certificate request"),
@@ -197,7 +197,7 @@ def test_the_way_back(pqsec, asked, tmp_path):
     pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
     pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
     first = (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes()
-    pqsec("rollback --dir r").refused(3, "keeps nothing from before")
+    pqsec("rollback --dir r").refused(3, "has no set from before")
     time.sleep(1.01)  # certificates and signatures know whole seconds
     pqsec(f"-k k renew {ROBOT}").done()
     pqsec(f"-k k bundle {ROBOT} --force").done()
@@ -275,7 +275,7 @@ def test_what_is_asked_for_shows_before_it_is_signed(pqsec, asked, tmp_path):
         (f"sign-request export r/{CSR} r/{CSR} -o x", 2, "two requests have one name"),
         ("-k k sign-request sign asked", 2, "say where to write the answer"),
         ("-k k sign-request sign asked -o x --sha256 00", 1, "its SHA-256 is"),
-        ("-k k sign-request sign asked -o x --allow-name '/arm/*'", 1, "none of those"),
+        ("-k k sign-request sign asked -o x --allow-name '/arm/*'", 1, "not one of the allowed"),
         (f"-k k sign-request sign r/{CSR} -o x", 3, "not an archive of pqsec"),
         ("sign-request import asked --request asked", 3, "a sign request, not a sign answer"),
         (f"sign-request import asked --request r/{CSR}", 3, "not an archive of pqsec"),

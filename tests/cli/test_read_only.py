@@ -145,6 +145,4 @@ def test_a_keystore_of_another_user_that_may_be_read_is_read_and_not_changed(fol
     assert differences(folder, as_nobody, run_in) == []
     changes = ["issue /new", "ca crl", "revoke /talker", "ca recover"]
     for found in in_a_fork(folder, as_nobody, run_in, changes):
-        found.refused(
-            3, "k: it belongs to another user (root)", hint="you may change a copy of your own"
-        )
+        found.refused(3, "k: it belongs to another user (root)", hint="work on a copy of your own")

@@ -207,12 +207,12 @@ def test_a_robot_with_bundles_is_told_whom_to_trust_at_the_begin_and_the_end(pqs
 
     install(*named()).done()
     pqsec("-k k ca rotate --overlap begin --apply").done()
-    install().refused(1, "is not one that is trusted")
+    install().refused(1, "is not trusted in this role")
     install(*named()).done()
     pqsec("-k k ca rotate --overlap switch --apply").done()
     install().done()
     pqsec("-k k ca rotate --overlap finish --apply").done()
-    install().refused(1, "the identity CA that is trusted is not there")
+    install().refused(1, "the identity CA that is trusted is missing")
     install(*named()).done()
 
 

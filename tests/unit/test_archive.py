@@ -91,7 +91,7 @@ def test_a_little_that_unpacks_to_too_much_is_refused():
     assert tarball.unpack(gzip.compress(bytes(tarball.MAX_CONTENT), mtime=0)) == {}
     bomb = gzip.compress(bytes(tarball.MAX_CONTENT + 1), mtime=0)
     assert len(bomb) < 100_000
-    with pytest.raises(MalformedError, match="of more than"):
+    with pytest.raises(MalformedError, match="more than"):
         tarball.unpack(bomb)
 
 
@@ -110,10 +110,10 @@ GOOD = tarball.pack(FILES)
     [
         (b"", "no plain gzip header"),
         (b"PK\3\4", "no plain gzip header"),
-        (GOOD[:-4], "cut short"),
-        (GOOD[:40], "cut short"),
-        (GOOD + b"x", "something follows"),
-        (GOOD + GOOD, "something follows"),
+        (GOOD[:-4], "incomplete"),
+        (GOOD[:40], "incomplete"),
+        (GOOD + b"x", "there is data after the archive"),
+        (GOOD + GOOD, "there is data after the archive"),
         (GOOD[:-8] + bytes(8), "damaged"),
         (gzip.compress(b"no tar at all" * 99, mtime=0), "not an archive"),
         (gzip.compress(GOOD, mtime=1), "no plain gzip header"),
@@ -151,7 +151,7 @@ def test_a_parcel_comes_back_with_what_its_manifest_says():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"a": b"2"}, "a is not what the manifest says"),
+        ({"a": b"2"}, "a differs from the manifest"),
         ({"a": None}, "a is missing"),
         ({"b": b"3"}, "b is not in the manifest"),
     ],
@@ -164,11 +164,11 @@ def test_a_parcel_whose_files_are_not_the_manifests_is_refused(changes, words):
 @pytest.mark.parametrize(
     ("manifest", "words"),
     [
-        (None, "no manifest"),
-        (b"", "no manifest"),
-        (b"[]", "no manifest"),
-        (b"[" * 100_000, "no manifest"),
-        (b'{"format": 1, "kind": "letter", "files": 3}', "no manifest"),
+        (None, "no readable manifest"),
+        (b"", "no readable manifest"),
+        (b"[]", "no readable manifest"),
+        (b"[" * 100_000, "no readable manifest"),
+        (b'{"format": 1, "kind": "letter", "files": 3}', "no readable manifest"),
         (b'{"format": 9, "kind": "letter", "files": {}}', "another version"),
         (b'{"format": 1, "kind": "bill", "files": {}}', "a bill, not a letter"),
     ],
@@ -183,5 +183,5 @@ def test_a_manifest_that_says_something_else_than_texts_is_refused(value):
     parcel = Archive("letter", json.loads(json.dumps({"names": value})), {})
     found = Archive.unpack(parcel.pack(), "letter")
     for ask in (found.text, found.texts, found.time):
-        with pytest.raises(MalformedError, match="does not say names"):
+        with pytest.raises(MalformedError, match="the manifest lacks names"):
             ask("names")

@@ -707,5 +707,5 @@ def test_a_certificate_that_says_ca_false_is_refused_in_plain_words(now):
     made = builder.add_extension(extension, critical=True).sign(key, hashes.SHA256())
     with pytest.raises(MalformedError) as caught:
         Certificate.from_der(made.public_bytes(Encoding.DER))
-    assert "a default is written out, as cA FALSE, which DER forbids" in str(caught.value)
+    assert "a default value is encoded, such as cA FALSE, which DER forbids" in str(caught.value)
     assert "ParseError" not in str(caught.value)

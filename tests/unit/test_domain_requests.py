@@ -108,7 +108,7 @@ def test_who_has_not_asked_yet_waits_and_keeps_nobody_else_from_it(tmp_path):
 @pytest.mark.parametrize(
     ("flaw", "words"),
     [
-        (lambda fleet: fleet.ask("/r1", "r2.csr"), "its name is none of those"),
+        (lambda fleet: fleet.ask("/r1", "r2.csr"), "its name is not one of the allowed"),
         (lambda fleet: fleet.ask("/r2", profile="pq"), "it has ml-dsa-65; profile classical"),
         (lambda fleet: (fleet.inbox / "r2.csr").write_text("nonsense"), "no certificate request"),
         (lambda fleet: (fleet.inbox / "r2.csr").symlink_to("nowhere"), "there is no file"),
@@ -152,7 +152,7 @@ def test_a_request_that_is_spoilt_between_plan_and_apply_is_not_answered(tmp_pat
     fleet.ask("/r1", "r2.csr")
     shutil.rmtree(fleet.root / "enclaves/r2")
     left = tuple(step for step in found.steps if step.name == "/r2")
-    with pytest.raises(VerificationError, match="its name is none of those"):
+    with pytest.raises(VerificationError, match="its name is not one of the allowed"):
         fleet.take(Plan(left, (), (), 0, fleet.keystore.head))
     assert fleet.keystore.names() == ["/made", "/r1"]
 

@@ -149,11 +149,11 @@ def test_a_request_whose_name_is_allowed_is_admitted(name, choice):
 @pytest.mark.parametrize(
     ("name", "choice", "words"),
     [
-        (ROBOT, {"names": ["/fleet/robot2"]}, "its name is none of those that are allowed"),
-        (ROBOT, {"patterns": ["/fleet"]}, "none of those that are allowed: /fleet"),
-        (ROBOT, {"patterns": ["/*"]}, "none of those that are allowed"),
-        ("/fleet/sub/robot1", {"patterns": ["/fleet/*"]}, "none of those that are allowed"),
-        ("/Fleet/robot1", {"patterns": ["/fleet/*"]}, "none of those that are allowed"),
+        (ROBOT, {"names": ["/fleet/robot2"]}, "its name is not one of the allowed names"),
+        (ROBOT, {"patterns": ["/fleet"]}, "not one of the allowed names: /fleet"),
+        (ROBOT, {"patterns": ["/*"]}, "not one of the allowed names"),
+        ("/fleet/sub/robot1", {"patterns": ["/fleet/*"]}, "not one of the allowed names"),
+        ("/Fleet/robot1", {"patterns": ["/fleet/*"]}, "not one of the allowed names"),
         ("fleet/robot1", {"patterns": ["/fleet/*"]}, "not the CN of a participant alone"),
         ("/fleet//robot1", {"patterns": ["/fleet/*"]}, "not the CN of a participant alone"),
         ("/fleet/../admin", {"patterns": ["/fleet/*"]}, "not the CN of a participant alone"),
@@ -167,7 +167,7 @@ def test_a_request_with_a_name_that_is_not_allowed_is_refused(name, choice, word
 
 
 def test_a_request_may_not_choose_its_own_name():
-    with pytest.raises(UsageError, match="may not choose its own name"):
+    with pytest.raises(UsageError, match="must not choose its own name"):
         validate_csrs([signed_request()], PROFILES[0])
     with pytest.raises(UsageError, match="begin with a slash"):
         validate_csrs([signed_request()], PROFILES[0], patterns=["*"])
@@ -323,14 +323,18 @@ def test_a_bundle_for_nobody_or_for_who_is_not_there_is_refused(keystores):
 @pytest.mark.parametrize(
     ("names", "path", "words"),
     [
-        ([ROBOT], "enclaves/fleet/robot1/identity_ca.key.pem", "a bundle holds no enclaves"),
-        ([ROBOT], "private/key.pem", "a bundle holds no private"),
-        ([ROBOT], "enclaves/other/cert.pem", "a bundle holds no enclaves/other"),
-        ([ROBOT], "enclaves/cert.pem", "a bundle holds no enclaves/cert.pem"),
+        (
+            [ROBOT],
+            "enclaves/fleet/robot1/identity_ca.key.pem",
+            "a bundle must not contain enclaves",
+        ),
+        ([ROBOT], "private/key.pem", "a bundle must not contain private"),
+        ([ROBOT], "enclaves/other/cert.pem", "a bundle must not contain enclaves/other"),
+        ([ROBOT], "enclaves/cert.pem", "a bundle must not contain enclaves/cert.pem"),
         ([ROBOT, "/other"], None, "lacks cert.pem, .* of /other"),
         ([ROBOT, "/x/../y"], None, "is for '/x/../y'"),
         ([ROBOT, "x"], None, "is for 'x'"),
-        ("x", None, "does not say names"),
+        ("x", None, "the manifest lacks names"),
     ],
 )
 def test_a_bundle_with_anything_else_in_it_is_refused(good, names, path, words):
@@ -343,7 +347,7 @@ def test_a_bundle_with_anything_else_in_it_is_refused(good, names, path, words):
 
 def test_a_bundle_that_is_empty_is_refused():
     empty = Archive("bundle", {"names": [], "ca_sha256": [], "created": NOW.isoformat()}, {})
-    with pytest.raises(MalformedError, match="the bundle is for nobody"):
+    with pytest.raises(MalformedError, match="the bundle has no participants"):
         Bundle.from_bytes(empty.pack())
 
 
@@ -396,7 +400,7 @@ def test_a_bit_that_flips_in_a_sealed_bundle_is_seen():
         with pytest.raises(VerificationError):
             open_sealed(bytes(bad), key)
     for cut in (0, 22, 53):
-        with pytest.raises(MalformedError, match="cut short"):
+        with pytest.raises(MalformedError, match="incomplete"):
             open_sealed(data[:cut], key)
     for cut in (54, 60, len(data) - 1):
         with pytest.raises(VerificationError, match="another key, or altered"):
@@ -450,18 +454,16 @@ def test_the_cas_must_be_those_that_are_trusted_and_no_others(good, foreign):
     [countersigner] = good.roles[PERMISSIONS_ALT_CA]
     without = {file: pins for file, pins in good.roles.items() if file != PERMISSIONS_ALT_CA}
     [only] = problems(good, without)
-    assert (
-        f"the countersigner CA is not one that is trusted as that: SHA-256 {countersigner}" in only
-    )
+    assert f"the countersigner CA is not trusted in this role: SHA-256 {countersigner}" in only
     more = {**good.roles, IDENTITY_CA: good.roles[IDENTITY_CA] | {"00" * 32}}
     [only] = problems(good, more)
-    assert f"the identity CA that is trusted is not there: SHA-256 {'00' * 32}" in only
+    assert f"the identity CA that is trusted is missing: SHA-256 {'00' * 32}" in only
 
 
 def test_a_countersigner_that_is_left_out_is_missed(good):
     bad = with_files(good, **{"permissions_ca.alt.cert_pem": None})
     [only] = problems(bad, good.roles)
-    assert "the countersigner CA that is trusted is not there" in only
+    assert "the countersigner CA that is trusted is missing" in only
     found = problems(bad, bad.roles)  # even where nobody pinned it
     assert "the countersigner is missing" in found[0]
 

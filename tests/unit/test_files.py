@@ -185,7 +185,7 @@ def test_what_the_system_refuses_is_told_of_its_file_or_of_the_place(tmp_path, r
 def test_a_pipe_that_nobody_writes_into_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("pqsec_pki._files.PIPE_PATIENCE", 0.01)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(FileError, match="pipe: a pipe that nobody writes into"):
+    with pytest.raises(FileError, match="pipe: a pipe without a writer"):
         read(tmp_path / "pipe")
 
 

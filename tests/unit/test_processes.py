@@ -136,8 +136,8 @@ def test_a_process_that_is_killed_is_told():
             print(json.dumps([str(error), error.hint]))
     """
     assert run(script) == [
-        "one of the processes at work was killed",
-        "if memory is short, do fewer at once",
+        "a worker process was killed",
+        "if memory ran out, process fewer items at once",
     ]
 
 
