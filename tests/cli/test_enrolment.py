@@ -162,7 +162,7 @@ def test_keys_made_here_travel_sealed_or_because_you_said_so(pqsec, keystore, tm
     found = pqsec("install b --dir r --trust-first --json").done().json
     assert found["installed"] == ["/talker", "/listener"]
     assert (tmp_path / "r/current/enclaves/talker/key.pem").read_bytes() == secret
-    pqsec("install b --dir twin --trust-first").refused(3, "no key here to open it")
+    pqsec("install b --dir twin --trust-first").refused(3, "no key to open it")
     assert not (tmp_path / "twin").exists()
     pqsec("bundle-key --dir twin").done()
     refused = pqsec("install b --dir twin --trust-first").refused(1, "sealed for another key")

@@ -401,7 +401,7 @@ def test_what_is_no_bundle_of_that_robots_is_not_replaced(fleet, tmp_path, what)
         goal.write_text("do not touch")
     else:
         goal.symlink_to("nowhere")
-    with pytest.raises(ExistsError, match="is no bundle of /r1"):
+    with pytest.raises(ExistsError, match="is not a bundle for /r1"):
         list(refresh(fleet.keystore, ["/r1"], goal.parent, now=NOW))
 
 

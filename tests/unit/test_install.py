@@ -252,7 +252,7 @@ def test_nothing_is_trusted_without_being_told(robot, bundles):
     pins = bundles[1].roles
     with pytest.raises(UsageError, match="so no CAs are trusted"):
         put(robot, trust_first=False)
-    with pytest.raises(VerificationError, match="not one that is trusted"):
+    with pytest.raises(VerificationError, match="is not trusted in this role"):
         put(robot, "1", {IDENTITY_CA: pins[IDENTITY_CA]})
     assert CredentialStore(robot).current is None
     put(robot, "1", pins, trust_first=False)
@@ -279,7 +279,7 @@ def test_who_trusted_first_trusts_no_others_after(robot, place):
     foreign = answered(other, asked_of(other, name))
     (place / "3.bundle").write_bytes(foreign.to_bytes())
     before = snapshot(robot)
-    with pytest.raises(VerificationError, match="not one that is trusted"):
+    with pytest.raises(VerificationError, match="is not trusted in this role"):
         put(robot, "3")
     assert snapshot(robot) == before
     with pytest.raises(VerificationError, match="no private key here matches the certificate"):
@@ -366,7 +366,7 @@ def test_the_list_goes_with_the_first_bundle_of_an_overlap_and_with_no_other(pla
         (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
     robot = place / "robot"
     put(robot, "1")
-    with pytest.raises(VerificationError, match="not one that is trusted"):
+    with pytest.raises(VerificationError, match="is not trusted in this role"):
         put(robot, "2")
     with pytest.raises(VerificationError, match="revocation list is missing"):
         put(robot, "3", listless.roles)
@@ -407,7 +407,7 @@ def test_new_cas_count_their_revocation_lists_from_one(place):
     for number, bundle in enumerate((old, new), start=1):
         (place / f"{number}.bundle").write_bytes(bundle.to_bytes())
     put(place / "robot", "1")
-    with pytest.raises(VerificationError, match="not one that is trusted"):
+    with pytest.raises(VerificationError, match="is not trusted in this role"):
         put(place / "robot", "2")
     put(place / "robot", "2", new.roles)
     assert installed(place / "robot") == fingerprint(new)
@@ -420,7 +420,7 @@ def test_a_countersigner_does_not_become_the_identity_ca(robot, bundles):
     swapped = with_files(bundles[2], **dict(zip(names, (second, first), strict=True)))
     (robot.parent / "3.bundle").write_bytes(swapped.to_bytes())
     assert set(swapped.fingerprints) == set(bundles[2].fingerprints)
-    with pytest.raises(VerificationError, match="not one that is trusted as that") as caught:
+    with pytest.raises(VerificationError, match="is not trusted in this role") as caught:
         put(robot, "3")
     assert caught.value.codes == {Code.CA_UNKNOWN, Code.CA_MISSING}
 
@@ -453,7 +453,7 @@ def test_a_bundle_that_is_refused_changes_nothing(robot, bundles, kind):
         put(robot, "3", now=now)
     assert isinstance(caught.value, MalformedError | VerificationError)
     assert "3.bundle" in str(caught.value)
-    assert kind != "expired" or "`pqsec renew` comes first" in caught.value.hint
+    assert kind != "expired" or "`pqsec renew` first" in caught.value.hint
     assert snapshot(robot) == before
 
 
@@ -558,7 +558,7 @@ def test_a_sealed_bundle_needs_the_robots_key(keystore, place):
     recipient = SealingPublicKey.from_pem(public.read_bytes())
     data = seal(Bundle.of(keystore, ["/arm"], now=NOW).to_bytes(), recipient)
     (place / "1.bundle").write_bytes(data)
-    with pytest.raises(KeystoreError, match="no key here to open it"):
+    with pytest.raises(KeystoreError, match="no key to open it"):
         put(place / "twin")
     make_sealing_key(place / "twin")
     with pytest.raises(VerificationError, match="sealed for another key"):
@@ -868,7 +868,7 @@ def taken(words, work, folder):
     try:
         work()
     except KeystoreError as error:
-        named = str(error).startswith(f"{folder}: ") and "what this robot runs with" in str(error)
+        named = str(error).startswith(f"{folder}: ") and "this robot's credentials" in str(error)
         return [] if named else [f"{words}: {error}"]
     except PqsecError as error:
         return [f"{words}: {error}"]

@@ -144,7 +144,7 @@ def test_an_answer_of_other_cas_is_refused_where_they_are_named(tmp_path, keysto
     other = made(tmp_path / "other", "transition", names=())
     pins = Bundle.of(made(tmp_path / "third", "transition", names=("/a",)), ["/a"], now=NOW)
     asked = SignRequest.from_bytes(exported)
-    with pytest.raises(VerificationError, match="not one that is trusted"):
+    with pytest.raises(VerificationError, match="is not trusted in this role"):
         accept(
             *(answer_to(other, exported), asked, tmp_path),
             pins=pins.roles,
@@ -175,7 +175,10 @@ def swap(about, files):
             lambda about, files: files.pop(FILES[0]),
             "does not have exactly one answer for each request",
         ),
-        (lambda about, files: files.update({"bundles/more": b""}), "not answer each request once"),
+        (
+            lambda about, files: files.update({"bundles/more": b""}),
+            "not have exactly one answer for each request",
+        ),
         (swap, "the bundle of /fleet/robot1 is for /fleet/robot2"),
     ],
 )
@@ -230,8 +233,8 @@ def test_an_answer_never_holds_a_private_key(tmp_path, keystore, exported):
     ("change", "words"),
     [
         (lambda spec: spec.update(name="/other"), "cannot be read"),
-        (lambda spec: spec.update(name="fleet/robot1"), "not how participants are named"),
-        (lambda spec: spec.update(name="/fleet//robot1"), "not how participants are named"),
+        (lambda spec: spec.update(name="fleet/robot1"), "is not a participant's name"),
+        (lambda spec: spec.update(name="/fleet//robot1"), "is not a participant's name"),
         (lambda spec: spec.update(name="/fleet/robot1\0"), "is not valid"),
         (lambda spec: spec.update(name=f"/{'x' * 300}"), "is not valid"),
         (lambda spec: spec.update(domains="x"), "is not valid"),
