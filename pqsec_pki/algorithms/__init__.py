@@ -1,6 +1,6 @@
-"""The algorithms: signatures, key agreements, profiles; keys to bytes and back.
+"""The algorithms: signatures, key agreements, profiles; encoding and decoding of keys.
 
-The only room that touches raw primitives. To add an algorithm, write its row in
+The only room that uses raw primitives. To add an algorithm, write its row in
 signature.py or key_agreement.py; nothing else in the package names one.
 """
 

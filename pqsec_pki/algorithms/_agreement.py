@@ -1,8 +1,8 @@
-"""What a key agreement is: a row that acts, in the shape of a KEM.
+"""The class of key agreements: a row with its operations, as a KEM.
 
-A Diffie-Hellman exchange fits that shape too: to encapsulate is to make a second key
-pair, and its public half is the ciphertext. So the handshake has one path for all. A
-handle is the key object of whatever library does the arithmetic; only rows touch it.
+Diffie-Hellman is modelled as a KEM too: encapsulation generates a second key pair, whose
+public key is the ciphertext. So the handshake has one code path for all. A handle is the
+key object of the library that does the arithmetic; only rows use it.
 """
 
 import hashlib
@@ -16,54 +16,54 @@ from pqsec_pki.errors import VerificationError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyPair:
-    """An ephemeral key pair: `public` goes out as dh1, the private half stays here."""
+    """An ephemeral key pair: `public` is sent as dh1, the private key stays here."""
 
     agreement: "KeyAgreement"
     public: bytes
     _handle: Any = field(repr=False)
 
     def decapsulate(self, ciphertext: bytes) -> bytes:
-        """The secret in dh2, `secret_size` bytes; VerificationError if it can hold none.
+        """The secret in dh2, `secret_size` bytes; VerificationError if dh2 is invalid.
 
-        ML-KEM cannot tell a wrong ciphertext of the right size: it gives a secret that
-        nobody else has (FIPS 203, 6.3), and only the first protected message shows it.
+        ML-KEM cannot detect a wrong ciphertext of the right size: it returns a secret that
+        no other party has (FIPS 203, 6.3), and only the first protected message shows it.
         """
         return self.agreement.decapsulate(self._handle, ciphertext)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyAgreement(ABC):
-    """One key agreement: its names, its sizes, and everything it can do."""
+    """One key agreement: its names, its sizes and its operations."""
 
     name: str
-    """What a user types."""
+    """Its name on the command line."""
     aliases: tuple[str, ...] = ()
     wire_name: str
-    """What the handshake carries in c.kagree_algo (DDS-Security 1.1, table 49)."""
+    """Its name in c.kagree_algo (DDS-Security 1.1, table 49)."""
     family: Family
     level: int
-    """NIST security category; 0 where a quantum computer breaks it."""
+    """NIST security category; 0 if a quantum computer breaks it."""
     standard: str
     runs_in: str
-    """Which stock DDS stacks run it."""
+    """The stock DDS stacks that support it."""
     public_size: int
-    """Bytes of dh1; the most, where they vary."""
+    """Bytes of dh1; the maximum, if the size varies."""
     ciphertext_size: int
-    """Bytes of dh2; the most, where they vary."""
+    """Bytes of dh2; the maximum, if the size varies."""
     secret_size: int
-    """Bytes of the secret; the most, where they vary."""
+    """Bytes of the secret; the maximum, if the size varies."""
 
     @property
     def binds_transcript(self) -> bool:
         """Whether SharedSecret depends on the whole handshake, not only on the secret.
 
-        DDS-Security's own agreements cannot, or stock peers would not understand; all
-        others do, so that what was signed is also what was keyed.
+        DDS-Security's own agreements do not, for compatibility with stock peers; all
+        others do, so that both sides have the same key only for the same handshake.
         """
         return self.family is not Family.CLASSICAL
 
     def generate(self) -> KeyPair:
-        """A fresh key pair."""
+        """A new key pair."""
         return self.key_pair(self._generate())
 
     def key_pair(self, handle: Any) -> KeyPair:
@@ -71,7 +71,7 @@ class KeyAgreement(ABC):
         return KeyPair(self, self._public(handle), handle)
 
     def encapsulate(self, public: bytes) -> tuple[bytes, bytes]:
-        """(dh2, secret) for dh1 `public`; VerificationError if that is no public key."""
+        """(dh2, secret) for dh1 `public`; VerificationError if it is not a public key."""
         if not self._fits(public, self.public_size):
             raise VerificationError(f"not a {self.name} public key: {len(public)} bytes")
         try:
@@ -80,7 +80,7 @@ class KeyAgreement(ABC):
             raise VerificationError(f"bad {self.name} public key") from error
 
     def decapsulate(self, handle: Any, ciphertext: bytes) -> bytes:
-        """The secret in dh2 `ciphertext`; VerificationError if it can hold none."""
+        """The secret in dh2 `ciphertext`; VerificationError if that is invalid."""
         if not self._fits(ciphertext, self.ciphertext_size):
             raise VerificationError(f"not a {self.name} ciphertext: {len(ciphertext)} bytes")
         try:
@@ -89,9 +89,9 @@ class KeyAgreement(ABC):
             raise VerificationError(f"bad {self.name} ciphertext") from error
 
     def shared_secret(self, secret: bytes, signed_reply: bytes) -> bytes:
-        """SharedSecret, 32 bytes: what every later key is derived from.
+        """SharedSecret, 32 bytes: every later key is derived from it.
 
-        SHA256(secret) as DDS-Security has it (9.3.3, table 52), or, where the row binds
+        SHA256(secret) as in DDS-Security (9.3.3, table 52), or, if the row binds
         the transcript, SHA256(secret || SHA256(octets that the Reply's signature covers)).
         """
         if self.binds_transcript:
@@ -103,27 +103,27 @@ class KeyAgreement(ABC):
 
     @abstractmethod
     def _generate(self) -> Any:
-        """A fresh private key."""
+        """A new private key."""
 
     @abstractmethod
     def _public(self, handle: Any) -> bytes:
-        """The public half of `handle`, as dh1 carries it."""
+        """The public key of `handle`, as sent in dh1."""
 
     @abstractmethod
     def _encapsulate(self, public: bytes) -> tuple[bytes, bytes]:
-        """(ciphertext, secret); ValueError if `public` is no public key."""
+        """(ciphertext, secret); ValueError if `public` is not a public key."""
 
     @abstractmethod
     def _decapsulate(self, handle: Any, ciphertext: bytes) -> bytes:
-        """The secret; ValueError if `ciphertext` can hold none."""
+        """The secret; ValueError if `ciphertext` is invalid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hybrid(KeyAgreement):
     """Two agreements side by side: keys, ciphertexts and secrets are concatenated.
 
-    RFC 10024 orders the halves differently by curve, so each row says what is first.
-    The secret is safe while either half is.
+    RFC 10024 orders the components differently by curve, so each row has its order.
+    The secret is safe as long as one of the two agreements is.
     """
 
     first: KeyAgreement = field(repr=False)

@@ -1,4 +1,4 @@
-"""ECDSA, RSA and Ed25519: what today's stacks run, and halves of composites."""
+"""ECDSA, RSA and Ed25519: the algorithms of today's stacks, and components of composites."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -122,7 +122,7 @@ class Rsa(SignatureAlgorithm):
             key = load_der_public_key(data)
         except UnsupportedAlgorithm:
             key = None
-        # The library takes SubjectPublicKeyInfo too; here only PKCS#1 has a place.
+        # The library accepts SubjectPublicKeyInfo too; only PKCS#1 is allowed here.
         if not self.matches(key) or self.raw_public(key) != data:
             raise ValueError(f"not an RSA key of {self.bits} bits")
         return key
@@ -150,7 +150,7 @@ class Rsa(SignatureAlgorithm):
         handle.verify(signature, data, padding.PKCS1v15(), _RSA_HASH[identifier])
 
     def cms_identifier(self, identifier: bytes, digest: Digest) -> bytes:
-        """RFC 3370 3.2: rsaEncryption stands for RSA with the digest that was named."""
+        """RFC 3370 3.2: rsaEncryption means RSA with the given digest."""
         if identifier != _RSA_ENCRYPTION or digest.name not in RSA_WITH:
             return identifier
         return encode(algorithm(RSA_WITH[digest.name], null=True))
@@ -169,7 +169,7 @@ class Rsa(SignatureAlgorithm):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RsaPss(Rsa):
-    """RSASSA-PSS with a salt as long as the hash: half of a composite, no row of its own."""
+    """RSASSA-PSS with a salt as long as the hash: only a component of a composite."""
 
     def sign(self, handle: Any, data: bytes) -> bytes:
         signature: bytes = handle.sign(data, _HASH_SALT, _HASHES["sha256"])
@@ -182,7 +182,7 @@ class RsaPss(Rsa):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ed25519(SignatureAlgorithm):
-    """Ed25519 (RFC 8032): half of a composite. No DDS stack takes it alone."""
+    """Ed25519 (RFC 8032): a component of a composite. No DDS stack accepts it alone."""
 
     def matches(self, handle: Any) -> bool:
         return isinstance(handle, ed25519.Ed25519PublicKey)

@@ -1,6 +1,6 @@
 """Composite ML-DSA: two algorithms as one, with one key and one OID.
 
-draft-ietf-lamps-pq-composite-sigs-19, in the RFC Editor's queue. A row made from two
+draft-ietf-lamps-pq-composite-sigs-19, in the RFC Editor's queue. A row consists of two
 rows.
 """
 
@@ -26,9 +26,9 @@ _MAX_CONTEXT = 255
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Composite(SignatureAlgorithm):
-    """ML-DSA and a traditional algorithm under one OID; a signature needs both halves.
+    """ML-DSA and a traditional algorithm under one OID; a signature needs both.
 
-    Keys and signatures are the plain concatenation of the halves, ML-DSA first.
+    Keys and signatures are the plain concatenation of both, ML-DSA first.
     """
 
     ml_dsa: MLDSA = field(repr=False)
@@ -63,7 +63,7 @@ class Composite(SignatureAlgorithm):
         )
 
     def load_spki(self, info: SubjectPublicKeyInfo) -> Any:
-        """The handle of a composite SubjectPublicKeyInfo; MalformedError if it is none."""
+        """The handle of a composite SubjectPublicKeyInfo; MalformedError if it is not one."""
         if info.algorithm.parameters is not None:
             raise MalformedError("composite keys have no parameters")
         try:

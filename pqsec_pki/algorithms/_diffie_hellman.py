@@ -1,4 +1,4 @@
-"""Diffie-Hellman in the shape of a KEM: over elliptic curves, X25519, and RFC 5114."""
+"""Diffie-Hellman as a KEM: over elliptic curves, X25519, and RFC 5114."""
 
 import secrets
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from pqsec_pki.algorithms._agreement import KeyAgreement
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffieHellman(KeyAgreement):
-    """To encapsulate is to make a key pair of one's own and exchange."""
+    """Encapsulation generates an own key pair and runs the exchange."""
 
     def _encapsulate(self, public: bytes) -> tuple[bytes, bytes]:
         own = self._generate()
@@ -35,8 +35,8 @@ class ECDH(DiffieHellman):
         return point
 
     def _decapsulate(self, handle: Any, ciphertext: bytes) -> bytes:
-        # Cyclone DDS takes compressed points and even infinity; neither has the size to
-        # come here. That the point is on the curve is checked by from_encoded_point.
+        # Cyclone DDS accepts compressed points and even infinity; here the size check refuses
+        # both. from_encoded_point checks that the point is on the curve.
         peer = ec.EllipticCurvePublicKey.from_encoded_point(self.curve, ciphertext)
         secret: bytes = handle.exchange(ec.ECDH(), peer)
         return secret
@@ -44,7 +44,7 @@ class ECDH(DiffieHellman):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class X25519(DiffieHellman):
-    """X25519 (RFC 7748); an all-zero secret is refused, as RFC 10024 demands."""
+    """X25519 (RFC 7748); an all-zero secret is refused, as RFC 10024 requires."""
 
     def _generate(self) -> x25519.X25519PrivateKey:
         return x25519.X25519PrivateKey.generate()
@@ -89,7 +89,7 @@ _INTEGER = 0x02
 
 @dataclass(frozen=True, slots=True)
 class ModpKey:
-    """An exponent, and how its public value is written."""
+    """An exponent, and the encoding of its public value."""
 
     exponent: int = field(repr=False)
     der: bool = True
@@ -100,14 +100,14 @@ class ModpKey:
 class MODP(DiffieHellman):
     """Diffie-Hellman in the group of RFC 5114 2.3.
 
-    The stacks do not agree how to write a public value: read by its size, and answered
-    as the peer wrote, unless `der` says that only one form is known. Plain ints, because
-    cryptography gives up finite-field DH; what the timing tells of an exponent is worth
-    nothing, since each is used once.
+    The stacks encode public values differently: the encoding is recognised by its size, and the
+    answer has the encoding of the peer, unless `der` allows only one. The code uses Python
+    ints, because cryptography drops finite-field DH; timing reveals nothing useful about an
+    exponent, since each is used once.
     """
 
     der: bool | None = field(default=None, repr=False)
-    """Whether this side knows DER INTEGERs alone, plain numbers alone, or both."""
+    """Whether this side supports only DER INTEGERs, only plain numbers, or both (None)."""
 
     def _fits(self, data: bytes, size: int) -> bool:
         return 0 < len(data) <= size and self.der in (None, len(data) > _SIZE)
@@ -129,7 +129,7 @@ class MODP(DiffieHellman):
         # RFC 2631 2.1.5: in range, and in the subgroup of order Q.
         if not 2 <= y <= P - 2 or pow(y, Q, P) != 1:  # noqa: PLR2004 -- 1 has order 1
             raise ValueError("not in the group")
-        # Cyclone DDS (proved on secrets of 255 bytes) hashes it without leading zeros.
+        # Cyclone DDS hashes it without leading zeros (measured with secrets of 255 bytes).
         return _octets(pow(y, handle.exponent, P))
 
 
@@ -138,14 +138,14 @@ def _octets(number: int) -> bytes:
 
 
 def _to_der(number: int) -> bytes:
-    """DER INTEGER of a number of 128 to 65535 bytes; smaller ones have odds of 2**-1000."""
+    """DER INTEGER of a number of 128 to 65535 bytes; smaller: probability 2**-1000."""
     body = number.to_bytes(number.bit_length() // 8 + 1)
     size = len(body).to_bytes((len(body).bit_length() + 7) // 8)
     return bytes([_INTEGER, 0x80 | len(size)]) + size + body
 
 
 def _from_der(data: bytes) -> int:
-    """The number in such an INTEGER; ValueError if it is not exactly that."""
+    """The number in such an INTEGER; ValueError for anything else."""
     start = 2 + (data[1] & 0x7F)
     number = int.from_bytes(data[start:])
     if _to_der(number) != data:

@@ -1,4 +1,4 @@
-"""ML-DSA (FIPS 204), pure mode with an empty context, as RFC 9881 wants it."""
+"""ML-DSA (FIPS 204), pure mode with an empty context, as RFC 9881 requires."""
 
 import hashlib
 import hmac
@@ -70,7 +70,7 @@ class MLDSA(SignatureAlgorithm):
     def load_pkcs8_octets(self, octets: bytes) -> PrivateKey:
         """The key in PKCS#8's privateKey octets: seed, both, or bare seed (RFC 9881 6).
 
-        MalformedError for anything else; an expanded key alone is told apart, because
+        MalformedError for anything else; an expanded key alone has its own message, because
         a seed cannot be computed from it.
         """
         if len(octets) == 2 + SEED_SIZE and octets[:2] == bytes([0x80, SEED_SIZE]):
@@ -90,7 +90,7 @@ class MLDSA(SignatureAlgorithm):
         try:
             both = decode(SeedAndExpandedKey, octets, f"private {self.name} key")
         except MalformedError:
-            # The decoder's own words could quote bytes of the key.
+            # The decoder's own message could quote bytes of the key.
             raise MalformedError(f"not a private {self.name} key") from None
         if len(both.seed) != SEED_SIZE:
             raise MalformedError(f"the seed of this {self.name} key is not 32 bytes")
@@ -102,10 +102,10 @@ class MLDSA(SignatureAlgorithm):
         return key
 
     def _expanded_begin(self, seed: bytes, public: bytes) -> bytes:
-        """rho, K and tr: what of an expanded key is a digest (FIPS 204, algorithm 6).
+        """rho, K and tr: the parts of an expanded key that are digests (FIPS 204, algorithm 6).
 
-        tr is of the whole public key. What follows, s1, s2 and t0, takes the algorithm itself
-        to compute, which no library shows; it is not looked at, and nothing here uses it.
+        tr is the digest of the whole public key. The rest, s1, s2 and t0, can only be computed
+        with the algorithm itself, which no library exposes; it is neither checked nor used.
         """
         digest = hashlib.shake_256(seed + bytes(_MATRIX[self.name])).digest(128)
         return public[:_RHO_SIZE] + digest[-_K_SIZE:] + hashlib.shake_256(public).digest(_TR_SIZE)

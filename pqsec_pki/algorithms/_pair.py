@@ -1,6 +1,6 @@
 """The two keys of a certificate with an alternative signature, acting as one.
 
-X.509 (10/2019) 9.8 says how such a certificate is signed, and nothing of how its holder
+X.509 (10/2019) 9.8 defines how such a certificate is signed, but not how its holder
 signs. Between two pqsec peers the holder signs handshakes with both keys.
 """
 
@@ -28,10 +28,10 @@ def pair_private(key: PrivateKey, alternative: PrivateKey) -> PrivateKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair(SignatureAlgorithm):
-    """A key and its alternative key: both sign the same octets, both must hold.
+    """A key and its alternative key: both sign the same octets, both signatures must be valid.
 
     The signature is ML-DSA's, of fixed size, followed by the plain key's. It exists in
-    handshakes only: in certificates the two signatures stand apart.
+    handshakes only: in certificates the two signatures are separate.
     """
 
     plain: SignatureAlgorithm = field(repr=False)
@@ -54,7 +54,7 @@ class Pair(SignatureAlgorithm):
 
     def matches(self, handle: Any) -> bool:
         del handle
-        return False  # no single public key is a pair: pair_public makes them
+        return False  # no single public key is a pair: pair_public creates pairs
 
     def raw_public(self, handle: Any) -> bytes:
         return self.plain.raw_public(handle[0])

@@ -1,7 +1,7 @@
 """Encrypted PKCS#8: PBES2 with PBKDF2-HMAC and AES-256-CBC (RFC 8018).
 
-cryptography writes 2048 iterations and cannot encrypt composite keys, so the container
-is built here; the arithmetic is cryptography's.
+cryptography writes 2048 iterations and cannot encrypt composite keys, so this module builds
+the container and uses cryptography for the arithmetic.
 """
 
 import os
@@ -29,14 +29,14 @@ from pqsec_pki.errors import MalformedError, PassphraseError
 T = TypeVar("T")
 
 ITERATIONS = 600_000
-"""OWASP's floor for PBKDF2-HMAC-SHA256."""
+"""OWASP's minimum for PBKDF2-HMAC-SHA256."""
 MAX_ITERATIONS = 10_000_000
-"""A second or so of work; a file that asks for more is not one of ours or of OpenSSL's."""
+"""About a second of work; neither pqsec nor OpenSSL writes files with more."""
 
 _PBES2, _PBKDF2 = "1.2.840.113549.1.5.13", "1.2.840.113549.1.5.12"
 _AES_256_CBC = "2.16.840.1.101.3.4.1.42"
 _KEY_SIZES = {"2.16.840.1.101.3.4.1.2": 16, "2.16.840.1.101.3.4.1.22": 24, _AES_256_CBC: 32}
-"""AES in CBC mode by OID: what may be read. What is written is AES-256."""
+"""AES in CBC mode by OID, for reading; pqsec writes AES-256."""
 _HMAC_SHA1, _HMAC_SHA256 = "1.2.840.113549.2.7", "1.2.840.113549.2.9"
 _PRFS: dict[str, hashes.HashAlgorithm] = {
     _HMAC_SHA1: hashes.SHA1(),  # noqa: S303 -- PBKDF2's default: old files are read, none is written
@@ -83,7 +83,7 @@ def is_one(data: bytes) -> bool:
 def decrypt(der: bytes, passphrase: bytes) -> bytes:
     """The PrivateKeyInfo inside; PassphraseError if the passphrase is wrong.
 
-    MalformedError for another scheme than the one above or a senseless iteration count.
+    MalformedError for another scheme than the one above or an invalid iteration count.
     """
     info = decode(EncryptedPrivateKeyInfo, der, "encrypted private key")
     derivation, key_size, iv = _parameters(info.algorithm)
@@ -98,7 +98,9 @@ def decrypt(der: bytes, passphrase: bytes) -> bytes:
         padded = decryptor.update(info.encrypted_data) + decryptor.finalize()
         unpadder = padding.PKCS7(AES.block_size).unpadder()
         plain = unpadder.update(padded) + unpadder.finalize()
-        decode(OneAsymmetricKey, plain, "private key")  # one wrong key in 256 pads rightly
+        decode(
+            OneAsymmetricKey, plain, "private key"
+        )  # with a wrong key the padding is valid once in 256
     except (ValueError, MalformedError):
         raise PassphraseError("wrong passphrase for the private key") from None
     return plain

@@ -1,8 +1,8 @@
-"""PEM: DER between two lines that say what it is (RFC 7468), read as every reader does.
+"""PEM: DER between two label lines (RFC 7468), accepted only if all readers agree.
 
-Text may stand before, between and after the blocks (section 2). Whatever else OpenSSL or
-another lax reader could take for the beginning or end of a block is refused, and so is a
-block that they cut otherwise: what one of them reads, all of them read.
+Text may stand before, between and after the blocks (section 2). Anything else that OpenSSL
+or another lax reader could read as the start or end of a block is refused, and so is a block
+that they would split differently: so all readers find the same.
 """
 
 import base64
@@ -20,9 +20,9 @@ _BLOCK = re.compile(
     rb"-----END (?P=label)-----(?:" + _LINE_END + rb"|[ \t]*\Z)",
     re.MULTILINE,
 )  # fmt: skip
-"""No part of it can match a hyphen that begins a line, so that the work is linear."""
+"""No part of it matches a hyphen at the start of a line, so the time is linear."""
 _NOT_FOR_ALL = {"X509 CERTIFICATE", "TRUSTED CERTIFICATE"}
-"""Labels that OpenSSL takes for CERTIFICATE, and hardly anybody else does."""
+"""Labels that OpenSSL accepts as CERTIFICATE, and few other readers do."""
 
 
 def pem(label: str, der: bytes) -> bytes:
@@ -80,7 +80,7 @@ def first_pem(data: bytes, labels: set[str], what: str, *, limit: int) -> bytes:
 
 def _decoded(text: bytes, what: str) -> bytes:
     whole = b"".join(text.split())
-    if len(whole) % 4:  # the library passes over padding that is too much
+    if len(whole) % 4:  # the library ignores excess padding
         raise MalformedError(f"{what}: broken base64 in PEM")
     try:
         return base64.b64decode(whole, validate=True)

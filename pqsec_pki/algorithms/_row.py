@@ -1,6 +1,6 @@
-"""What a signature algorithm is: a row that acts, and the keys that belong to it.
+"""The class of signature algorithms: a row with its operations, and its keys.
 
-A handle is the key object of `cryptography` (or a pair of such); only rows touch it.
+A handle is the key object of `cryptography` (or a pair of them); only rows use it.
 """
 
 from abc import ABC, abstractmethod
@@ -35,36 +35,36 @@ _BROKEN = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignatureAlgorithm(ABC):
-    """One signature algorithm: its names, its sizes, and everything it can do."""
+    """One signature algorithm: its names, its sizes and its operations."""
 
     name: str
-    """What a user types and the keystore records."""
+    """Its name on the command line and in the keystore."""
     aliases: tuple[str, ...] = ()
     family: Family
     level: int
-    """NIST security category; 0 where a quantum computer breaks it."""
+    """NIST security category; 0 if a quantum computer breaks it."""
     standard: str
     runs_in: str
-    """Which stock DDS stacks take identities of this kind."""
+    """The stock DDS stacks that accept identities with this algorithm."""
     wire_name: str
-    """What the handshake carries in c.dsign_algo (DDS-Security 1.1, 9.3.2.5)."""
+    """Its name in c.dsign_algo (DDS-Security 1.1, 9.3.2.5)."""
     token_name: str
-    """What an IdentityToken carries in dds.cert.algo and dds.ca.algo."""
+    """Its name in dds.cert.algo and dds.ca.algo of an IdentityToken."""
     key_oid: str
     """The OID of its keys in SubjectPublicKeyInfo and PKCS#8."""
     identifier: bytes = field(repr=False)
     """DER AlgorithmIdentifier that signatures are marked with."""
     digest: Digest
-    """What a CMS signer hashes the content with."""
+    """The digest of the content that pqsec uses in CMS."""
     cms_digests: frozenset[Digest] = field(repr=False)
-    """What a CMS signer of this kind may hash with; all others are refused."""
+    """The digests that are accepted in CMS with this algorithm; all others are refused."""
     public_key_size: int
     """Bytes in the BIT STRING of SubjectPublicKeyInfo."""
     signature_size: int
     """Bytes, at most."""
 
     def generate(self) -> "PrivateKey":
-        """A fresh key."""
+        """A new key."""
         return self.private_key(self.generate_handle())
 
     def private_key(self, handle: Any) -> "PrivateKey":
@@ -81,43 +81,43 @@ class SignatureAlgorithm(ABC):
 
     @abstractmethod
     def raw_public(self, handle: Any) -> bytes:
-        """The public key as it stands in a BIT STRING: `public_key_size` bytes."""
+        """The content of the public key's BIT STRING: `public_key_size` bytes."""
 
     @abstractmethod
     def raw_private(self, handle: Any) -> bytes:
-        """The private key as a composite key holds it (composite draft, section 4)."""
+        """The private key as in a composite key (composite draft, section 4)."""
 
     @abstractmethod
     def load_raw_public(self, data: bytes) -> Any:
-        """The inverse of raw_public; ValueError if `data` is no such key."""
+        """The inverse of raw_public; ValueError if `data` is not such a key."""
 
     @abstractmethod
     def load_raw_private(self, data: bytes) -> Any:
-        """The inverse of raw_private; ValueError if `data` is no such key."""
+        """The inverse of raw_private; ValueError if `data` is not such a key."""
 
     @abstractmethod
     def sign(self, handle: Any, data: bytes) -> bytes:
-        """A signature as certificates and CMS carry it."""
+        """A signature as in certificates and CMS."""
 
     @abstractmethod
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
-        """InvalidSignature or ValueError unless `signature` holds under `identifier`."""
+        """InvalidSignature or ValueError unless `signature` is valid under `identifier`."""
 
     def accepts(self, identifier: bytes) -> bool:
-        """Whether a signature marked with DER `identifier` can be of such a key."""
+        """Whether DER `identifier` is an algorithm of signatures by such a key."""
         return identifier == self.identifier
 
     def cms_identifier(self, identifier: bytes, digest: Digest) -> bytes:
-        """The full identifier that a CMS signer's `identifier` and `digest` stand for."""
+        """The full identifier for the `identifier` and `digest` of a CMS signer."""
         del digest
         return identifier
 
     def sign_handshake(self, handle: Any, data: bytes) -> bytes:
-        """A signature as handshake messages carry it."""
+        """A signature as in handshake messages."""
         return self.sign(handle, data)
 
     def check_handshake(self, handle: Any, signature: bytes, data: bytes) -> None:
-        """InvalidSignature or ValueError unless the handshake signature holds."""
+        """InvalidSignature or ValueError unless the handshake signature is valid."""
         self.check(handle, signature, data, self.identifier)
 
     @abstractmethod
@@ -138,7 +138,7 @@ class SignatureAlgorithm(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PublicKey:
-    """A public key and the algorithm that it is for."""
+    """A public key and its algorithm."""
 
     algorithm: SignatureAlgorithm
     spki: bytes
@@ -153,8 +153,8 @@ class PublicKey:
     def verify(self, signature: bytes, data: bytes, identifier: bytes | None = None) -> None:
         """Return if `signature` over `data` is this key's; VerificationError if not.
 
-        `identifier` is the DER AlgorithmIdentifier the signature is marked with, where
-        it is marked: one that does not fit the key is refused before any arithmetic.
+        `identifier` is the DER AlgorithmIdentifier of the signature, if it has one: one that
+        does not match the key is refused before any arithmetic.
         """
         marked = self.algorithm.identifier if identifier is None else identifier
         if not self.algorithm.accepts(marked):
@@ -182,7 +182,7 @@ class PublicKey:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrivateKey:
-    """A private key and the algorithm that it is for. It prints nothing of itself."""
+    """A private key and its algorithm. Its repr shows no key."""
 
     algorithm: SignatureAlgorithm
     public_key: PublicKey
@@ -190,7 +190,7 @@ class PrivateKey:
 
     @property
     def raw(self) -> bytes:
-        """The key as a composite private key holds it."""
+        """The key as in a composite private key."""
         return self.algorithm.raw_private(self.handle)
 
     @property
@@ -199,9 +199,9 @@ class PrivateKey:
         return self.algorithm.pkcs8(self.handle)
 
     def sign(self, data: bytes) -> bytes:
-        """A signature over `data` as certificates and CMS carry it."""
+        """A signature over `data` as in certificates and CMS."""
         return self.algorithm.sign(self.handle, data)
 
     def sign_handshake(self, data: bytes) -> bytes:
-        """A signature over `data` as handshake messages carry it."""
+        """A signature over `data` as in handshake messages."""
         return self.algorithm.sign_handshake(self.handle, data)

@@ -8,7 +8,7 @@ from pqsec_pki.errors import UnknownAlgorithmError
 
 
 class Family(StrEnum):
-    """What an algorithm's strength rests on."""
+    """The kind of problem that an algorithm's security is based on."""
 
     CLASSICAL = "classical"
     PQ = "pq"
@@ -16,7 +16,7 @@ class Family(StrEnum):
 
 
 class Row(Protocol):
-    """What a table needs of its rows."""
+    """The attributes of rows that a table needs."""
 
     @property
     def name(self) -> str: ...
@@ -30,7 +30,7 @@ RowT = TypeVar("RowT", bound=Row)
 
 
 class Table(Generic[RowT]):
-    """Rows in the order written; each name and alias belongs to one of them."""
+    """Rows in the given order; each name and alias belongs to one row."""
 
     def __init__(self, kind: str, rows: Sequence[RowT]) -> None:
         self._kind = kind
@@ -46,9 +46,9 @@ class Table(Generic[RowT]):
         return len(self._rows)
 
     def named(self, name: str) -> RowT:
-        """The row a user means by `name`, in any case, with or without `id-`.
+        """The row with the name `name`, in any case, with or without `id-`.
 
-        UnknownAlgorithmError, with the names there are, if it is none.
+        UnknownAlgorithmError, with the known names, if there is none.
         """
         try:
             return self._by_name[name.lower().removeprefix("id-")]
@@ -59,7 +59,7 @@ class Table(Generic[RowT]):
             ) from None
 
     def on_wire(self, wire_name: str) -> RowT:
-        """The row a peer means by `wire_name`; UnknownAlgorithmError if it is none."""
+        """The row with that `wire_name`; UnknownAlgorithmError if there is none."""
         for row in self:
             if row.wire_name == wire_name:
                 return row

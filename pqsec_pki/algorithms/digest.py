@@ -8,13 +8,13 @@ from pqsec_pki.errors import UnknownAlgorithmError
 
 @dataclass(frozen=True, slots=True)
 class Digest:
-    """A hash function as CMS knows it (RFC 5754, RFC 8702, RFC 9882)."""
+    """A hash function in CMS (RFC 5754, RFC 8702, RFC 9882)."""
 
     name: str
     oid: str
     micalg: str
     xof_size: int | None = None
-    """Bytes to take where the function has no length of its own."""
+    """Bytes of output, if the function has no fixed length."""
 
     def of(self, data: bytes) -> bytes:
         """The digest of `data`."""

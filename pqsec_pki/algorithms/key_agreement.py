@@ -1,4 +1,4 @@
-"""The table of key agreements: how two participants come to share a secret.
+"""The table of key agreements, with which two participants establish a shared secret.
 
 To add one, write its row. Nothing else in the package names a key agreement; the
 command line, the self-check and the tests follow the table.
@@ -57,9 +57,9 @@ DH_MODP_2048_256 = MODP(
     secret_size=256,
 )
 MODP_DER = replace(DH_MODP_2048_256, name="dh-modp-2048-256 (DER)", aliases=(), der=True)
-"""As Cyclone DDS knows it. For who must behave as a stack does; not in the table."""
+"""As in Cyclone DDS. For the models of stacks; not in the table."""
 MODP_RAW = replace(DH_MODP_2048_256, name="dh-modp-2048-256 (raw)", aliases=(), der=False)
-"""As Fast DDS and OpenDDS know it."""
+"""As in Fast DDS and OpenDDS."""
 _X25519 = X25519(
     name="x25519",
     wire_name="X25519",
@@ -104,7 +104,7 @@ ML_KEM_1024 = MLKEM(
 def _hybrid(
     wire_name: str, first: KeyAgreement, second: KeyAgreement, *aliases: str
 ) -> KeyAgreement:
-    """`first` and `second` side by side, called what TLS calls it (RFC 10024)."""
+    """The hybrid of `first` and `second`, with the name that TLS uses (RFC 10024)."""
     return Hybrid(
         name=wire_name.lower(),
         aliases=aliases,

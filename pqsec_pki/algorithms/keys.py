@@ -1,4 +1,4 @@
-"""Keys to bytes and back: SubjectPublicKeyInfo, PKCS#8, PEM, with a passphrase or not."""
+"""Encode and decode keys: SubjectPublicKeyInfo, PKCS#8, PEM, with or without a passphrase."""
 
 import re
 from collections.abc import Callable
@@ -28,17 +28,17 @@ from pqsec_pki.algorithms.signature import SIGNATURES
 from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UnknownAlgorithmError
 
 _ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
-"""Rows that a key's OID alone decides; the others need the key's curve or size."""
+"""Rows found by the key's OID alone; the others need the key's curve or size."""
 _KNOWN_OIDS = {encode(Oid(row.key_oid)): row.key_oid for row in SIGNATURES}
 
 
 def load_public_key(spki: bytes) -> PublicKey:
     """The key in DER SubjectPublicKeyInfo `spki`.
 
-    MalformedError if it is none, UnknownAlgorithmError if no row of SIGNATURES is for it.
+    MalformedError if it is not a key, UnknownAlgorithmError if SIGNATURES has no row for it.
     """
-    # Before the library looks: of a Diffie-Hellman key it tests the primes, which takes it
-    # half a minute for 8192 bits of anybody's choice.
+    # Before the library reads it: for a Diffie-Hellman key it tests the primes, which takes
+    # half a minute for hostile 8192 bits.
     oid = _known_oid(spki)
     row = _ROWS_BY_OID.get(oid)
     if isinstance(row, Composite):
@@ -53,7 +53,7 @@ def load_public_key(spki: bytes) -> PublicKey:
 
 
 def _known_oid(spki: bytes) -> str:
-    """The OID that `spki` is of, dotted; UnknownAlgorithmError if no row has it."""
+    """The dotted OID of the key in `spki`; UnknownAlgorithmError if no row has it."""
     (identifier,) = elements(spki, 1, "SubjectPublicKeyInfo")
     (der,) = elements(identifier, 1, "SubjectPublicKeyInfo")
     if oid := _KNOWN_OIDS.get(der):
@@ -70,21 +70,21 @@ _DEK_INFO = re.compile(
     rb"^DEK-Info: (?:AES-(?:128|192|256)-CBC,[0-9A-F]{32}|DES-EDE3-CBC,[0-9A-F]{16})\r?$",
     re.MULTILINE | re.IGNORECASE,
 )
-"""How a traditional PEM was encrypted (RFC 1421, 4.6.1.3)."""
+"""The encryption of a traditional PEM (RFC 1421, 4.6.1.3)."""
 
 
 def load_private_key(data: bytes, passphrase: bytes | None = None) -> PrivateKey:
     """The key in `data`: PKCS#8 in PEM or DER, plain or encrypted, or a traditional PEM.
 
-    ML-DSA keys may be seed, both, or bare seed. MalformedError if it is no key,
-    PassphraseError if the passphrase is missing or wrong, UnknownAlgorithmError if no
-    row of SIGNATURES is for it. No message holds any part of the key.
+    ML-DSA keys may be seed, both, or bare seed. MalformedError if it is not a key,
+    PassphraseError if the passphrase is missing or wrong, UnknownAlgorithmError if
+    SIGNATURES has no row for it. No message contains any part of the key.
     """
     if data.startswith(b"\x30"):
         return _load_encrypted(data, passphrase) if _pbes2.is_one(data) else _load_pkcs8(data)
     for block in blocks(data, "private key"):
         label = block["label"].decode()
-        if label == "EC PARAMETERS":  # OpenSSL reads nothing behind such as are broken
+        if label == "EC PARAMETERS":  # OpenSSL reads nothing after broken ones
             [(_, der)] = unpem(block[0], "private key")
             decode(Oid, der, "name of a curve")
         if not label.endswith("PRIVATE KEY"):
@@ -122,7 +122,7 @@ def _load_pkcs8(der: bytes) -> PrivateKey:
     try:
         info = decode(OneAsymmetricKey, der, "PKCS#8 private key")
     except MalformedError:
-        # The decoder's own words could quote bytes of the key.
+        # The decoder's own message could quote bytes of the key.
         raise MalformedError("not a PKCS#8 private key") from None
     row = _ROWS_BY_OID.get(info.algorithm.algorithm.dotted_string)
     if row is None:
@@ -152,7 +152,7 @@ def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:
         raise PassphraseError("the private key is encrypted and no passphrase was given")
     if not is_encrypted(data):
         return _wrap(_native(lambda: load_pem_private_key(data, None)))
-    # Before the library looks: an initial value of another length makes it panic.
+    # Before the library reads it: an initial value of another length makes it panic.
     if data.count(b"DEK-Info") != 1 or not _DEK_INFO.search(data):
         raise MalformedError("not an encrypted private key: its DEK-Info line is damaged")
     try:
@@ -162,7 +162,7 @@ def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:
 
 
 def _native(load: Callable[[], Any]) -> Any:
-    """What `load` gives; errors reworded, because the library's may quote the key."""
+    """The result of `load`; errors have new messages, since the library's may quote the key."""
     try:
         return load()
     except UnsupportedAlgorithm:
@@ -171,7 +171,7 @@ def _native(load: Callable[[], Any]) -> Any:
         )
     except (ValueError, TypeError):
         problem = MalformedError("not a private key")
-    raise problem  # out here, where the library's own error is no context of it
+    raise problem  # here, so that the library's error is not its context
 
 
 def _wrap(handle: Any) -> PrivateKey:

@@ -1,6 +1,6 @@
-"""Profiles: what is used together, under one name that a user picks.
+"""Profiles: algorithms that are used together, under one name that the user chooses.
 
-A profile makes promises; each is a check, and a changed profile must still keep them.
+A profile has promised properties; each is a check that a modified profile must still pass.
 """
 
 from collections.abc import Callable
@@ -15,12 +15,12 @@ from pqsec_pki.algorithms.signature import EVERYWHERE, SIGNATURES
 from pqsec_pki.errors import MalformedError, UnknownAlgorithmError, UsageError
 
 STOCK_AGREEMENT = KEY_AGREEMENTS.named("ecdh-p256")
-"""What a pqsec peer falls back to with a stock peer, where the profile allows one."""
+"""The key agreement with a stock peer, if the profile allows one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What a profile promises, and how to see whether it does."""
+    """A promised property of a profile, and its check."""
 
     text: str
     kept: "Callable[[Profile], bool]" = field(repr=False)
@@ -28,7 +28,7 @@ class Promise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """Keys for the CAs, the participants and the handshake that fit together."""
+    """Algorithms for the CAs, the participants and the handshake that fit together."""
 
     name: str
     summary: str
@@ -50,15 +50,15 @@ class Profile:
 
     @property
     def runs_in_stock(self) -> bool:
-        """Whether unchanged DDS stacks can use what is made with it."""
+        """Whether unmodified DDS stacks can use credentials of this profile."""
         return _stock(self)
 
     @property
     def runs_in(self) -> str:
-        """Which stock stacks run it, in words."""
+        """The stock stacks that support it, in words."""
         if not self.runs_in_stock:
             return "no stock stack today"
-        if self.alternative_key:  # its handshake messages are larger than that
+        if self.alternative_key:  # its handshake messages are larger than the limit
             return (
                 "all stock stacks but Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2"
                 " (8192-byte limit)"
@@ -67,7 +67,7 @@ class Profile:
 
     @property
     def level(self) -> int:
-        """NIST security category against a quantum computer, of the weakest part; 0 is none."""
+        """NIST security category of the weakest part against a quantum computer; 0 means none."""
         weakest = min(row.level for row in self.signature_keys)
         if self.alternative_key:
             weakest = self.alternative_key.level
@@ -75,13 +75,13 @@ class Profile:
 
     @property
     def signature_keys(self) -> tuple[SignatureAlgorithm, ...]:
-        """The kinds of the CAs' and participants' main keys."""
+        """The algorithms of the CAs' and participants' main keys."""
         return (self.identity_key, self.permissions_key, self.participant_key)
 
     def changed(self, choices: dict[str, str | None]) -> Self:
         """This profile with other algorithms, by field and name; None leaves a field.
 
-        UsageError if a promise is broken, UnknownAlgorithmError for an unknown name.
+        UsageError if a promised property is lost, UnknownAlgorithmError for an unknown name.
         """
         rows: dict[str, Any] = {
             key: _row(key, name) for key, name in choices.items() if name is not None
@@ -89,7 +89,7 @@ class Profile:
         return replace(self, **rows) if rows else self
 
     def to_names(self) -> dict[str, str | None]:
-        """The names of the profile and its algorithms, for writing down."""
+        """The names of the profile and its algorithms, for the keystore."""
         names: dict[str, str | None] = {"profile": self.name}
         for key in _CHOICES:
             row = getattr(self, key)
@@ -98,7 +98,7 @@ class Profile:
 
     @classmethod
     def from_names(cls, names: dict[str, str | None]) -> "Profile":
-        """The inverse of to_names; MalformedError if `names` are none of ours."""
+        """The inverse of to_names; MalformedError if `names` are not from to_names."""
         try:
             chosen = profile_named(str(names["profile"]))
             return chosen.changed({key: names[key] for key in _CHOICES})
@@ -116,7 +116,7 @@ _CHOICES = (
 
 
 def profile_named(name: str) -> Profile:
-    """The profile called `name`; UnknownAlgorithmError, with those there are, if none is."""
+    """The profile called `name`; UnknownAlgorithmError, with the known ones, if there is none."""
     for profile in PROFILES:
         if profile.name == name.lower():
             return profile

@@ -1,6 +1,6 @@
-"""X.509: authorities, the certificates they issue, and checking that they did.
+"""X.509: CAs, the certificates that they issue, and the verification of those.
 
-For everyone who has to know who a participant is: issuing, the handshake, reports.
+For issuing certificates, the handshake, and reports.
 """
 
 from pqsec_pki.certificates._names import name_text

@@ -42,7 +42,7 @@ _OIDS = frozenset(map(Oid, _ALL))
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """What a certificate, request or list says of alternative keys; any part may be absent."""
+    """The alternative key and signature of a certificate, request or list; any may be absent."""
 
     spki: bytes | None
     identifier: bytes | None
@@ -126,7 +126,7 @@ def add_list_signature(tbs: TBSCertList, issuer: PrivateKey) -> None:
 
 
 def add_request_proof(info: CertificationRequestInfo, alternative: PrivateKey) -> None:
-    """Ask for an alternative key too, and prove to have it; nothing may change after."""
+    """Add an alternative key to a request, with a proof of possession; do not change it after."""
     asked = [
         attribute(SUBJECT_ALT_PUBLIC_KEY_INFO, alternative.public_key.spki),
         attribute(ALT_SIGNATURE_ALGORITHM, alternative.algorithm.identifier),
@@ -181,7 +181,7 @@ def _values(extensions: list[Extension] | None) -> dict[str, bytes]:
 
 
 def _attribute_values(attributes: list[Attribute]) -> dict[str, bytes]:
-    """The three attributes by OID, each there once and with one value."""
+    """The three attributes by OID; each occurs once, with one value."""
     found: dict[str, bytes] = {}
     for each in attributes:
         oid, values = each.type.dotted_string, each.values.as_list()

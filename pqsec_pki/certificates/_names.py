@@ -1,7 +1,7 @@
-"""X.500 names as text, in OpenSSL's words, which are the stacks' words.
+"""X.500 names as text, with OpenSSL's names of attributes, as the stacks use them.
 
-cryptography writes emailAddress and a dozen others as dotted OIDs, and no stack takes
-those in a permissions document.
+cryptography writes emailAddress and a dozen others as dotted OIDs, which no stack accepts
+in a permissions document.
 """
 
 from cryptography import x509
@@ -37,7 +37,7 @@ _ESCAPED = ',+"\\<>;'
 
 
 def name_text(name: x509.Name) -> str:
-    """RFC 2253: CN=x,O=Lab,C=ES, the last part first. Non-ASCII letters stay letters."""
+    """RFC 2253: CN=x,O=Lab,C=ES, the last part first. Non-ASCII letters are not escaped."""
     return ",".join(
         "+".join(_part(each) for each in reversed(list(rdn))) for rdn in reversed(name.rdns)
     )
@@ -74,7 +74,9 @@ def _part(each: x509.NameAttribute[str | bytes]) -> str:
 def _escaped(character: str) -> str:
     if character in _ESCAPED:
         return f"\\{character}"
-    if not character.isprintable():  # controls, and what turns the direction of a line
+    if (
+        not character.isprintable()
+    ):  # control characters, and those that change the direction of text
         return "".join(f"\\{octet:02X}" for octet in character.encode())
     return character
 

@@ -1,7 +1,7 @@
-"""Authorities: a certificate that vouches for itself, and the certificates it issues.
+"""CAs: a self-signed certificate, and the certificates that the CA issues.
 
-The profile is the one that every measured stack takes: version 3, self-signed
-authorities without intermediates, participants with digitalSignature only.
+The certificate profile is the one that every measured stack accepts: version 3, self-signed
+CAs without intermediates, participants with digitalSignature only.
 """
 
 import hashlib
@@ -33,16 +33,16 @@ from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, UsageError
 
 BACKDATE = timedelta(days=1)
-"""Certificates start a day early: robots' clocks, and Fast DDS reads times as local."""
+"""Certificates begin a day early: robots' clocks differ, and Fast DDS reads times as local."""
 LAST_YEAR = 2261
-"""Cyclone DDS takes later years for expired, and Fast DDS (master) crashes on them."""
+"""For later years Cyclone DDS reports an expired certificate, and Fast DDS (master) crashes."""
 MAX_COMMON_NAME = 64
 """Characters; ub-common-name of RFC 5280, appendix A.1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Authority:
-    """A certificate authority: its certificate and the keys that sign for it."""
+    """A certificate authority: its certificate and its private keys."""
 
     certificate: Certificate
     key: PrivateKey = field(repr=False)
@@ -58,10 +58,10 @@ class Authority:
         now: datetime,
         validity: timedelta,
     ) -> Self:
-        """A new self-signed authority called CN=`name`, valid from a day before `now`.
+        """A new self-signed CA with the name CN=`name`, valid from a day before `now`.
 
-        With `alternative`, it has a second key of that kind, and everything it issues
-        is signed by both. UsageError if the name or the validity cannot be used.
+        With `alternative`, it has a second key of that algorithm, and everything it issues
+        is signed with both. UsageError if the name or the validity is invalid.
         """
         key = algorithm.generate()
         second = alternative.generate() if alternative else None
@@ -88,8 +88,8 @@ class Authority:
     ) -> Certificate:
         """A participant's certificate for CN=`name` and `key`, and its alternative key.
 
-        It never outlives this authority: a longer `validity` is cut. UsageError if the
-        name cannot be used, PqsecError if the authority is not in its time.
+        It never expires after this CA: a longer `validity` is shortened. UsageError if the name
+        is invalid, PqsecError if this CA is expired or not yet valid.
         """
         end = cut(end_of(now, validity), self.certificate, now)
         tbs = _tbs(
@@ -105,25 +105,25 @@ class Authority:
 
 
 def cut(end: datetime, authority: Certificate, now: datetime) -> datetime:
-    """`end`, or that of `authority` if it is earlier; PqsecError outside of its time."""
+    """`end`, or the end of `authority` if earlier; PqsecError if that is not valid at `now`."""
     if end <= authority.not_before:
         raise PqsecError(
-            f"the identity CA begins on {authority.not_before:%Y-%m-%d}: it is not in its time",
-            hint="set the clock right",
+            f"the identity CA begins on {authority.not_before:%Y-%m-%d}: it is not yet valid",
+            hint="set the clock to the correct time",
         )
     if authority.not_after <= now:
         raise PqsecError(
             f"the identity CA expired on {authority.not_after:%Y-%m-%d}",
-            hint="make new CAs with `pqsec ca rotate`, or set the clock right",
+            hint="create new CAs with `pqsec ca rotate`, or set the clock to the correct time",
         )
     return min(end, authority.not_after)
 
 
-@lru_cache(maxsize=1024)  # names are looked at before the first certificate is made
+@lru_cache(maxsize=1024)  # names are checked before the first certificate is issued
 def common_name(name: str) -> bytes:
     """DER Name of CN=`name`; UsageError if it is empty, too long or not plain ASCII.
 
-    One CN and nothing else is the only form that every stack spells alike.
+    A single CN is the only form that every stack writes in the same way.
     """
     if not name or len(name) > MAX_COMMON_NAME:
         raise UsageError(
@@ -141,7 +141,7 @@ def common_name(name: str) -> bytes:
 
 
 def end_of(now: datetime, validity: timedelta) -> datetime:
-    """`now` + `validity`, whole seconds; UsageError beyond the year 2261 or not ahead."""
+    """`now` + `validity`, in whole seconds; UsageError after the year 2261 or before `now`."""
     try:
         end = (now + validity).replace(microsecond=0)
     except OverflowError:
@@ -152,7 +152,7 @@ def end_of(now: datetime, validity: timedelta) -> datetime:
             hint="choose a shorter --validity",
         )
     if validity <= timedelta():
-        raise UsageError("the validity must be longer than nothing")
+        raise UsageError("the validity must be positive")
     return end
 
 
@@ -197,7 +197,7 @@ def _authority_extensions(key: PublicKey) -> list[Extension]:
 
 
 def _participant_extensions(key: PublicKey, issuer: Certificate) -> list[Extension]:
-    # RFC 5280 4.2.1.1: as the issuer's certificate has it, which others may have made
+    # RFC 5280 4.2.1.1: as in the issuer's certificate, which other software may have created
     known = issuer.subject_key_identifier or key_identifier(issuer.public_key)
     authority_key = x509.AuthorityKeyIdentifier(known, None, None)
     return [

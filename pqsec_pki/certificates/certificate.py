@@ -1,7 +1,7 @@
-"""A certificate, parsed once and completely, whatever algorithm signed it.
+"""A certificate, parsed once and completely, with any signature algorithm.
 
-cryptography parses lazily and does not know composite keys or alternative signatures;
-here everything is read at the door, so nothing can fail later.
+cryptography parses lazily and does not support composite keys or alternative signatures.
+Here everything is parsed at the start, so nothing can fail later.
 """
 
 import hashlib
@@ -19,14 +19,14 @@ from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.errors import MalformedError, PqsecError
 
 MAX_CERTIFICATE = 256 << 10
-"""Bytes of PEM or DER. The largest of ours (ML-DSA-87) is 10 kB."""
+"""Bytes of PEM or DER. The largest that pqsec issues (ML-DSA-87) has 10 kB."""
 _VERSION = b"\xa0"
-"""The tag of the version, which stands first; certificates of version 1 do not say it."""
+"""The tag of the version, the first value; certificates of version 1 omit it."""
 
 
-@dataclass(frozen=True, eq=False)  # no slots: what is worked out once is kept
+@dataclass(frozen=True, eq=False)  # no slots, for cached properties
 class Certificate:
-    """An X.509 certificate (RFC 5280 4.1). Its text is nowhere trusted: see verify_chain."""
+    """An X.509 certificate (RFC 5280 4.1). It is not verified: see verify_chain."""
 
     der: bytes = field(repr=False)
     tbs: bytes = field(repr=False)
@@ -51,13 +51,13 @@ class Certificate:
         """MalformedError if `der` is not exactly one well-formed certificate."""
         if len(der) > MAX_CERTIFICATE:
             raise MalformedError(f"a certificate larger than {MAX_CERTIFICATE} bytes")
-        # Cut here; the library reads all of it below, and takes nothing but DER.
+        # Split here; the library parses all of it below, and accepts only DER.
         tbs, identifier, signature = elements(der, 3, "certificate")
         first = content(tbs)[:1] == _VERSION
         serial, inner, issuer, _, subject, spki = elements(tbs, first + 6, "certificate")[first:]
         if inner != identifier:
             raise MalformedError("the certificate names two different signature algorithms")
-        # Before the library looks: it warns of such numbers.
+        # Before the library reads it, because it warns about such numbers.
         serial_number = int.from_bytes(content(serial), signed=True)
         if serial_number <= 0:
             raise MalformedError("the certificate's serial number is not positive")
@@ -89,7 +89,7 @@ class Certificate:
 
     @classmethod
     def all_from_pem(cls, data: bytes) -> tuple[Self, ...]:
-        """All certificates in PEM `data`, the first of which `from_pem` takes.
+        """All certificates in PEM `data`; `from_pem` returns the first.
 
         MalformedError if there is none, or one of them is broken.
         """
@@ -138,12 +138,12 @@ class Certificate:
 
     @property
     def subject_name(self) -> str:
-        """The subject as permissions documents name it: RFC 2253, OpenSSL's words."""
+        """The subject as in permissions documents: RFC 2253, with OpenSSL's names of attributes."""
         return name_text(self.subject)
 
     @property
     def subject_text(self) -> str:
-        """The subject as identity tokens carry it: /O=x/CN=y, in DER order."""
+        """The subject as in identity tokens: /O=x/CN=y, in DER order."""
         return name_line(self.subject)
 
     @property
@@ -166,7 +166,7 @@ class Certificate:
 
 
 def _library_view(der: bytes) -> x509.Certificate:
-    """The certificate as cryptography reads it; what that reads late is read here."""
+    """The certificate as cryptography parses it, including the parts that it parses lazily."""
     try:
         parsed = x509.load_der_x509_certificate(der)
         _ = parsed.subject, parsed.issuer, parsed.extensions

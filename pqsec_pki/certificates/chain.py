@@ -1,6 +1,6 @@
-"""Is this certificate the authority's, and good now? (RFC 5280 6.1, for one step.)
+"""Verify that a CA issued a certificate, and that both are valid now (RFC 5280 6.1).
 
-DDS-Security uses self-signed authorities that issue participants directly, so a chain
+DDS-Security uses self-signed CAs that issue participants' certificates directly, so a chain
 is two certificates. cryptography's verifier cannot be used: it refuses composite and
 Ed25519 authorities and does not know alternative signatures (docs/adr/0002).
 """
@@ -22,10 +22,10 @@ Value = TypeVar("Value", bound=x509.ExtensionType)
 
 _CA = "the CA certificate"
 _UNDERSTOOD = {"2.5.29.19", "2.5.29.15", "2.5.29.37"}
-"""basicConstraints, keyUsage, extKeyUsage: what may be critical without being refused.
+"""basicConstraints, keyUsage, extKeyUsage: critical extensions that are accepted.
 
-No purpose is defined for DDS participants, so any extKeyUsage is taken, as every
-measured stack does.
+No purpose is defined for DDS participants, so any extKeyUsage is accepted, as in every
+measured stack.
 """
 
 
@@ -36,11 +36,11 @@ def verify_chain(
     now: datetime,
     require_alternative: bool = False,
 ) -> None:
-    """Return if `authority` issued `leaf` and both are good at `now`.
+    """Return if `authority` issued `leaf` and both are valid at `now`.
 
-    An alternative signature that can be checked is checked; with `require_alternative`
-    it must also be there. Revocation is not looked at here. VerificationError lists
-    everything that is wrong.
+    An alternative signature is verified if the CA has a key for it; with
+    `require_alternative` it is required. Revocation is not checked here. VerificationError
+    lists everything that is wrong.
     """
     problems = [
         *_authority_problems(authority, now),
@@ -52,7 +52,7 @@ def verify_chain(
 
 
 def verify_authority(authority: Certificate, *, now: datetime) -> None:
-    """Return if `authority` may issue, at `now`; VerificationError lists what is wrong."""
+    """Return if `authority` is a valid CA at `now`; VerificationError lists what is wrong."""
     problems = list(_authority_problems(authority, now))
     if problems:
         raise VerificationError(*problems)
@@ -60,7 +60,7 @@ def verify_authority(authority: Certificate, *, now: datetime) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Holder:
-    """Whose certificate it is, in words; found out only if there is something to say."""
+    """The words for a certificate in messages, made only if there is a problem."""
 
     certificate: Certificate
 
@@ -75,25 +75,25 @@ def _authority_problems(authority: Certificate, now: datetime) -> Iterator[Probl
 
 @lru_cache(maxsize=16)
 def _lasting_problems(authority: Certificate) -> tuple[Problem, ...]:
-    """Once for each authority that is loaded: a handshake asks it for every peer."""
+    """Problems that do not depend on time, cached: each handshake needs them for the CA."""
     return tuple(_find_lasting_problems(authority, _CA))
 
 
 def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem]:
-    # 6.1.4 (k): basicConstraints present, cA true; a certificate of version 1 has none, and is
-    # an authority because its user names it as one: a name and a key (6.1.1 (d))
+    # 6.1.4 (k): basicConstraints present, cA true. A certificate of version 1 has none; it is a
+    # CA because the user configured it as a trust anchor: a name and a key (6.1.1 (d))
     constraints = _value(authority, x509.BasicConstraints)
     if authority.version > 1 and (constraints is None or not constraints.ca):
         yield Problem(f"{who} is not marked as a CA (basicConstraints)", Code.NOT_CA)
-    # 6.1.4 (n): keyCertSign, if keyUsage is there
+    # 6.1.4 (n): keyCertSign, if keyUsage is present
     usage = _value(authority, x509.KeyUsage)
     if usage is not None and not usage.key_cert_sign:
         yield Problem(
             f"{who} may not sign certificates (keyUsage lacks keyCertSign)", Code.KEY_USAGE
         )
-    # 6.1.4 (o): critical extensions that are not understood
+    # 6.1.4 (o): unknown critical extensions
     yield from _critical_problems(authority, who)
-    # DDS stacks take self-signed authorities only; the signature must be its own
+    # DDS stacks accept only self-signed CAs; the signature must be by its own key
     if not authority.is_self_issued:
         yield Problem(f"{who} is not self-signed", Code.NOT_SELF_SIGNED)
     elif not authority.signed(authority):
@@ -114,7 +114,7 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
         )
     # 6.1.3 (a)(2): validity
     yield from _validity_problems(leaf, who, now)
-    # 6.1.5 (f): critical extensions that are not understood
+    # 6.1.5 (f): unknown critical extensions
     yield from _critical_problems(leaf, who)
     # 4.2.1.9: a participant is not a CA
     constraints = _value(leaf, x509.BasicConstraints)

@@ -1,7 +1,7 @@
-"""Requests for a certificate (PKCS#10, RFC 2986): what is asked for, and with what proof.
+"""Certificate requests (PKCS#10, RFC 2986): parse them, and verify the proof of possession.
 
-A request is signed with the key it asks a certificate for, which proves that whoever
-asks has that key. With an alternative key it carries a second proof (see _alternative).
+A request is signed with the private key of the requested certificate: proof of possession.
+With an alternative key it has a second proof (see _alternative).
 """
 
 import hashlib
@@ -31,7 +31,7 @@ _LABELS = {"CERTIFICATE REQUEST", "NEW CERTIFICATE REQUEST"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CertificateRequest:
-    """A certification request. What it asks for is a wish: an authority decides."""
+    """A certificate request. The CA decides whether to issue what it asks for."""
 
     der: bytes = field(repr=False)
     info: bytes = field(repr=False)
@@ -40,7 +40,7 @@ class CertificateRequest:
     subject_der: bytes = field(repr=False)
     spki: bytes = field(repr=False)
     extensions: x509.Extensions = field(repr=False)
-    """What the certificate should say, if the authority agrees."""
+    """The requested extensions of the certificate."""
     identifier: bytes = field(repr=False)
     """DER AlgorithmIdentifier of the signature."""
     signature: bytes = field(repr=False)
@@ -84,14 +84,14 @@ class CertificateRequest:
 
     @property
     def alternative_key(self) -> PublicKey | None:
-        """The alternative key to be certified, if one is asked for."""
+        """The alternative key to be certified, if there is one."""
         if self.alternative is None or self.alternative.spki is None:
             return None
         return load_public_key(self.alternative.spki)
 
     @property
     def common_name(self) -> str | None:
-        """The subject's CN, if the subject is that and nothing else."""
+        """The subject's CN, if the subject is a single CN."""
         parts = list(self.subject)
         if len(parts) != 1 or parts[0].oid != NameOID.COMMON_NAME:
             return None
@@ -105,11 +105,11 @@ class CertificateRequest:
 
     @property
     def subject_name(self) -> str:
-        """The subject as permissions documents name it: RFC 2253, OpenSSL's words."""
+        """The subject as in permissions documents: RFC 2253, with OpenSSL's names of attributes."""
         return name_text(self.subject)
 
     def verify(self) -> None:
-        """Return if whoever made the request has its key, and its alternative key if any.
+        """Return if the request proves possession of its key, and of its alternative key if any.
 
         VerificationError lists everything that is wrong.
         """

@@ -1,6 +1,6 @@
-"""Making certification requests (PKCS#10, RFC 2986): who asks proves to have the keys.
+"""Create certificate requests (PKCS#10, RFC 2986), with proof of possession of the keys.
 
-In the form that is read in request.py.
+request.py reads them.
 """
 
 from pqsec_pki._asn1 import (
@@ -23,7 +23,7 @@ def certificate_request(
 ) -> CertificateRequest:
     """A request for a certificate of CN=`name` for `key`, and its alternative key.
 
-    UsageError if the name cannot be used.
+    UsageError if the name is invalid.
     """
     info = CertificationRequestInfo(
         version=0,

@@ -1,7 +1,7 @@
-"""Revocation lists (RFC 5280 5): which certificates an authority has taken back.
+"""Revocation lists (RFC 5280 5): parse and verify them.
 
-Read and checked here. Only plain lists are: one that speaks for other issuers or for
-some certificates only says so in a critical extension, and is refused.
+Only complete lists of one CA are supported. A list for other issuers, or for some
+certificates only, has a critical extension and is refused.
 """
 
 from collections.abc import Iterator
@@ -26,19 +26,19 @@ MAX_LIST = 8 << 20
 
 @dataclass(frozen=True, slots=True)
 class RevokedCertificate:
-    """One certificate that is no longer good."""
+    """One revoked certificate."""
 
     serial_number: int
     revoked_at: datetime
     reason: str | None
-    """RFC 5280 5.3.1's word, such as keyCompromise; None where the list has none."""
+    """The reason as in RFC 5280 5.3.1, such as keyCompromise; None if the list has none."""
     critical: tuple[str, ...] = ()
     """Critical extensions of the entry, dotted."""
 
 
-@dataclass(frozen=True, eq=False)  # no slots: what is worked out once is kept
+@dataclass(frozen=True, eq=False)  # no slots, for cached properties
 class RevocationList:
-    """A certificate revocation list. Its text is nowhere trusted: see verify."""
+    """A certificate revocation list. It is not verified: see verify."""
 
     der: bytes = field(repr=False)
     tbs: bytes = field(repr=False)
@@ -48,7 +48,7 @@ class RevocationList:
     this_update: datetime
     next_update: datetime | None
     number: int | None
-    """How many lists came before, where the list says it (5.2.3)."""
+    """The CRL number, if the list has one (5.2.3)."""
     revoked: tuple[RevokedCertificate, ...] = field(repr=False)
     extensions: x509.Extensions = field(repr=False)
     identifier: bytes = field(repr=False)
@@ -93,7 +93,7 @@ class RevocationList:
         return pem("X509 CRL", self.der)
 
     def revocation_of(self, certificate: Certificate) -> RevokedCertificate | None:
-        """The entry that takes `certificate` back, if its issuer's list has one."""
+        """The entry that revokes `certificate`, if this is its issuer's list and has one."""
         if certificate.issuer_der != self.issuer_der:
             return None
         return self._by_serial.get(certificate.serial_number)
@@ -103,11 +103,11 @@ class RevocationList:
         return {each.serial_number: each for each in reversed(self.revoked)}
 
     def verify(self, ca: Certificate, *, require_alternative: bool = False) -> None:
-        """Return if `ca` issued this list and it can be understood.
+        """Return if `ca` issued this list and it has no unknown critical extension.
 
-        An alternative signature that can be checked is checked; with
-        `require_alternative` it must also be there. Whether the list is still current,
-        and `ca` good, is not looked at. VerificationError lists everything that is wrong.
+        An alternative signature is verified if the CA has a key for it; with
+        `require_alternative` it is required. Whether the list is current and `ca` is valid
+        is not checked. VerificationError lists everything that is wrong.
         """
         problems = _lasting_problems(self, ca, required=require_alternative)
         if problems:
@@ -122,10 +122,10 @@ def verify_not_revoked(
     now: datetime,
     require_alternative: bool = False,
 ) -> None:
-    """Return if `ca`'s list `revoked` is good at `now` and does not take `certificate` back.
+    """Return if `ca`'s list `revoked` is valid at `now` and does not revoke `certificate`.
 
-    As in every measured stack, with a list that is not good nobody is. VerificationError
-    lists everything that is wrong.
+    With an invalid list all certificates are refused, as in every measured stack.
+    VerificationError lists everything that is wrong.
     """
     problems = [
         *_lasting_problems(revoked, ca, required=require_alternative),
@@ -147,7 +147,7 @@ def verify_not_revoked(
 def _lasting_problems(
     crl: RevocationList, ca: Certificate, *, required: bool
 ) -> tuple[Problem, ...]:
-    """Once for each list that is loaded: a handshake asks it for every peer."""
+    """Problems that do not depend on time, cached: each handshake needs them for the list."""
     return (
         *_issuer_problems(crl, ca),
         *_alternative_problems(crl, ca, required=required),
@@ -156,7 +156,7 @@ def _lasting_problems(
 
 
 def _currency_problems(crl: RevocationList, now: datetime) -> Iterator[Problem]:
-    # RFC 5280 6.3.3 (a): a list that is in force
+    # RFC 5280 6.3.3 (a): the list is current
     if now < crl.this_update:
         yield Problem(
             f"the revocation list is not in force before {crl.this_update:%Y-%m-%d %H:%M} UTC",
@@ -177,7 +177,7 @@ def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:
             Code.LIST_WRONG_ISSUER,
         )
         return
-    # (f): cRLSign, if keyUsage is there
+    # (f): cRLSign, if keyUsage is present
     try:
         usage = ca.extensions.get_extension_for_class(x509.KeyUsage).value
     except x509.ExtensionNotFound:
@@ -218,7 +218,7 @@ def _alternative_problems(
 
 
 def _critical_problems(crl: RevocationList) -> Iterator[Problem]:
-    # RFC 5280 5.2, 5.3: a list with critical extensions that are not understood says nothing
+    # RFC 5280 5.2, 5.3: a list with unknown critical extensions must not be used
     for extension in crl.extensions:
         if extension.critical:
             oid = extension.oid.dotted_string

@@ -1,6 +1,6 @@
-"""Making revocation lists (RFC 5280 5): what an authority takes back, signed by its keys.
+"""Issue revocation lists (RFC 5280 5), signed with the CA's keys.
 
-Whole lists only, of one authority, in the form that is read in revocation.py.
+Complete lists of one CA only; revocation.py reads them.
 """
 
 from collections.abc import Iterable
@@ -28,10 +28,10 @@ from pqsec_pki.certificates.revocation import RevocationList, RevokedCertificate
 
 
 class Reason(StrEnum):
-    """Why a participant's certificate is taken back (RFC 5280 5.3.1).
+    """The reason why a participant's certificate is revoked (RFC 5280 5.3.1).
 
-    Of the others, removeFromCRL is for delta lists, cACompromise and aACompromise are for
-    authorities, and certificateHold asks for a way back, which no DDS stack has.
+    Not included: removeFromCRL is for delta lists, cACompromise and aACompromise are for
+    CAs, and certificateHold can be lifted, which no DDS stack supports.
     """
 
     UNSPECIFIED = "unspecified"
@@ -50,11 +50,11 @@ def revocation_list(
     now: datetime,
     validity: timedelta,
 ) -> RevocationList:
-    """The authority's list number `number`, to be replaced before `now` + `validity`.
+    """The CA's revocation list with the CRL number `number`, valid until `now` + `validity`.
 
-    It begins a day early, as certificates do, and never outlives the authority. UsageError
-    if the validity cannot be used, PqsecError if the authority is not in its time,
-    VerificationError if its certificate does not let it sign lists.
+    It begins a day early, like certificates, and never expires after the CA. UsageError if
+    the validity is invalid, PqsecError if the CA is expired or not yet valid,
+    VerificationError if its certificate does not allow it to sign lists.
     """
     certificate = authority.certificate
     end = cut(end_of(now, validity), certificate, now)

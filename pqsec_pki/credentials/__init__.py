@@ -1,7 +1,7 @@
-"""Whether an enclave's credentials can be trusted: decided here, and nowhere else.
+"""Decide whether an enclave's credentials can be trusted; no other room does.
 
 `Credentials` are the bytes of an enclave's files, read; `TrustAnchors` are the CAs among them,
-each with its role; `verify_credentials` gives `VerifiedCredentials`: identity, governance and
+each with its role; `verify_credentials` returns `VerifiedCredentials`: identity, governance and
 permissions, verified in the order of DDS-Security 1.1, 9.3.3 and 9.4.3. The room opens no file or
 socket and has no clock: the caller supplies the bytes and the time.
 """

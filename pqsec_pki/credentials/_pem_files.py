@@ -1,7 +1,7 @@
-"""The certificates and the revocation list in PEM files, without doubt about which are meant.
+"""Read certificates and revocation lists from PEM files, without ambiguity.
 
-Who decides on trust takes no first one of several: another reader could take the last. What was
-read is kept, because all participants of a domain have the same CAs and the same list.
+If a file has several values where one is expected, it is refused: another reader could use
+another one. Values are cached, since all participants of a domain have the same CAs and list.
 """
 
 from functools import lru_cache
@@ -12,7 +12,7 @@ from pqsec_pki.errors import MalformedError, located
 
 
 def certificates_in(data: bytes, where: str) -> tuple[Certificate, ...]:
-    """All that a stack could find in PEM `data`; MalformedError, saying `where`, if in doubt."""
+    """All certificates in PEM `data`; MalformedError, naming `where`, if stacks could differ."""
     with located(where):
         blocks = unpem(data, "certificate")
         if not blocks:
@@ -42,11 +42,11 @@ def only_list(data: bytes, where: str) -> RevocationList:
 
 @lru_cache(maxsize=64)
 def _certificate(der: bytes) -> Certificate:
-    """Read once, though all participants of a domain name the same CAs."""
+    """A certificate, cached: all participants of a domain have the same CAs."""
     return Certificate.from_der(der)
 
 
 @lru_cache(maxsize=8)
 def _list(data: bytes) -> RevocationList:
-    """All participants of a domain share one, which may be long."""
+    """A revocation list, cached: all participants of a domain have the same, which may be long."""
     return RevocationList.from_pem(data)

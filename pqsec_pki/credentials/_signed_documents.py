@@ -1,4 +1,4 @@
-"""Signed governance and permissions: verified and read once for all who have the same ones."""
+"""Signed governance and permissions; each document is verified and parsed once."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,14 +14,14 @@ Value = TypeVar("Value", Governance, Permissions)
 
 @dataclass(frozen=True, slots=True)
 class SignedDocument(Generic[Value]):
-    """A document whose signatures hold, by those who must sign it."""
+    """A document with valid signatures by the signers that it must have."""
 
     value: Value
     verified: Verified
 
     @property
     def signed_at(self) -> datetime | None:
-        """When its signer says that it was signed; None where the signer does not say."""
+        """The signing time that its signer states; None if there is none."""
         return self.verified.signatures[0].signed_at
 
 
@@ -34,17 +34,17 @@ def verified_by(
     *,
     pinned: bool,
 ) -> Verified:
-    """Once for each document: all participants of a domain share one governance."""
+    """Verify the signatures; cached, since all participants of a domain share a governance."""
     return verify(message, ca, alternative_ca=countersigner, require=require, pinned=pinned)
 
 
 @lru_cache(maxsize=16)
 def governance_in(document: bytes) -> Governance:
-    """The governance that XML `document` is; errors as of `Governance.from_xml`."""
+    """The governance in the XML `document`; errors as in `Governance.from_xml`."""
     return Governance.from_xml(document)
 
 
 @lru_cache(maxsize=16)
 def permissions_in(document: bytes) -> Permissions:
-    """The permissions, likewise."""
+    """The permissions in the XML `document`; errors as in `Permissions.from_xml`."""
     return Permissions.from_xml(document)

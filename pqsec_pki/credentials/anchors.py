@@ -1,4 +1,4 @@
-"""Whom a participant trusts, each with a role, and what follows from their word alone."""
+"""The trust anchors of a participant, each with its role, and what they alone decide."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -42,24 +42,24 @@ from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import FoundSignature, Require, Verified
 
 
-@dataclass(frozen=True, kw_only=True)  # no slots: what is worked out once is kept
+@dataclass(frozen=True, kw_only=True)  # no slots, for cached properties
 class TrustAnchors:
-    """The CAs of a participant by their roles, and the revocation list that counts."""
+    """The CAs of a participant by their roles, and the revocation list that applies."""
 
     identity_cas: tuple[Certificate, ...]
-    """The participant's own issuer first; behind it, in a rollover, the other one. Empty where
-    nothing but documents is verified."""
+    """The participant's own issuer first; after it, in a rollover, the other one. Empty if only
+    documents are verified."""
     permissions_ca: Certificate
     countersigner: Certificate | None = None
     revocation_list: RevocationList | None = None
-    """Of the first identity CA."""
+    """The revocation list of the first identity CA."""
     stock_peers: bool = False
     """Whether peers may lack alternative signatures: then documents need a countersignature
-    only where a countersigner is named."""
+    only if there is a countersigner."""
 
     @classmethod
     def of(cls, files: Mapping[str, bytes], *, folder: str = "") -> Self:
-        """From the files of an enclave. MalformedError, naming the file in `folder`."""
+        """The anchors in the files of an enclave. MalformedError, naming the file in `folder`."""
         where = f"{folder}/" if folder else ""
         second, list_ = files.get(PERMISSIONS_ALT_CA), files.get(REVOCATION_LIST)
         return cls(
@@ -75,18 +75,18 @@ class TrustAnchors:
 
     @property
     def identity_ca(self) -> Certificate:
-        """The first, whose revocation list counts."""
+        """The first identity CA, whose revocation list applies."""
         return self.identity_cas[0]
 
     @property
     def signed_twice(self) -> bool:
-        """Whether everything is signed twice: the identity CA's certificate says so."""
+        """Whether everything is signed twice, as the identity CA's certificate shows."""
         issuers = self.identity_cas[:1]
         return not self.stock_peers and any(each.alternative is not None for each in issuers)
 
     @property
     def required(self) -> Require:
-        """Which signatures a document must have, so that none can be left out."""
+        """The signatures that a document must have, so that none can be stripped."""
         family = _family(self.permissions_ca)
         if self.countersigner or self.signed_twice or family is Family.HYBRID:
             return Require.BOTH
@@ -94,17 +94,17 @@ class TrustAnchors:
 
     @property
     def signers(self) -> tuple[Certificate, ...]:
-        """Who signs documents."""
+        """The CAs that sign documents."""
         return (self.permissions_ca, *((self.countersigner,) if self.countersigner else ()))
 
     @property
     def in_overlap(self) -> bool:
-        """Whether two identity CAs are trusted, as in a rollover, when no list can be given."""
+        """Whether two identity CAs are trusted, as in a rollover, without a revocation list."""
         return len({each.spki for each in self.identity_cas}) > 1
 
     @property
     def roles(self) -> Mapping[str, tuple[Certificate, ...]]:
-        """The CAs by the files that they stand in."""
+        """The CAs by the files that contain them."""
         return {
             IDENTITY_CA: self.identity_cas,
             PERMISSIONS_CA: (self.permissions_ca,),
@@ -112,30 +112,32 @@ class TrustAnchors:
         }
 
     def problems(self, now: datetime) -> tuple[Problem, ...]:
-        """What is wrong with the CAs themselves, and with one that has two roles."""
+        """Problems of the CAs themselves, and of a CA that has two roles."""
         return (*self._role_problems, *self._authority_problems(now))
 
     def signer_problems(self, now: datetime) -> tuple[Problem, ...]:
-        """Those of them that are about who signs documents."""
+        """The problems of the CAs that sign documents."""
         return tuple(each for each in self.problems(now) if each.subject != IDENTITY_CA)
 
     def identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
-        """9.3.3: did a trusted CA issue `certificate`, is it in force, is it not revoked?"""
+        """9.3.3: problems of `certificate`: issuer not trusted, not valid at `now`, or revoked."""
         ca, twice = self.issuer_of(certificate), self.signed_twice
-        yield from _told(lambda: verify_chain(certificate, ca, now=now, require_alternative=twice))
+        yield from _problems_of(
+            lambda: verify_chain(certificate, ca, now=now, require_alternative=twice)
+        )
         if self.revocation_list is not None:
             list_ = self.revocation_list
-            yield from _told(
+            yield from _problems_of(
                 lambda: verify_not_revoked(
                     certificate, list_, self.identity_ca, now=now, require_alternative=twice
                 )
             )
 
     def own_identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
-        """The same for a participant's own, which the first CA must have issued.
+        """The same for a participant's own certificate, which the first CA must have issued.
 
-        No signature covers in which order the CAs stand in a file, and stacks that read one
-        certificate of it read the first.
+        No signature covers the order of the CAs in a file, and stacks that read only one
+        certificate read the first.
         """
         yield from self.identity_problems(certificate, now)
         if self.issuer_of(certificate) is not self.identity_ca:
@@ -143,9 +145,9 @@ class TrustAnchors:
             yield Problem(words, Code.WRONG_ISSUER, IDENTITY_CA)
 
     def issuer_of(self, certificate: Certificate) -> Certificate:
-        """The identity CA that issued `certificate`; the first if none of them did.
+        """The identity CA that issued `certificate`; the first CA if none of them did.
 
-        A revocation list is the first one's: beside it, the others count for nothing.
+        With a revocation list, which is the first CA's, the other CAs are ignored.
         """
         for each in () if self.revocation_list else self.identity_cas[1:]:
             if each.subject_der == certificate.issuer_der and each.signed(certificate):
@@ -153,7 +155,7 @@ class TrustAnchors:
         return self.identity_ca
 
     def governance(self, message: bytes, now: datetime) -> SignedDocument[Governance]:
-        """9.4.3: the governance in S/MIME `message`, if CAs that are good `now` signed it.
+        """9.4.3: the governance in S/MIME `message`, if signed by CAs that are valid at `now`.
 
         VerificationError lists everything that is wrong.
         """
@@ -161,12 +163,12 @@ class TrustAnchors:
         return self.signed_governance(message)
 
     def permissions(self, message: bytes, now: datetime) -> SignedDocument[Permissions]:
-        """The same for permissions; to whom they grant what is not looked at."""
+        """The permissions in S/MIME `message`, likewise; their grants are not checked."""
         self._refuse_signers(now)
         return self.signed_permissions(message)
 
     def signed_governance(self, message: bytes) -> SignedDocument[Governance]:
-        """The governance, if those signed it who must; whether they are good is not looked at."""
+        """The governance, if the CAs signed it; their own validity is not checked."""
         return self._document(message, GOVERNANCE, governance_in)
 
     def signed_permissions(self, message: bytes) -> SignedDocument[Permissions]:
@@ -178,9 +180,9 @@ class TrustAnchors:
         return self.signed(message).signatures
 
     def signed(self, message: bytes, demanded: Require | None = None) -> Verified:
-        """What S/MIME `message` holds, of whatever kind, likewise.
+        """The document of any kind in S/MIME `message`, likewise.
 
-        Where the user says which signatures are `demanded`, these count, not `required`.
+        If the user gives the signatures that are `demanded`, these replace `required`.
         """
         required = demanded or self.required
         return verified_by(
@@ -188,7 +190,7 @@ class TrustAnchors:
         )
 
     def verified(self, message: bytes, now: datetime) -> Verified:
-        """The same, if CAs that are good `now` signed it."""
+        """The document in `message`, if signed by CAs that are valid at `now`."""
         self._refuse_signers(now)
         return self.signed(message)
 
@@ -240,12 +242,12 @@ class TrustAnchors:
     def _authority_problems(self, now: datetime) -> Iterator[Problem]:
         for file, found in self.roles.items():
             for each in found:
-                for problem in _told(partial(verify_authority, each, now=now)):
+                for problem in _problems_of(partial(verify_authority, each, now=now)):
                     yield problem.of(file)
 
 
 def _family(certificate: Certificate) -> Family | None:
-    """Of its key; None if no row is for it, which the signature check tells of."""
+    """The family of its key; None if unknown, which the signature check reports."""
     try:
         return certificate.public_key.algorithm.family
     except PqsecError:
@@ -258,14 +260,14 @@ def _keys_of(certificates: tuple[Certificate, ...]) -> set[bytes]:
     for each in certificates:
         try:
             second = each.alternative_key
-        except PqsecError:  # which the chain check tells of
+        except PqsecError:  # the chain check reports it
             continue
         if second is not None:
             found.add(second.spki)
     return found
 
 
-def _told(check: Callable[[], object]) -> tuple[Problem, ...]:
+def _problems_of(check: Callable[[], object]) -> tuple[Problem, ...]:
     try:
         check()
     except PqsecError as error:

@@ -1,4 +1,4 @@
-"""An enclave's files as one value: read once, from bytes; nothing of it is verified here."""
+"""An enclave's files as one value, decoded from bytes; nothing is verified here."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,12 +22,12 @@ from pqsec_pki.problems import Code
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Credentials:
-    """What one participant runs with, as its files say."""
+    """The credentials of one participant, as in its files."""
 
     name: str
     certificate: Certificate
     private_key: PrivateKey | None = field(default=None, repr=False)
-    """None where the keys are on the participant's robot alone."""
+    """None if the keys are only on the participant's robot."""
     alternative_key: PrivateKey | None = field(default=None, repr=False)
     anchors: TrustAnchors
     permissions: bytes = field(repr=False)
@@ -44,11 +44,11 @@ class Credentials:
         *,
         folder: object = None,
     ) -> Self:
-        """From the files of the enclave `name`, by their names in `names.FILES`.
+        """The credentials in the files of the enclave `name`, by their names in `names.FILES`.
 
-        KeystoreError if one that every participant needs is missing, MalformedError for one
-        that cannot be read, PassphraseError for an encrypted key without `passphrase`; they
-        name the file in `folder`, if that is told.
+        KeystoreError if a required file is missing, MalformedError for a file that cannot be
+        decoded, PassphraseError for an encrypted key without `passphrase`; the errors name
+        the file in `folder`, if given.
         """
         where = str(folder or name)
         missing = [each for each in NEEDED if each not in files]
@@ -66,14 +66,14 @@ class Credentials:
 
     @property
     def key(self) -> PrivateKey:
-        """KeystoreError where the keys are on the participant's robot alone."""
+        """The private key; KeystoreError if the keys are only on the participant's robot."""
         if self.private_key is None:
             raise KeystoreError(f"the keys of {self.name} are not here but on its robot")
         return self.private_key
 
     @property
     def identity_ca(self) -> Certificate:
-        """The CA that its own certificate is of."""
+        """The CA that issued its own certificate."""
         return self.anchors.identity_ca
 
     @property
@@ -83,12 +83,12 @@ class Credentials:
 
     @property
     def countersigner(self) -> Certificate | None:
-        """Who also signs its documents, where they are signed twice."""
+        """The second signer of its documents, if they are signed twice."""
         return self.anchors.countersigner
 
     @property
     def revocation_list(self) -> RevocationList | None:
-        """The identity CA's, once it has revoked a certificate."""
+        """The identity CA's revocation list, if there is one."""
         return self.anchors.revocation_list
 
 
@@ -96,7 +96,7 @@ def alternative_spki(certificate: Certificate) -> bytes | None:
     """DER of the certificate's alternative key, if it has one that can be read."""
     try:
         second = certificate.alternative_key
-    except PqsecError:  # which the chain check tells of
+    except PqsecError:  # the chain check reports it
         return None
     return second.spki if second else None
 

@@ -1,8 +1,8 @@
-"""Can a participant's credentials be trusted? Each step of the specification, once.
+"""Verify a participant's credentials, with each step of the specification once.
 
 9.3.3 validate_local_identity: the identity CA, the certificate, the revocation list, the
 private key. 9.4.3 validate_local_permissions: the permissions CA, the governance, the
-permissions, the grant. Which domains the grant is for is the room `access`'s to say.
+permissions, the grant. The room `access` decides which domains the grant is for.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VerifiedCredentials:
-    """What `verify_credentials` found to hold."""
+    """Credentials that `verify_credentials` verified."""
 
     name: str
     certificate: Certificate
@@ -41,11 +41,11 @@ class VerifiedCredentials:
     governance: SignedDocument[Governance]
     permissions: SignedDocument[Permissions]
     grant: Grant
-    """The participant's own that is in force."""
+    """The participant's own grant that is valid now."""
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """All files but the keys, written again from what was verified."""
+        """All files but the keys, written again from the verified values."""
         anchors, roles = self.anchors, self.anchors.roles
         files = {
             CERTIFICATE: self.certificate.pem,
@@ -62,16 +62,16 @@ class VerifiedCredentials:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VerifiedDocuments:
-    """What `verify_documents` found to hold."""
+    """Documents that `verify_documents` verified."""
 
     governance: SignedDocument[Governance]
     permissions: SignedDocument[Permissions]
     grant: Grant
-    """The participant's own that is in force."""
+    """The participant's own grant that is valid now."""
 
 
 def verify_credentials(credentials: Credentials, *, now: datetime) -> VerifiedCredentials:
-    """What holds at `now`; VerificationError lists everything that is wrong."""
+    """Verify all credentials at `now`; VerificationError lists everything that is wrong."""
     found, anchors = _Findings(), credentials.anchors
     # The CAs, then 9.3.3: identity
     found.problems += anchors.problems(now)
@@ -99,7 +99,7 @@ def verify_credentials(credentials: Credentials, *, now: datetime) -> VerifiedCr
 
 
 def identity_problems(credentials: Credentials, now: datetime) -> Iterator[Problem]:
-    """9.3.3, without the CA itself: the certificate, the revocation list, the keys."""
+    """9.3.3, without the CA: problems of the certificate, the revocation list and the keys."""
     certificate = credentials.certificate
     yield from credentials.anchors.own_identity_problems(certificate, now)
     yield from subject_problems(credentials.name, certificate)
@@ -108,7 +108,7 @@ def identity_problems(credentials: Credentials, now: datetime) -> Iterator[Probl
 
 
 def subject_problems(name: str, certificate: Certificate) -> Iterator[Problem]:
-    """Is `certificate` for the participant called `name`?"""
+    """Problems if `certificate` is not for the participant called `name`."""
     if certificate.subject_der != common_name(name):
         words = f"the certificate is for {certificate.subject_name}"
         yield Problem(words, Code.WRONG_SUBJECT, CERTIFICATE)
@@ -121,7 +121,7 @@ def key_problems(
     *,
     alone: bool = False,
 ) -> Iterator[Problem]:
-    """Are these the keys of `certificate`? With `alone`, the second need not be there."""
+    """Problems if these are not the certificate's keys; with `alone`, `second` may be missing."""
     if key is not None and key.public_key.spki != certificate.spki:
         yield Problem("not the private key of the certificate", Code.KEY_MISMATCH, KEY)
     known = alternative_spki(certificate)
@@ -139,9 +139,9 @@ def verify_documents(
     permissions: bytes,
     now: datetime,
 ) -> VerifiedDocuments:
-    """9.4.3: what S/MIME `governance` and `permissions` say of the holder of `certificate`.
+    """9.4.3: verify S/MIME `governance` and `permissions` for the holder of `certificate`.
 
-    VerificationError lists everything that is wrong, with the CAs too.
+    VerificationError lists everything that is wrong, including problems of the CAs.
     """
     found = _Findings()
     found.problems += anchors.problems(now)
@@ -157,13 +157,13 @@ def verify_documents(
 
 
 def grant_of(certificate: Certificate, permissions: Permissions, now: datetime) -> Grant:
-    """The grant that counts for the certificate's subject, if it is in force at `now`.
+    """The grant for the certificate's subject, if it is valid at `now`.
 
     VerificationError otherwise (DDS-Security 1.1, 9.4.1.3.2).
     """
     question = Question(
         subject=certificate.subject_name, domain=0, action=Action.JOIN, now=now
-    )  # which grant counts does not depend on the domain
+    )  # the choice of the grant does not depend on the domain
     grant = SPEC.grant_for(permissions, question)
     if grant is None:
         words = f"nothing in them is granted to {certificate.subject_name}"
@@ -176,7 +176,7 @@ def grant_of(certificate: Certificate, permissions: Permissions, now: datetime) 
 
 
 def distinct(problems: Collection[Problem]) -> list[Problem]:
-    """Each once, though several steps met it; a chain does not say in which file its CA is."""
+    """Each problem once, even if several steps found it, one of them without the file's name."""
     placed = {(each.code, each.message) for each in problems if each.subject}
     return [
         each
@@ -186,7 +186,7 @@ def distinct(problems: Collection[Problem]) -> list[Problem]:
 
 
 class _Findings:
-    """Collects what is wrong, and goes on."""
+    """Collects problems of all steps."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []

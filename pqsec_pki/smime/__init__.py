@@ -1,7 +1,6 @@
-"""S/MIME: a document and its signature in one file, as DDS-Security wants them.
+"""S/MIME: a document and its signature in one file, as DDS-Security requires.
 
-For whoever signs governance and permissions, and whoever must know that the permissions
-CA, and nobody else, signed them.
+Signs governance and permissions, and verifies that the permissions CA signed them.
 """
 
 from pqsec_pki.smime._mime import is_signed

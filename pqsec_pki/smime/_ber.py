@@ -1,6 +1,6 @@
 """BER to DER for CMS wrappers: indefinite lengths and constructed strings, bounded.
 
-OpenSSL in streaming mode and BouncyCastle write CMS that way; hazmat.asn1 reads DER
+OpenSSL in streaming mode and BouncyCastle write CMS in that form; hazmat.asn1 reads DER
 only. Signed attributes are re-encoded by the verifier, so nothing signed is lost.
 """
 
@@ -16,7 +16,7 @@ MAX_SIZE = 1 << 20
 _CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
 _SEQUENCE, _SET, _OCTET_STRING, _OBJECT_IDENTIFIER = 0x30, 0x31, 0x04, 0x06
 _ARCS = re.compile(rb"(?:(?!\x80)[\x80-\xff]*[\x00-\x7f])+", re.DOTALL)
-"""X.690 8.19.2: each in the fewest octets, of which the last has no high bit."""
+"""X.690 8.19.2: each number in the fewest octets; only the last octet has no high bit."""
 
 
 def to_der(data: bytes) -> bytes:
@@ -30,7 +30,7 @@ def to_der(data: bytes) -> bytes:
 
 
 def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]:
-    """(DER of the value at `start`, where it ended)."""
+    """(DER of the value at `start`, offset of its end)."""
     if depth > MAX_DEPTH:
         raise MalformedError("the CMS structure nests too deeply")
     tag, length, start = _header(data, start, end)
@@ -39,7 +39,7 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
     if not tag & _CONSTRUCTED:
         stop = start + (length or 0)
         if tag == _OBJECT_IDENTIFIER and not _ARCS.fullmatch(data, start, stop):
-            raise MalformedError("a broken object identifier")  # OpenSSL reads none of it
+            raise MalformedError("a broken object identifier")  # OpenSSL refuses these too
         return _value(tag, data[start:stop]), stop
     children, stop = _children(
         data, start, end if length is None else start + length, depth, length
@@ -70,7 +70,7 @@ def _children(
 
 
 def _header(data: bytes, start: int, end: int) -> tuple[int, int | None, int]:
-    """(tag, length or None for indefinite, where the content starts)."""
+    """(tag, length or None for indefinite, offset of the content)."""
     if start + 2 > end:
         raise MalformedError("the CMS structure is cut short")
     tag, first = data[start], data[start + 1]
@@ -84,7 +84,7 @@ def _header(data: bytes, start: int, end: int) -> tuple[int, int | None, int]:
             raise MalformedError("an indefinite length where none can be")
         return tag, None, start
     size = first & 0x7F
-    if size > 4 or start + size > end:  # noqa: PLR2004 -- 4 GiB is past every limit here
+    if size > 4 or start + size > end:  # noqa: PLR2004 -- 4 GiB is over every limit here
         raise MalformedError("a length in the CMS structure is senseless")
     return tag, int.from_bytes(data[start : start + size], "big"), start + size
 

@@ -1,7 +1,7 @@
-"""The one form of a signed file, from what was read: what pqsec writes and hands on.
+"""The canonical form of a signed file: pqsec writes no other form.
 
-Nothing that no signature covers gets through: other parts and headers, lists of revoked
-certificates, unknown unsigned attributes, the order of sets, forms of BER.
+It leaves out everything that no signature covers: other parts and headers, revocation
+lists, unknown unsigned attributes, the order of sets, BER encodings.
 """
 
 from collections.abc import Iterable
@@ -28,8 +28,8 @@ def file_of(
 ) -> bytes:
     """The file of the signature `info` over `content`, countersigned by `counters`.
 
-    `certificate` is the signer's, embedded where it is given. UnknownAlgorithmError if the
-    digest is not one that is used here.
+    `certificate` is the signer's, which is embedded if given. UnknownAlgorithmError if the
+    digest is not supported.
     """
     signer = _bare(info)
     if countersigned := {encode(_bare(each)) for each in counters}:
@@ -48,7 +48,7 @@ def file_of(
 
 
 def _bare(info: SignerInfo) -> SignerInfo:
-    """`info` with its version by its kind, its signed attributes in order, and no others."""
+    """`info` with the version for its kind, sorted signed attributes, and no unsigned ones."""
     return SignerInfo(
         version=1 if isinstance(info.sid, IssuerAndSerialNumber) else 3,  # RFC 5652 5.3
         sid=info.sid,

@@ -8,9 +8,9 @@ SIGNED_DATA = "1.2.840.113549.1.7.2"
 
 
 def parse(data: bytes) -> SignedData:
-    """The SignedData in `data`; MalformedError if there is none.
+    """The SignedData in `data`; MalformedError if it is not one.
 
-    All of it is walked through, also what is kept as it is: OpenSSL reads that too.
+    All values are decoded, also those that are kept unchanged, since OpenSSL decodes them too.
     """
     info = decode(ContentInfo, _ber.to_der(data), "CMS structure")
     if info.content_type.dotted_string != SIGNED_DATA:

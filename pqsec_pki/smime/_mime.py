@@ -1,8 +1,8 @@
 """S/MIME multipart/signed, as pqsec writes it and reads it (RFC 8551 3.5.3).
 
 All stacks call SMIME_read_PKCS7 and PKCS7_verify with PKCS7_TEXT, so the signed part is
-text/plain with CRLF line ends; on disk the file has LF, which all of them were measured
-to take.
+text/plain with CRLF line ends. On disk the file has LF, which all of them accept, as
+measured.
 """
 
 import base64
@@ -16,15 +16,15 @@ from itertools import islice, pairwise
 from pqsec_pki.errors import MalformedError
 
 MAX_MESSAGE = 8 << 20
-"""Bytes. The largest document any stack was measured to take is 0.5 MB."""
+"""Bytes. The largest document that any stack was measured to accept is 0.5 MB."""
 TEXT_HEADER = b"Content-Type: text/plain\r\n\r\n"
 _LINE = 64
 _BOUNDARY_END = re.compile(rb"(|--)[ \t]*(?=\r\n|\Z)")
-"""What may follow the boundary in its line: nothing, or that it is the last."""
+"""What may follow the boundary in its line: nothing, or -- for the last one."""
 _BASE64 = re.compile(rb"(?:[A-Za-z0-9+/]{1,76}\r\n)*[A-Za-z0-9+/]{1,76}={0,2}(?:\r\n)*")
-"""Lines of base64 that every decoder reads to the end (RFC 2045 6.8)."""
+"""Lines of base64 that every decoder reads completely (RFC 2045 6.8)."""
 _LINE_END = re.compile(rb"(?<!\r)\r*+\n")
-"""Only where the first CR is, so that a million of them are gone through once."""
+"""Matches only at the first CR, so that a million of them are scanned once."""
 _NOT_BASE64 = "the signature part of the document is not base64"
 _HEADER = """\
 MIME-Version: 1.0
@@ -46,7 +46,7 @@ Content-Disposition: attachment; filename="smime.p7s"
 
 @dataclass(frozen=True, slots=True)
 class SignedMessage:
-    """A multipart/signed message taken apart by our own reader."""
+    """A multipart/signed message, parsed by pqsec's own reader."""
 
     boundary: bytes
     content: bytes
@@ -54,13 +54,13 @@ class SignedMessage:
     signature: bytes
     """The text of the second part: base64 of the CMS structure, BER or DER."""
     lines_before: int
-    """Lines of the file that stand before `content`."""
+    """Number of lines of the file before `content`."""
 
     @property
     def cms(self) -> bytes:
         """The CMS structure, BER or DER; MalformedError if it is not base64."""
         text = self.signature.replace(b"\r\n", b"")
-        # The library passes over padding that is too much.
+        # The library ignores excess padding.
         if len(text) % 4 or not _BASE64.fullmatch(self.signature):
             raise MalformedError(_NOT_BASE64)
         try:
@@ -81,9 +81,9 @@ class SignedMessage:
 
 
 def join(content: bytes, signature: bytes, micalg: str) -> bytes:
-    """The file of the DER `signature` over `content`, always the same for the same.
+    """The file with the DER `signature` over `content`; the same file for the same input.
 
-    A text that has the boundary in it would have to contain its own digest.
+    A text with the boundary in it would have to contain its own digest.
     """
     boundary = f"----{hashlib.sha256(content).hexdigest()[:32].upper()}"
     text = base64.b64encode(signature)
@@ -102,13 +102,13 @@ def join(content: bytes, signature: bytes, micalg: str) -> bytes:
 def content_of(document: bytes) -> bytes:
     """What a signature over `document` covers: header and text, CRLF line ends.
 
-    A lone CR ends a line too, as in XML 1.0 2.11: no reader agrees with another on it.
+    A lone CR ends a line too, as in XML 1.0 2.11, because readers differ in how they treat it.
     """
     return TEXT_HEADER + re.sub(rb"\r\n?|\n", b"\r\n", document)
 
 
 def split(message: bytes) -> SignedMessage:
-    """`message` taken apart; MalformedError if it is not one S/MIME multipart/signed."""
+    """The parts of `message`; MalformedError if it is not one S/MIME multipart/signed."""
     if len(message) > MAX_MESSAGE:
         raise MalformedError(f"larger than {MAX_MESSAGE} bytes, so no signed document")
     if not message:
@@ -138,7 +138,7 @@ def is_signed(data: bytes) -> bool:
 
 
 def _canonical(data: bytes) -> bytes:
-    """Line ends as CRLF; CR CR LF, which comes of signing twice-translated text, is one."""
+    """`data` with CRLF line ends; CR CR LF, from text that was converted twice, is one line end."""
     return _LINE_END.sub(b"\r\n", data)
 
 
@@ -150,7 +150,7 @@ def _boundary(parameters: bytes) -> bytes:
 
 
 def _parts(body: bytes, boundary: bytes) -> list[slice]:
-    """Where the two parts between boundary lines stand (RFC 2046 5.1.1)."""
+    """Positions of the two parts between boundary lines (RFC 2046 5.1.1)."""
     found = _boundary_lines(body, b"\r\n--" + boundary)
     lines = list(islice(found, 4))  # a fourth is one too many
     if [end[1] for _, end in lines] != [b"", b"", b"--"]:
@@ -162,11 +162,11 @@ def _parts(body: bytes, boundary: bytes) -> list[slice]:
 
 
 def _boundary_lines(body: bytes, mark: bytes) -> Iterator[tuple[int, re.Match[bytes]]]:
-    """Where each begins, and what follows the boundary in it."""
+    """Positions of the boundary lines, with what follows the boundary in each."""
     place = body.find(mark)
     while place >= 0:
         after = place + len(mark)
         end = _BOUNDARY_END.match(body, after)
-        if end:  # else the line goes on, and is not a boundary
+        if end:  # otherwise the line has more text and is not a boundary line
             yield place, end
         place = body.find(mark, after)

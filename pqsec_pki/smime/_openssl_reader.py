@@ -1,8 +1,8 @@
-"""How OpenSSL reads a signed file: SMIME_read_PKCS7, SMIME_read_CMS and SMIME_text.
+"""A model of OpenSSL's readers of signed files: SMIME_read_PKCS7, SMIME_read_CMS, SMIME_text.
 
-Every DDS stack reads with them, and they read some files otherwise than RFC 2045 and 2046
-say. So a file is a signed document only where this model finds the same in it as our own
-reader. Checked against OpenSSL 3.0 and 3.5 by tests/fuzz/differential.py.
+Every DDS stack uses them, and they read some files differently from RFC 2045 and 2046. So
+pqsec accepts a signed file only if this model finds the same content as its own reader.
+Checked against OpenSSL 3.0 and 3.5 by tests/fuzz/differential.py.
 """
 
 import itertools
@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pqsec_pki.errors import MalformedError
 
 _LONGEST = 1023
-"""Bytes that OpenSSL takes at once; what is left of a longer line is a line of its own."""
+"""Bytes that OpenSSL reads at once; the rest of a longer line counts as another line."""
 _CHUNK = re.compile(rb"[^\n]{0,%d}+\n|[^\n]{1,%d}" % (_LONGEST - 1, _LONGEST))
 _MAX_HEADER = 1 << 16
-"""Bytes. Read octet by octet; those of real files have some 200."""
+"""Bytes. Headers are read octet by octet; those of real files have about 200 bytes."""
 _SPACE = b" \t\n\v\f\r"
 _SPACES = {bytes([octet]) for octet in _SPACE}
 _SIGNED = b"multipart/signed"
@@ -26,7 +26,7 @@ _TEXT = b"text/plain"
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What OpenSSL takes a signed file for."""
+    """The parts of a signed file as OpenSSL reads them."""
 
     boundary: bytes
     content: bytes
@@ -43,7 +43,7 @@ class _Header:
 
 
 def read(message: bytes) -> Parts:
-    """`message` as OpenSSL takes it apart; MalformedError, with the reason, if it does not."""
+    """The parts of `message` as OpenSSL reads them; MalformedError, with the reason, if not."""
     header, body = _content_type(message, "the file")
     if header.value != _SIGNED:
         raise MalformedError(f"it takes the file for {_shown(header.value)}")
@@ -58,7 +58,7 @@ def read(message: bytes) -> Parts:
 
 
 def text(content: bytes) -> bytes:
-    """The document in a signed part; MalformedError if OpenSSL does not take it for text."""
+    """The document in a signed part; MalformedError if OpenSSL does not accept it as text."""
     header, document = _content_type(content, "the signed part")
     if header.value != _TEXT:
         raise MalformedError(f"it takes the signed part for {_shown(header.value)}")
@@ -66,12 +66,12 @@ def text(content: bytes) -> bytes:
 
 
 def _content_type(data: bytes, what: str) -> tuple[_Header, bytes]:
-    """The header that says what `data` is, and what follows all headers."""
+    """The content-type header of `data`, and what follows all headers."""
     headers, body = _headers(data)
     found = [each for each in headers if each.name == b"content-type"]
     if not found or found[0].value is None:
         raise MalformedError(f"it finds no content type of {what}")
-    if len(found) > 1:  # sorted by name: nothing says which it finds
+    if len(found) > 1:  # OpenSSL sorts by name, so it may find any of them
         raise MalformedError(f"it finds {len(found)} content types of {what}")
     return found[0], body
 
@@ -86,7 +86,7 @@ def _boundary(header: _Header) -> bytes:
 
 
 def _split(body: bytes, boundary: bytes) -> list[bytes]:
-    """The parts. A line is a boundary if it begins so, however it goes on."""
+    """The parts. A line that begins with the boundary is a boundary line, whatever follows."""
     chunks: list[bytes] = _CHUNK.findall(body)
     mark = b"--" + boundary
     marks = [place for place, chunk in enumerate(chunks) if chunk.startswith(mark)]
@@ -100,7 +100,7 @@ def _split(body: bytes, boundary: bytes) -> list[bytes]:
 
 
 def _joined(chunks: list[bytes]) -> bytes:
-    """Lines of a part: CR at the end of each goes, LF becomes CRLF, but not the last."""
+    """The lines of a part, without CR at line ends and with CRLF between lines."""
     lines = [
         chunk.rstrip(b"\r\n") + (b"\r\n" if chunk.endswith(b"\n") else b"") for chunk in chunks
     ]
@@ -108,7 +108,7 @@ def _joined(chunks: list[bytes]) -> bytes:
 
 
 def _headers(data: bytes) -> tuple[list[_Header], bytes]:
-    """The header lines up to the first that is blank, and what follows that."""
+    """The header lines up to the first blank one, and what follows it."""
     headers: list[_Header] = []
     for found in _CHUNK.finditer(data, 0, _MAX_HEADER):
         line = found[0]
@@ -121,7 +121,7 @@ def _headers(data: bytes) -> tuple[list[_Header], bytes]:
 
 
 def _read_line(line: bytes, headers: list[_Header]) -> None:
-    """One line of a header into `headers`: a new one, or parameters of the last one."""
+    """Parse one header line into `headers`: a new header, or parameters of the last one."""
     reader = _LineReader(line, headers)
     reader.state = "name" if headers and line[:1] in _SPACES else "start"
     for place, octet in _until_the_end(line):
@@ -138,7 +138,7 @@ def _until_the_end(line: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 class _LineReader:
-    """A header line, octet by octet: it forgets at the end of a line where it was."""
+    """Parses a header line, octet by octet; its state is reset at the end of a line."""
 
     def __init__(self, line: bytes, headers: list[_Header]) -> None:
         self._line, self._headers = line, headers
@@ -148,7 +148,7 @@ class _LineReader:
         self._name: bytes | None = None
 
     def take(self, place: int, octet: bytes) -> None:
-        """One octet of it."""
+        """Process one octet of the line."""
         match self.state, octet:
             case "start", b":":
                 self._name = self._piece(place)
@@ -172,7 +172,7 @@ class _LineReader:
                 self.state = self._before_comment
 
     def end(self) -> None:
-        """The line is over: what was begun ends there, unless in a quote or comment."""
+        """End the line: this completes the current value, unless within a quote or comment."""
         rest = _stripped(self._line[self._start :])
         if self.state == "type":
             self._headers.append(_Header(_lower(self._name), _lower(rest)))
@@ -189,7 +189,7 @@ class _LineReader:
 
 
 def _stripped(piece: bytes) -> bytes | None:
-    """`piece` without space around it, and without a quote at either end."""
+    """`piece` without surrounding space, and without a quote at either end."""
     begun = piece.lstrip(_SPACE)
     begun = begun.removeprefix(b'"')
     ended = begun.rstrip(_SPACE)
@@ -197,7 +197,7 @@ def _stripped(piece: bytes) -> bytes | None:
         return None
     if not ended.endswith(b'"'):
         return ended
-    return None if len(ended) == 2 else ended[:-1]  # noqa: PLR2004 -- as it is: X" is nothing
+    return None if len(ended) == 2 else ended[:-1]  # noqa: PLR2004 -- as in OpenSSL, X" gives nothing
 
 
 def _lower(piece: bytes | None) -> bytes | None:

@@ -1,7 +1,7 @@
-"""The one reading of a signed file: what all readers find, or a refusal.
+"""Read a signed file, and refuse it if readers could find different documents in it.
 
-A file in which readers find different documents, each validly signed, is a lie to one of
-them. So a file counts only if our own reader and the model of OpenSSL's find the same.
+Different readers could find different documents, each validly signed. So pqsec accepts a
+file only if its own reader and the model of OpenSSL's reader find the same.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class AmbiguousError(MalformedError):
 
 @dataclass(frozen=True, slots=True)
 class ParsedMessage:
-    """What all readers find in a signed file."""
+    """The content of a signed file, the same for all readers."""
 
     content: bytes
     """The signed part with its MIME header, CRLF line ends: what the signature covers."""
@@ -36,7 +36,7 @@ class ParsedMessage:
 
     @property
     def document(self) -> bytes:
-        """The text. MalformedError unless it is text/plain, AmbiguousError as in read()."""
+        """The document. MalformedError unless it is text/plain; AmbiguousError as in read()."""
         _, text = self._message.header_and_text
         if _of_openssl(_openssl_reader.text, self.content) != text:
             raise AmbiguousError("OpenSSL ends the header of the signed part elsewhere")
@@ -44,13 +44,13 @@ class ParsedMessage:
 
     @property
     def lines_before(self) -> int:
-        """Lines of the file that stand before the document."""
+        """Number of lines of the file before the document."""
         header, _ = self._message.header_and_text
         return self._message.lines_before + header.count(b"\n") + 2
 
 
 def read(message: bytes) -> ParsedMessage:
-    """What is in S/MIME `message`.
+    """The content of the S/MIME file `message`.
 
     MalformedError if it is not one multipart/signed; AmbiguousError if OpenSSL finds other
     parts in it than RFC 2046 does.

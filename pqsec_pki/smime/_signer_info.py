@@ -1,4 +1,4 @@
-"""SignerInfo: one signature in a CMS structure, made and checked (RFC 5652 5.3-5.6).
+"""SignerInfo: create and verify one signature in a CMS structure (RFC 5652 5.3-5.6).
 
 A countersignature (11.4) is a SignerInfo too: it signs another signature's value.
 """
@@ -38,7 +38,7 @@ _NULL = b"\x05\x00"
 
 @dataclass(frozen=True, slots=True)
 class Signer:
-    """Who signs: a certificate and its key."""
+    """A signer: a certificate and its private key."""
 
     certificate: Certificate
     key: PrivateKey = field(repr=False)
@@ -72,7 +72,7 @@ def make(signer: Signer, content: bytes, *, now: datetime, counter: bool = False
 
 
 def names(info: SignerInfo, certificate: Certificate) -> bool:
-    """Whether `info` says that `certificate` is its signer. Anyone can write that."""
+    """Whether `info` names `certificate` as its signer. This is not authenticated."""
     if isinstance(info.sid, IssuerAndSerialNumber):
         return (
             info.sid.serial_number == certificate.serial_number
@@ -103,7 +103,7 @@ def problems(
 
 
 def signing_time(info: SignerInfo) -> datetime | None:
-    """When the signer says it signed; None where it says nothing."""
+    """The signing time that the signer states; None if there is none."""
     for each in info.signed_attributes or []:
         if each.type.dotted_string == _SIGNING_TIME and len(each.values.as_list()) == 1:
             return read_time(encode(each.values.as_list()[0]), "signing time")
@@ -119,7 +119,7 @@ def countersignatures(info: SignerInfo) -> Iterator[SignerInfo]:
 
 
 def _attributes(info: SignerInfo) -> dict[str, bytes]:
-    """The signed attributes by OID; each once, with one value (RFC 5652 5.3, 11)."""
+    """The signed attributes by OID; each occurs once, with one value (RFC 5652 5.3, 11)."""
     if not info.signed_attributes:
         raise MalformedError("the signature has no signed attributes")
     found: dict[str, bytes] = {}
@@ -134,7 +134,7 @@ def _attributes(info: SignerInfo) -> dict[str, bytes]:
 
 
 def _digest(info: SignerInfo, key: PublicKey) -> Digest:
-    # RFC 5754 2: absent or NULL. No signature covers anything else that stands there.
+    # RFC 5754 2: absent or NULL. No signature covers the parameters.
     parameters = info.digest_algorithm.parameters
     if parameters is not None and encode(parameters) != _NULL:
         raise VerificationError("the digest has parameters")
@@ -150,7 +150,7 @@ def _attribute_problems(
     attributes: dict[str, bytes], info: SignerInfo, *, counter: bool
 ) -> Iterator[Problem]:
     content_type = attributes.get(_CONTENT_TYPE)
-    # 11.1: content-type must be there, and be the content's; 11.4: never in a countersignature
+    # 11.1: content-type is required, that of the content; 11.4: not in a countersignature
     if counter and content_type is not None:
         yield Problem(
             "the countersignature has a content-type, so it is a signature taken from elsewhere",
@@ -158,7 +158,7 @@ def _attribute_problems(
         )
     if not counter and content_type != encode(Oid(DATA)):
         yield Problem("the signature does not say that it covers plain data", Code.SIGNATURE_BAD)
-    # RFC 6211 3: what protects against swapped algorithms must repeat them
+    # RFC 6211 3: the attribute against substituted algorithms must repeat them
     protection = attributes.get(_ALGORITHM_PROTECTION)
     repeated = CMSAlgorithmProtection(
         digest_algorithm=info.digest_algorithm, signature_algorithm=info.signature_algorithm

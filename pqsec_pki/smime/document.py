@@ -1,7 +1,7 @@
 """Signed governance and permissions: sign() and verify().
 
 The signer is known before the file is read: the permissions CA, pinned by its
-certificate. Certificates inside the file are for stock stacks and are never looked at.
+certificate. Certificates inside the file are for stock stacks; verify() ignores them.
 """
 
 from collections.abc import Iterator
@@ -19,13 +19,13 @@ from pqsec_pki.smime import _canonical, _cms, _mime, _reading, _signer_info
 from pqsec_pki.smime._signer_info import DATA, Signer
 
 MAX_COUNTERSIGNATURES = 16
-"""pqsec makes one; each costs a verification, and nothing signs their number."""
+"""pqsec writes one. Each one takes a verification, and no signature covers their number."""
 _CLASSICAL = {Family.CLASSICAL, Family.HYBRID}
 _PQ = {Family.PQ, Family.HYBRID}
 
 
 class Require(StrEnum):
-    """Which signatures a file must have; those it has must hold in any case."""
+    """Which signatures a file must have; all that it has must be valid in any case."""
 
     ANY = "any"
     CLASSICAL = "classical"
@@ -35,7 +35,7 @@ class Require(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FoundSignature:
-    """A signature that was checked and holds."""
+    """A signature that was verified."""
 
     algorithm: SignatureAlgorithm
     countersignature: bool
@@ -44,17 +44,17 @@ class FoundSignature:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """A signed document whose signatures hold."""
+    """A signed document whose signatures were verified."""
 
     document: bytes
     """The XML, with CRLF line ends as it was signed."""
     signatures: tuple[FoundSignature, ...]
     unchecked: int
-    """Countersignatures that could not be checked, for want of a certificate."""
+    """Number of countersignatures that were not checked, since their certificate was not given."""
     message: bytes = field(repr=False)
-    """The S/MIME file in the one form that pqsec writes, of nothing but what was verified:
-    what to install and hand on in place of the file that came. Countersignatures that could
-    not be checked are in it only where no certificate was given to check any."""
+    """The S/MIME file in pqsec's canonical form, with verified content only. Install and pass on
+    this file, not the one received. Unchecked countersignatures are in it only if no
+    certificate was given to check any."""
 
 
 def sign(
@@ -69,7 +69,7 @@ def sign(
 
     `countersigner` signs the signature, in an unsigned attribute that stock stacks
     skip. Stock stacks (Cyclone DDS 0.10, Fast DDS 2.9) need the signer's certificate
-    embedded; peers that pin it do not. MalformedError if no stack could read the file:
+    embedded; peers that pin it do not. MalformedError if no stack can read the file:
     `document` has a NUL, or is over 8 MiB with its signature.
     """
     content = _mime.content_of(document)
@@ -95,10 +95,9 @@ def verify(
 ) -> Verified:
     """The document in `message` if `ca` itself signed it; VerificationError otherwise.
 
-    A countersignature by `alternative_ca` is checked if it is there; where it is `pinned`
-    it must be there. `require` refuses a file that lacks a classical or post-quantum
-    signature, so that neither can be stripped. Whether `ca` is a CA, and good now, is for
-    certificates.verify_authority to say.
+    A countersignature by `alternative_ca` is checked if present; with `pinned` it is required.
+    `require` refuses a file without a classical or post-quantum signature, so that neither
+    can be stripped. certificates.verify_authority checks whether `ca` is a CA and valid now.
     """
     try:
         reading = _reading.read(message)
@@ -131,20 +130,20 @@ def verify(
 
 
 def document_in(message: bytes) -> bytes:
-    """The document in `message`, unverified: for looking at.
+    """The document in `message`, not verified: only for display.
 
-    MalformedError if it is not S/MIME; AmbiguousError if DDS stacks would find another.
+    MalformedError if it is not S/MIME; AmbiguousError if DDS stacks would find another one.
     """
     return _reading.read(message).document
 
 
 def lines_before_document(message: bytes) -> int:
-    """How many lines of the S/MIME file stand before its document; errors as document_in."""
+    """Number of lines of the S/MIME file before its document; errors as in document_in."""
     return _reading.read(message).lines_before
 
 
 def is_canonical(message: bytes) -> bool:
-    """Whether S/MIME `message` is in the one form that pqsec writes. Nothing is verified."""
+    """Whether S/MIME `message` is in pqsec's canonical form. Nothing is verified."""
     try:
         reading = _reading.read(message)
         data = _cms.parse(reading.cms)
@@ -157,7 +156,7 @@ def is_canonical(message: bytes) -> bool:
 
 
 def _signer(data: SignedData) -> SignerInfo:
-    """The one signer. Two were measured to be refused by every stack, in any order."""
+    """The only signer. Every stack was measured to refuse two, in any order."""
     infos = data.signer_infos.as_list()
     if len(infos) != 1:
         raise MalformedError(f"{len(infos)} signers; DDS stacks take exactly one")
@@ -187,7 +186,7 @@ def _problems(info: SignerInfo, content: bytes, ca: Certificate) -> Iterator[Pro
 def _check_counters(
     counters: list[SignerInfo], info: SignerInfo, ca: Certificate | None
 ) -> tuple[list[tuple[SignerInfo, FoundSignature]], list[Problem]]:
-    """The countersignatures by `ca` that hold, and what is wrong with those that do not."""
+    """The valid countersignatures by `ca`, and the problems of the others."""
     good: list[tuple[SignerInfo, FoundSignature]] = []
     bad: list[Problem] = []
     for counter in counters:

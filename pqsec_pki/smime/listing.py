@@ -1,7 +1,7 @@
-"""Which signatures a signed document carries, as it says itself: for looking at.
+"""List the signatures in a signed document, not verified: only for display.
 
 Nothing here is checked. Anyone can write any signer's name into a file; only verify()
-tells whether the signature is that signer's.
+checks whether the signature is that signer's.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from pqsec_pki.errors import MalformedError, UnknownAlgorithmError
 from pqsec_pki.smime import _cms, _reading, _signer_info
 
 MAX_SIGNATURES = 64
-"""Signatures and countersignatures; DDS stacks take one of the former."""
+"""Signatures and countersignatures in total; DDS stacks accept one signature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +25,16 @@ class ListedSigner:
     """One signature, unverified."""
 
     issuer: str | None
-    """Who issued the signer's certificate, RFC 4514; None where a key identifier is given."""
+    """The issuer of the signer's certificate, RFC 4514; None if there is a key identifier."""
     serial_number: int | None
     key_identifier: bytes | None
-    """The signer's subjectKeyIdentifier, where it is named by that."""
+    """The signer's subjectKeyIdentifier, if the signer is named by it."""
     identifier: bytes
     """DER AlgorithmIdentifier of the signature."""
     digest: str
-    """Name of the digest, or its dotted OID where it is not one that is used here."""
+    """Name of the digest, or its dotted OID if it is not supported."""
     has_attributes: bool
-    """Whether attributes are signed, and the document only by its digest among them."""
+    """Whether the signature covers attributes, with the document's digest among them."""
     signed_at: datetime | None
     countersigners: "tuple[ListedSigner, ...]" = ()
 
@@ -45,7 +45,7 @@ class Listed:
 
     signers: tuple[ListedSigner, ...]
     certificates: tuple[bytes, ...]
-    """Embedded certificates, DER, or whatever stands in their place."""
+    """Embedded certificates in DER, or other values in their place."""
 
 
 def signers_in(message: bytes) -> Listed:
@@ -59,7 +59,7 @@ def signers_in(message: bytes) -> Listed:
 
 
 class _Lister:
-    """Counts as it goes down, so that a hostile file comes to an end."""
+    """Counts the signatures while listing them, as a limit against hostile files."""
 
     def __init__(self) -> None:
         self._left = MAX_SIGNATURES

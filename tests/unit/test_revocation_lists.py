@@ -127,7 +127,7 @@ def test_a_validity_that_cannot_be_is_refused(validity):
 def test_a_ca_that_is_not_in_its_time_makes_no_list(now, words):
     with pytest.raises(PqsecError, match=words) as caught:
         made(now=now)
-    assert "set the clock right" in caught.value.hint
+    assert "set the clock to the correct time" in caught.value.hint
 
 
 def test_a_ca_that_may_not_sign_lists_makes_none():
