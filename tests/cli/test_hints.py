@@ -40,7 +40,7 @@ JUSTIFIED = {
     " --force`": "it replaces a governance that nobody takes, and says to look first",
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
-WORDS = ("all that it", "all that", "--ros-node", "plugin install")
+WORDS = ("all its", "--ros-node", "plugin install")
 """One of them stands in each remedy of explain-error with --force."""
 
 
