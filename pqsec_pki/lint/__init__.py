@@ -1,7 +1,7 @@
-"""What is wrong or risky in certificates, documents and keystores, told before a robot is.
+"""Finds what is wrong or risky in certificates, documents and keystores, before they are used.
 
-For `pqsec check`, and for whoever wants its findings as values. Rules are written down in
-families, one module each (`rule` says how); `check` asks them.
+For `pqsec check`, and for programs that need its findings as values. The rules are in families,
+one module each (`rule` describes how); `check` runs them.
 """
 
 from pqsec_pki.lint.rule import Finding, Rule, Severity, Target

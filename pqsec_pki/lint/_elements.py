@@ -1,4 +1,4 @@
-"""The elements of both documents, as their schemas have them."""
+"""The elements of governance and permissions, from their schemas."""
 
 _DOMAIN_RULE = (
     "domains",
@@ -43,7 +43,7 @@ CHILDREN: dict[str, tuple[tuple[str, ...], ...]] = {
     "data_tags": (("tag",),),
     "tag": (("name", "value"),),
 }
-"""For each element, those in it, in order; those in one tuple may stand in any order."""
+"""Element -> its children in order; those in one inner tuple may be in any order."""
 
 NEW = {"enable_key_revision", "rtps_psk_protection_kind", "allowed_security_algorithms"}
 """Elements of DDS-Security 1.2."""
@@ -57,7 +57,7 @@ SCHEMA_ATTRIBUTES = {
     "{http://www.w3.org/2001/XMLSchema-instance}noNamespaceSchemaLocation",
 }
 NEEDED: dict[str, tuple[str, ...]] = {
-    "domain_rule": _DOMAIN_RULE[1:],  # domains have a rule of their own, and so has the default
+    "domain_rule": _DOMAIN_RULE[1:],  # PQS217 is about <domains>, PQS216 about <default>
     "topic_rule": _TOPIC_RULE,
     "grant": ("subject_name", "validity"),
     "validity": ("not_before", "not_after"),

@@ -1,4 +1,4 @@
-"""Rules about the check itself: files it could not read, and suppressions."""
+"""Rules about the check itself: unreadable files, suppressions, incomplete keystores."""
 
 from collections.abc import Iterator
 
@@ -19,7 +19,7 @@ UNREAD = "PQS001"
 )  # fmt: skip
 def unreadable(file: File) -> Iterator[Violation]:
     if file.unreadable:
-        yield Violation(f"cannot be read, so it was not checked: {file.unreadable}")
+        yield Violation(f"was not checked, because it cannot be read: {file.unreadable}")
 
 
 @FAMILY.rule(
@@ -42,7 +42,7 @@ def without_reason(file: SuppressionFile) -> Iterator[Violation]:
 def run_out(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries:
         if entry.is_over(file.today):
-            yield Violation(f"the suppression of {entry.rule} ended on {entry.until}", entry.line)
+            yield Violation(f"the suppression of {entry.rule} expired on {entry.until}", entry.line)
 
 
 @FAMILY.rule(
@@ -54,7 +54,7 @@ def unused(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries if file.is_complete else ():
         holds = entry.reason and not entry.is_over(file.today) and entry.rule in file.asked
         if holds and not entry.used:
-            yield Violation(f"the suppression of {entry.rule} is not needed any more", entry.line)
+            yield Violation(f"the suppression of {entry.rule} matches no finding", entry.line)
 
 
 @FAMILY.rule(
@@ -90,5 +90,5 @@ def cut_off(inventory: Inventory) -> Iterator[Violation]:
 )  # fmt: skip
 def lacks(inventory: Inventory) -> Iterator[Violation]:
     for root, lost in inventory.lost.items():
-        words = f"a keystore of pqsec's that lacks {', '.join(lost)}"
-        yield Violation(f"{words}: what that tells was not checked", path=root)
+        words = f"the keystore lacks {', '.join(lost)}"
+        yield Violation(f"{words}: the rules that need it were not checked", path=root)

@@ -1,4 +1,4 @@
-"""Whose private key is in a file: several rules ask, and to open one takes a millisecond."""
+"""The private key in a file, cached: several rules need it, and loading takes a millisecond."""
 
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
@@ -10,32 +10,32 @@ from pqsec_pki.lint.file import File
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What can be told of a private key without its passphrase. Nothing of it is kept."""
+    """What is known of a private key without its passphrase. The key itself is not kept."""
 
     spki: bytes | None = None
-    """DER SubjectPublicKeyInfo of its public half; None if it cannot be opened here."""
+    """DER SubjectPublicKeyInfo of its public key; None if it cannot be loaded here."""
     reason: str | None = None
-    """Why it cannot be read, where that is not for want of a passphrase."""
+    """Why it cannot be read, if the reason is not a missing passphrase."""
 
 
 _HELD: WeakKeyDictionary[File, Held] = WeakKeyDictionary()
-"""Forgotten with the file."""
+"""An entry is removed together with its file."""
 
 
 def held(file: File) -> Held:
     """The private key in `file`."""
     found = _HELD.get(file)
     if found is None:
-        found = _HELD[file] = _opened(file)
+        found = _HELD[file] = _load(file)
     return found
 
 
-def _opened(file: File) -> Held:
+def _load(file: File) -> Held:
     if file.unreadable or is_encrypted(file.data):
         return Held()
     try:
         return Held(load_private_key(file.data).public_key.spki)
     except UnknownAlgorithmError:
-        return Held()  # stacks take some kinds that pqsec does not
+        return Held()  # stacks accept some kinds that pqsec does not
     except PqsecError as error:
         return Held(reason=str(error))

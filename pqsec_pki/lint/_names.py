@@ -1,4 +1,4 @@
-"""Subjects as rules look at them: read, cut as Cyclone DDS cuts them, shown in messages."""
+"""Subject names for rules: parsed, split as Cyclone DDS splits them, shown in messages."""
 
 import re
 from collections import Counter
@@ -10,12 +10,12 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.document import PermissionsFile
 
 CUTS = re.compile("[,/|]")
-"""Where Cyclone DDS cuts a name, be it escaped or not."""
+"""Where Cyclone DDS splits a name, even at an escaped character."""
 
 
 @lru_cache(maxsize=8192)
 def parsed(text: str) -> Subject:
-    """Its parts; none if it is no name."""
+    """The parts of the subject name; none if `text` is not one."""
     try:
         return parse_subject(text)
     except PqsecError:
@@ -23,7 +23,7 @@ def parsed(text: str) -> Subject:
 
 
 def named(document: PermissionsFile) -> Iterator[tuple[Grant, Subject, list[Subject]]]:
-    """Each grant whose name can be read, with it, and turned round if another grant has that."""
+    """(grant, its name, the reversed name if another grant has it), for each readable name."""
     names = [(grant, parsed(grant.subject_name)) for grant in document.grants]
     all_names = {name for _, name in names}
     for grant, name in names:
@@ -32,12 +32,12 @@ def named(document: PermissionsFile) -> Iterator[tuple[Grant, Subject, list[Subj
 
 
 def repeated(name: Subject) -> str | None:
-    """The word that two parts have, DC apart, which comes in several."""
+    """The attribute type that several parts have; DC is not counted, as it often repeats."""
     counts = Counter(word for part in name for word, _ in part)
     return next((word for word, count in counts.items() if count > 1 and word != "DC"), None)
 
 
 def shown(grant: Grant) -> str:
-    """Whose grant it is, fit for a message."""
+    """The grant's subject name, printable, for a message."""
     name = grant.subject_name[:80]
     return name if name.isprintable() else ascii(name)

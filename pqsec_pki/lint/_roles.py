@@ -1,6 +1,6 @@
-"""What a certificate is there for, and what kind of key it is about.
+"""The role of a certificate, and the kind of its key.
 
-The name of its file says the former, as SROS2 and every stack's examples name files.
+The file name gives the role, as SROS2 and every stack's examples name files.
 """
 
 from enum import StrEnum
@@ -32,23 +32,23 @@ _CURVES = {
 
 
 class Role(StrEnum):
-    """What a certificate is there for, in the words of messages."""
+    """The role of a certificate, as messages write it."""
 
     PARTICIPANT = "participant"
     IDENTITY_CA = "identity CA"
     PERMISSIONS_CA = "permissions CA"
     COUNTERSIGNER = "countersigner"
     CA = "CA"
-    """One CA, or whatever else issued itself; SROS2 has one for both purposes."""
+    """A CA for both purposes, as SROS2 has it, or another self-issued certificate."""
 
     @property
     def identifies(self) -> bool:
-        """Whether authentication looks at it."""
+        """Whether authentication uses it."""
         return self in {Role.PARTICIPANT, Role.IDENTITY_CA, Role.CA}
 
     @property
     def issues(self) -> bool:
-        """Whether participants' certificates are signed by it."""
+        """Whether it signs participants' certificates."""
         return self in {Role.IDENTITY_CA, Role.CA}
 
     @property
@@ -67,7 +67,7 @@ _NAMES = {
 
 
 def role_of(file: CertificateFile) -> Role:
-    """By the file's name; where that says nothing, by whether it is marked as a CA's."""
+    """The role by the file's name; for other names, by whether it is marked as a CA."""
     for start, role in _NAMES.items():
         if file.path.name.startswith(start):
             return role
@@ -75,7 +75,7 @@ def role_of(file: CertificateFile) -> Role:
 
 
 def extension(certificate: Certificate, kind: type[Value]) -> Value | None:
-    """The value of that extension, if it is there."""
+    """The value of that extension; None if the certificate has none."""
     try:
         return certificate.extensions.get_extension_for_class(kind).value
     except x509.ExtensionNotFound:
@@ -83,7 +83,7 @@ def extension(certificate: Certificate, kind: type[Value]) -> Value | None:
 
 
 def key_of(certificate: Certificate) -> PublicKey | None:
-    """Its key, if there is a row for such keys."""
+    """Its public key; None if pqsec does not support the algorithm."""
     try:
         return certificate.public_key
     except PqsecError:
@@ -91,7 +91,7 @@ def key_of(certificate: Certificate) -> PublicKey | None:
 
 
 def is_signed_by(certificate: Certificate, issuer: Certificate) -> bool:
-    """Whether `issuer` signed it; True too where nobody here can tell."""
+    """Whether `issuer` signed it; True if pqsec cannot check the signature."""
     key = key_of(issuer)
     is_marked_for_it = key is not None and key.algorithm.accepts(certificate.identifier)
     if key is None or (family_of(issuer) is Family.CLASSICAL and not is_marked_for_it):
@@ -104,7 +104,7 @@ def is_signed_by(certificate: Certificate, issuer: Certificate) -> bool:
 
 
 def _is_signed_otherwise(certificate: Certificate, issuer: Certificate) -> bool:
-    """With what pqsec does not sign: other curves, RSASSA-PSS, SHA-1."""
+    """Check signatures that pqsec does not create: other curves, RSASSA-PSS, SHA-1."""
     try:
         signer = x509.load_der_x509_certificate(issuer.der)
         x509.load_der_x509_certificate(certificate.der).verify_directly_issued_by(signer)
@@ -116,13 +116,13 @@ def _is_signed_otherwise(certificate: Certificate, issuer: Certificate) -> bool:
 
 
 def family_of(certificate: Certificate) -> Family:
-    """What the key's strength rests on; what has no row is classical."""
+    """The family of the key's algorithm; classical for an algorithm that pqsec does not have."""
     key = key_of(certificate)
     return key.algorithm.family if key else Family.CLASSICAL
 
 
 def key_kind(certificate: Certificate) -> str:
-    """The row's name, or what others call a key that has no row here, such as rsa-1024."""
+    """The algorithm's name in pqsec, or its common name if pqsec lacks it, such as rsa-1024."""
     return _kind(certificate.spki, certificate.der)
 
 
@@ -144,7 +144,7 @@ def _foreign_kind(spki: bytes, der: bytes) -> str:
             curve = decode(Oid, encode(info.algorithm.parameters), "curve").dotted_string
             return _CURVES.get(curve, f"EC curve {curve}")
         if oid == _RSA:
-            # For these alone: the library tests the primes of other kinds, which takes long.
+            # Only for RSA: for other kinds the library tests primes, which takes long.
             return f"rsa-{_size(der)}"
     except PqsecError:
         return UNREADABLE

@@ -1,4 +1,4 @@
-"""Every file below some paths is found and read once, whatever links lead to it."""
+"""Finds every file below some paths and reads it once, even if several links lead to it."""
 
 import errno
 import os
@@ -18,38 +18,38 @@ from pqsec_pki.lint.file import File
 from pqsec_pki.lint.subjects import SIX
 
 MAX_FILES = 100_000
-"""A keystore of 10,000 participants has 40,000; a home folder is not what is meant."""
+"""A keystore of 10,000 participants has 40,000 files; the limit stops at a home folder."""
 MAX_BYTES = 1 << 30
-"""In all files together, which are kept: that keystore has 0.2 GB."""
+"""Of all files together, which stay in memory: that keystore has 0.2 GB."""
 JOURNAL, LEDGER = ".journal", "private/ledger.sqlite3"
 
-# In a folder only files with such a name are read, backup copies (key.pem~) with them.
+# In a folder, only files with such a name are read, including backup copies (key.pem~).
 _OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
 _DRAFT = re.compile(r"\.draft-[0-9a-f]{16}")
 _TWO_OF_SIX = 2
 _NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
-"""Of a link: there is nothing where it leads. Other errors hide what there is."""
+"""Errors of a broken link. After other errors it is unknown whether the target exists."""
 
 
 @dataclass(slots=True)
 class Search:
-    """What has been found so far, by device and inode: a link is not a second file."""
+    """What was found so far, by device and inode: a link is not a second file."""
 
     now: datetime
     files: dict[tuple[int, int], File] = field(default_factory=dict)
     folders: dict[Path, int] = field(default_factory=dict)
     enclaves: dict[Path, dict[str, tuple[int, int] | None]] = field(default_factory=dict)
-    """Folder -> its files by name; None for a link that leads nowhere."""
+    """Folder -> its files by name; None for a broken link."""
     named: set[Path] = field(default_factory=set)
     size: int = 0
     """Bytes read."""
     keystore: Keystore | None = None
     cut_off: Path | None = None
     lost: dict[Path, tuple[str, ...]] = field(default_factory=dict)
-    """Of each keystore of pqsec's that was named, what it lacks."""
+    """For each keystore of pqsec that was named, the files that it lacks."""
 
     def add(self, path: Path) -> None:
-        """A file, or a folder with all in it."""
+        """Add a file, or a folder with everything in it."""
         try:
             found = path.stat()
         except (OSError, ValueError) as error:
@@ -63,14 +63,14 @@ class Search:
             return
         if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
             self._settings(path)
-        if lost := _lost(path):
+        if lost := _missing_parts(path):
             self.lost[path] = lost
         links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
-        for link in links:  # after all files, which so have their own paths
+        for link in links:  # after all files, so that these get their own paths
             self._link(link)
 
     def _settings(self, root: Path) -> None:
-        """What is chosen for a keystore; of one in which a change was cut off, only that it was."""
+        """Read the settings of a keystore; if a change was interrupted, only record that."""
         path = root / SETTINGS
         if os.path.lexists(root / JOURNAL):
             self.cut_off = root / JOURNAL
@@ -81,10 +81,10 @@ class Search:
             self._unread(path, error.words_at(path))
 
     def _unread(self, path: Path, reason: str) -> None:
-        """It is there, and could not be looked into; its rule tells.
+        """Record that a path exists but cannot be read, for PQS001.
 
-        In a folder that is closed nothing can be asked about, so the folder is told. What
-        the user named was to be checked: FileError.
+        If its folder cannot be opened, the folder is recorded instead. FileError if the user
+        named the path.
         """
         if path in self.named:
             raise FileError(reason, where=path)
@@ -93,7 +93,7 @@ class Search:
         except PermissionError:
             self._unread(path.parent, reason)
         except OSError:
-            pass  # gone meanwhile
+            pass  # removed in the meantime
         else:
             key = (found.st_dev, found.st_ino)
             self.files[key] = File(path, b"", found.st_mode, self.now, reason)
@@ -108,12 +108,12 @@ class Search:
             for link in (path / name for name in folders if ENCLAVES in path.parts):
                 if os.path.islink(link):  # noqa: PTH114 -- no error where a folder is closed
                     self._unread(link, "a link to a folder, which is not followed")
-            with suppress(OSError):  # gone meanwhile
+            with suppress(OSError):  # removed in the meantime
                 self.folders[path] = path.stat().st_mode
             yield path, sorted(names)
 
     def _here(self, folder: Path, names: list[str]) -> Iterator[Path]:
-        """Take the files of a folder; the links are given back."""
+        """Add the files of a folder; return its links."""
         ours = dict(self._looked_at(folder, names))
         links = {name for name, found in ours.items() if stat.S_ISLNK(found.st_mode)}
         if _is_enclave(folder, ours):
@@ -135,7 +135,7 @@ class Search:
                 self._unlisted(error)
 
     def _link(self, link: Path) -> None:
-        """Take what it leads to; where nobody may look at that, the link is unreadable."""
+        """Add the link's target; if that cannot be accessed, the link is unreadable."""
         key = None
         try:
             found = link.stat()
@@ -152,7 +152,7 @@ class Search:
     def _closed(self, link: Path, reason: str) -> tuple[int, int] | None:
         try:
             found = link.lstat()
-        except OSError:  # gone meanwhile
+        except OSError:  # removed in the meantime
             return None
         key = (found.st_dev, found.st_ino)
         self._keep(key, File(link, b"", 0, self.now, reason))  # a link's own mode says nothing
@@ -180,19 +180,19 @@ class Search:
         self.files[key] = file
 
 
-def _lost(root: Path) -> tuple[str, ...]:
-    """What is not there of a keystore of pqsec's; nothing of other folders.
+def _missing_parts(root: Path) -> tuple[str, ...]:
+    """The missing files of a keystore of pqsec; none for other folders.
 
-    It is known by its settings or its ledger: a keystore of SROS2's and a robot's copy have
-    neither. What is in a closed folder is not taken for lost.
+    A keystore of pqsec has settings or a ledger: a keystore of SROS2 and a robot's copy have
+    neither. Files in a folder that cannot be opened do not count as missing.
     """
-    gone = tuple(each for each in (SETTINGS, "private", LEDGER) if _is_gone(root / each))
-    if _is_gone(root / "public") or _is_gone(root / ENCLAVES) or {SETTINGS, LEDGER} <= {*gone}:
+    missing = tuple(each for each in (SETTINGS, "private", LEDGER) if _is_missing(root / each))
+    if _is_missing(root / "public") or _is_missing(root / ENCLAVES):
         return ()
-    return gone
+    return () if {SETTINGS, LEDGER} <= {*missing} else missing
 
 
-def _is_gone(path: Path) -> bool:
+def _is_missing(path: Path) -> bool:
     try:
         path.lstat()
     except OSError as error:
@@ -201,15 +201,15 @@ def _is_gone(path: Path) -> bool:
 
 
 def _is_past(folder: Path) -> bool:
-    """Whether CAs lie there that made way for others, or what a killed command drafted.
+    """Whether the folder holds replaced CAs, or a draft of a command that was killed.
 
-    Nobody trusts the former any more; the next command that writes sweeps the latter.
+    Replaced CAs are no longer trusted; the next command that writes removes the draft.
     """
     return folder.parts[-2:] == ("private", "generations") or bool(_DRAFT.fullmatch(folder.name))
 
 
 def _is_enclave(folder: Path, names: Iterable[str]) -> bool:
-    """A folder with files of a participant: one of its own below enclaves/, else two of six."""
+    """Whether a folder has a participant's files: below enclaves/ one of them, else two."""
     here = set(names)
     if ENCLAVES in folder.parts:
         return bool(here & {CERTIFICATE, KEY, PERMISSIONS})

@@ -1,7 +1,7 @@
-"""Which patterns leave nothing for a later one: the first rule that matches decides.
+"""Finds patterns that cover a later one, which then has no effect: the first match decides.
 
-Told only where it is certain, and in time linear in the number of patterns: of those that
-are neither plain names nor a prefix with `*`, the first ODD_PATTERNS are remembered.
+Only certain cases are reported, in time linear in the number of patterns: of patterns that
+are neither plain names nor a prefix with `*`, only the first ODD_PATTERNS are kept.
 """
 
 import re
@@ -15,27 +15,27 @@ from pqsec_pki.documents import DomainRange, DomainSet
 
 ODD_PATTERNS = 32
 MAX_NAME = 256
-"""Characters of a topic name in DDS, and one more."""
+"""Longest topic name in DDS (255 characters), plus one."""
 _WILD = re.compile(r"[*?\[\]\\]")
 
 Mark = TypeVar("Mark")
 
 
 def covers_all(pattern: str) -> bool:
-    """Whether it matches every topic: as all names have a letter, `?*` does."""
+    """Whether it matches every topic. `?*` does, because no name is empty."""
     return "*" in pattern and pattern.replace("?", "", 1).strip("*") == ""
 
 
 @dataclass(slots=True)
 class Patterns(Generic[Mark]):
-    """Patterns that came before, each with a mark of where."""
+    """Earlier patterns, each with a mark that says where it is."""
 
     names: dict[str, Mark] = field(default_factory=dict)
     prefixes: dict[str, Mark] = field(default_factory=dict)
     odd: list[tuple[str, Mark]] = field(default_factory=list)
 
     def add(self, pattern: str, mark: Mark) -> None:
-        """Remember it; of two alike the first counts."""
+        """Add a pattern; of two equal ones, the first is kept."""
         start = pattern.rstrip("*")
         if pattern not in self.names:
             self.names[pattern] = mark
@@ -45,7 +45,7 @@ class Patterns(Generic[Mark]):
             self.odd += [(pattern, mark)] if len(self.odd) < ODD_PATTERNS else []
 
     def covering(self, pattern: str) -> Iterator[Mark]:
-        """Marks of those before that match all that `pattern` can match."""
+        """The marks of earlier patterns that match everything that `pattern` matches."""
         if pattern in self.names:
             yield self.names[pattern]
         wild = _WILD.search(pattern)
@@ -59,24 +59,24 @@ class Patterns(Generic[Mark]):
 
 @dataclass(slots=True)
 class Starts:
-    """What patterns begin with, before the first wildcard: may two match the same name?"""
+    """The starts of patterns, before the first wildcard: may two match the same name?"""
 
     fixed: list[str] = field(default_factory=list)
-    """In their order, so that those with one beginning stand together."""
+    """Sorted, so that equal prefixes are next to each other."""
     wild: set[str] = field(default_factory=set)
-    """Those of patterns that go on."""
+    """The starts of patterns with a wildcard."""
 
     def add(self, pattern: str) -> None:
-        """Remember it."""
+        """Add a pattern."""
         start, is_wild = _start(pattern)
         insort(self.fixed, start)
         if is_wild:
             self.wild.add(start)
 
     def may_meet(self, pattern: str) -> bool:
-        """Whether some name may be matched by `pattern` and by one of these.
+        """Whether `pattern` and one of these may match the same name.
 
-        What stands behind the first wildcard is not looked at.
+        The text after the first wildcard is ignored.
         """
         start, is_wild = _start(pattern)
         place = bisect_left(self.fixed, start)
@@ -93,7 +93,7 @@ def _start(pattern: str) -> tuple[str, bool]:
 
 
 def domains_meet(one: DomainSet, other: DomainSet) -> bool:
-    """Whether some domain is in both; yes if there are too many parts to compare."""
+    """Whether some domain is in both; True if there are too many parts to compare."""
     if len(one.parts) > ODD_PATTERNS or len(other.parts) > ODD_PATTERNS:
         return True
     return any(_overlap(part, each) for part in one.parts for each in other.parts)
@@ -105,7 +105,7 @@ def _overlap(part: int | DomainRange, other: int | DomainRange) -> bool:
 
 
 def covers_domains(earlier: DomainSet, later: DomainSet) -> bool:
-    """Whether each part of `later` lies within one part of `earlier`; no if there are too many."""
+    """Whether each part of `later` is within one part of `earlier`; False if too many parts."""
     if earlier == later or len(later.parts) > ODD_PATTERNS:
         return earlier == later
     return all(

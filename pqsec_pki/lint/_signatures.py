@@ -1,4 +1,4 @@
-"""Signed documents with the CA that should have signed them; what speaks against each."""
+"""Signed documents, the CA that should have signed each, and problems of their signatures."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -30,19 +30,19 @@ _BROKEN = {"1.3.14.3.2.26": "SHA-1", "1.2.840.113549.2.5": "MD5", "1.2.840.11354
 
 @dataclass(frozen=True)
 class Pair:
-    """A document, and who should have signed it."""
+    """A document, and the certificates that should have signed it."""
 
     file: File
     ca: Certificate
     alternative_ca: Certificate | None
     anchors: TrustAnchors | None
-    """The enclave's, if the document is one's and they can be read."""
+    """The enclave's CAs, if the document is in an enclave and they can be read."""
     others: tuple[tuple[str, Certificate], ...]
-    """Certificates near by, with what they are: perhaps one of them signed it."""
+    """(description, other certificate of the enclave), which may have signed it."""
 
 
 def pairs(inventory: Inventory) -> tuple[Pair, ...]:
-    """Each document with each CA that it is checked against, once."""
+    """Each document with each CA that it is checked against, without duplicates."""
     found = _PAIRS.get(inventory)
     if found is None:
         first: dict[tuple[Path, str], Pair] = {}
@@ -53,12 +53,12 @@ def pairs(inventory: Inventory) -> tuple[Pair, ...]:
 
 
 def listed(file: File) -> Listed | None:
-    """What the document says of its signatures; None if it cannot be read."""
+    """The signatures and certificates in the document; None if it cannot be read."""
     return _listed(file)[0] if file.is_signed else None
 
 
 def signers(file: File) -> tuple[ListedSigner, ...]:
-    """Those it names; none if it cannot be read."""
+    """The signers that the document names; none if it cannot be read."""
     found = listed(file)
     return found.signers if found else ()
 
@@ -69,17 +69,17 @@ def trouble(file: File) -> str | None:
 
 
 def text(file: File) -> bytes | None:
-    """What is signed; None if that is not text/plain, as PKCS7_TEXT wants it."""
+    """The signed text; None if it is not text/plain, which PKCS7_TEXT requires."""
     return file.signed_text[0]
 
 
 def broken_digests(file: File) -> tuple[str, ...]:
-    """Digests it is signed with for which a second document can be made."""
+    """The broken digests that it is signed with: a second document can have the same."""
     return tuple(_BROKEN[each.digest] for each in signers(file) if each.digest in _BROKEN)
 
 
 def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
-    """Whether the signature says that it is by `certificate`."""
+    """Whether the signature names `certificate` as its signer."""
     if signer.key_identifier is not None:
         return signer.key_identifier == certificate.subject_key_identifier
     if signer.serial_number != certificate.serial_number:
@@ -88,7 +88,7 @@ def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
 
 
 def uncheckable(pair: Pair) -> str | None:
-    """Why nobody here can tell whether the CA's signature holds, if so."""
+    """Why pqsec cannot check the CA's signature; None if it can."""
     if not _is_ours(pair):
         return None
     if key_of(pair.ca) is None:
@@ -102,24 +102,24 @@ def uncheckable(pair: Pair) -> str | None:
 
 
 def plain_problems(pair: Pair) -> Iterator[str]:
-    """What is wrong with the signature that names the CA."""
+    """Problems of the signature that names the CA."""
     others = {Code.COUNTERSIGNATURE_BAD, Code.SIGNATURE_MISSING}
     return (str(each) for each in _problems(pair) if each.code not in others)
 
 
 def counter_problems(pair: Pair) -> Iterator[str]:
-    """What is wrong with countersignatures."""
+    """Problems of countersignatures."""
     return (str(each) for each in _problems(pair) if each.code is Code.COUNTERSIGNATURE_BAD)
 
 
 def countersigners(file: File, ca: Certificate | None = None) -> tuple[ListedSigner, ...]:
-    """Who signed the signature; of a `ca`, only who signed one that says that it is by that."""
+    """The countersigners; with `ca`, only those of signatures that name it as signer."""
     signed = (each for each in signers(file) if ca is None or is_by(each, ca))
     return tuple(each for signer in signed for each in signer.countersigners)
 
 
 def embedded(file: File) -> Iterator[Certificate]:
-    """The certificates that came along, of those who are said to have signed."""
+    """The certificates in the document that its signatures name as signers."""
     found = listed(file)
     for der in found.certificates if found else ():
         with suppress(PqsecError):
@@ -144,7 +144,7 @@ def _near(enclave: Enclave) -> Iterator[tuple[str, Certificate]]:
 
 
 def _outside(inventory: Inventory) -> Iterator[Pair]:
-    """Documents that no enclave has, if only one permissions CA is there to have signed them."""
+    """Documents outside of enclaves, if there is exactly one permissions CA."""
     in_enclaves = {file.path for each in inventory.enclaves for file in each.files.values()}
     roles = [(role_of(each), each.first) for each in inventory.certificates if each.first]
     signers = {each.fingerprint: each for role, each in roles if role is Role.PERMISSIONS_CA}
@@ -158,7 +158,7 @@ def _outside(inventory: Inventory) -> Iterator[Pair]:
 
 
 def _is_ours(pair: Pair) -> bool:
-    """Whether there is one signature, and the CA's; other rules are about other cases."""
+    """Whether there is one signature and it names the CA; other rules cover other cases."""
     named = signers(pair.file)
     return len(named) == 1 and is_by(named[0], pair.ca) and text(pair.file) is not None
 
@@ -185,7 +185,8 @@ def _refusal(pair: Pair) -> tuple[Problem, ...]:
     return ()
 
 
-# Several rules ask, and all enclaves share one governance. Forgotten with the subject.
+# Cached, because several rules need them and all enclaves share one governance. An entry is
+# removed together with its subject.
 _PAIRS: WeakKeyDictionary[Inventory, tuple[Pair, ...]] = WeakKeyDictionary()
 _LISTED: WeakKeyDictionary[File, tuple[Listed | None, str | None]] = WeakKeyDictionary()
 _REFUSALS: WeakKeyDictionary[File, dict[tuple[str, str | None], tuple[Problem, ...]]] = (
@@ -194,7 +195,7 @@ _REFUSALS: WeakKeyDictionary[File, dict[tuple[str, str | None], tuple[Problem, .
 
 
 def _listed(file: File) -> tuple[Listed | None, str | None]:
-    """What it says of its signatures, or why it cannot be read."""
+    """(its signatures and certificates, None), or (None, why it cannot be read)."""
     found = _LISTED.get(file)
     if found is None:
         try:

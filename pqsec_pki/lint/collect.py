@@ -1,4 +1,4 @@
-"""From paths to an inventory: every file is found, read once and known for what it is."""
+"""From paths to an inventory: finds every file, reads it once and determines what it is."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,9 +16,10 @@ _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNO
 
 
 def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
-    """What is in these files and folders, links followed to files.
+    """The inventory of these files and folders; links to files are followed.
 
-    FileError if a path is not there or closed, if there is nothing to check, or too much.
+    FileError if a path does not exist or cannot be read, or if there is nothing or too much to
+    check.
     """
     search = Search(now)
     named = list(paths)
@@ -28,7 +29,7 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
     if not files and not search.enclaves:
         where = ", ".join(map(str, named))
         raise FileError(
-            f"{where}: nothing to check there",
+            f"{where}: nothing to check",
             hint="name a keystore, or files: .pem, .p7s and .xml",
         )
     documents = tuple(document_of(file) for file in files if _is_document(file, search))
@@ -54,13 +55,13 @@ def _is_document(file: File, search: Search) -> bool:
         return False
     if file.looks_like_document or _DOCUMENT.fullmatch(file.path.name):
         return True
-    return file.path in search.named and not file.labels  # named, so it is meant to be one
+    return file.path in search.named and not file.labels  # the user named it as a document
 
 
 def _is_copy(document: Document, subjects: Mapping[Path, Document | CertificateFile]) -> bool:
-    """Whether it is the signed form of an XML file beside it, with the same text.
+    """Whether it is the signed form of an XML file next to it, with the same text.
 
-    Then what is wrong is told of the XML, where it is mended.
+    Findings are then reported for the XML file, where they can be fixed.
     """
     beside = subjects.get(document.path.with_suffix(".xml"))
     if not document.file.is_signed or not isinstance(beside, Document):

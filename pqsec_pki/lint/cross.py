@@ -1,4 +1,4 @@
-"""Rules about what lies together in an enclave, and has to fit."""
+"""Rules about the files of one enclave, which must match each other."""
 
 from collections.abc import Iterator
 
@@ -38,7 +38,7 @@ def incomplete(enclave: Enclave) -> Iterator[Violation]:
 )  # fmt: skip
 def lost(enclave: Enclave) -> Iterator[Violation]:
     for name in sorted(enclave.lost):
-        yield Violation("the link leads nowhere", path=enclave.folder / name)
+        yield Violation("the link is broken", path=enclave.folder / name)
 
 
 @FAMILY.rule(
@@ -47,7 +47,7 @@ def lost(enclave: Enclave) -> Iterator[Violation]:
     " certificate. Logs and permissions then use different names.",
     fix="Issue a certificate with the enclave's path as its common name (CN=/fleet/robot1).",
 )  # fmt: skip
-def called_otherwise(enclave: Enclave) -> Iterator[Violation]:
+def different_names(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None or ENCLAVES not in enclave.folder.parts:
         return
@@ -120,8 +120,8 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     wanted = ca.subject_key_identifier
     if named and named.key_identifier and wanted and named.key_identifier != wanted:
         yield Violation(
-            f"the certificate wants a CA with the key identifier {named.key_identifier.hex()},"
-            f" and {ca.subject_name} has {wanted.hex()}"
+            f"the certificate names a CA with the key identifier {named.key_identifier.hex()},"
+            f" but {ca.subject_name} has {wanted.hex()}"
         )
 
 
@@ -183,11 +183,11 @@ def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
         return  # on every domain
     granted = dict.fromkeys(rule.domains for grant in grants for rule in grant.rules)
     if granted and not any(domains_meet(one, other) for one in governed for other in granted):
-        yield Violation("permits no domain that the governance governs", path=permissions.path)
+        yield Violation("names no domain that the governance names", path=permissions.path)
 
 
 def _intermediate(enclave: Enclave) -> Certificate | None:
-    """Who issued the certificate, if it stands behind the root that issued it."""
+    """The intermediate CA that issued the certificate, if it follows its root in the file."""
     certificate, root = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or root is None:
         return None
@@ -202,19 +202,19 @@ def _is_issued_by(certificate: Certificate, ca: Certificate) -> bool:
 
 
 def _is_elsewhere(enclave: Enclave, name: str) -> bool:
-    """Whether ROS 2 finds the address of a PKCS #11 token in its place; or it is on the robot."""
+    """Whether a PKCS #11 address (.p11, for ROS 2) replaces the file, or the robot has it."""
     if name == KEY and has_keys_on_robot(enclave):
         return True
     return (enclave.folder / name).with_suffix(".p11").exists()
 
 
 def has_keys_on_robot(enclave: Enclave) -> bool:
-    """Whether this is where the CAs are, and the keys were made for a request."""
+    """Whether the enclave was issued for a request, so that only the robot has the keys."""
     return REQUEST in enclave.files and KEY not in enclave.files
 
 
 def own_grants(enclave: Enclave) -> list[Grant]:
-    """The grants for the certificate's subject, however it is spelled."""
+    """The grants for the certificate's subject, in any spelling."""
     document, certificate = enclave.permissions(), enclave.certificate()
     if not (document and document.permissions and certificate):
         return []

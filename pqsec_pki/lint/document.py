@@ -1,4 +1,4 @@
-"""Governance and permissions documents, as rules look at them: parsed when first asked for."""
+"""Governance and permissions documents for rules, parsed when first needed."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,25 +14,25 @@ from pqsec_pki.smime import lines_before_document
 
 @dataclass(frozen=True)
 class Document(Content):
-    """A governance or permissions document, bare or signed.
+    """A governance or permissions document, unsigned or signed.
 
-    What cannot be told to be one of the two is of this class itself.
+    A document that is neither has this class itself, not a subclass.
     """
 
     @cached_property
     def xml(self) -> bytes | None:
-        """The document itself; None with `reason` if S/MIME is around it that cannot be read."""
+        """The document itself; None with `reason` if the S/MIME around it cannot be read."""
         return self.file.signed_text[0] if self.file.is_signed else self.file.data
 
     @cached_property
     def _first_line(self) -> int:
-        """How many lines of the file stand before the document."""
+        """How many lines of the file are before the document."""
         if not self.file.is_signed or self.xml is None:
             return 0
         return lines_before_document(self.file.data)
 
     def line(self, line: int | None) -> int | None:
-        """The line of the file where that line of the document is."""
+        """The line in the file for a line in the document."""
         return None if line is None else line + self._first_line
 
     @cached_property
@@ -46,7 +46,7 @@ class Document(Content):
 
     @property
     def tree(self) -> Tree | None:
-        """All that is in the XML; None with `reason` if it is not well formed."""
+        """The XML as a tree; None with `reason` if it is not well-formed."""
         return self._tree[0]
 
     @property
@@ -68,17 +68,17 @@ class Document(Content):
             yield from self.nodes.get(tag, ())
 
     def at(self, place: Node | int | None, message: str) -> Violation:
-        """What was found at an element, or a line, of the document."""
+        """A violation at an element or a line of the document."""
         return Violation(message, self.line(place.line if isinstance(place, Node) else place))
 
     @property
     def reason(self) -> str | None:
-        """Why there is no tree."""
+        """Why there is no tree; None if there is one."""
         return self._tree[1]
 
     @cached_property
     def problems(self) -> tuple[Problem, ...]:
-        """What breaks the schema; lines are of the document, not the file."""
+        """Differences from the schema; line numbers are those of the document, not the file."""
         if self.xml is None or self.tree is None:
             return ()
         try:
@@ -95,7 +95,7 @@ class GovernanceFile(Document):
 
     @cached_property
     def governance(self) -> Governance | None:
-        """What it says; None if it breaks its schema."""
+        """The parsed document; None if it does not match its schema."""
         try:
             return Governance.from_xml(self.xml or b"")
         except PqsecError:
@@ -107,7 +107,7 @@ class PermissionsFile(Document):
 
     @cached_property
     def permissions(self) -> Permissions | None:
-        """What it says; None if it breaks its schema."""
+        """The parsed document; None if it does not match its schema."""
         try:
             return Permissions.from_xml(self.xml or b"")
         except PqsecError:
@@ -115,18 +115,18 @@ class PermissionsFile(Document):
 
     @property
     def grants(self) -> tuple[Grant, ...]:
-        """Its grants; none if it breaks its schema."""
+        """Its grants; none if it does not match its schema."""
         return self.permissions.grants if self.permissions else ()
 
 
 def document_of(file: File) -> Document:
-    """The document in `file`, of the class of what it is."""
+    """The document in `file`, of the subclass for its kind."""
     document = Document(file)
     root = document.root
     kinds = {"domain_access_rules": GovernanceFile, "permissions": PermissionsFile}
     for child in root.children if root and root.tag == "dds" else ():
         if child.tag in kinds:
             known = kinds[child.tag](file)
-            vars(known).update(vars(document))  # what was parsed is not parsed again
+            vars(known).update(vars(document))  # keeps the cached tree
             return known
     return document

@@ -1,4 +1,4 @@
-"""Rules about enclaves among each other: what all of a keystore share."""
+"""Rules about several enclaves: what all of a keystore must share, and what they must not."""
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from datetime import datetime
@@ -34,7 +34,7 @@ def different_governance(inventory: Inventory) -> Iterator[Violation]:
 
     for enclave, other in _odd_ones(inventory, text):
         place = enclave.files[GOVERNANCE].path
-        yield Violation(f"not the governance that {other.name} and others have", path=place)
+        yield Violation(f"differs from the governance of {other.name} and others", path=place)
 
 
 @FAMILY.rule(
@@ -52,7 +52,7 @@ def different_cas(inventory: Inventory) -> Iterator[Violation]:
 
         for enclave, other in _odd_ones(inventory, key):
             place = enclave.files[name].path
-            yield Violation(f"not the {name} that {other.name} and others have", path=place)
+            yield Violation(f"differs from the {name} of {other.name} and others", path=place)
 
 
 @FAMILY.rule(
@@ -107,7 +107,7 @@ def misnamed(enclave: Enclave) -> Iterator[Violation]:
     for name, file in enclave.files.items():
         is_certificate = name == CERTIFICATE or name.endswith(f".{CERTIFICATE}")
         if is_certificate and "CERTIFICATE" not in file.labels and not file.unreadable:
-            yield Violation("there is no certificate in PEM in it", path=enclave.folder / name)
+            yield Violation("contains no certificate in PEM", path=enclave.folder / name)
     if enclave.governance(PERMISSIONS):
         yield Violation("is governance, not permissions", path=enclave.folder / PERMISSIONS)
     if enclave.permissions(GOVERNANCE):
@@ -126,7 +126,7 @@ def shared_key(inventory: Inventory) -> Iterator[Violation]:
         for key in _own_keys(enclave):
             other = first.setdefault(key, enclave)
             if other is not enclave:
-                yield Violation(f"has the key of {other.name} too", path=enclave.folder)
+                yield Violation(f"has the same key as {other.name}", path=enclave.folder)
                 break
 
 
@@ -143,11 +143,11 @@ def same_serial(inventory: Inventory) -> Iterator[Violation]:
             number = (certificate.issuer_der, certificate.serial_number)
             other = first.setdefault(number, file)
             if other.first and other.first.der != certificate.der:
-                yield Violation(f"has the serial number of {other.path} too", path=file.path)
+                yield Violation(f"has the same serial number as {other.path}", path=file.path)
 
 
 def _latest(enclave: Enclave) -> datetime | None:
-    """When its revocation list was made, if it has one."""
+    """When its newest revocation list was issued; None if it has none."""
     return max((each.this_update for _, each in lists_of(enclave)), default=None)
 
 
@@ -160,7 +160,7 @@ def _own_keys(enclave: Enclave) -> Iterator[bytes]:
 
 
 def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certificate]:
-    """Those in files of that name, or that enclaves know by it (SROS2 links both to one)."""
+    """CAs in files for that role, or that enclaves have under `name` (SROS2 links both to one)."""
     found = {each.path: each.first for each in inventory.certificates if role_of(each) is role}
     for enclave in inventory.enclaves:
         if name in enclave.files:
@@ -171,7 +171,7 @@ def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certifica
 def _odd_ones(
     inventory: Inventory, key: Callable[[Enclave], Hashable]
 ) -> Iterator[tuple[Enclave, Enclave]]:
-    """Enclaves that differ from most of their keystore, each with one of the many."""
+    """(enclave, another enclave) for each that differs from the majority of its keystore."""
     keystores: dict[Path, dict[Hashable, list[Enclave]]] = {}
     for enclave in inventory.enclaves:
         value = key(enclave)

@@ -1,4 +1,4 @@
-"""Domains and patterns in either document: what stacks read otherwise than it is written."""
+"""Rules about domains and patterns in both documents that stacks read differently."""
 
 import re
 from collections.abc import Iterator
@@ -16,8 +16,8 @@ MAX_STARS = 4
 _BRACE = re.compile(r"\{[^{},]*+,[^{}]*+\}")
 _CARET = re.compile(r"\[\^")
 _PATTERNS = ("topic", "topic_expression", "partition")
-# A bracket that Cyclone DDS reads otherwise: []a], [a-], [a]-b, [[:digit:]], and an open one.
-# Each looked at from its last [, so that the work is linear.
+# Brackets that Cyclone DDS reads differently: []a], [a-], [a]-b, [[:digit:]], and an open one.
+# The expression starts at the last [ of each, so that the search takes linear time.
 _ODD_BRACKET = re.compile(r"\[(?:[!^]?\]|[^\[\]]*+(?:(?<=-)\]|\]-|\[[:.=]|\Z))")
 _CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
@@ -41,7 +41,7 @@ def _number(node: Node | None) -> int | None:
 def open_range(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
         if node.child("min") and not node.child("max"):
-            yield document.at(node, "the range has no <max>: some stacks read its <min> alone")
+            yield document.at(node, "the range has no <max>: some stacks read only its <min>")
 
 
 @FAMILY.rule(
@@ -80,7 +80,7 @@ def empty_range(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
         first, last = _number(node.child("min")), _number(node.child("max"))
         if first is not None and last is not None and first > last:
-            yield document.at(node, f"no domain lies between {first} and {last}")
+            yield document.at(node, f"no domain is between {first} and {last}")
 
 
 @FAMILY.rule(
@@ -92,7 +92,7 @@ def empty_range(document: Document) -> Iterator[Violation]:
 def braces(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if _BRACE.search(node.value):
-            yield document.at(node, f"{node.value[:60]!a}: braces are no alternatives here")
+            yield document.at(node, f"{node.value[:60]!a}: braces do not mean alternatives here")
 
 
 @FAMILY.rule(
@@ -119,7 +119,7 @@ def many_stars(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         stars = len(re.findall(r"\*+", node.value))
         if stars > MAX_STARS:
-            yield document.at(node, f"{node.value[:60]!a} has {stars} stars: slow to match")
+            yield document.at(node, f"{node.value[:60]!a} has {stars} stars and is slow to match")
 
 
 @FAMILY.rule(
@@ -132,7 +132,9 @@ def many_stars(document: Document) -> Iterator[Violation]:
 def backslash(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if "\\" in node.value:
-            yield document.at(node, f"{node.value[:60]!a}: not an escape in all stacks")
+            yield document.at(
+                node, f"{node.value[:60]!a}: a backslash is not an escape in all stacks"
+            )
 
 
 @FAMILY.rule(
@@ -159,7 +161,7 @@ def odd_bracket(document: Document) -> Iterator[Violation]:
 def closing_bracket(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if "[" in node.value:
-            yield document.at(node, f"{node.value[:60]!a}: Cyclone DDS lets it cover a ] too")
+            yield document.at(node, f"{node.value[:60]!a}: in Cyclone DDS it also matches a ]")
 
 
 @FAMILY.rule(
@@ -172,7 +174,7 @@ def closing_bracket(document: Document) -> Iterator[Violation]:
 def star_inside(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if re.search(r"\*[^*]", node.value):
-            yield document.at(node, f"{node.value[:60]!a}: OpenDDS does not look back after a star")
+            yield document.at(node, f"{node.value[:60]!a}: OpenDDS does not backtrack after a star")
 
 
 @FAMILY.rule(
@@ -186,5 +188,5 @@ def star_inside(document: Document) -> Iterator[Violation]:
 def open_bracket(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if opendds_reads_beyond(node.value):
-            yield document.at(node, f"{node.value[:60]!a}: the bracket has no end, nor has it for"
-                              " OpenDDS, which reads beyond the pattern")  # fmt: skip
+            yield document.at(node, f"{node.value[:60]!a}: the bracket has no end, so OpenDDS"
+                              " reads beyond the pattern")  # fmt: skip

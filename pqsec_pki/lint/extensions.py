@@ -1,6 +1,6 @@
-"""Rules about what a certificate says it may do, and about files of certificates.
+"""Rules about certificate extensions, and about files with several certificates.
 
-Measured with each variant in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1,
+Each variant was measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1,
 3.1.2 and 3.6.2.
 """
 
@@ -24,7 +24,7 @@ _UNDERSTOOD = {
     *("2.5.29.32", "2.5.29.33", "2.5.29.36", "2.5.29.37", "2.5.29.54"),
     *("1.3.6.1.5.5.7.1.7", "1.3.6.1.5.5.7.48.1.5", "2.16.840.1.113730.1.1"),
 }
-"""Those that `openssl verify` 3.0.19 and 3.5 take as critical; each was tried."""
+"""Extensions that `openssl verify` 3.0.19 and 3.5 accept as critical; each was tested."""
 
 
 @FAMILY.rule(
@@ -81,7 +81,7 @@ def permissions_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
         return
     if usage and _is_ca(file.first) and not usage.key_cert_sign:
         yield Violation(
-            "the permissions CA's keyUsage lacks keyCertSign, which Fast DDS 3 asks for"
+            "the permissions CA's keyUsage lacks keyCertSign, which Fast DDS 3 requires"
         )
 
 
@@ -98,7 +98,7 @@ def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
     if usage and role.signs_documents and not usage.digital_signature:
         yield Violation(
             f"the {role}'s keyUsage lacks digitalSignature: Cyclone DDS 0.10 and Fast DDS 2.9"
-            " refuse what it signs"
+            " refuse documents that it signs"
         )
 
 
@@ -126,7 +126,7 @@ def for_another_purpose(file: CertificateFile) -> Iterator[Violation]:
 )  # fmt: skip
 def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
     for oid in sorted(_critical(file) - _UNDERSTOOD - _ALTERNATIVE):
-        yield Violation(f"critical extension {oid} of the {role_of(file)}: no stack knows it")
+        yield Violation(f"critical extension {oid} of the {role_of(file)}: no stack supports it")
 
 
 @FAMILY.rule(
@@ -192,7 +192,7 @@ def several(file: CertificateFile) -> Iterator[Violation]:
     if len(file.certificates) > 1:
         number = len(file.certificates)
         yield Violation(
-            f"{number} certificates: most stacks read the first one and pass over the rest"
+            f"{number} certificates: most stacks read the first one and ignore the others"
         )
 
 
@@ -211,10 +211,10 @@ def intermediate(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None or role is Role.PARTICIPANT:
         return
     if not file.first.is_self_issued:
-        yield Violation(f"the {role} was issued by another CA: stacks want it self-signed")
+        yield Violation(f"the {role} was issued by another CA: stacks require a self-signed one")
     elif not is_signed_by(file.first, file.first):
         yield Violation(
-            f"the {role}'s signature is not its own: altered, or another CA of its name"
+            f"the {role} did not sign itself: it was changed, or another CA has its name"
         )
 
 
@@ -248,12 +248,12 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
 def version_1_ca(file: CertificateFile) -> Iterator[Violation]:
     if file.first and role_of(file) is not Role.PARTICIPANT and file.first.version == 1:
         yield Violation(
-            f"the {role_of(file)}'s certificate is of version 1: it cannot say what it is"
+            f"the {role_of(file)}'s certificate is of version 1: it cannot say that it is a CA"
         )
 
 
 def _lacks_mark(certificate: Certificate) -> bool:
-    """Whether it could say that it is a CA's, and does not; version 1 cannot."""
+    """Whether the mark of a CA is missing; certificates of version 1 cannot have it."""
     return certificate.version > 1 and not _is_ca(certificate)
 
 

@@ -1,4 +1,4 @@
-"""A file, read once, and what can be told of it before it is parsed."""
+"""A file, read once, and what is known about it before it is parsed."""
 
 import re
 import stat
@@ -11,25 +11,25 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.smime import AmbiguousError, document_in, is_signed
 
 _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
-"""PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, and then what no certificate or list has."""
+"""PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, then a tag that certificates and CRLs lack."""
 
 
 @dataclass(frozen=True, eq=False)
 class File:
-    """A file, whatever is in it. `data` is empty where it could not be read."""
+    """A file with any content. `data` is empty if it could not be read."""
 
     path: Path
-    """As reached from what the user named; where several links lead, the file itself."""
+    """The path below what the user named; the file's own path rather than that of a link."""
     data: bytes = field(repr=False)
     mode: int
     """st_mode of the file itself, with its type."""
     now: datetime = field(repr=False)
     unreadable: str | None = None
-    """Why there is no data."""
+    """Why it could not be read."""
 
     @property
     def permission_bits(self) -> int:
-        """The mode as chmod takes it."""
+        """The mode, as for chmod."""
         return stat.S_IMODE(self.mode)
 
     @cached_property
@@ -39,7 +39,7 @@ class File:
 
     @cached_property
     def signed_text(self) -> tuple[bytes | None, PqsecError | None]:
-        """The document in S/MIME; None, and why, if it cannot be read."""
+        """(the document in S/MIME, None), or (None, why it cannot be read)."""
         try:
             return document_in(self.data), None
         except PqsecError as error:
@@ -47,7 +47,7 @@ class File:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether it is S/MIME in which stacks would not find the same document."""
+        """Whether it is S/MIME from which programs can read different documents."""
         return isinstance(self.signed_text[1], AmbiguousError)
 
     @cached_property
@@ -58,27 +58,27 @@ class File:
 
     @cached_property
     def is_private_key(self) -> bool:
-        """Whether a private key is in it; one in DER only if it is not encrypted."""
+        """Whether it contains a private key; in DER, only unencrypted ones are recognised."""
         in_pem = any(label.endswith("PRIVATE KEY") for label in self.labels)
         return in_pem or _DER_KEY.match(self.data) is not None
 
     @property
     def is_revocation_list(self) -> bool:
-        """Whether a revocation list in PEM is in it."""
+        """Whether it contains a revocation list in PEM."""
         return "X509 CRL" in self.labels
 
     @cached_property
     def looks_like_document(self) -> bool:
-        """Whether it is S/MIME or XML of this standard, broken or not."""
+        """Whether it is S/MIME, or XML of DDS-Security, even if broken."""
         if self.is_signed:
             return True
-        head = self.data[:65536].replace(b"\0", b"")  # so that UTF-16 shows its tags too
+        head = self.data[:65536].replace(b"\0", b"")  # also finds tags in UTF-16
         return bool(re.search(rb"(?i)<(dds|domain_access_rules|permissions)[\s>/]", head))
 
 
 @dataclass(frozen=True)
 class Content:
-    """What is in a file."""
+    """The content of a file."""
 
     file: File
 

@@ -1,4 +1,4 @@
-"""Rules about files: who may read keys, who may change anything, and keys out of place."""
+"""Rules about files: who can read keys or change files, and keys in wrong places."""
 
 import re
 import stat
@@ -26,7 +26,7 @@ PRIVATE, _PUBLIC = "private", "public"
 )  # fmt: skip
 def readable_key(file: File) -> Iterator[Violation]:
     if file.is_private_key and file.permission_bits & _OTHERS:
-        yield Violation(f"a private key with mode {file.permission_bits:04o}; 0600 is right")
+        yield Violation(f"a private key has mode {file.permission_bits:04o}; it must be 0600")
 
 
 @FAMILY.rule(
@@ -38,7 +38,7 @@ def open_private_folder(inventory: Inventory) -> Iterator[Violation]:
     for folder, mode in inventory.folders.items():
         if folder.name == PRIVATE and mode & _OTHERS:
             yield Violation(
-                f"a folder with mode {stat.S_IMODE(mode):04o}; 0700 is right", path=folder
+                f"the folder has mode {stat.S_IMODE(mode):04o}; it must be 0700", path=folder
             )
 
 
@@ -69,9 +69,9 @@ def public_key_place(file: File) -> Iterator[Violation]:
     if not file.is_private_key:
         return
     if _PUBLIC in file.path.parts[-2:-1]:
-        yield Violation("a private key in the folder public")
+        yield Violation("a private key is in the folder public")
     elif "CERTIFICATE" in file.labels:
-        yield Violation("a private key and a certificate in one file")
+        yield Violation("a private key and a certificate are in one file")
 
 
 @FAMILY.rule(
@@ -82,11 +82,11 @@ def public_key_place(file: File) -> Iterator[Violation]:
 def world_writable(inventory: Inventory) -> Iterator[Violation]:
     for file in inventory.files:
         if file.mode & stat.S_IWOTH:
-            yield Violation(f"everybody can write the file (mode {file.permission_bits:04o})",
+            yield Violation(f"everybody can change the file (mode {file.permission_bits:04o})",
                         path=file.path)  # fmt: skip
     for folder, mode in inventory.folders.items():
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            yield Violation(f"everybody can exchange files in it (mode {stat.S_IMODE(mode):04o})",
+            yield Violation(f"everybody can replace files in it (mode {stat.S_IMODE(mode):04o})",
                         path=folder)  # fmt: skip
 
 
@@ -97,7 +97,7 @@ def world_writable(inventory: Inventory) -> Iterator[Violation]:
 )  # fmt: skip
 def left_behind(file: File) -> Iterator[Violation]:
     if file.is_private_key and not _KEY_NAME.fullmatch(file.path.name):
-        yield Violation("looks like a left-over copy of a private key")
+        yield Violation("looks like a forgotten copy of a private key")
 
 
 @FAMILY.rule(
@@ -128,11 +128,11 @@ def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
 )  # fmt: skip
 def weakly_encrypted(file: File) -> Iterator[Violation]:
     if file.is_private_key and b"Proc-Type: 4,ENCRYPTED" in file.data:
-        yield Violation("a private key in traditional PEM: its passphrase is quickly guessed")
+        yield Violation("a private key in traditional PEM: its passphrase is easy to guess")
 
 
 def _ca_keys(inventory: Inventory) -> Mapping[bytes | None, Role]:
-    """Whose key it is, by the public half."""
+    """DER SubjectPublicKeyInfo -> role of the CA with that key."""
     found: dict[bytes | None, Role] = {}
     for file in inventory.certificates:
         role = role_of(file)

@@ -1,4 +1,4 @@
-"""What a governance document means: holes in the protection, and what stacks read otherwise."""
+"""Rules about governance: missing protection, and what stacks read differently."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ ERROR, WARNING, INFO = Severity
 _NONE = ProtectionKind.NONE
 _CIPHER = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
 MAX_COMPARED = 64
-"""Domain rules that a later one is compared with; nobody has more."""
+"""How many earlier domain rules a rule is compared with; real documents have fewer."""
 
 
 def _rules(document: GovernanceFile) -> tuple[DomainRule, ...]:
@@ -40,7 +40,9 @@ def _is_open(topic: TopicRule) -> bool:
 def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if rule.allow_unauthenticated_participants:
-            yield document.at(rule.line, f"domains {rule.domains} let in whoever has no identity")
+            yield document.at(
+                rule.line, f"domains {rule.domains} allow unauthenticated participants"
+            )
 
 
 @FAMILY.rule(
@@ -122,7 +124,7 @@ def no_topic_control(document: GovernanceFile) -> Iterator[Violation]:
             words = " and ".join(open_to)
             yield document.at(
                 topic.line,
-                f"whoever is in the domain may {words} topics {topic.topic_expression!a}",
+                f"every participant of the domain may {words} topics {topic.topic_expression!a}",
             )
 
 
@@ -140,7 +142,7 @@ def shadowed_topic(document: GovernanceFile) -> Iterator[Violation]:
                 yield document.at(
                     topic.line,
                     f"{topic.topic_expression!a} is never reached:"
-                    f" {earlier.topic_expression!a} above covers it",
+                    f" the earlier {earlier.topic_expression!a} covers it",
                 )
             before.add(topic.topic_expression, topic)
 
@@ -155,7 +157,7 @@ def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
     rules = _rules(document)
     for place, rule in enumerate(rules):
         if any(covers_domains(each.domains, rule.domains) for each in rules[:place][:MAX_COMPARED]):
-            yield document.at(rule.line, f"domains {rule.domains} are governed by a rule above")
+            yield document.at(rule.line, f"domains {rule.domains} are covered by an earlier rule")
 
 
 @FAMILY.rule(
@@ -167,7 +169,7 @@ def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
 def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if not any(covers_all(topic.topic_expression) for topic in rule.topic_rules):
-            yield document.at(rule.line, "no topic rule is for all other topics (*)")
+            yield document.at(rule.line, "there is no topic rule for all other topics (*)")
 
 
 @FAMILY.rule(
@@ -183,8 +185,8 @@ def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
     for rule in _rules(document):
         if rule.enable_join_access_control and not any(map(_is_half_open, rule.topic_rules)):
             yield document.at(
-                rule.line, f"OpenDDS makes no participant on domains {rule.domains}:"
-                " joining and every topic are controlled",
+                rule.line, f"OpenDDS creates no participant on domains {rule.domains}:"
+                " joining and every topic have access control",
             )  # fmt: skip
 
 
@@ -204,8 +206,8 @@ def opened_below(document: GovernanceFile) -> Iterator[Violation]:
                 open_below.add(topic.topic_expression, topic)
             elif wider := next(open_below.covering(topic.topic_expression), None):
                 yield document.at(
-                    topic.line, f"{topic.topic_expression!a} is open in OpenDDS: so is"
-                    f" {wider.topic_expression!a} below",
+                    topic.line, f"{topic.topic_expression!a} is open in OpenDDS, because the later"
+                    f" {wider.topic_expression!a} is open",
                 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Names of participants that stacks confuse, and subjects of certificates they cannot match."""
+"""Rules about names that stacks confuse, and subjects of certificates that they cannot match."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 @dataclass(frozen=True, slots=True)
 class _Holder:
-    """Somebody with a name, and the pieces that Cyclone DDS cuts it into."""
+    """A certificate or grant: its name, and the pieces into which Cyclone DDS splits it."""
 
     name: str
     pieces: frozenset[tuple[str, str]]
@@ -47,11 +47,11 @@ def escalation(inventory: Inventory) -> Iterator[Violation]:
     grants = list(_granted(inventory))
     by_rarest = _by_rarest_piece([*_identities(inventory), *grants])
     for grant in grants:
-        told: set[str] = set()
+        reported: set[str] = set()
         for piece in grant.pieces:
             for other in by_rarest.get(piece, ()):
-                if other.name not in told and _may_pass(other, grant):
-                    told.add(other.name)
+                if other.name not in reported and _may_pass(other, grant):
+                    reported.add(other.name)
                     message = (
                         f"on Cyclone DDS, {other.name} may use the permissions of {grant.name}"
                     )
@@ -81,7 +81,7 @@ def _granted(inventory: Inventory) -> Iterator[_Holder]:
 
 
 def _by_rarest_piece(holders: list[_Holder]) -> dict[tuple[str, str], list[_Holder]]:
-    """Each name once, under the piece that the fewest names have: so few are ever compared."""
+    """Each name once, under the piece that the fewest names have, to compare few pairs."""
     unique = {holder.name: holder for holder in holders}
     counts = Counter(piece for holder in unique.values() for piece in holder.pieces)
     found: dict[tuple[str, str], list[_Holder]] = {}
@@ -113,7 +113,7 @@ def same_name(inventory: Inventory) -> Iterator[Violation]:
             continue
         name, spki = before.setdefault(certificate.subject_der, (enclave.name, certificate.spki))
         if spki != certificate.spki:
-            message = f"{certificate.subject_name} is the subject of {name} too, with another key"
+            message = f"{name} has the same subject {certificate.subject_name} and another key"
             yield Violation(message, path=enclave.files[CERTIFICATE].path)
 
 
@@ -143,5 +143,5 @@ def certificate_joins(file: CertificateFile) -> Iterator[Violation]:
 
 
 def _participants(file: CertificateFile) -> Iterator[Certificate]:
-    """The certificates in it that are no CA's own: documents name only participants."""
+    """The certificates in it that are not self-issued: documents name only participants."""
     return (each for each in file.certificates if not each.is_self_issued)

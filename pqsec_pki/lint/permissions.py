@@ -1,4 +1,4 @@
-"""What a permissions document means: holes, rules that do nothing, what stacks skip."""
+"""Rules about permissions: too many rights, rules without effect, what stacks ignore."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -13,7 +13,7 @@ FAMILY = Family("documents")
 
 ERROR, WARNING, INFO = Severity
 MAX_DOMAIN_SETS = 16
-"""Different sets of domains in one grant that rules are compared under."""
+"""How many different sets of domains of one grant are compared."""
 _CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
 _ACTIONS = ("publish", "subscribe", "relay")
 
@@ -28,7 +28,9 @@ _ACTIONS = ("publish", "subscribe", "relay")
 def default_allow(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.default is DefaultAction.ALLOW:
-            yield document.at(grant.line, f"{shown(grant)}: whatever no rule names is allowed")
+            yield document.at(
+                grant.line, f"{shown(grant)}: everything that no rule matches is allowed"
+            )
 
 
 @FAMILY.rule(
@@ -43,7 +45,9 @@ def default_allow(document: PermissionsFile) -> Iterator[Violation]:
 def nothing_allowed(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.default is DefaultAction.ALLOW and not any(rule.allow for rule in grant.rules):
-            yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants an allow_rule to join")
+            yield document.at(
+                grant.line, f"{shown(grant)}: Fast DDS requires an allow_rule to join"
+            )
 
 
 @FAMILY.rule(
@@ -96,7 +100,7 @@ def late_allow(document: PermissionsFile) -> Iterator[Violation]:
 
 
 _Shadow = tuple[int | None, str, str, Rule, Rule]
-"""Line, action, topic, the rule it stands in, and the rule above with the other verdict."""
+"""Line, action, topic, its rule, and an earlier rule that decides the opposite."""
 
 
 def _shadowed(document: PermissionsFile) -> Iterator[_Shadow]:
@@ -126,9 +130,9 @@ def _shadowed_in(
             if first and first is not rule and first.allow != rule.allow:
                 yield criteria.line, action, topic, rule, first
                 break
-        mine = before.setdefault((*limits, rule.domains.parts), Patterns())
+        own = before.setdefault((*limits, rule.domains.parts), Patterns())
         for topic in criteria.topics:
-            mine.add(topic, rule)
+            own.add(topic, rule)
 
 
 @FAMILY.rule(
@@ -192,7 +196,7 @@ def default_partition(document: PermissionsFile) -> Iterator[Violation]:
             for each in criteria:
                 if not each.partitions:
                     yield document.at(
-                        each.line, f"{_some(each.topics)}: allowed in no partition only"
+                        each.line, f"{_some(each.topics)}: allowed only without a partition"
                     )
 
 
@@ -232,18 +236,18 @@ def data_tags(document: PermissionsFile) -> Iterator[Violation]:
 def two_grants(document: PermissionsFile) -> Iterator[Violation]:
     before: dict[object, Grant] = {}
     for grant in document.grants:
-        # Of a name beyond ASCII each of two spellings is for other stacks (PQS418, PQS425).
+        # A non-ASCII name needs two grants, one spelling for each group of stacks (PQS418, PQS425).
         name: object = (
             parsed(grant.subject_name) or grant.subject_name,
             grant.subject_name.isascii(),
         )
         if name in before:
             first = document.line(before[name].line)
-            yield document.at(grant.line, f"{shown(grant)} has a grant in line {first} already")
+            yield document.at(grant.line, f"{shown(grant)} already has a grant in line {first}")
         before.setdefault(name, grant)
 
 
 def _some(words: tuple[str, ...]) -> str:
-    """The first few of them."""
+    """The first three, and how many more there are."""
     rest = f" and {len(words) - 3} more" if len(words) > 3 else ""  # noqa: PLR2004 -- a few
     return ", ".join(ascii(word)[1:-1] for word in words[:3]) + rest

@@ -1,4 +1,4 @@
-"""Rules about what shall withstand a quantum computer, and what stock stacks make of it."""
+"""Rules about post-quantum keys and signatures, and how stock stacks handle them."""
 
 from collections.abc import Iterator
 
@@ -138,10 +138,10 @@ def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
     files = (enclave.files.get(name) for name in (PERMISSIONS, GOVERNANCE))
     ca = enclave.certificate(PERMISSIONS_CA)
     if any(file and _signatures.countersigners(file, ca) for file in files):
-        yield Violation(f"documents are countersigned, and {PERMISSIONS_ALT_CA} is not there")
+        yield Violation(f"documents are countersigned, but {PERMISSIONS_ALT_CA} is missing")
     elif _alternative_key(enclave.certificate(IDENTITY_CA)):
         yield Violation(
-            f"the identity CA has an alternative key, and {PERMISSIONS_ALT_CA} is missing"
+            f"the identity CA has an alternative key, but {PERMISSIONS_ALT_CA} is missing"
         )
 
 
@@ -155,7 +155,7 @@ def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
     if has_keys_on_robot(enclave):
         return
     if _alternative_key(enclave.certificate()) and ALT_KEY not in enclave.files:
-        yield Violation(f"{ALT_KEY} is not there, and the certificate has an alternative key")
+        yield Violation(f"{ALT_KEY} is missing, and the certificate has an alternative key")
 
 
 @FAMILY.rule(

@@ -1,7 +1,7 @@
-"""Rules about revocation lists: their own file, and what they say of the enclave.
+"""Rules about revocation lists: their own file, and how they apply to the enclave.
 
-Measured with each variant in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1,
-3.1.2 and 3.6.2. Stacks that are given a list refuse everybody once it is not good.
+Each variant was measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1,
+3.1.2 and 3.6.2. A stack with an invalid list refuses every participant.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ def unreadable(file: File) -> Iterator[Violation]:
 def expired(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     if revoked and revoked.next_update and file.now > revoked.next_update:
-        yield Violation(f"the revocation list ended on {revoked.next_update:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list expired on {revoked.next_update:%Y-%m-%d %H:%M} UTC")
 
 
 @FAMILY.rule(
@@ -54,7 +54,7 @@ def ends_soon(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     end = revoked.next_update if revoked else None
     if revoked and end and x509.ends_soon(file.now, revoked.this_update, end):
-        yield Violation(f"the revocation list ends on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list expires on {end:%Y-%m-%d %H:%M} UTC")
 
 
 @FAMILY.rule(
@@ -66,7 +66,9 @@ def ends_soon(file: File) -> Iterator[Violation]:
 def not_yet(file: File) -> Iterator[Violation]:
     revoked = _list_in(file)
     if revoked and file.now < revoked.this_update:
-        yield Violation(f"the revocation list begins on {revoked.this_update:%Y-%m-%d %H:%M} UTC")
+        yield Violation(
+            f"the revocation list is valid from {revoked.this_update:%Y-%m-%d %H:%M} UTC"
+        )
 
 
 @FAMILY.rule(
@@ -164,7 +166,7 @@ def _revoked(inventory: Inventory) -> Iterator[Violation]:
 
 
 def lists_of(enclave: Enclave) -> Iterator[tuple[File, RevocationList]]:
-    """Those that the participant is given, as far as they can be read."""
+    """(file, revocation list) for each readable list of the enclave."""
     for file in enclave.files.values():
         revoked = _list_in(file)
         if revoked and "CERTIFICATE" not in file.labels:
@@ -177,7 +179,7 @@ def _list_in(file: File) -> RevocationList | None:
 
 @lru_cache(maxsize=8)
 def _read(data: bytes) -> tuple[RevocationList | None, str | None]:
-    """All enclaves of a keystore share one list, which may be long."""
+    """(list, None) or (None, why it cannot be read). Cached: all enclaves share one list."""
     try:
         return RevocationList.from_pem(data), None
     except PqsecError as error:

@@ -1,4 +1,4 @@
-"""What a node of ROS 2 cannot do without: asked with `--target ros2`."""
+"""Rules about what every ROS 2 node needs; they run with `--target ros2`."""
 
 import re
 from collections.abc import Iterator

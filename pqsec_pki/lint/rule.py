@@ -1,22 +1,22 @@
-"""What a rule is, and how a family of rules is written down.
+"""What a rule is, and how a family of rules is written.
 
-A family is a module with one table of rules, each the function that looks for a flaw:
+A family is a module with one table of rules. Each rule is a function that finds violations:
 
     FAMILY = Family("documents")
 
     @FAMILY.rule(
         "PQS213", Severity.ERROR, PermissionsFile, "a rule names no domains",
         why="Cyclone DDS crashes on it and Fast DDS refuses the document.",
-        mend="Add <domains> as the first element of the rule.",
+        fix="Add <domains> as the first element of the rule.",
         stacks=(Target.CYCLONEDDS, Target.FASTDDS),
         rows=("rule without `<domains>`",),
     )
     def rule_without_domains(document: PermissionsFile) -> Iterator[Violation]:
         yield Violation("this rule names no domains", line)
 
-The class a function takes is its scope: it is asked about every subject of that class (see
-`file`, `document` and `subjects`), and of classes that inherit from it. The page of the rule
-is made of its text.
+The class that a function takes is its scope: the function is called for every subject of that
+class (see `file`, `document` and `subjects`) and of its subclasses. docs/rules.md is generated
+from the texts.
 Numbers: 0xx frame, 1xx X.509, 2xx documents, 3xx cross-artefact, 4xx naming, 5xx size,
 6xx post-quantum, 7xx files.
 """
@@ -33,7 +33,7 @@ S = TypeVar("S")
 
 
 class Severity(StrEnum):
-    """How bad it is. An error does not work, or is a hole; a warning is a risk."""
+    """An error does not work or is a vulnerability; a warning is a risk."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -41,7 +41,7 @@ class Severity(StrEnum):
 
 
 class Target(StrEnum):
-    """A stack that has to live with the files."""
+    """A stack that is to use the files."""
 
     CYCLONEDDS = "cyclonedds"
     FASTDDS = "fastdds"
@@ -52,21 +52,21 @@ class Target(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """One place where a rule is broken, as the rule's function tells it."""
+    """One place where a rule is violated, as the rule's function reports it."""
 
     message: str
-    """One line, for an engineer who is no expert."""
+    """One line, for an engineer who is not an expert."""
     line: int | None = None
     """In the file, counted from 1."""
     path: Path | None = None
-    """Where that is not the subject's own path."""
+    """If it differs from the subject's own path."""
     code: Code | None = None
-    """Of the problem with the credentials that this is, if it is one."""
+    """The code of the problem, if it is one of the credentials."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One flaw: how to see it, why it matters and what to do."""
+    """One kind of violation: how to find it, why it matters and how to fix it."""
 
     id: str
     severity: Severity
@@ -77,17 +77,17 @@ class Rule:
     scope: type
     check: Callable[[Any], Iterable[Violation]]
     stacks: frozenset[Target]
-    """Those that trip on it; none means that all do, or that it is about security."""
+    """The stacks that it affects; none means all, or that the rule is about security."""
     rows: tuple[str, ...] = ()
-    """The rows of the measurements it stands on (docs/rules.md)."""
+    """The measurements that it is based on (rows in docs/rules.md)."""
     measured: str = ""
-    """Stacks and versions, or where else it is known from."""
+    """Stacks and versions, or another source."""
     only_when_asked: bool = False
-    """Whether it is left out unless --target names one of its stacks: what it complains
-    of is right for others."""
+    """Whether it runs only if --target names one of its stacks, because what it reports is
+    correct for the other stacks."""
 
     def matters_to(self, targets: frozenset[Target]) -> bool:
-        """Whether it is asked when these targets were named; none means all."""
+        """Whether the rule runs for these targets; no targets means all."""
         if not targets:
             return not self.only_when_asked
         return not self.stacks or bool(self.stacks & targets)
@@ -100,7 +100,7 @@ class Family:
     name: str
     rules: list[Rule] = field(default_factory=list)
 
-    def rule(  # noqa: PLR0913 -- what a rule has to say, most of it by name
+    def rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
         self,
         id_: str,
         severity: Severity,
@@ -114,10 +114,10 @@ class Family:
         measured: str = "",
         only_when_asked: bool = False,
     ) -> Callable[[Callable[[S], Iterable[Violation]]], Callable[[S], Iterable[Violation]]]:
-        """Enter the decorated function, which finds the flaw in subjects of class `scope`."""
+        """Register the decorated function, which finds violations in subjects of class `scope`."""
 
-        def enter(check: Callable[[S], Iterable[Violation]]) -> Callable[[S], Iterable[Violation]]:
-            made = Rule(
+        def add(check: Callable[[S], Iterable[Violation]]) -> Callable[[S], Iterable[Violation]]:
+            rule = Rule(
                 id=id_,
                 severity=severity,
                 title=title,
@@ -131,22 +131,22 @@ class Family:
                 measured=measured,
                 only_when_asked=only_when_asked,
             )
-            self.rules.append(made)
+            self.rules.append(rule)
             return check
 
-        return enter
+        return add
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """A rule that is broken somewhere: what `pqsec check` prints."""
+    """A violated rule and where: what `pqsec check` prints."""
 
     rule: Rule
     path: Path
     line: int | None
     message: str
     code: Code | None = None
-    """What an enclave's credentials are refused for, if this is why (`problems.Code`)."""
+    """The reason for which the enclave's credentials are refused, if this is it."""
 
     def __str__(self) -> str:
         place = f"{self.path}:{self.line}" if self.line else str(self.path)

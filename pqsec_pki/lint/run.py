@@ -1,4 +1,4 @@
-"""Ask every rule about every subject; set aside what somebody has given a reason for."""
+"""Runs every rule on every subject, and sets suppressed findings aside."""
 
 import os
 from collections.abc import Container, Iterable, Iterator
@@ -26,9 +26,9 @@ class Report:
     """What a check found."""
 
     findings: tuple[Finding, ...]
-    """By path and line; within a line the worst first."""
+    """Sorted by path and line; within a line, the most severe first."""
     ignored: tuple[tuple[Finding, str], ...]
-    """Those suppressed, with the reason."""
+    """(suppressed finding, reason)."""
     inventory: Inventory = field(repr=False)
 
     def count(self, severity: Severity) -> int:
@@ -36,15 +36,15 @@ class Report:
         return sum(finding.rule.severity is severity for finding in self.findings)
 
     def is_clean(self, *, strict: bool = False) -> bool:
-        """Whether there is no error; with `strict`, no warning either."""
+        """Whether there is no error and, with `strict`, no warning."""
         warnings = self.count(Severity.WARNING) if strict else 0
         return not self.count(Severity.ERROR) and not warnings
 
     @property
     def unread(self) -> tuple[Finding, ...]:
-        """Of what was to be checked and could not be read: if any, the check is incomplete.
+        """Findings about unreadable files: if there are any, the check is incomplete.
 
-        Without a keystore's folder of CA keys, which is rightly closed to others.
+        A keystore's folder of CA keys does not count, because others must not read it.
         """
         found = [each for each in self.findings if each.rule.id == UNREAD]
         known = {*self.inventory.folders, *(file.path for file in self.inventory.files)}
@@ -58,10 +58,10 @@ def check(
     targets: Iterable[Target] = (),
     ignore: Iterable[Suppression] = (),
 ) -> Report:
-    """Everything that is wrong or risky in these files, folders and keystores.
+    """Find everything that is wrong or risky in these files, folders and keystores.
 
-    Without `targets`, all stacks are meant. FileError if a path cannot be looked into;
-    what is wrong, or closed, inside is a finding.
+    No `targets` means all stacks. FileError if a path itself cannot be read; problems and
+    unreadable files inside are findings.
     """
     named = list(paths)
     inventory = take_inventory(named, now=now)
@@ -83,7 +83,7 @@ def check(
 
 
 def _is_of_ca_keys(path: Path, known: Container[Path]) -> bool:
-    """Whether it is the folder private/ beside a folder enclaves/, or in it."""
+    """Whether it is a keystore's folder private/ (next to enclaves/), or inside it."""
     folders = (each for each in (path, *path.parents) if each.name == PRIVATE)
     return any(each.parent / ENCLAVES in known for each in folders)
 

@@ -1,4 +1,4 @@
-"""Findings as SARIF 2.1.0 (OASIS): what code scanning services and editors read."""
+"""Findings as SARIF 2.1.0 (OASIS), the format of code scanning services and editors."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: 
 
 
 def to_sarif(report: Report) -> dict[str, Any]:
-    """The log with one run, for json.dumps; suppressed findings are in it, marked so."""
+    """The log with one run, for json.dumps; it includes suppressed findings, marked as such."""
     places = {rule.id: place for place, rule in enumerate(RULES.values())}
     results = [_result(each, places) for each in report.findings]
     for finding, reason in report.ignored:
@@ -61,6 +61,6 @@ def _result(finding: Finding, places: dict[str, int]) -> dict[str, Any]:
 
 
 def _uri(path: Path) -> str:
-    """A relative path stays one, so that a service finds it in the checkout."""
+    """The path as a URI; a relative path stays relative, so that services find it in a checkout."""
     octets = path.as_posix().encode(errors="surrogateescape")
     return ("file://" if path.is_absolute() else "") + quote(octets, safe="/")

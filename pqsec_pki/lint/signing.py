@@ -1,7 +1,7 @@
-"""Rules about signed documents: their S/MIME form, and whose signature it is.
+"""Rules about signed documents: their S/MIME form, and who signed them.
 
-Every stack reads them with OpenSSL's SMIME_read_PKCS7 and PKCS7_verify. Measured with
-each form in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
+Every stack reads them with OpenSSL's SMIME_read_PKCS7 and PKCS7_verify. Each form was
+measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
 """
 
 import re
@@ -35,7 +35,7 @@ def not_smime(file: File) -> Iterator[Violation]:
     if file.is_signed or file.unreadable or not _SIGNED_NAME.fullmatch(file.path.name):
         return
     if form := _form(file):
-        yield Violation(f"{form}, where stacks read S/MIME (multipart/signed)")
+        yield Violation(f"{form}; stacks read only S/MIME (multipart/signed)")
 
 
 @FAMILY.rule(
@@ -101,7 +101,7 @@ def by_key_identifier(file: File) -> Iterator[Violation]:
 def not_one_signer(file: File) -> Iterator[Violation]:
     listed = _signatures.listed(file)
     if listed and len(listed.signers) != 1:
-        yield Violation(f"has {len(listed.signers)} signatures; stacks take exactly one")
+        yield Violation(f"has {len(listed.signers)} signatures; stacks accept exactly one")
 
 
 @FAMILY.rule(
@@ -115,8 +115,8 @@ def without_certificate(inventory: Inventory) -> Iterator[Violation]:
     for pair in _signatures.pairs(inventory):
         listed = _signatures.listed(pair.file)
         if listed and not listed.certificates and _is_for_stock(pair):
-            words = "the signer's certificate is not inside: Cyclone DDS 0.10 and Fast DDS 2.9"
-            yield Violation(f"{words} refuse that", path=pair.file.path)
+            words = "lacks the signer's certificate: Cyclone DDS 0.10 and Fast DDS 2.9"
+            yield Violation(f"{words} refuse it", path=pair.file.path)
 
 
 @FAMILY.rule(
@@ -184,7 +184,7 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
         plain = files.get(file.path.with_suffix(".xml"))
         text = _signatures.text(file) if file.is_signed and plain else None
         if plain and text is not None and _lines(text) != _lines(plain.data):
-            yield Violation(f"is not what {plain.path.name} beside it says", path=file.path)
+            yield Violation(f"differs from {plain.path.name}", path=file.path)
 
 
 @FAMILY.rule(
@@ -210,28 +210,28 @@ def ambiguous(file: File) -> Iterator[Violation]:
 def not_canonical(file: File) -> Iterator[Violation]:
     readable = file.is_signed and _signatures.text(file) is not None
     if readable and len(_signatures.signers(file)) == 1 and not is_canonical(file.data):
-        yield Violation("is in another form than pqsec writes; what stacks read in it is the same")
+        yield Violation("has another form than pqsec writes; stacks read the same document from it")
 
 
 def _is_for_stock(pair: Pair) -> bool:
-    """What has post-quantum keys no stock stack reads, with that certificate or without."""
+    """Whether stock stacks can read the document: all keys are classical."""
     certificates = (pair.ca, *(each for _, each in pair.others))
     return all(family_of(each) is Strength.CLASSICAL for each in certificates)
 
 
 def _form(file: File) -> str | None:
-    """What it is instead; None if nobody knows (PQS201 says so)."""
+    """What the file is instead; None if that is unknown (PQS201 reports it)."""
     if file.data.lstrip()[:1] == b"<":
-        return "not signed at all"
+        return "is not signed"
     if "PKCS7" in file.labels or "CMS" in file.labels:
-        return "a signature in PEM"
+        return "is a signature in PEM"
     if b"pkcs7-mime" in file.data[:4096]:
-        return "an S/MIME message that wraps its text up"
-    return "a signature in DER" if file.data[:1] == b"\x30" else None
+        return "is an S/MIME message that encloses its text (opaque)"
+    return "is a signature in DER" if file.data[:1] == b"\x30" else None
 
 
 def _by_another(pair: Pair) -> str:
-    """Who signed in place of the permissions CA, as far as the document and the enclave tell."""
+    """A message: who signed instead of the permissions CA, if document and enclave show it."""
     name, signers = pair.ca.subject_name, _signatures.signers(pair.file)
     if who := _known(pair):
         return f"signed by {who}, not by {name}"
@@ -239,15 +239,15 @@ def _by_another(pair: Pair) -> str:
         return f"signed by {signers[0].issuer or 'another key'}, not by {name}"
     certificate = next(_signatures.embedded(pair.file), None)
     if certificate is None:
-        words = f"signed with a certificate whose issuer is called {name}"
-        return f"{words}: another CA of that name, or a delegate"
+        words = f"signed with a certificate whose issuer is {name}"
+        return f"{words}: another CA with that name, or a certificate that the CA issued"
     if certificate.is_self_issued:
-        return f"signed by another CA that is called {name} too, not by this one"
+        return f"signed by another CA with the same name {name}, not by this one"
     return f"signed by a certificate that {name} issued, not by {name}"
 
 
 def _known(pair: Pair) -> str | None:
-    """The signer, if it is among the certificates that the enclave knows."""
+    """The signer with its role, if it is one of the enclave's certificates."""
     signers = _signatures.signers(pair.file)
     known: list[tuple[str, Certificate]] = [
         (f"{role}, {certificate.subject_name}", certificate) for role, certificate in pair.others

@@ -1,7 +1,7 @@
-"""Rules about how large a participant's handshake is.
+"""Rules about the size of a participant's handshake.
 
-The largest message is the Reply: it carries the certificate and the signed permissions.
-It is built here as it is sent, with zeros where secrets and signatures would be.
+The largest message is the Reply: it contains the certificate and the signed permissions.
+It is built here as it is sent, with zeros in place of secrets and signatures.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ FAST_DDS_LIMIT = 8192
 DATAGRAM = 65507
 """Bytes: the largest UDP payload over IPv4, in which Fast DDS sends a message whole."""
 FRAGMENT = 1344
-"""Bytes of a message in one datagram: Cyclone DDS's default (General/FragmentSize)."""
+"""Bytes of a message in one datagram: the default of Cyclone DDS (General/FragmentSize)."""
 MANY = 40
 """Fragments. The largest handshake of pqsec's profiles has 29."""
 _SMALLER = "Write permissions with fewer rules (patterns instead of lists of topics)"
@@ -55,7 +55,7 @@ class Size:
 
     @property
     def found(self) -> str:
-        """For messages: how large, and because of what."""
+        """The size and its main parts, for messages."""
         return (
             f"handshake messages of {self.message} bytes"
             f" (certificate {self.certificate}, permissions {self.permissions})"
@@ -95,7 +95,7 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
 def over_datagram(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
         if size.message > DATAGRAM:
-            yield _found(size, f"{size.found}: over the {DATAGRAM} of a datagram")
+            yield _found(size, f"{size.found}: over the {DATAGRAM} bytes of a datagram")
 
 
 @FAMILY.rule(
@@ -108,7 +108,7 @@ def over_datagram(inventory: Inventory) -> Iterator[Violation]:
 def many_fragments(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
         if (number := -(-size.message // FRAGMENT)) > MANY:
-            yield _found(size, f"{size.found}: {number} fragments, and each must arrive")
+            yield _found(size, f"{size.found}: {number} fragments, which must all arrive")
 
 
 @FAMILY.rule(
@@ -121,13 +121,13 @@ def many_fragments(inventory: Inventory) -> Iterator[Violation]:
 def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
         if size.message > MAX_TOKEN:
-            yield _found(size, f"{size.found}: pqsec peers read {MAX_TOKEN} at most")
+            yield _found(size, f"{size.found}: pqsec peers read at most {MAX_TOKEN}")
 
 
 def reply_size(
     certificate: Certificate, permissions: bytes, row: SignatureAlgorithm, agreement: KeyAgreement
 ) -> int:
-    """Bytes of the Reply as it is sent, at most: an ECDSA signature may be some shorter."""
+    """Bytes of the Reply, at most: an ECDSA signature may be a few bytes shorter."""
     introduction = Introduction(
         certificate=certificate.pem,
         permissions=permissions,
@@ -160,7 +160,7 @@ def _largest(inventory: Inventory) -> Iterator[Size]:
 
 
 def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[Size]:
-    """Of each participant: as two of `profile` talk, or as stock stacks do."""
+    """The size for each participant: between pqsec peers of `profile`, or for stock stacks."""
     for enclave in inventory.enclaves:
         certificate, file = enclave.certificate(), enclave.files.get(PERMISSIONS)
         key = _key(certificate, profile) if certificate else None
@@ -176,7 +176,7 @@ def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[Size]:
 
 
 def _key(certificate: Certificate, profile: Profile | None) -> PublicKey | None:
-    """What it signs with: the strongest between pqsec peers, a classical one elsewhere."""
+    """The key that signs the handshake: the strongest for pqsec peers, else a classical one."""
     try:
         key = certificate.handshake_keys[0] if profile else certificate.public_key
     except PqsecError:

@@ -1,6 +1,6 @@
-"""Where a stack reads permissions otherwise than the standard: rules that mean two things.
+"""Rules about permissions that a stack reads differently from the standard.
 
-What is allowed then depends on who is asked. `pqsec explain` shows each reading's answer.
+The decision then depends on the stack. `pqsec explain` shows the decision of each stack.
 """
 
 import re
@@ -24,7 +24,7 @@ _INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entry:
-    """A topic pattern of a rule, and where it stands."""
+    """A topic pattern, with its rule, action and criteria."""
 
     rule: Rule
     action: str
@@ -37,17 +37,17 @@ class _Allowed:
     """What is allowed, by action and domains."""
 
     all_of_it: bool
-    """By the default."""
+    """Whether the default allows everything."""
     starts: dict[tuple[str, object], tuple[DomainSet, Starts]] = field(default_factory=dict)
 
     def add(self, entry: _Entry) -> None:
-        """Remember it."""
+        """Add an entry of an allow_rule."""
         domains = entry.rule.domains
         key = (entry.action, domains.parts if len(self.starts) < MAX_DOMAIN_SETS else None)
         self.starts.setdefault(key, (domains, Starts()))[1].add(entry.topic)
 
     def may_meet(self, entry: _Entry, action: str) -> bool:
-        """Whether that action may be allowed on a topic, and a domain, that `entry` names."""
+        """Whether `action` may be allowed for a topic and a domain that `entry` names."""
         return self.all_of_it or any(
             starts.may_meet(entry.topic)
             for (other, parts), (domains, starts) in self.starts.items()
@@ -79,7 +79,9 @@ def _criteria(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
 def builtin_name(document: Document) -> Iterator[Violation]:
     for node in document.all("topic", "topic_expression"):
         if node.value.startswith("DCPS"):
-            yield document.at(node, f"{node.value[:60]!a}: names with DCPS are builtin topics")
+            yield document.at(
+                node, f"{node.value[:60]!a}: names that begin with DCPS are builtin topics"
+            )
 
 
 @FAMILY.rule(
@@ -111,7 +113,7 @@ def denies_both(document: PermissionsFile) -> Iterator[Violation]:
 
 
 def _not_allowed_above(entries: list[_Entry]) -> set[_Entry]:
-    """Those of deny_rules whose topic no allow_rule above is sure to name."""
+    """Entries of deny_rules whose topic no earlier allow_rule is certain to cover."""
     allowed, found = Patterns[Rule](), set[_Entry]()
     for entry in entries:
         if entry.rule.allow:
@@ -191,7 +193,7 @@ def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
         for rule, _, criteria in _criteria(grant):
             if rule.allow and criteria.partitions:
                 yield document.at(
-                    criteria.line, "OpenDDS allows this to endpoints without partition too"
+                    criteria.line, "OpenDDS also allows this to endpoints without a partition"
                 )
 
 
@@ -205,7 +207,9 @@ def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
 def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.default is DefaultAction.DENY and not any(rule.allow for rule in grant.rules):
-            yield document.at(grant.line, "the grant has no allow_rule: nobody can join with it")
+            yield document.at(
+                grant.line, "the grant has no allow_rule: no participant can join with it"
+            )
 
 
 @FAMILY.rule(
@@ -224,6 +228,6 @@ def covers_expressions(document: PermissionsFile) -> Iterator[Violation]:
             for partition in criteria.partitions if rule.allow else ():
                 if _INNER_WILDCARD.search(partition):
                     yield document.at(
-                        criteria.line, f"{partition[:60]!a}: stacks let an endpoint in with"
-                        " wildcards that stand for more",
+                        criteria.line, f"{partition[:60]!a}: stacks allow endpoints whose wildcards"
+                        " match more than this",
                     )  # fmt: skip

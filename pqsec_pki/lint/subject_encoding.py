@@ -1,4 +1,4 @@
-"""The words and letters in the subject a grant is for, which stacks spell differently."""
+"""Rules about attribute types and letters in subject names that stacks write differently."""
 
 import re
 from collections.abc import Iterator
@@ -60,7 +60,7 @@ def written_raw(document: PermissionsFile) -> Iterator[Violation]:
         if not grant.subject_name.isascii():
             yield document.at(
                 grant.line,
-                rf"{shown(grant)}: write \.. for each octet, for Cyclone DDS and"
+                rf"{shown(grant)}: escape each octet as \xx for Cyclone DDS and"
                 rf" OpenDDS",
             )
 
@@ -75,7 +75,7 @@ def written_raw(document: PermissionsFile) -> Iterator[Violation]:
 def comma_in_value(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
         if any(set(value) & {",", '"'} for part in name for _, value in part):
-            yield document.at(grant.line, f"{shown(grant)}: OpenDDS cannot read , or quotes")
+            yield document.at(grant.line, f"{shown(grant)}: OpenDDS cannot read a comma or quotes")
 
 
 @FAMILY.rule(
@@ -88,7 +88,7 @@ def long_name(document: PermissionsFile) -> Iterator[Violation]:
         longest = max((len(v) for part in name for word, v in part if word == "CN"), default=0)
         if longest > MAX_COMMON_NAME:
             yield document.at(
-                grant.line, f"the common name has {longest} characters, of 64 at most"
+                grant.line, f"the common name has {longest} characters; at most 64 are allowed"
             )
 
 
@@ -119,11 +119,11 @@ def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
 def written_as_octets(document: PermissionsFile) -> Iterator[Violation]:
     for grant in _spelled_once(document):
         if grant.subject_name.isascii():
-            yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants the letters themselves")
+            yield document.at(grant.line, f"{shown(grant)}: Fast DDS requires unescaped letters")
 
 
 def _spelled_once(document: PermissionsFile) -> Iterator[Grant]:
-    """Grants with letters beyond ASCII that no other grant spells in the other way."""
+    """Grants with non-ASCII letters for which no other grant has the other spelling."""
     spellings: dict[Subject, set[bool]] = {}
     for grant, name, _ in named(document):
         spellings.setdefault(name, set()).add(grant.subject_name.isascii())

@@ -1,4 +1,4 @@
-"""How permissions lay out the subject a grant is for: each stack compares in its own way."""
+"""Rules about the form of subject names in permissions, which each stack compares differently."""
 
 import re
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ FAMILY = Family("naming")
 
 ERROR = Severity.ERROR
 MAX_PIECES = 20
-"""Of a name, in Cyclone DDS."""
+"""The maximum for one name in Cyclone DDS."""
 _CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
 _SPACED = re.compile(r"\s=|(?<!\\)=\s|(?<!\\),\s|\s,")
 
@@ -25,7 +25,7 @@ def no_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
         if not parsed(node.value):
             shown = node.value[:60]
-            yield document.at(node, f"{shown!a} is no subject name as CN=/talker")
+            yield document.at(node, f"{shown!a} is not a subject name such as CN=/talker")
 
 
 @FAMILY.rule(
@@ -53,7 +53,7 @@ def padded_name(document: PermissionsFile) -> Iterator[Violation]:
 def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, _, _ in named(document):
         if _SPACED.search(grant.subject_name):
-            yield document.at(grant.line, f"{shown(grant)}: no spaces around , and =")
+            yield document.at(grant.line, f"{shown(grant)}: remove the spaces around , and =")
 
 
 @FAMILY.rule(
@@ -65,7 +65,7 @@ def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
 def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, _, _ in named(document):
         if grant.subject_name.startswith("/"):
-            yield document.at(grant.line, f"{shown(grant)}: Fast DDS wants commas")
+            yield document.at(grant.line, f"{shown(grant)}: Fast DDS requires commas")
 
 
 @FAMILY.rule(
@@ -80,7 +80,7 @@ def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
 def certificate_order(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, reversed_too in named(document):
         if _is_common(name[-1]) and not _is_common(name[0]) and not reversed_too:
-            yield document.at(grant.line, f"{shown(grant)}: Fast DDS 2.9 wants CN first")
+            yield document.at(grant.line, f"{shown(grant)}: Fast DDS 2.9 requires CN first")
 
 
 @FAMILY.rule(
@@ -94,7 +94,7 @@ def certificate_order(document: PermissionsFile) -> Iterator[Violation]:
 def reversed_order(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, reversed_too in named(document):
         if _is_common(name[0]) and not _is_common(name[-1]) and not reversed_too:
-            yield document.at(grant.line, f"{shown(grant)}: OpenDDS wants CN last")
+            yield document.at(grant.line, f"{shown(grant)}: OpenDDS requires CN last")
 
 
 @FAMILY.rule(
@@ -135,7 +135,7 @@ def unmatched_pieces(document: PermissionsFile) -> Iterator[Violation]:
         if "" in pieces[:-1]:
             yield document.at(grant.line, f"{shown(grant)} has an empty piece between separators")
         elif len(pieces) > MAX_PIECES:
-            words = f"{len(pieces)} pieces, of which Cyclone DDS takes {MAX_PIECES}"
+            words = f"{len(pieces)} pieces; Cyclone DDS accepts at most {MAX_PIECES}"
             yield document.at(grant.line, f"{shown(grant)} has {words}")
 
 

@@ -1,7 +1,7 @@
-"""What rules look at beside files and documents: certificates, enclaves, all of it together.
+"""The subjects of rules other than files and documents: certificates, enclaves, the inventory.
 
-Every file is read once, links and all, and parsed when first asked for. What cannot be
-parsed is None, with the reason beside it: no subject raises.
+Every file is read once, even if several links lead to it, and parsed when first needed. What
+cannot be parsed is None, with a separate reason: subjects raise no errors.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
 
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
-"""What every stack needs of an enclave."""
+"""The files of an enclave that every stack needs."""
 
 
 @dataclass(frozen=True)
@@ -58,26 +58,26 @@ class CertificateFile(Content):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why others in it could not be read."""
+        """Why other certificates in the file could not be read."""
         return self._parsed[1]
 
     @cached_property
     def first(self) -> Certificate | None:
-        """The one that stacks take."""
+        """The first certificate, which stacks use."""
         return next(iter(self.certificates), None)
 
 
 @dataclass(frozen=True)
 class Enclave:
-    """A folder that one participant runs from."""
+    """A folder with the credentials of one participant."""
 
     folder: Path
     name: str
-    """The path below `enclaves/`, as /fleet/robot1; else the folder's own name."""
+    """The path below `enclaves/`, such as /fleet/robot1; else the folder's own name."""
     files: Mapping[str, File] = field(repr=False)
-    """By name; a link is the file it leads to, and broken ones are in `lost`."""
+    """By name; for a link, its target. Broken links are in `lost`."""
     lost: tuple[str, ...]
-    """Links that lead nowhere."""
+    """Names of broken links."""
     now: datetime = field(repr=False)
     inventory_files: Mapping[Path, "Document | CertificateFile"] = field(repr=False)
 
@@ -88,24 +88,24 @@ class Enclave:
 
     @cached_property
     def anchors(self) -> TrustAnchors | None:
-        """The CAs in it by their roles, if they are there and can be read."""
+        """The CAs in it by their roles; None if one is missing or cannot be read."""
         try:
             return TrustAnchors.of({name: file.data for name, file in self.files.items()})
-        except (KeyError, PqsecError):  # for KeyError: there is none of that name
+        except (KeyError, PqsecError):  # KeyError: a file is missing
             return None
 
     def certificate(self, name: str = CERTIFICATE) -> Certificate | None:
-        """The first certificate in that file, if it can be read."""
+        """The first certificate in that file; None if it is missing or cannot be read."""
         found = self._subject(name)
         return found.first if isinstance(found, CertificateFile) else None
 
     def permissions(self, name: str = PERMISSIONS) -> PermissionsFile | None:
-        """The permissions document of that name, if it is one."""
+        """The permissions document in that file; None if it is not one."""
         found = self._subject(name)
         return found if isinstance(found, PermissionsFile) else None
 
     def governance(self, name: str = GOVERNANCE) -> GovernanceFile | None:
-        """The governance document of that name, if it is one."""
+        """The governance document in that file; None if it is not one."""
         found = self._subject(name)
         return found if isinstance(found, GovernanceFile) else None
 
@@ -116,20 +116,20 @@ class Enclave:
 
 @dataclass(frozen=True, eq=False)
 class Inventory:
-    """All that is checked in one run."""
+    """Everything that is checked in one run."""
 
     path: Path
     """What the user named, or the first of several."""
     files: tuple[File, ...] = field(repr=False)
     folders: Mapping[Path, int] = field(repr=False)
-    """st_mode of each folder looked into."""
+    """Folder -> its st_mode."""
     documents: tuple[Document, ...] = field(repr=False)
     certificates: tuple[CertificateFile, ...] = field(repr=False)
     enclaves: tuple[Enclave, ...] = field(repr=False)
     keystore: Keystore | None
-    """If what the user named is a keystore of pqsec's."""
+    """The keystore, if the user named a keystore of pqsec."""
     now: datetime = field(repr=False)
     cut_off: Path | None = None
-    """A change of that keystore that a command began and did not finish."""
+    """The journal of an interrupted change of that keystore."""
     lost: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
-    """What keystores of pqsec's lack, of those that the user named."""
+    """Keystore of pqsec -> the files that it lacks."""

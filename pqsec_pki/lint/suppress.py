@@ -1,4 +1,4 @@
-"""Suppressions: findings that somebody has looked at, and says why they may stay.
+"""Suppressions: findings that somebody accepted, with the reason.
 
 In `.pqsec-check.yaml`, in the folder that is checked:
 
@@ -30,18 +30,18 @@ _REMARKS = re.compile(rb"(?m)^[ \t]*#.*$")
 
 @dataclass(slots=True, kw_only=True)
 class Suppression:
-    """One entry; `used` counts the findings it took."""
+    """One entry; `used` counts the findings that it suppressed."""
 
     rule: str
     reason: str
     path: str = "*"
-    """A pattern for the path below the folder of the file it stands in."""
+    """A pattern for paths below the folder of the suppression file."""
     until: date | None = None
     line: int | None = None
     used: int = 0
 
     def covers(self, finding: Finding, folder: Path | None, today: date) -> bool:
-        """Whether it speaks of this finding, has a reason and has not run out."""
+        """Whether it matches the finding, has a reason and has not expired."""
         if self.rule != finding.rule.id or not self.reason or self.is_over(today):
             return False
         if folder is None:
@@ -56,23 +56,23 @@ class Suppression:
 
 @dataclass(frozen=True, slots=True)
 class SuppressionFile:
-    """The entries of one file, and what is wrong with it. Rules of the frame look at it."""
+    """The entries of one suppression file, and its problems, for the rules of `_frame`."""
 
     path: Path
     folder: Path | None
-    """What patterns are relative to; None for the command line, whose entries hold for all."""
+    """The base of the patterns; None for the command line, whose entries match everywhere."""
     entries: tuple[Suppression, ...]
     broken: tuple[Violation, ...] = ()
     today: date = field(default=date.min)
     is_complete: bool = True
-    """Whether all it could speak of was checked, so that what is unused is superfluous."""
+    """Whether the whole folder was checked, so that an unused entry can be reported."""
     known: frozenset[str] = frozenset()
     """The ids of all rules."""
     asked: frozenset[str] = frozenset()
-    """The ids of the rules that were asked in this run."""
+    """The ids of the rules that ran."""
 
     def take(self, finding: Finding) -> Suppression | None:
-        """The entry that covers `finding`, counted as used."""
+        """The entry that matches `finding`, counted as used; None if there is none."""
         for entry in self.entries:
             if entry.covers(finding, self.folder, self.today):
                 entry.used += 1
@@ -85,13 +85,14 @@ def from_option(text: str) -> Suppression:
     rule, _, reason = text.partition("=")
     if not rule.strip() or not reason.strip():
         raise UsageError(
-            f"--ignore {text}: say why", hint='as in --ignore PQS224="domain 3 is a test bench"'
+            f"--ignore {text}: no reason given",
+            hint='as in --ignore PQS224="domain 3 is a test bench"',
         )
     return Suppression(rule=rule.strip(), reason=reason.strip())
 
 
 def read_suppressions(path: Path) -> tuple[tuple[Suppression, ...], tuple[Violation, ...]]:
-    """The entries of the file, and what is wrong with it; nothing in it raises."""
+    """(entries, problems) of the file; problems are returned, not raised."""
     entries: list[Suppression] = []
     broken: list[Violation] = []
     try:
@@ -106,27 +107,27 @@ def read_suppressions(path: Path) -> tuple[tuple[Suppression, ...], tuple[Violat
 
 
 def _read_all(item: Item, *, into: list[Suppression]) -> None:
-    """Those that can be read hold, whatever is wrong with others."""
+    """Read the entries; valid ones count even if others are invalid."""
     each(item, lambda one: into.append(_entry(one)))
 
 
 def _entry(item: Item) -> Suppression:
-    """One entry. A missing reason is a rule's business."""
+    """One entry. PQS002 reports a missing reason."""
     readers = {"rule": _words, "path": _words, "reason": _words, "until": _day}
-    said = fields(item, readers, required=("rule",))
+    values = fields(item, readers, required=("rule",))
     return Suppression(
-        rule=said["rule"].strip(),
-        reason=said.get("reason", "").strip(),
-        path=said.get("path", "*"),
-        until=said.get("until"),
+        rule=values["rule"].strip(),
+        reason=values.get("reason", "").strip(),
+        path=values.get("path", "*"),
+        until=values.get("until"),
         line=item.line,
     )
 
 
 def _words(item: Item) -> str:
-    """Plain text, as a person writes it: a date or a number needs no quotes here."""
+    """The text as it is written: a date or a number needs no quotes."""
     if not isinstance(item, Text):
-        raise refused(item, "plain text is wanted here")
+        raise refused(item, "must be plain text")
     return item.text
 
 
@@ -135,11 +136,11 @@ def _day(item: Item) -> date:
     try:
         return date.fromisoformat(words)
     except ValueError:
-        raise refused(item, f"{shown(words)!r} is no day such as 2027-06-30") from None
+        raise refused(item, f"{shown(words)!r} is not a date such as 2027-06-30") from None
 
 
 def _below(path: Path, folder: Path) -> str | None:
-    """The path from the folder on, as it is named or else where links lead; None outside."""
+    """The path relative to the folder, before or after resolving links; None if outside."""
     with suppress(OSError):
         for found, root in ((path, folder), (_files.resolved(path), _files.resolved(folder))):
             if found.is_relative_to(root) and ".." not in found.relative_to(root).parts:

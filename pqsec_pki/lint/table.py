@@ -1,4 +1,4 @@
-"""All the rules there are. A new family is one more line here."""
+"""The table of all rules. A new family is one more line here."""
 
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
@@ -56,7 +56,7 @@ FAMILIES = (
 
 _ALL = sorted((rule for family in FAMILIES for rule in family.rules), key=lambda rule: rule.id)
 RULES: dict[str, Rule] = {rule.id: rule for rule in _ALL}
-"""By id, in their order."""
+"""By id, sorted."""
 
 
 def rule_named(id_: str) -> Rule:
@@ -65,5 +65,5 @@ def rule_named(id_: str) -> Rule:
         return RULES[id_.upper()]
     except KeyError:
         raise UsageError(
-            f"there is no rule {id_}", hint="docs/rules.md lists them: PQS001 and so on"
+            f"there is no rule {id_}", hint="docs/rules.md lists all rules: PQS001 and so on"
         ) from None

@@ -1,4 +1,4 @@
-"""The times of a grant, as they are written: stacks read them each in its own way."""
+"""Rules about how the times of a grant are written, which each stack reads differently."""
 
 import re
 from collections.abc import Iterator
@@ -26,9 +26,7 @@ _INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\
 def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.not_before >= grant.not_after:
-            yield document.at(
-                grant.line, f"{shown(grant)}: not_after does not come after not_before"
-            )
+            yield document.at(grant.line, f"{shown(grant)}: not_after is not later than not_before")
 
 
 @FAMILY.rule(
@@ -43,7 +41,7 @@ def too_late(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         year = re.match(r"\d{4,}(?=-)", node.value, re.ASCII)
         if year and int(year[0][:9]) > LAST_YEAR:
-            yield document.at(node, f"Cyclone DDS takes the year {year[0][:9]} for the past")
+            yield document.at(node, f"Cyclone DDS reads the year {year[0][:9]} as past")
 
 
 @FAMILY.rule(
@@ -58,7 +56,9 @@ def no_time(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         if not _is_time(node.value):
             shown = node.value[:40]
-            yield document.at(node, f"<{node.tag}>: {shown!a} is no time as 2030-01-31T00:00:00Z")
+            yield document.at(
+                node, f"<{node.tag}>: {shown!a} is not a time such as 2030-01-31T00:00:00Z"
+            )
 
 
 @FAMILY.rule(
@@ -71,7 +71,7 @@ def no_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         found = _INSTANT.fullmatch(node.value)
         if found and not found["zone"]:
-            yield document.at(node, f"<{node.tag}> has no zone; end it with Z")
+            yield document.at(node, f"<{node.tag}> has no time zone; end it with Z")
 
 
 @FAMILY.rule(
@@ -87,7 +87,7 @@ def other_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         found = _INSTANT.fullmatch(node.value)
         if found and found["zone"] not in {None, "Z", "+00:00", "-00:00"}:
-            yield document.at(node, f"Fast DDS skips the zone {found['zone']}; write UTC with Z")
+            yield document.at(node, f"Fast DDS ignores the zone {found['zone']}; write UTC with Z")
 
 
 def _is_time(text: str) -> bool:

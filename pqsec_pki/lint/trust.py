@@ -1,7 +1,7 @@
-"""What the room `credentials` refuses, as findings: no enclave is sound here that it refuses.
+"""What the room `credentials` refuses, as findings, so that the check misses none of it.
 
-Rules of other families see most of it too, and tell it better: where, why, and how to mend it.
-Their findings then carry the problem's code, and the rule here is silent.
+Rules of other families report most of these problems with more detail: where, why, and how to
+fix it. Their findings then get the problem's code, and the rule here reports nothing.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,10 +19,10 @@ from pqsec_pki.problems import Code, Problem
 FAMILY = Family("cross-artefact")
 ID = "PQS319"
 _LEFT = "PQS149"
-"""Of a revoked participant in the keystore that revoked it, where it is as it was meant."""
+"""About a revoked participant in the keystore that revoked it, which is intended."""
 _LIST, _SIGNED = ("PQS145",), ("PQS330", "PQS331", "PQS332", "PQS333", "PQS334", "PQS335")
 _XML = (*(f"PQS{number}" for number in (*range(201, 220), *range(231, 235), 262, 263, 264)),)
-_TOLD: Mapping[Code, Iterable[str]] = {
+_REPORTED_BY: Mapping[Code, Iterable[str]] = {
     Code.FILE_MISSING: ("PQS301", "PQS302"),
     Code.FILE_MALFORMED: ("PQS130", "PQS140", "PQS305", "PQS318", "PQS343", *_SIGNED),
     Code.DOCUMENT_INVALID: ("PQS318", *_XML),
@@ -56,7 +56,7 @@ _TOLD: Mapping[Code, Iterable[str]] = {
     Code.GRANT_EXPIRED: ("PQS320",),
     Code.GRANT_NOT_YET_VALID: ("PQS322",),
 }
-"""The rules that tell of a problem as an error."""
+"""The rules that report a problem as an error."""
 
 
 @FAMILY.rule(
@@ -76,7 +76,7 @@ def cannot_be_trusted(enclave: Enclave) -> Iterator[Violation]:
 
 
 def said_once(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Finding]:
-    """Those `findings`, with codes, but for what another rule tells of the same enclave."""
+    """The findings with codes, without those that another rule reports for the same enclave."""
     known = list(findings)
     enclaves = {each.folder: each for each in inventory.enclaves}
     by_path: dict[Path, list[int]] = {}
@@ -88,21 +88,21 @@ def said_once(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Fin
             continue
         enclave = enclaves.get(finding.path) or enclaves[finding.path.parent]
         near = (each for path in _places(enclave) for each in by_path.get(path, ()))
-        tellers = [each for each in near if _tells(known[each], finding.code)]
-        for each in tellers:
+        reports = [each for each in near if _reports(known[each], finding.code)]
+        for each in reports:
             known[each] = replace(known[each], code=finding.code)
-        if tellers:
+        if reports:
             silent.add(number)
     return (finding for number, finding in enumerate(known) if number not in silent)
 
 
-def _tells(finding: Finding, code: Code) -> bool:
+def _reports(finding: Finding, code: Code) -> bool:
     bad = finding.rule.severity is Severity.ERROR or finding.rule.id == _LEFT
-    return bad and finding.rule.id in _TOLD.get(code, ()) and finding.code in {None, code}
+    return bad and finding.rule.id in _REPORTED_BY.get(code, ()) and finding.code in {None, code}
 
 
 def _places(enclave: Enclave) -> frozenset[Path]:
-    """Where findings about it are: its folder, its files, and the XML beside a signed one."""
+    """Paths of findings about it: its folder, its files, and XML files next to signed ones."""
     own = {enclave.folder / name for name in (*enclave.files, *enclave.lost)}
     own |= {file.path for file in enclave.files.values()}
     return frozenset({enclave.folder, *own, *(path.with_suffix(".xml") for path in own)})
@@ -110,21 +110,21 @@ def _places(enclave: Enclave) -> frozenset[Path]:
 
 def _problems(enclave: Enclave) -> Iterator[Problem]:
     if any(enclave.files[name].unreadable for name in _open_to_all(enclave.files)):
-        return  # nobody can tell: the check is incomplete, as PQS001 says
+        return  # unknown: the check is incomplete, as PQS001 reports
     for name in sorted(set(enclave.lost) & set(FILES)):
-        yield Problem("the link leads nowhere", Code.FILE_MISSING, name).of(enclave.name)
+        yield Problem("the link is broken", Code.FILE_MISSING, name).of(enclave.name)
     try:
         credentials = Credentials.of(enclave.name, _files(enclave))
         verify_credentials(credentials, now=enclave.now)
     except PqsecError as error:
-        named = ENCLAVES in enclave.folder.parts  # elsewhere a folder does not say whose it is
+        named = ENCLAVES in enclave.folder.parts  # elsewhere the folder's name means nothing
         for each in problems_of(error):
             if named or each.code is not Code.WRONG_SUBJECT:
                 yield each
 
 
 def _files(enclave: Enclave) -> dict[str, bytes]:
-    """Without keys that are closed or locked: no private key is decrypted here."""
+    """File name -> data, without unreadable or encrypted keys: no key is decrypted here."""
     files = {name: each for name, each in enclave.files.items() if name in FILES}
     keys = [each for name, each in files.items() if name in KEYS]
     if any(each.unreadable or is_encrypted(each.data) for each in keys):

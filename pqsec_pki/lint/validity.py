@@ -1,4 +1,4 @@
-"""Rules about time in permissions: over, nearly over, not begun, and other clocks."""
+"""Rules about the validity of permissions: expired, soon expired, not yet valid, time zones."""
 
 from collections.abc import Iterator
 from datetime import datetime, timedelta
@@ -12,9 +12,9 @@ from pqsec_pki.lint.x509 import ends_soon
 
 FAMILY = Family("cross-artefact")
 WEST = timedelta(hours=12)
-"""How far local time is behind UTC."""
+"""The furthest that local time is behind UTC."""
 TOGETHER = timedelta(days=2)
-"""What ends so close to each other ends together: a day is often kept for time zones."""
+"""Ends this close count as equal: one day of margin for time zones is common."""
 _LOCAL = "Fast DDS 2.9.1, 3.1.2, 3.6.2, in the zone of Los Angeles"
 _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
@@ -51,7 +51,7 @@ def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
 def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if document.now < grant.not_before:
-            yield _found(document, grant, f"is in force from {_day(grant.not_before)}")
+            yield _found(document, grant, f"is valid from {_day(grant.not_before)}")
 
 
 @FAMILY.rule(
@@ -65,7 +65,7 @@ def not_yet(document: PermissionsFile) -> Iterator[Violation]:
 def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if timedelta() <= document.now - grant.not_before < WEST:
-            words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS takes for local time"
+            words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS reads as local time"
             yield _found(document, grant, words)
 
 
@@ -80,7 +80,7 @@ def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
 def lingers(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if timedelta() < document.now - grant.not_after < WEST:
-            words = f"ended at {grant.not_after:%H:%M} UTC, which Fast DDS takes for local time"
+            words = f"expired at {grant.not_after:%H:%M} UTC, which Fast DDS reads as local time"
             yield _found(document, grant, words)
 
 
@@ -127,7 +127,7 @@ def never_together(enclave: Enclave) -> Iterator[Violation]:
         return
     first, last = certificate.not_before, certificate.not_after
     if all(grant.not_after < first or grant.not_before > last for grant in grants):
-        yield _of(enclave, "is in force at no time when the certificate is")
+        yield _of(enclave, "is never valid at the same time as the certificate")
 
 
 def _found(document: PermissionsFile, grant: Grant, words: str) -> Violation:

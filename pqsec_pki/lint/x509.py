@@ -1,6 +1,6 @@
-"""Rules about certificates alone: kinds of keys, how they are signed, and how long.
+"""Rules about single certificates: kinds of keys, signature algorithms, and validity.
 
-Measured with each kind as identity CA, permissions CA and participant in Cyclone DDS
+Each kind was measured as identity CA, permissions CA and participant in Cyclone DDS
 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
 """
 
@@ -20,7 +20,7 @@ from pqsec_pki.lint.subjects import CertificateFile
 FAMILY = Rules("x509")
 SOON = timedelta(days=30)
 WEAKEST_RSA = 2048
-"""Bits: the least of DDS-Security 1.1 and of NIST SP 800-131A."""
+"""Bits: the minimum in DDS-Security 1.1 and NIST SP 800-131A."""
 
 _CYCLONE = {"ecdsa-p256", "rsa-2048"}
 _LET_IN = {"brainpoolP256r1", "secp256k1"}
@@ -62,7 +62,7 @@ def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
     known = _CYCLONE | _LET_IN | _NOWHERE
     is_classical = _roles.family_of(certificate) is Family.CLASSICAL
     if is_classical and kind not in known and not kind.startswith("algorithm "):
-        yield Violation(f"the {role} has a key of kind {kind}, which Cyclone DDS does not take")
+        yield Violation(f"the {role} has a key of kind {kind}, which Cyclone DDS refuses")
 
 
 @FAMILY.rule(
@@ -81,7 +81,7 @@ def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
         return
     kind = _roles.key_kind(file.first)
     if kind in _NOWHERE or kind.startswith("algorithm "):
-        yield Violation(f"the {role_of(file)} has a key of kind {kind}, which no stack takes")
+        yield Violation(f"the {role_of(file)} has a key of kind {kind}, which no stack accepts")
 
 
 @FAMILY.rule(
@@ -94,7 +94,7 @@ def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
 )  # fmt: skip
 def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
     if file.first and (kind := _roles.key_kind(file.first)) in _LET_IN:
-        yield Violation(f"the {role_of(file)} has a key on {kind}, which stacks take for P-256")
+        yield Violation(f"the {role_of(file)} has a key on {kind}, which stacks mistake for P-256")
 
 
 @FAMILY.rule(
@@ -223,5 +223,5 @@ def encrypted_for_ros(file: File) -> Iterator[Violation]:
 
 
 def ends_soon(now: datetime, start: datetime, end: datetime) -> bool:
-    """Whether what is good until `end` needs a thought: for what is short-lived, later."""
+    """Whether `end` is near: within 30 days, or the last fifth of a shorter validity."""
     return timedelta() <= end - now < min(SOON, (end - start) / 5)

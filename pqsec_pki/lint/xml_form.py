@@ -1,4 +1,4 @@
-"""How the XML of governance and permissions is written: stacks read it by hand, not by schema."""
+"""Rules about the form of the XML: stacks have their own parsers and do not use the schema."""
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
@@ -75,11 +75,11 @@ def neither(document: Document) -> Iterator[Violation]:
     root = document.root
     namespace, _, name = root.tag.rpartition("}")
     if namespace and name == "dds":
-        yield document.at(root, "the elements are in a namespace, and must be in none")
+        yield document.at(root, "the elements must not be in a namespace")
     elif root.tag != "dds" and root.tag.lower() == "dds":
-        yield document.at(root, f"<{root.tag}> must be written <dds>, as all tags in lower case")
+        yield document.at(root, f"<{root.tag}> must be <dds>: all tags are in lower case")
     elif root.tag != "dds":
-        yield document.at(root, "the root element is not <dds>: no governance, no permissions")
+        yield document.at(root, "the root element is not <dds>: neither governance nor permissions")
     else:
         yield document.at(root, "<dds> has neither <domain_access_rules> nor <permissions> in it")
 
@@ -104,7 +104,7 @@ def byte_order_mark(document: Document) -> Iterator[Violation]:
 )  # fmt: skip
 def not_utf8(document: Document) -> Iterator[Violation]:
     if document.tree and document.tree.encoding not in {"UTF-8", "UTF8", "US-ASCII", "ASCII"}:
-        yield document.at(1, f"is in {document.tree.encoding[:20]}; stacks want UTF-8")
+        yield document.at(1, f"is in {document.tree.encoding[:20]}; stacks require UTF-8")
 
 
 @FAMILY.rule(
@@ -157,7 +157,7 @@ def out_of_order(document: Document) -> Iterator[Violation]:
         known = [child for child in parent.children if child.tag in steps]
         for one, other in pairwise(known):
             if steps[one.tag] > steps[other.tag]:
-                yield document.at(other, f"<{other.tag}> must stand before <{one.tag}>")
+                yield document.at(other, f"<{other.tag}> must be before <{one.tag}>")
                 break
 
 
@@ -173,7 +173,7 @@ def unknown_element(document: Document) -> Iterator[Violation]:
         known = {tag for step in CHILDREN[parent.tag] for tag in step}
         for child in parent.children:
             if child.tag not in known | NEW:
-                yield document.at(child, f"<{child.tag[:40]}> is not known in <{parent.tag}>")
+                yield document.at(child, f"<{child.tag[:40]}> is not allowed in <{parent.tag}>")
 
 
 @FAMILY.rule(
@@ -186,7 +186,9 @@ def unknown_element(document: Document) -> Iterator[Violation]:
 )  # fmt: skip
 def newer_element(document: Document) -> Iterator[Violation]:
     for node in document.all(*sorted(NEW)):
-        yield document.at(node, f"<{node.tag}> is of DDS-Security 1.2, and stacks of 1.1 refuse it")
+        yield document.at(
+            node, f"<{node.tag}> is from DDS-Security 1.2, and stacks of 1.1 refuse it"
+        )
 
 
 @FAMILY.rule(
@@ -198,11 +200,13 @@ def newer_element(document: Document) -> Iterator[Violation]:
 )  # fmt: skip
 def not_understood(document: Document) -> Iterator[Violation]:
     if document.problems and type(document) is not Document:
-        yield document.at(document.root, "breaks its schema, so what it means was not checked")
+        yield document.at(
+            document.root, "does not match its schema, so its meaning was not checked"
+        )
 
 
 _EXPLAINED: tuple[Callable[[Any], Iterable[Violation]], ...] = (
     unknown_attribute, out_of_order, unknown_element, newer_element, odd_boolean, spaces,
     lower_case, payload_origin, nameless_grant, no_default, no_domains, missing_element, no_time,
 )  # fmt: skip
-"""Rules that tell breaks of the schema better than the schema does."""
+"""Rules that report differences from the schema better than the schema does."""

@@ -1,4 +1,4 @@
-"""What stands in the elements of governance and permissions, and what is missing."""
+"""Rules about the values of elements in governance and permissions, and missing elements."""
 
 from collections.abc import Iterator
 
@@ -63,7 +63,9 @@ def lower_case(document: Document) -> Iterator[Violation]:
 def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
     for node in document.all("data_protection_kind"):
         if node.value.upper().endswith("_WITH_ORIGIN_AUTHENTICATION"):
-            yield document.at(node, "payloads have no origin authentication: stacks refuse this")
+            yield document.at(
+                node, "data_protection_kind has no origin authentication: stacks refuse it"
+            )
 
 
 @FAMILY.rule(

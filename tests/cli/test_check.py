@@ -146,7 +146,7 @@ def test_every_rule_can_be_explained(pqsec, id_):
 def test_what_cannot_be_asked_for_is_refused(pqsec, keystore):
     keystore()
     pqsec("check nowhere").refused(3, "nowhere: no such file")
-    pqsec("check k --ignore PQS401").refused(2, "say why")
+    pqsec("check k --ignore PQS401").refused(2, "no reason given")
     pqsec("check k --ignore PQS999=x").refused(2, "no rule PQS999")
     pqsec("check ''").refused(2)
 
@@ -296,7 +296,7 @@ def test_a_keystore_that_lost_its_settings_or_its_ledger_is_told_as_that(pqsec, 
         shutil.rmtree(tmp_path / "k2")
         return [(each["path"], each["message"]) for each in findings if each["rule"] == "PQS007"]
 
-    words = "a keystore of pqsec's that lacks {}: what that tells was not checked"
+    words = "the keystore lacks {}: the rules that need it were not checked"
     ledger = "private/ledger.sqlite3"
     assert told() == []
     assert told("pqsec.json") == [("k2", words.format("pqsec.json"))]

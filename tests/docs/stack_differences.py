@@ -120,7 +120,7 @@ HABITS = (
     Habit(FAST, "3 refuses unauthenticated participants with protected messages", "PQS222"),
     Habit(FAST, "3.6 crashes on a certificate that ends in 2500", "PQS113"),
     Habit(FAST, "takes file:// only, and 3 expands ${VAR}", CONFIGURATION),
-    Habit(OPENDDS, "makes no participant where joining and every topic are controlled", "PQS230",
+    Habit(OPENDDS, "creates no participant if joining and all topics are controlled", "PQS230",
           ("join own",)),
     Habit(OPENDDS, "looks at a grant's times for endpoints only, of topics that are not open",
           "PQS320 PQS322", ("join own", "join peer", *_USE)),

@@ -183,11 +183,11 @@ BOMB = "[&a [x, x], " + ", ".join(
     [
         ("ignore:\n  - rule: PQS229\n", ["PQS002"], "gives no reason"),
         ("ignore:\n  - rule: PQS229\n    reason: ' '\n", ["PQS002"], "gives no reason"),
-        (ENTRY + "    until: 2026-05-31\n", ["PQS003"], "ended on 2026-05-31"),
-        (ENTRY + "    path: b/*\n", ["PQS004"], "not needed"),
-        (ENTRY.replace("229", "204"), ["PQS004"], "not needed"),
+        (ENTRY + "    until: 2026-05-31\n", ["PQS003"], "expired on 2026-05-31"),
+        (ENTRY + "    path: b/*\n", ["PQS004"], "matches no finding"),
+        (ENTRY.replace("229", "204"), ["PQS004"], "matches no finding"),
         (ENTRY.replace("PQS229", "PQS9"), ["PQS005"], "no rule PQS9"),
-        (ENTRY + "    until: soon\n", ["PQS005"], "'soon' is no day"),
+        (ENTRY + "    until: soon\n", ["PQS005"], "'soon' is not a date"),
         (ENTRY + "    who: me\n", ["PQS005"], "who: no such key here"),
         ("ignore:\n  - reason: x\n", ["PQS005"], "'rule' is missing"),
         ("ignore: x\n", ["PQS005"], "a list is wanted"),
@@ -195,7 +195,7 @@ BOMB = "[&a [x, x], " + ", ".join(
         ("ignored: []\n", ["PQS005"], "did you mean ignore"),
         (ENTRY + ENTRY, ["PQS005"], "comes twice"),
         (ENTRY + "    reason: z\n", ["PQS005"], "'reason' comes twice"),
-        (ENTRY + "    path: [x]\n", ["PQS005"], "path: plain text is wanted"),
+        (ENTRY + "    path: [x]\n", ["PQS005"], "path: must be plain text"),
         ("- x\n", ["PQS005"], "`key: value` is wanted"),
         ("a: [\n", ["PQS005"], "not well-formed YAML"),
         ("\x00", ["PQS005"], "not well-formed YAML"),
@@ -272,7 +272,7 @@ def test_a_suppression_of_the_command_line_holds_for_all(tmp_path):
 
 @pytest.mark.parametrize("text", ["PQS229", "PQS229=", "=why", "PQS229= "])
 def test_a_suppression_of_the_command_line_needs_a_reason(text):
-    with pytest.raises(UsageError, match="say why"):
+    with pytest.raises(UsageError, match="no reason given"):
         from_option(text)
 
 

@@ -77,7 +77,7 @@ def test_a_certificate_that_is_none_does_not_silence_the_check(tmp_path, name, f
     der = x509.load_pem_x509_certificate(path.read_bytes()).public_bytes(serialization.Encoding.DER)
     lab.put(f"{TALKER}/{name}", der if form == "DER" else b"")
     finding = lab.found()["PQS318"]
-    assert (finding.path, finding.message) == (path, "there is no certificate in PEM in it")
+    assert (finding.path, finding.message) == (path, "contains no certificate in PEM")
 
 
 @pytest.mark.parametrize(
@@ -601,14 +601,14 @@ def test_another_ca_of_the_same_name_is_told_as_that(lab):
     ecdsa = SIGNATURES.named("ecdsa-p256")
     other = Authority.create("Test Permissions CA", ecdsa, now=NOW, validity=9 * DAY)
     signer = Signer(other.certificate, other.key)
-    text = "signed by another CA that is called CN=Test Permissions CA too, not by this one"
+    text = "signed by another CA with the same name CN=Test Permissions CA, not by this one"
     lab.put(P7S, sign(xml_of(lab), signer, now=NOW))
     assert {key: each.message for key, each in lab.found().items()} == {"PQS340": text}
     bare = sign(xml_of(lab), signer, now=NOW, embed_certificate=False)
     lab.put(P7S, bare)
     found = lab.found()["PQS340"].message
-    words = "signed with a certificate whose issuer is called CN=Test Permissions CA"
-    assert found == f"{words}: another CA of that name, or a delegate"
+    words = "signed with a certificate whose issuer is CN=Test Permissions CA"
+    assert found == f"{words}: another CA with that name, or a certificate that the CA issued"
 
 
 def test_governance_by_another_signer_is_told_once(lab):
