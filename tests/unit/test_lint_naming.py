@@ -121,7 +121,7 @@ def test_two_participants_of_one_name_are_told(tmp_path):
     files = two_enclaves(certificate("CN=/a"), certificate("CN=/a", OTHER_KEY))
     [finding] = found_in(tmp_path, "PQS402", files)
     assert finding.path == tmp_path / "enclaves/b/cert.pem"
-    assert "the subject of /a too" in finding.message
+    assert "/a has the same subject" in finding.message
 
 
 @pytest.mark.parametrize(("subject", "key"), [("CN=/a", KEY), ("CN=/b", OTHER_KEY)])
