@@ -1,8 +1,7 @@
-"""May this participant do that? Governance and permissions in, a decision out.
+"""Decides what a participant may do, by governance and permissions.
 
-For the self-check, the plugin and the command line. Questions follow DDS-Security 1.1,
-9.4; there is a reading of the documents for the standard and one for each stack, since
-stacks answer otherwise.
+For the self-check, the plugin and the command line. Questions follow DDS-Security 1.1, 9.4.
+There is one interpretation for the standard and one for each stack, because stacks differ.
 """
 
 from pqsec_pki.access._patterns import opendds_reads_beyond

@@ -1,4 +1,4 @@
-"""Domains that some sets of domains cannot tell apart."""
+"""Ranges of domains that are equal for all given sets of domains."""
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise

@@ -16,7 +16,7 @@ IsFor: TypeAlias = Callable[[str, str], bool]
 """Whether the text of a grant's subject_name is for a subject, in that order."""
 
 _MOST_PARTS = 20
-"""Cyclone DDS keeps no more; a name with more of them is for nobody."""
+"""The most that Cyclone DDS keeps; a name with more of them matches no participant."""
 
 
 def standard(named: str, subject: str) -> bool:

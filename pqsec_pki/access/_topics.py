@@ -1,4 +1,4 @@
-"""Sets of topics, or of partitions, said with the patterns of the documents."""
+"""Sets of topics, or of partitions, expressed with the patterns of the documents."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

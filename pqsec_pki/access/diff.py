@@ -60,7 +60,7 @@ def _passed_over(
     new: Permissions | None,
     after: dict[object, Grant],
 ) -> Iterator[Change]:
-    """Grants that count for nobody by the standard, but may for a stack."""
+    """Grants that apply to no participant by the standard, but may for a stack."""
     had, has = _others(old, before), _others(new, after)
     for verb, grants, others in (("comes", has, had), ("goes", had, has)):
         for grant in (each for each in grants if each not in others):

@@ -1,4 +1,4 @@
-"""Questions that name no domain, or a pattern of topics: who may what, wherever they may."""
+"""Answers questions without a domain, or with a pattern of topics: who may do what, and where."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,9 +1,8 @@
-"""Governance and permissions: what the XML or the YAML says, as values, and back.
+"""Governance and permissions: reads XML and YAML into values, and writes them.
 
-For every room that asks what a participant may do or writes it down. Here are also the
-two kinds of names such documents are full of: certificate subjects as text, and ROS 2
-names in their DDS form (`ros`, a module of its own). `sros2` is another, which is loaded only
-by who asks for it. No XML element leaves this room.
+It also has the names in these documents: certificate subjects as text, and ROS 2 names in
+their DDS form (module `ros`). The module `sros2` reads SROS2's policies; import it separately.
+No XML element leaves this package.
 """
 
 from pqsec_pki.documents import ros

@@ -1,7 +1,7 @@
-"""Domains as a policy in YAML writes them.
+"""Reads and writes the domains of a policy in YAML.
 
-The short forms, `0` and `0-3` and `0,2-5`, are held to what every stack takes. The long
-ones, {id: 300} and {min: 5} and {min: 1, max: 9}, say whatever XML can.
+The short forms, `0`, `0-3` and `0,2-5`, allow only what every stack accepts. The long forms,
+{id: 300}, {min: 5} and {min: 1, max: 9}, allow everything that XML allows.
 """
 
 import re

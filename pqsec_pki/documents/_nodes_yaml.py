@@ -1,4 +1,4 @@
-"""ROS 2 nodes as a policy in YAML names them: their words become DDS topics.
+"""Reads the ROS 2 nodes of a policy in YAML: their names become DDS topics.
 
     nodes:
       - node: /robot/planner
@@ -7,7 +7,7 @@
         use_sim_time: true
 
 Names are resolved as ROS 2 does: `plan` is in the node's namespace, `~/debug` below the
-node. Each node gets what it needs to start, unless it says `minimum: false`.
+node. Each node gets the topics that it needs to start, unless it has `minimum: false`.
 """
 
 from collections.abc import Callable, Iterator, Mapping

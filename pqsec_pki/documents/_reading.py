@@ -1,7 +1,7 @@
-"""What the elements of a valid document say, as Python values.
+"""Reads the elements of a valid document as Python values.
 
-The schema has been asked before, so only what it lets pass and a value cannot hold is
-refused here: InvalidDocumentError with the line.
+The document was validated against its schema. Only values that the schema allows but Python
+cannot represent are refused here: InvalidDocumentError with the line.
 """
 
 import re
@@ -24,13 +24,13 @@ _XML_SPACE = " \t\r\n"
 
 
 def line(element: "_Element") -> int | None:
-    """Where the element stands in its document."""
+    """The line of the element in its document."""
     found: int | None = element.sourceline  # type: ignore[assignment] # lxml-stubs has no type
     return found
 
 
 def text(element: "_Element") -> str:
-    """The text of an element that holds nothing else."""
+    """The text of an element without children."""
     return element.text or ""
 
 

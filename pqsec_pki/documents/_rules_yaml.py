@@ -1,7 +1,7 @@
 """Rules of permissions and their criteria, in YAML, both ways.
 
-Topics stand in a list, with patterns and in DDS form. An item with partitions or data tags
-is a mapping: {topics: [rt/map], partitions: [floor1], data_tags: {colour: red}}.
+Topics are a list of DDS names and patterns. An item with partitions or data tags is a
+mapping: {topics: [rt/map], partitions: [floor1], data_tags: {colour: red}}.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ def rule(default_domains: DomainSet, item: Item) -> Rule:
 
 
 def built_rule(item: Item, domain_set: DomainSet, said: dict[str, Any], *, allow: bool) -> Rule:
-    """The rule that says so; what its nodes need joins what it publishes and subscribes to."""
+    """Make the rule; the topics of its nodes are added to those it publishes and subscribes to."""
     nodes: tuple[Endpoints, ...] = said.pop("nodes", ())
     for action in ("publish", "subscribe"):
         of_nodes = [topic for node in nodes for topic in getattr(node, action)]

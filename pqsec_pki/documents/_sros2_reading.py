@@ -1,4 +1,4 @@
-"""Policies of SROS2 as they are written: elements become enclaves, whatever else is refused."""
+"""Reads policies of SROS2: elements become enclaves, anything else is refused."""
 
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet

@@ -1,8 +1,8 @@
-"""XInclude as SROS2's policies use it, and no more of it.
+"""The part of XInclude that SROS2's policies use.
 
-An include names a file below the folder of the policy, by a relative path, and which of its
-elements to take: `xpointer(/profile/*)`. Everything else in the standard reads files nobody
-meant to read, or fetches: it is refused. Files are opened here, never by libxml2.
+An include names a file below the policy's folder, by a relative path, and its elements to
+include: `xpointer(/profile/*)`. The rest of the standard is refused: it could read other files,
+or the network. Files are opened here, never by libxml2.
 """
 
 import os

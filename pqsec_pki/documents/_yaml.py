@@ -1,10 +1,9 @@
-"""The one place where YAML from outside is parsed, and what reads it asks for.
+"""Parses all YAML from outside, without guessing types.
 
-YAML guesses: NO is false, 010 is eight, 2026-01-01 a date. Here nothing is guessed: a
-document is text in lists and mappings, each with its line, and the reader of a value says
-what it must be. Not taken are tags, anchors and aliases, keys that come twice and second
-documents; each has been an attack or a mistake nobody sees. Parsing is by events, so the
-limits hold while it goes on.
+YAML guesses: NO is false, 010 is eight, 2026-01-01 is a date. Here a document is text in lists
+and mappings, each with its line, and the reader of a value decides its type. Tags, anchors,
+aliases, duplicate keys and second documents are refused: each has been an attack or an
+unnoticed mistake. Parsing is by events, so the limits apply during parsing.
 """
 
 import codecs
@@ -37,7 +36,7 @@ _SURROGATE = re.compile("[\ud800-\udfff]")
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """What stands for one value; `plain` if without quotes."""
+    """The text of one value; `plain` if it has no quotes."""
 
     line: int
     text: str
@@ -64,7 +63,7 @@ Item: TypeAlias = Text | Items | Table
 
 
 def refused(place: Item | int | None, message: str) -> InvalidDocumentError:
-    """The error that says what is wrong with the item, or in that line."""
+    """The error for the item or line at `place`."""
     line = place if isinstance(place, int) or place is None else place.line
     return InvalidDocumentError([Problem(message, line=line)])
 
@@ -107,7 +106,7 @@ def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:
 
 
 def _tree(events: Iterable["yaml.Event"]) -> Item:
-    """The document's tree, by a stack, so no depth of it can exhaust Python's."""
+    """The document's tree, built with a stack of its own, so that depth cannot exhaust Python's."""
     grower = _Grower()
     for event in events:
         kind = type(event).__name__
@@ -119,7 +118,7 @@ def _tree(events: Iterable["yaml.Event"]) -> Item:
 
 
 class _Grower:
-    """Makes a tree of YAML's events, each by the method of its name."""
+    """Builds a tree from YAML's events, each with the method of its name."""
 
     def __init__(self) -> None:
         self.root: Item | None = None

@@ -1,7 +1,7 @@
-"""What the values of a policy in YAML must be.
+"""Reads the values of a policy in YAML.
 
-A reader takes an item and gives its value, or raises InvalidDocumentError with all that is
-wrong in it: each with its line, and the innermost key it belongs to.
+A reader returns the value of an item, or raises InvalidDocumentError with all its problems,
+each with its line and innermost key.
 """
 
 import re
@@ -24,16 +24,15 @@ Chosen = TypeVar("Chosen", bound=StrEnum)
 
 
 def read(data: bytes, reader: Callable[[Item], Value]) -> Value:
-    """What `reader` makes of the document.
+    """The value that `reader` returns for the document.
 
-    InvalidDocumentError lists what is wrong, each with its line, and the key where there
-    is one.
+    InvalidDocumentError lists the problems, each with its line, and its key if there is one.
     """
     return told(lambda: reader(parse(data)))
 
 
 def told(reading: Callable[[], Value]) -> Value:
-    """The result; InvalidDocumentError as people are told it, not too long."""
+    """The result; problems of InvalidDocumentError are worded for users and limited in number."""
     try:
         return reading()
     except InvalidDocumentError as error:
@@ -63,21 +62,21 @@ def all_of(readings: Iterable[Callable[[], Value]]) -> tuple[Value, ...]:
 
 
 def each(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...]:
-    """What `reader` makes of each item of a list."""
+    """The values that `reader` returns for the items of a list."""
     if not isinstance(item, Items):
         raise refused(item, f"a list is wanted here, and this is {_described(item)}")
     return all_of(partial(reader, each) for each in item.items)
 
 
 def one_or_more(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...]:
-    """As `each`, and one item may stand for the list of it."""
+    """As `each`, but a single item may be given without a list."""
     return each(item, reader) if isinstance(item, Items) else (reader(item),)
 
 
 def table(item: Item) -> Table:
     """The item, which must be a mapping."""
     if not isinstance(item, Table):
-        # A text is not quoted: of a file that is none of ours, it may be a key or a passphrase.
+        # The text is not quoted: in another file it may be a key or a passphrase.
         what = "a text" if isinstance(item, Text) and item.text else _described(item)
         raise refused(item, f"`key: value` is wanted here, and this is {what}")
     return item
@@ -86,9 +85,9 @@ def table(item: Item) -> Table:
 def fields(
     item: Item, readers: Mapping[str, Callable[[Item], Any]], *, required: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Key -> what its reader makes of the value, of the keys that are there.
+    """The values of the keys that are there, read by their readers.
 
-    Other keys are refused, with the nearest right spelling; so is a lack of the required.
+    Other keys are refused, with the nearest correct key; so are missing required keys.
     """
     found = table(item)
     missing = [key for key in required if key not in found.entries]

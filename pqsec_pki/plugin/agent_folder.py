@@ -1,9 +1,9 @@
-"""Where the agent of a user listens and writes. `shim/agent.c` says the same in C.
+"""The folder where a user's agent listens and writes. `shim/agent.c` has the same in C.
 
-In a place where only the user can make things, so that nobody else is there first and keeps
-the user from having an agent: the folder for run time, which the environment names or systemd
-makes for whoever is logged in; else the user's home. In /tmp, where anybody could be first, only
-if there is neither: then what is found is refused unless it is the user's own.
+Only the user may create files there, so that no other user can block the agent: the runtime
+folder, which the environment names or systemd creates for logged-in users, else the user's home.
+/tmp, where any user can create files, is used only if there is neither; a folder of another user
+is then refused.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The calls that the shim makes: what each takes and gives. One table for both ends.
+"""The shim's calls to the agent: arguments and results, in one table for both sides.
 
 `tests/unit/test_plugin_calls.py` holds the C sources in `shim/` to it.
 """
@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from pqsec_pki.plugin.octets import Reader, Writer
 
 VERSION = 2
-"""Of all that goes over the socket. Shim and agent must have the same."""
+"""Version of the protocol on the socket. Shim and agent must have the same."""
 MAGIC = "pqsec"
 CONTROL = "control"
 """The command line, whose calls all versions have: it must be able to stop an old agent."""

@@ -1,4 +1,4 @@
-"""The agent's place on the machine: a socket of which there is one, and who is at its other end."""
+"""The agent's socket, of which there is only one, and the identity of the connected process."""
 
 import fcntl
 import os
@@ -53,7 +53,7 @@ def _option(link: socket.socket, name: int) -> int:
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Only one agent at a time comes or goes. FileError if another takes too long."""
+    """Lock: one agent at a time starts or stops. FileError if another takes too long."""
     until = time.monotonic() + LOCK_SECONDS
     with disk_errors(path):
         file = path.open("w")
@@ -75,7 +75,7 @@ def _is_locked(handle: int) -> bool:
 
 
 def answers(path: Path) -> bool:
-    """Whether somebody listens there."""
+    """Whether a process listens there."""
     with socket.socket(socket.AF_UNIX) as link:
         link.settimeout(0)
         try:
@@ -94,7 +94,7 @@ def made(path: Path) -> tuple[int, int]:
 
 
 def bound(path: Path) -> socket.socket:
-    """A socket at `path`, 0600, in place of one that nobody listens at."""
+    """A socket at `path`, 0600; it replaces one at which no process listens."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     before = os.umask(0o177)
     try:

@@ -1,15 +1,15 @@
-"""The newest revocation list of each CA that an agent has seen: what counts only grows.
+"""The newest revocation list of each CA that an agent has seen.
 
-Each participant's list is a file that others write, and an older list is signed as well as the
-newer one. So the agent remembers the newest of each CA, by number, for as long as it lives, and
-it counts for all participants of that CA, whatever their own files say.
+Each participant's list is a file that others write, and an older list is signed like a newer
+one. Therefore the agent remembers the newest list of each CA, by number, while it runs. That
+list applies to all participants of the CA, whatever their own files contain.
 
-A participant shares it only with those that demand as much of a list: who takes a classical
-signature alone must not decide what counts for one that wants the alternative one too.
+A list is shared only between participants with the same demands on signatures: a participant
+that accepts a classical signature alone must not decide for one that demands both signatures.
 
-It is not written to disk: who can put an older list in the place of a newer one is the user or
-who acts as the user, and could do the same to the agent's memory on disk. What survives a restart
-is the business of what puts the list there: `pqsec install` refuses an older one.
+It is not written to disk: anyone who can replace a newer list by an older one acts as the user,
+and could replace the agent's file too. Across restarts the program that installs the list
+protects it: `pqsec install` refuses an older one.
 """
 
 from dataclasses import dataclass, field

@@ -1,7 +1,7 @@
-"""What a connection has to say in the agent's log: not the same again and again, nor without end.
+"""Limits what a connection writes to the agent's log.
 
-A peer on the network can be refused as often as it likes, in words that it may vary. What
-others wrote is to be found in the log all the same.
+A peer on the network can cause any number of refusals, and vary their text. It must not push
+other messages out of the log.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ MOST = 30
 
 
 class Notes:
-    """Writes each line once in a while, and tells how many it left out."""
+    """Writes equal lines at most once per WINDOW, and how many were left out."""
 
     def __init__(self, who: str, log: Log, clock: Clock) -> None:
         self._who, self._log, self._now = who, log, clock

@@ -1,9 +1,9 @@
-"""What the authentication plugin remembers of peers, and of handshakes with them.
+"""The peers and handshakes that the authentication plugin remembers.
 
-Anyone on the network can be discovered as a peer by as many GUIDs as it likes, and whoever
-heard a certificate can begin handshakes with it. So those that wait have limits (`waiting`
-says what for the latter), and make room; who has finished a handshake stays until Cyclone DDS
-returns it, whatever comes in that name, unless a newer handshake of the two is finished too.
+Any host on the network can be discovered as a peer with any number of GUIDs, and can begin
+handshakes with a certificate that it has seen. Therefore unfinished peers and handshakes are
+limited (`pending.py`), and old ones are dropped. A peer with a finished handshake stays until
+Cyclone DDS returns it, unless a newer handshake with it is finished too.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Revocation lists that change while participants live: who is taken back in mid-session."""
+"""Watches revocation lists, and finds participants and peers that are revoked in a session."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -30,7 +30,7 @@ class RevocationWatch:
     def admitted(self, local: Local) -> Local:
         """A participant that begins, with the newest list of its CA that the agent knows.
 
-        VerificationError if that takes it back, or is not good.
+        VerificationError if the list revokes it, or is not valid.
         """
         newest = self._with_newest(local)
         if newest is not local:
@@ -40,7 +40,7 @@ class RevocationWatch:
         return newest
 
     def next(self) -> int:
-        """The handle of one that is taken back and was not told; 0 if there is none.
+        """The handle of a revoked one that was not reported yet; 0 if there is none.
 
         Then PqsecError of a list that cannot be taken.
         """

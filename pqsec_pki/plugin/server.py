@@ -43,7 +43,7 @@ class _Client:
 
 
 class Agent:
-    """Listens until it is told to stop, or nobody was connected for a while."""
+    """Listens until it is stopped, or no process was connected for a while."""
 
     def __init__(self, place: AgentFolder, idle: float, clock: Clock, log: Log) -> None:
         self._place, self._idle, self._log = place, idle, log
