@@ -104,7 +104,7 @@ def test_fast_dds_with_the_limit_is_refused_what_is_too_large(pqsec, keystore):
 def test_opendds_is_refused_a_governance_that_it_cannot_join(pqsec, keystore, tmp_path):
     root = keystore()
     pqsec("-k k export opendds /talker").refused(
-        1, "OpenDDS makes no participant", hint="enable_read_access_control"
+        1, "OpenDDS creates no participant", hint="enable_read_access_control"
     )
     add_open_rule(pqsec, root, "nobody")
     done = pqsec("-k k export opendds /talker -o conf").done()
