@@ -857,7 +857,7 @@ def test_explain_tells_what_differs_from_one_domain_to_another(pqsec, put):
         ("verify-handshake /talker /listner", "did you mean '/listener'?"),
         ("export cyclonedds /taker", "did you mean '/talker'?"),
         ("renew /listner", "did you mean '/listener'?"),
-        ("explain --participant /zzz --join", "`pqsec ca show` lists those there are"),
+        ("explain --participant /zzz --join", "`pqsec ca show` lists the participants"),
     ],
 )
 def test_a_participant_that_is_not_there_may_be_another(pqsec, keystore, line, instead):
