@@ -116,7 +116,7 @@ def _shown(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
 def _json(account: _Account) -> Iterator[str]:
     found = account.check_pairs
     people = [_participant_json(found, name) for name in found.names]
-    yield f'{{"participants": {json.dumps(people, indent=2)},'
+    yield f'{{"version": {_printing.JSON_VERSION}, "participants": {json.dumps(people, indent=2)},'
     yield '"pairs": ['
     comma = ""
     for outcome in account.outcomes():

@@ -1,6 +1,5 @@
 """verify-handshake --trace: a handshake, byte for byte, in a file or on stdout."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,7 +33,7 @@ def tell(report: Report, told: list[str], path: Path, *, show_secrets: bool, for
     if path == STDOUT:
         _printing.emit(value, lines)
         return
-    text = json.dumps(value, indent=2) if _settings.settings().json else "\n".join(lines)
+    text = _printing.as_json(value) if _settings.settings().json else "\n".join(lines)
     write(path, text.encode() + b"\n", private=show_secrets, force=force)
     _printing.emit(report.to_json(), told)
 

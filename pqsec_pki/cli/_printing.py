@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 import click
@@ -11,19 +11,29 @@ import click
 from pqsec_pki.cli._settings import settings
 from pqsec_pki.errors import FileError, shown
 
+JSON_VERSION = 1
+"""Of what commands print with --json: a key that goes or changes its meaning makes it one more."""
 
-def emit(value: object, lines: Iterable[str], *, verbatim: bool = False) -> None:
+
+def emit(
+    value: Mapping[str, object] | None, lines: Iterable[str], *, verbatim: bool = False
+) -> None:
     """Print the result: `value` as JSON, or `lines` for a person. FileError on a full disk.
 
     Lines of a document are printed `verbatim`; in others, what a terminal would obey is escaped.
     """
     if settings().json:
-        text = json.dumps(value, indent=2)
+        text = as_json(value or {})
     else:
         text = "\n".join(lines if verbatim else map(printable, lines))
     if text:
         with advising("what was asked for is done all the same"):
             say(text)
+
+
+def as_json(value: Mapping[str, object]) -> str:
+    """The result for a program, with the version of its format."""
+    return json.dumps({"version": JSON_VERSION, **value}, indent=2)
 
 
 def say(text: str) -> None:

@@ -33,7 +33,7 @@ def status() -> int:
     value = {
         "running": True,
         "process": found.process,
-        "version": found.version,
+        "agent_version": found.version,
         "socket": found.socket,
         "connections": list(found.connections),
     }
@@ -63,7 +63,7 @@ def log() -> None:
     if not place.is_there() or not is_there(path):
         raise FileError(f"there is no log at {path}", hint=_NOBODY)
     lines = read(path).decode(errors="replace").splitlines()
-    _printing.emit(lines, lines)
+    _printing.emit({"lines": lines}, lines)
 
 
 @agent.command("run")

@@ -21,7 +21,7 @@ from pqsec_pki.cli import _printing, _settings
 def profiles() -> None:
     """List the profiles: algorithms that are used together."""
     lines = [line for profile in PROFILES for line in (*_lines(profile), "")]
-    _printing.emit([_value(profile) for profile in PROFILES], lines[:-1])
+    _printing.emit({"profiles": list(map(_value, PROFILES))}, lines[:-1])
 
 
 def _value(profile: Profile) -> dict[str, object]:

@@ -45,7 +45,7 @@ def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) ->
         if text:
             raise UsageError("--list takes no text")
         rows = messages(stack)
-        _printing.emit([_row(row) for row in rows], _list(rows))
+        _printing.emit({"messages": list(map(_row, rows))}, _list(rows))
         return
     words = _given(text)
     found = recognise(words, stack=stack)

@@ -55,7 +55,8 @@ def presets() -> None:
         lines += click.wrap_text(f"Protects: {preset.protects}", 88, "  ", "  ").splitlines()
         lines += click.wrap_text(f"Costs: {preset.costs}", 88, "  ", "  ").splitlines()
         lines += [""]
-    _printing.emit([{key: getattr(preset, key) for key in keys} for preset in PRESETS], lines[:-1])
+    presets = [{key: getattr(preset, key) for key in keys} for preset in PRESETS]
+    _printing.emit({"presets": presets}, lines[:-1])
 
 
 def _warn(value: Governance) -> None:

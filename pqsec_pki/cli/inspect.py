@@ -31,7 +31,8 @@ def inspect(files: tuple[Path, ...]) -> None:
     for file, description in described:
         first, *rest = description.to_text()
         lines += [f"{file}: {first}", *rest]
-    _printing.emit([{"file": str(file), **each.to_json()} for file, each in described], lines)
+    values = [{"file": str(file), **each.to_json()} for file, each in described]
+    _printing.emit({"files": values}, lines)
 
 
 def _described(file: Path) -> Description:

@@ -170,7 +170,7 @@ def _as_json(report: Report) -> dict[str, Any]:
     wire = report.trial_run.wire
     return {
         "stack": report.installation.build.stack,
-        "version": report.installation.version,
+        "stack_version": report.installation.version,
         "library": str(report.installation.library.path),
         "plugin": list(report.plugged),
         "domain": report.topic_route.domain,

@@ -33,7 +33,7 @@ def validate(files: tuple[Path, ...]) -> None:
         if result["valid"]:
             lines.append(f"{result['file']}: valid {result['kind']} document")
         lines += [f"{result['file']}: {problem['text']}" for problem in result["problems"]]
-    _printing.emit(results, lines)
+    _printing.emit({"files": results}, lines)
     if not all(result["valid"] for result in results):
         click.get_current_context().exit(1)
 

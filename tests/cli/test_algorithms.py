@@ -30,7 +30,9 @@ def told(pqsec):
 def test_a_profile_is_told_with_its_level_and_the_stacks_it_runs_in(pqsec, profile):
     first, lines = told(pqsec)[profile]
     default = " (default)" if profile == "transition" else ""
-    [value] = [each for each in pqsec("profiles --json").json if each["profile"] == profile]
+    [value] = [
+        each for each in pqsec("profiles --json").json["profiles"] if each["profile"] == profile
+    ]
     assert first == f"{profile}{default}: {value['summary']}"
     level = str(LEVELS[profile]) if LEVELS[profile] else "0: broken by a quantum computer"
     assert lines["NIST level"] == level
@@ -47,7 +49,7 @@ def test_a_profile_is_told_with_its_level_and_the_stacks_it_runs_in(pqsec, profi
 
 
 def test_profiles_in_json_tell_the_same(pqsec):
-    values = pqsec("profiles --json").done().json
+    values = pqsec("profiles --json").done().json["profiles"]
     assert {each["profile"]: each["level"] for each in values} == LEVELS
     assert {each["profile"]: each["runs_in"] for each in values} == RUNS_IN
     assert [each["profile"] for each in values if each["default"]] == ["transition"]

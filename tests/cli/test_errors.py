@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.cli import COMMANDS
+from pqsec_pki.cli._printing import JSON_VERSION
 from tests.cli.conftest import clean_environment
 
 USAGE = [
@@ -173,7 +174,7 @@ def test_a_group_alone_shows_its_help_on_stderr(process, line):
 )
 def test_json_is_one_value_and_nothing_else(pqsec, keystore, line):
     keystore()
-    assert json.loads(pqsec(f"{line} --json").done().out)
+    assert json.loads(pqsec(f"{line} --json").done().out)["version"] == JSON_VERSION
 
 
 def test_help_lists_the_commands_with_the_help_each_gives(process):

@@ -65,13 +65,13 @@ def test_the_list_has_every_message(pqsec):
     heads, *lines = pqsec("explain-error --list").done().out.splitlines()
     assert heads.split() == ["stack", "code", "message"]
     assert [line for line in lines if line.split(maxsplit=2) == ["cyclonedds", "146", SUBJECT]]
-    everything = pqsec("--json explain-error --list").done().json
+    everything = pqsec("--json explain-error --list").done().json["messages"]
     assert sum(len(row["texts"]) or 1 for row in everything) == len(lines)
 
 
 def test_the_list_of_one_stack_is_a_part_of_it(pqsec):
-    everything = pqsec("--json explain-error --list").json
-    ros2 = pqsec("--json explain-error --list --stack ros2").done().json
+    everything = pqsec("--json explain-error --list").json["messages"]
+    ros2 = pqsec("--json explain-error --list --stack ros2").done().json["messages"]
     assert ros2 == [row for row in everything if "ros2" in row["stacks"]]
 
 

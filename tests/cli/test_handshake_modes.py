@@ -485,6 +485,7 @@ def test_a_trace_in_json_has_every_byte(pqsec, keystore, tmp_path):
     keystore("pq")
     report = pqsec(f"{TWO} --trace t --json").done().json
     told = json.loads((tmp_path / "t").read_text())
+    assert told["version"] == 1
     assert told["report"] == report
     names = [message["name"] for message in told["messages"]]
     assert names == ["auth request"] * 2 + ["request", "reply", "final"] + ["message"] * 2
@@ -565,4 +566,4 @@ def test_a_handshake_that_never_began_is_traced_as_its_report(pqsec, keystore, t
     said = pqsec(f"{TWO} --domain 7 --trace t --json")
     assert said.code == 1
     told = json.loads((tmp_path / "t").read_text())
-    assert told == {"report": said.json, "messages": [], "derived": []}
+    assert told == {"version": 1, "report": said.json, "messages": [], "derived": []}

@@ -62,11 +62,11 @@ def test_a_file_is_told_by_what_it_is(pqsec, keystore, tmp_path, file):
     assert rest
     assert all(line.startswith("  ") for line in rest)
     said = pqsec("inspect --json", file).done()
-    [value] = said.json
+    [value] = said.json["files"]
     assert list(value)[:3] == ["file", "kind", "title"]
     assert (value["file"], value["kind"], value["title"]) == (file, kind, title)
     (tmp_path / "file").write_bytes((tmp_path / file).read_bytes())
-    assert pqsec("inspect --json file").json == [value | {"file": "file"}]
+    assert pqsec("inspect --json file").json["files"] == [value | {"file": "file"}]
 
 
 def test_several_files_are_told_in_order(pqsec, keystore):
@@ -76,7 +76,7 @@ def test_several_files_are_told_in_order(pqsec, keystore):
     apart = [pqsec("inspect", file).done() for file in files]
     assert together.out == "".join(each.out for each in apart)
     assert together.err == ""
-    values = pqsec("inspect --json", *files, files[0]).done().json
+    values = pqsec("inspect --json", *files, files[0]).done().json["files"]
     assert [value["file"] for value in values] == [*files, files[0]]
     assert values[-1] == values[0]
     assert [(value["kind"], value["title"]) for value in values[:-1]] == list(WHAT.values())
@@ -92,7 +92,7 @@ def test_several_things_in_one_file_are_told_each(pqsec, keystore, tmp_path):
     lines = pqsec("inspect both.pem").done().out.splitlines()
     assert lines[0] == "both.pem: 2 things in one file"
     assert [line for line in lines if line in titles] == titles
-    [value] = pqsec("inspect both.pem --json").done().json
+    [value] = pqsec("inspect both.pem --json").done().json["files"]
     assert value["kind"] == "several"
     assert [part["title"] for part in value["parts"]] == titles
 
@@ -102,7 +102,7 @@ def test_a_certificate_is_told_as_it_is(pqsec, keystore, tmp_path, profile):
     keystore(profile)
     file = f"{TALKER}/cert.pem"
     there = certificate(tmp_path / file)
-    [value] = pqsec("inspect --json", file).done().json
+    [value] = pqsec("inspect --json", file).done().json["files"]
     keys = PUBLIC_KEYS[profile]
     assert value["subject"] == "CN=/talker"
     assert value["role"] == "participant"
@@ -125,7 +125,7 @@ def test_of_a_private_key_its_public_half_is_told(pqsec, keystore, tmp_path, pro
     there = certificate(tmp_path / TALKER / "cert.pem")
     public = there.public_key if file == "key.pem" else there.alternative_key
     digest = sha256(public.spki).hexdigest()
-    [value] = pqsec(f"inspect --json {TALKER}/{file}").done().json
+    [value] = pqsec(f"inspect --json {TALKER}/{file}").done().json["files"]
     assert set(value) == {
         *("file", "kind", "title", "key", "public_key_sha256", "form", "encrypted", "private"),
     }
@@ -184,7 +184,7 @@ def test_of_an_encrypted_ca_key_nothing_but_its_encryption_is_shown(pqsec, keyst
     told = pqsec("inspect", *names).done()
     values = pqsec("inspect --json", *names).done()
     assert not [each for each in hidden if each in told.out + values.out]
-    for name, value in zip(names, values.json, strict=True):
+    for name, value in zip(names, values.json["files"], strict=True):
         assert value == {
             "file": str(name),
             "kind": "private key",

@@ -25,7 +25,7 @@ def test_new_render_read_and_render_again(pqsec, tmp_path, kind):
     one, two = ((tmp_path / name).read_bytes() for name in ("one.xml", "two.xml"))
     assert one == two
     assert b"<min>0</min>" in one
-    assert pqsec("validate one.xml --json").done().json[0]["kind"] == kind
+    assert pqsec("validate one.xml --json").done().json["files"][0]["kind"] == kind
 
 
 def test_new_permissions_without_ros(pqsec, tmp_path):
@@ -60,7 +60,7 @@ def test_a_preset_is_written_and_commented(pqsec, preset):
 
 
 def test_the_presets_are_explained(pqsec):
-    rows = pqsec("governance presets --json").done().json
+    rows = pqsec("governance presets --json").done().json["presets"]
     assert [row["name"] for row in rows] == PRESET_NAMES
     text = " ".join(pqsec("governance presets").done().out.split())
     for row in rows:
@@ -97,7 +97,7 @@ def test_yaml_is_signed_as_the_xml_it_means(pqsec, keystore, kind):
     keystore()
     pqsec(f"{NEW[kind]} -o new.yaml").done()
     pqsec(f"-k k sign-{kind} new.yaml").done()
-    assert pqsec("validate new.p7s --json").done().json[0]["kind"] == kind
+    assert pqsec("validate new.p7s --json").done().json["files"][0]["kind"] == kind
     read, rendered = pqsec(f"{kind} read new.p7s").done().out, pqsec(f"{kind} render new.yaml")
     assert KINDS[kind].from_xml(rendered.done().out.encode())
     assert yaml.safe_load(read)

@@ -61,7 +61,7 @@ def test_what_is_signed_verifies_with_the_profiles_signatures(pqsec, keystore, k
     assert said["bytes"] == (k.parent / "new.p7s").stat().st_size
     found = pqsec("-k k verify new.p7s --json").done().json["signatures"]
     assert [(each["algorithm"], each["countersignature"]) for each in found] == SIGNING[profile]
-    assert pqsec("validate new.p7s --json").done().json[0]["kind"] == kind
+    assert pqsec("validate new.p7s --json").done().json["files"][0]["kind"] == kind
 
 
 def test_the_keystores_governance_is_edited_signed_and_counts(pqsec, keystore):

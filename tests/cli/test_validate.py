@@ -20,7 +20,7 @@ PERMISSIONS = "k/enclaves/talker/permissions"
 def test_the_kind_is_found_signed_or_not(pqsec, keystore, file, kind):
     keystore("transition")
     assert pqsec("validate", file).done().out == f"{file}: valid {kind} document\n"
-    assert pqsec("validate --json", file).done().json == [
+    assert pqsec("validate --json", file).done().json["files"] == [
         {"file": file, "valid": True, "kind": kind, "problems": []}
     ]
 
@@ -40,7 +40,7 @@ def test_a_broken_document_is_told_with_file_line_element_and_rule(pqsec, keysto
     assert said.code == 1
     start = f"broken.xml: line {number}: <rtps_protection_kind>: 'SIGNED' is none of "
     assert said.out.startswith(start)
-    [result] = pqsec("validate broken.xml --json").json
+    [result] = pqsec("validate broken.xml --json").json["files"]
     assert result["valid"] is False
     [problem] = result["problems"]
     assert problem["line"] == number
@@ -69,7 +69,7 @@ def test_all_files_are_told_and_one_that_is_broken_makes_it_a_no(pqsec, keystore
         f"{GOVERNANCE}.xml: valid governance document",
         f"{PERMISSIONS}.xml: valid permissions document",
     ]
-    results = pqsec(f"--json validate {GOVERNANCE}.xml broken.xml").json
+    results = pqsec(f"--json validate {GOVERNANCE}.xml broken.xml").json["files"]
     assert [result["valid"] for result in results] == [True, False]
 
 
@@ -96,7 +96,7 @@ def test_what_is_no_document_is_a_no_with_a_reason(pqsec, tmp_path, content):
     assert said.code == 1
     assert said.err == ""
     assert said.out.startswith("file: ")
-    [result] = pqsec("validate file --json").json
+    [result] = pqsec("validate file --json").json["files"]
     assert result["valid"] is False
     assert result["kind"] is None
     assert result["problems"][0]["text"]

@@ -181,7 +181,7 @@ def test_of_two_cyclones_what_is_found_is_linked_run_and_told(
     assert find("cyclonedds").version != found.version == find("cyclonedds", TRIXIE).version
     done, printed = pqsec(f"pqsec try cyclonedds --root {two_cyclones} /talker /listener --json")
     told = json.loads(printed)
-    assert (done, told["version"]) == (0, found.version), told
+    assert (done, told["stack_version"]) == (0, found.version), told
     assert told["library"] == str(found.library.path)
     assert found.library.path.is_relative_to(two_cyclones / "usr/local")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
