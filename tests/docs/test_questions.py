@@ -82,7 +82,7 @@ def test_every_row_has_a_question():
 
 @pytest.mark.parametrize("name", CASES)
 def test_who_differs_from_the_standard_is_said_to(name):
-    """Peers are asked: of its own stack OpenDDS makes no participant at all."""
+    """Peers are asked: of its own stack OpenDDS creates no participant at all."""
     permissions, asked = CASES[name]
     asked = {"subject": "CN=/a", "domain": 0, "action": Action.PUBLISH, "topic": "a"} | asked
     governance = asked.pop("governance", GOVERNANCE)

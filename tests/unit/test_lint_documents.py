@@ -334,7 +334,7 @@ def test_brackets_and_commas_beyond_number_are_gone_through_once(text):
 @pytest.mark.parametrize("target", [None, *Target])
 def test_the_documents_the_flaws_are_made_from_have_none(text, target, tmp_path):
     found = found_in(tmp_path, text, *([target] if target else []))
-    is_unfit = target is Target.OPENDDS and text is GOVERNANCE  # OpenDDS makes no participant
+    is_unfit = target is Target.OPENDDS and text is GOVERNANCE  # OpenDDS creates no participant
     assert [each.rule.id for each in found] == ["PQS230"] * is_unfit
 
 
