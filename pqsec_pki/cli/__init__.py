@@ -1,6 +1,6 @@
-"""The pqsec command. Each command reads its options, calls one room, prints.
+"""The pqsec command. Each command reads its options, calls one room and prints.
 
-Commands are loaded when they run: `pqsec --help` costs no cryptography.
+Commands are imported when they run: `pqsec --help` does not load cryptography.
 """
 
 import io
@@ -22,85 +22,67 @@ from pqsec_pki.errors import FileError, PqsecError, meant, shown
 __all__ = ["main", "pqsec"]
 
 COMMANDS = {
-    "demo": ("demo", "Make a secured domain of two participants and prove that it works."),
-    "ca": ("ca", "Make, show and change the CAs, and the identity CA's revocation list."),
-    "plan": (
-        "plan",
-        "Tell what FILE wants and the keystore has not: what `pqsec apply` would do.",
-    ),
-    "apply": ("apply", "Make the keystore as FILE wants it: what `pqsec plan` tells is done."),
-    "adopt": (
-        "adopt",
-        "Make a keystore of SROS2, or one in its layout, a keystore of pqsec's, and check it.",
-    ),
+    "demo": ("demo", "Create a secured domain with two participants and run their handshake."),
+    "ca": ("ca", "Create, show and change the CAs and the revocation list."),
+    "plan": ("plan", "Show the changes that `pqsec apply` would make."),
+    "apply": ("apply", "Change the keystore to match a domain file."),
+    "adopt": ("adopt", "Turn a keystore of SROS2 or OpenSSL into a pqsec keystore, and check it."),
     "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
-    "request": ("request", "Make keys on the robot, and the request for their certificate."),
-    "bundle-key": ("request", "Make the key on the robot with which it opens sealed bundles."),
-    "bundle": (
-        "bundle",
-        "Write a bundle: all that one robot needs of the keystore, in one file.",
-    ),
-    "install": ("install", "Check a bundle, and let it be what this robot runs with."),
-    "rollback": ("install", "Go back to what was installed before the last bundle, once."),
-    "sign-request": (
-        "sign_request",
-        "Have requests signed by CAs on a machine without a network.",
-    ),
-    "renew": (
-        "renew",
-        "Renew participants: certificate and permissions together, allowed the same as before.",
-    ),
+    "request": ("request", "Generate keys and a certificate request on the robot."),
+    "bundle-key": ("request", "Generate the robot's key for opening sealed bundles."),
+    "bundle": ("bundle", "Write everything that one robot needs into one file."),
+    "install": ("install", "Check a bundle and install it on this robot."),
+    "rollback": ("install", "Restore what was installed before the last bundle."),
+    "sign-request": ("sign_request", "Sign requests with CAs on an offline machine."),
+    "renew": ("renew", "Renew certificates and permissions, with the same rights as before."),
     "needs-renewal": (
         "renew",
-        "Tell whether participants, or the revocation list, should be renewed.",
+        "Test whether participants or the revocation list are due for renewal.",
     ),
     "revoke": (
         "revoke",
-        "Take certificates back: a new revocation list, linked into every enclave.",
+        "Revoke certificates, and put the new revocation list into every enclave.",
     ),
-    "status": (
-        "status",
-        "Show every participant, how long it lasts and its state, the most urgent first.",
-    ),
-    "log": ("log", "Show the ledger: every certificate, document and revocation made here."),
-    "governance": ("governance", "Write the governance document in YAML, with presets."),
+    "status": ("status", "Show each participant's state and expiry, the most urgent first."),
+    "log": ("log", "Show or verify the ledger of everything issued, signed and revoked."),
+    "governance": ("governance", "Write and convert governance documents in YAML."),
     "permissions": (
         "permissions",
-        "Write permissions documents in YAML, and import policies of SROS2.",
+        "Write and convert permissions documents in YAML, and import SROS2 policies.",
     ),
-    "sign-governance": ("sign", "Check a governance document against its schema and sign it."),
-    "sign-permissions": ("sign", "Check a permissions document against its schema and sign it."),
+    "sign-governance": ("sign", "Check a governance document against its schema, and sign it."),
+    "sign-permissions": ("sign", "Check a permissions document against its schema, and sign it."),
     "validate": ("validate", "Check governance and permissions documents against their schemas."),
-    "check": ("check", "Tell what is wrong or risky in keystores, folders and files."),
+    "check": ("check", "Report errors and risks in keystores, folders and files."),
     "verify": ("verify", "Check who signed a governance or permissions document."),
     "verify-handshake": ("handshake", "Run the authentication handshake between two participants."),
-    "export": ("export", "Write the configuration with which a DDS stack runs as a participant."),
-    "try": ("try_", "Let two participants meet in a real DDS stack on this machine."),
+    "export": ("export", "Write the configuration that a DDS stack needs to run as a participant."),
+    "try": ("try_", "Run two participants in a real DDS stack on this machine."),
     "plugin": ("plugin", "Install the security plugin that Cyclone DDS loads."),
-    "agent": ("agent", "Look after the agent, which holds the keys for the plugin."),
+    "agent": ("agent", "Control the agent, which holds the keys for the plugin."),
     "explain": (
         "explain",
-        "Tell whether a participant may do something, which rule decided, and why.",
+        "Show whether a participant may do something, and which rule decides.",
     ),
     "explain-error": (
         "explain_error",
-        "Tell what a DDS stack's security error means, and the way out.",
+        "Explain a security error of a DDS stack, and how to fix it.",
     ),
-    "who-may": ("who_may", "Tell who may publish and subscribe to what."),
-    "diff": ("diff", "Tell what a change of policy grants and takes away."),
-    "inspect": ("inspect", "Tell in words what a certificate, key or document is."),
+    "who-may": ("who_may", "Show which participants may publish and subscribe to each topic."),
+    "diff": ("diff", "Show the rights that a policy change grants and removes."),
+    "inspect": ("inspect", "Describe a certificate, key, request or document."),
     "profiles": ("algorithms", "List the profiles: algorithms that are used together."),
     "algorithms": ("algorithms", "List the algorithms, their sizes and which stacks run them."),
 }
-"""Command -> (module of this room, the help that `pqsec --help` shows)."""
+"""Command -> (module in this room, one-line help for `pqsec --help`)."""
 
 
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
-"""By their numbers."""
+"""Name and mode of each standard stream, by file descriptor number."""
 
 
 class _Lazy(click.Group):
-    """A group whose commands are imported when they are asked for."""
+    """A group that imports a command when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
@@ -118,7 +100,7 @@ class _Lazy(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does it, but an unknown command is told which may be meant."""
+        """As click does it, with similar names in the error for an unknown command."""
         if args[0] not in COMMANDS and not args[0].startswith("-"):
             instead = meant(args[0], COMMANDS).replace("did", " Did", 1)
             ctx.fail(f"No such command {shown(args[0])!r}.{instead}")
@@ -142,59 +124,63 @@ def pqsec() -> None:
 
 def main() -> None:
     """Run the command line and exit: 0 done or yes, 1 no, 2 usage, 3 could not be done."""
-    # A reader that has seen enough, as `head` has, ends pqsec quietly, as it ends any filter.
+    # pqsec ends silently when its reader closes the pipe, as `head` does.
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    # A polite kill undoes what was begun, as Ctrl-C does.
+    # SIGTERM rolls back the change in progress, as Ctrl-C does.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    _open_what_is_closed()
-    # What pqsec makes it must be able to read: of the umask only the others' part counts.
+    _open_closed_streams()
+    # pqsec must be able to read its own files: ignore the owner's bits of the umask.
     os.umask(os.umask(0o077) & 0o077)
-    if not sys.warnoptions:  # cryptography's, on odd files: they are for developers
+    if not sys.warnoptions:  # cryptography warns about unusual files: for developers only
         warnings.simplefilter("ignore")
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a path may hold what the terminal cannot show
+    if isinstance(
+        sys.stdout, io.TextIOWrapper
+    ):  # a path may have characters that the terminal cannot show
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        _refuse_nowhere()
+        _refuse_removed_folder()
         result = pqsec.main(prog_name="pqsec", standalone_mode=False)
     except PqsecError as error:
-        _complain(*error.lines, hint=error.hint)
+        _print_errors(*error.lines, hint=error.hint)
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        _complain_of_usage(error)
+        _print_usage_error(error)
         sys.exit(error.exit_code)
     except click.Abort:
-        _complain("interrupted")
+        _print_errors("interrupted")
         sys.exit(130)
     sys.exit(result if isinstance(result, int) else 0)
 
 
-def _open_what_is_closed() -> None:
-    """A stream that the shell closed leads nowhere now, and not into the next file opened."""
+def _open_closed_streams() -> None:
+    """Connect closed standard streams to /dev/null, so that no opened file gets their number."""
     while (handle := os.open(os.devnull, os.O_RDWR)) < len(_STREAMS):
         name, mode = _STREAMS[handle]
         setattr(sys, name, os.fdopen(handle, mode))
     os.close(handle)
 
 
-def _refuse_nowhere() -> None:
+def _refuse_removed_folder() -> None:
     try:
         Path.cwd()
     except OSError as error:
         raise FileError(
-            "the folder in which this shell is has been removed", hint="cd to another"
+            "the current folder has been removed", hint="change to another folder"
         ) from error
 
 
-def _complain_of_usage(error: click.ClickException) -> None:
+def _print_usage_error(error: click.ClickException) -> None:
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         error.show()
         return
     context = error.ctx if isinstance(error, click.UsageError) else None
     command = context.command_path if context else "pqsec"
-    _complain(error.format_message(), hint=f"`{command} --help` tells what it takes")
+    _print_errors(
+        error.format_message(), hint=f"`{command} --help` shows its arguments and options"
+    )
 
 
-def _complain(*messages: str, hint: str | None = None) -> None:
+def _print_errors(*messages: str, hint: str | None = None) -> None:
     for message in messages:
         click.echo(f"pqsec: error: {printable(message)}", err=True)
     if hint:

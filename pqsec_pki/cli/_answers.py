@@ -1,4 +1,4 @@
-"""One question, as each stack answers it, on each domain."""
+"""The answer of each stack to one access question, on each domain."""
 
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -19,20 +19,20 @@ from pqsec_pki.access.everywhere import domain_set, domains_named
 from pqsec_pki.cli._documents import PolicyInput
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
 
-_WIDEST_ZONE = timedelta(hours=14)
-"""Local times lie at most that far from UTC."""
+_MAX_UTC_OFFSET = timedelta(hours=14)
+"""The largest difference between a local time and UTC."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What one reading says."""
+    """The answer by one interpretation of the documents."""
 
     interpretation: Interpretation
     decision: Decision
     own: bool
-    """What the participant's own stack says."""
+    """Whether the participant's own stack allows it."""
     peers: bool
-    """What its peers say, if they run the same stack."""
+    """Whether its peers allow it, if they run the same stack."""
     hazard: str = ""
 
     @property
@@ -41,23 +41,23 @@ class Answer:
         return "yes" if self.decision.allowed else "no"
 
     @property
-    def whose(self) -> str:
-        """Where the two sides are not of one mind."""
+    def disagreement(self) -> str:
+        """How the two sides differ; empty if they agree."""
         if self.own == self.peers:
             return ""
         if self.own:
-            return "its own stack would let it, its peers refuse"
+            return "its own stack would allow it, its peers refuse"
         return "its peers would accept it, its own stack refuses"
 
     def differs(self, other: "Answer") -> bool:
-        """Whether one is a yes and the other a no."""
+        """Whether only one of the two allows it."""
         return self.decision.allowed is not other.decision.allowed
 
 
 def answer_of(
     policy_input: PolicyInput, question: Question, interpretation: Interpretation
 ) -> Answer:
-    """What that reading answers, and what each side of its stack."""
+    """The answer by that interpretation, and of each side of its stack."""
     policy = Policy(policy_input.governance.value, policy_input.permissions.value, interpretation)
     return Answer(
         interpretation=interpretation,
@@ -73,43 +73,48 @@ def answer_of(
 
 
 def _zone_hazard(grant: Grant | None, question: Question) -> str:
-    """Fast DDS, all versions, reads the times of a grant as local ones (measured)."""
+    """All versions of Fast DDS read the times of a grant as local time (measured)."""
     for edge in (grant.not_before, grant.not_after) if grant else ():
-        if abs(edge - question.now) < _WIDEST_ZONE:
+        if abs(edge - question.now) < _MAX_UTC_OFFSET:
             return (
                 "it reads the times of a grant as local time, and this one begins or ends within"
-                f" {_WIDEST_ZONE.seconds // 3600} hours: away from UTC it may decide otherwise"
+                f" {_MAX_UTC_OFFSET.seconds // 3600} hours: outside UTC it may decide differently"
             )
     return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainsAnswer:
-    """What is answered alike on some domains; `question` is of the first."""
+    """The same answer on several domains; `question` is for the first of them."""
 
     question: Question
     answer: Answer
     others: list[Answer]
-    """What other readings say."""
+    """Answers by other interpretations."""
     joins: bool
     domains: DomainSet
 
     @property
     def allowed(self) -> bool:
-        """Whether it may."""
+        """Whether it is allowed."""
         return self.answer.decision.allowed
 
     @property
     def where(self) -> str:
-        """As in `domain 0`, `domains 0-3,5`."""
+        """Such as `domain 0` or `domains 0-3,5`."""
         parts = self.domains.parts
         one = len(parts) == 1 and isinstance(parts[0], int)
         return f"domain{'' if one else 's'} {self.domains}"
 
-    def likeness(self, policy_input: PolicyInput) -> object:
-        """Equal for what the same parts of the documents decide, by each reading."""
+    def merge_key(self, policy_input: PolicyInput) -> object:
+        """A key: equal where the same parts of the documents decide, by each interpretation."""
         answers = tuple(
-            (each.decision.allowed, policy_input.place(each.decision), each.whose, each.hazard)
+            (
+                each.decision.allowed,
+                policy_input.place(each.decision),
+                each.disagreement,
+                each.hazard,
+            )
             for each in (self.answer, *self.others)
         )
         return answers, self.joins, self.answer.decision.protection
@@ -118,9 +123,9 @@ class DomainsAnswer:
 def answers_by_domain(
     policy_input: PolicyInput, question: Question, stack: str | None, *, everywhere: bool
 ) -> list[DomainsAnswer]:
-    """What is allowed first; on all domains that the documents name, or that of the question.
+    """The answers on all domains that the documents name, or on that of the question.
 
-    As `stack` reads the documents, or by the standard and by all others.
+    Allowed ones come first. By the interpretation of `stack`, or by the standard and all others.
     """
     if not everywhere:
         return [_answered(policy_input, question, stack, DomainSet(parts=(question.domain,)))]
@@ -128,7 +133,7 @@ def answers_by_domain(
     for stretch in domains_named(policy_input.governance.value, policy_input.permissions.value):
         here = replace(question, domain=stretch.first)
         each = _answered(policy_input, here, stack, DomainSet(parts=(stretch,)))
-        found.setdefault(each.likeness(policy_input), []).append((stretch, each))
+        found.setdefault(each.merge_key(policy_input), []).append((stretch, each))
     merged = [
         replace(alike[0][1], domains=domain_set([stretch for stretch, _ in alike]))
         for alike in found.values()

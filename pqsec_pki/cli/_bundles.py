@@ -1,4 +1,4 @@
-"""What the commands that make bundles share: requests in, bundles out, sealed or not."""
+"""Shared by the commands that make bundles: reading requests, writing and sealing bundles."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -19,26 +19,26 @@ folder_option = click.option(
     "folder",
     type=_settings.FOLDER,
     metavar="DIR",
-    help="Where bundles are written. [default: here]",
+    help="Write bundles into DIR. [default: the current folder]",
 )
 seal_option = click.option(
     "--seal-for",
     type=_settings.FILE,
     metavar="FILE",
-    help="Let only this robot open the bundle: its bundle.pub.pem, of `pqsec bundle-key`.",
+    help="Encrypt the bundle for one robot: FILE is its bundle.pub.pem, from `pqsec bundle-key`.",
 )
 
 compromised_option = click.option(
     "--reuse-compromised-key",
     "compromised_keys",
     is_flag=True,
-    help="Also certify a key that was revoked as compromised: whoever else has it can pass for"
-    " that participant.",
+    help="Also certify a key that was revoked as compromised. Anybody else who has the key can"
+    " impersonate that participant.",
 )
 
 
 def load_requests(paths: Sequence[Path]) -> list[CertificateRequest]:
-    """The requests in these files, in PEM; errors name the file."""
+    """The requests in these PEM files. Errors name the file."""
     found = []
     for path in paths:
         with located(path):
@@ -49,19 +49,19 @@ def load_requests(paths: Sequence[Path]) -> list[CertificateRequest]:
 def read_requests(
     paths: Sequence[Path], profile: Profile, names: Collection[str], patterns: Collection[str]
 ) -> dict[str, PublicKeys]:
-    """The keys to be certified, by name, if all requests may be answered; none without files."""
+    """The keys to certify, by name; empty without files. Errors if a request is not allowed."""
     if not paths:
         return {}
     return validate_csrs(load_requests(paths), profile, names=names, patterns=patterns)
 
 
 def with_keys(spec: ParticipantSpec, asked: Mapping[str, PublicKeys]) -> ParticipantSpec:
-    """The wish, for the keys of its request if there is one."""
+    """The spec with the keys of its request, if there is one."""
     return replace(spec, keys=asked.get(spec.name))
 
 
 def goals(names: Collection[str], folder: Path | None, *, force: bool) -> dict[str, Path]:
-    """Where each name's bundle goes; ExistsError if something is there, unless `force`."""
+    """The path of each name's bundle. ExistsError if a file exists, unless `force`."""
     found = {name: (folder or Path()) / f"{flat_name(name)}.bundle" for name in names}
     if not force:
         for goal in found.values():
@@ -70,7 +70,7 @@ def goals(names: Collection[str], folder: Path | None, *, force: bool) -> dict[s
 
 
 def recipient(path: Path | None) -> SealingPublicKey | None:
-    """Whom to seal for, if a file was named."""
+    """The public key to encrypt a bundle for, or None."""
     if path is None:
         return None
     with located(path):
@@ -85,11 +85,11 @@ def write(
     force: bool,
     plain_key: bool = False,
 ) -> None:
-    """Write the bundle; UsageError if it holds keys in the clear, and nobody said so."""
+    """Write the bundle. UsageError if it has unencrypted keys and `plain_key` is not set."""
     if bundle.has_keys and not (sealed_for or plain_key):
         raise UsageError(
-            f"the bundle holds private keys of {', '.join(bundle.names)}",
-            hint="seal it for its robot: --seal-for FILE; or say --plain-key, and guard it",
+            f"the bundle has private keys of {', '.join(bundle.names)}",
+            hint="encrypt it for its robot: --seal-for FILE; or use --plain-key and protect it",
         )
     data = bundle.to_bytes()
     data = seal(data, sealed_for) if sealed_for else data

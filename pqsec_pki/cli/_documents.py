@@ -1,4 +1,4 @@
-"""Documents as questions need them: read, believed for a reason, and with their places."""
+"""Documents for access questions: read, verified where asked, with their line numbers."""
 
 import re
 from collections.abc import Callable
@@ -40,29 +40,29 @@ from pqsec_pki.smime import Verified, document_in, is_signed, lines_before_docum
 
 Value = TypeVar("Value", Governance, Permissions)
 Check: TypeAlias = Callable[[bytes], Verified]
-"""Of an S/MIME file: what is signed in it; VerificationError if a signature does not hold."""
+"""Takes an S/MIME file, returns the signed content. VerificationError for a bad signature."""
 
 YAML = (".yaml", ".yml")
-_ANSWERS = {Code.NO_GRANT, Code.GRANT_EXPIRED, Code.GRANT_NOT_YET_VALID}
-"""What a question about rights is answered with, and not refused for."""
+_GRANT_PROBLEMS = {Code.NO_GRANT, Code.GRANT_EXPIRED, Code.GRANT_NOT_YET_VALID}
+"""Problems that are a "no" to an access question, not an error."""
 _GRANTS = re.compile(rb"(?m)^[ \t]*+\{?[ \t]*+[\"']?grants[\"']?\s*+:")
-"""What permissions in YAML must have, and governance cannot; blank lines are gone through once."""
+"""Permissions in YAML have this key, governance does not. Possessive: linear on blank lines."""
 _XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe|\xfe\xff")
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded(Generic[Value]):
-    """What a file says."""
+    """A document and where it was read."""
 
     path: Path
     value: Value
     signed: bool
     verified: bool
     before: int
-    """Lines of the file that stand before the document."""
+    """Lines in the file before the document."""
 
     def line(self, line: int | None) -> int | None:
-        """The line of the file where that line of the document is."""
+        """The line in the file for a line of the document."""
         return None if line is None else line + self.before
 
 
@@ -71,7 +71,7 @@ Document: TypeAlias = Loaded[Governance] | Loaded[Permissions]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyInput:
-    """Who asks, and the documents that answer."""
+    """A participant and the documents that decide its rights."""
 
     who: str
     subject: str
@@ -79,40 +79,40 @@ class PolicyInput:
     permissions: Loaded[Permissions]
 
     def place(self, decision: Decision) -> tuple[Path, int] | None:
-        """The file and line of what decided."""
+        """The file and line of the rule that decided."""
         part = decision.decided_by
         source = self.governance if isinstance(part, DomainRule | TopicRule) else self.permissions
         line = source.line(part.line) if part else None
         return (source.path, line) if line else None
 
     def criteria_line(self, decision: Decision) -> int | None:
-        """The line, in that file, of those criteria of the rule that were met."""
+        """The line, in that file, of the criteria of the rule that matched."""
         return self.permissions.line(decision.criteria.line) if decision.criteria else None
 
 
 def plain(text: str) -> str:
-    """A name from outside, whole, without control characters."""
+    """An external name in full, with control characters escaped."""
     return shown(text, limit=len(text))
 
 
 def signed_by(path: Path, now: datetime) -> Check:
-    """Did the permissions CA whose certificate is in the file `path` sign it?"""
+    """A check that the permissions CA with the certificate at `path` signed a document."""
     ca = only_certificate(read(path), str(path))
     return partial(TrustAnchors(identity_cas=(), permissions_ca=ca).verified, now=now)
 
 
 def governance_in(path: Path, check: Check | None = None) -> Loaded[Governance]:
-    """A governance document: XML, signed or not, or YAML."""
+    """The governance document at `path`: XML, signed or not, or YAML."""
     return _governance(path, read(path), check)
 
 
 def permissions_in(path: Path, now: datetime, check: Check | None = None) -> Loaded[Permissions]:
-    """A permissions document: XML, signed or not, or YAML; `1y` in it counts from `now`."""
+    """The permissions document at `path`; durations such as `1y` in YAML count from `now`."""
     return _permissions(path, read(path), now, check)
 
 
 def document_at(path: Path, now: datetime) -> Document:
-    """A document of either kind, read once: it may be a pipe."""
+    """A document of either kind. Reads `path` once, because it may be a pipe."""
     data = read(path)
     with located(path):
         if _is_yaml(path, data):
@@ -125,18 +125,18 @@ def document_at(path: Path, now: datetime) -> Document:
 
 
 def kind_of(document: Document) -> Kind:
-    """Which of the two it is."""
+    """Governance or permissions."""
     return Kind.GOVERNANCE if isinstance(document.value, Governance) else Kind.PERMISSIONS
 
 
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
-    """That file of a participant; KeystoreError if there is no such participant."""
+    """The path of that file of a participant. KeystoreError for an unknown participant."""
     keystore.refuse_unknown(name)
     return keystore.root / f"{ENCLAVES}{regular_name(name)}" / file
 
 
 def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
-    """Whom its participants trust; VerificationError if they should not, now."""
+    """The trust anchors of its participants. VerificationError if they are not valid at `now`."""
     anchors = keystore.anchors
     problems = anchors.problems(now)
     if problems:
@@ -145,7 +145,7 @@ def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
 
 
 def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
-    """A participant's certificate, if an identity CA stands for it and did not revoke it."""
+    """A participant's certificate. VerificationError if it is not valid, or is revoked."""
     path = enclave_file(keystore, name, CERTIFICATE)
     certificate = load_certificate(path)
     with located(path):
@@ -159,9 +159,9 @@ def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datet
 
 
 def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput:
-    """A participant's own; VerificationError if a signature on them does not hold.
+    """A participant and its documents. VerificationError if a signature is not valid.
 
-    They must hold twice: for the keystore, and for who has the enclave's files and no others.
+    Verified twice: against the keystore, and against the files of the enclave alone.
     """
     keystore.refuse_unknown(name)
     anchors = anchors_of(keystore, now)
@@ -177,13 +177,13 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
 
 
 def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
-    """VerificationError if its own stack would refuse the enclave; a grant is asked about."""
+    """VerificationError if its own stack would refuse the enclave, apart from its grants."""
     files = enclave_files(keystore.root, name)
     public = {file: data for file, data in files.items() if file not in KEYS}
     try:
         verify_credentials(Credentials.of(name, public), now=now)
     except VerificationError as error:
-        problems = [each for each in error.problems if each.code not in _ANSWERS]
+        problems = [each for each in error.problems if each.code not in _GRANT_PROBLEMS]
         if problems:
             raise VerificationError(*problems, hint=error.hint) from error
 
@@ -191,31 +191,31 @@ def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
 def own_permissions(
     keystore: Keystore, name: str, now: datetime, check: Check | None
 ) -> Loaded[Permissions]:
-    """A participant's."""
+    """The permissions document of a participant."""
     return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check)
 
 
 def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
-    """The keystore's."""
+    """The governance document of the keystore."""
     return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check)
 
 
 def own_governance(
     keystore: Keystore, name: str, shared: Loaded[Governance], check: Check | None
 ) -> Governance:
-    """A participant's, which should be the one that all share."""
+    """The governance of a participant, normally a link to the shared one."""
     path = enclave_file(keystore, name, GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
     return shared.value if is_shared else governance_in(path, check).value
 
 
 def only_subject(permissions: Loaded[Permissions]) -> str:
-    """The subject of all grants; UsageError if they are for several."""
+    """The subject of all grants. UsageError if there are several subjects."""
     subjects = {grant.subject_name for grant in permissions.value.grants}
     if len(subjects) > 1:
         raise UsageError(
             f"{permissions.path} has grants for {len(subjects)} subjects",
-            hint="say whom you ask about: --subject " + repr(min(subjects)),
+            hint="choose one: --subject " + repr(min(subjects)),
         )
     return subjects.pop()
 
@@ -244,11 +244,11 @@ def _loaded(
             verified = check is not None
             return Loaded(path, from_xml(xml), True, verified, lines_before_document(data))  # noqa: FBT003 -- field
         if check:
-            raise VerificationError("it is not signed", code=Code.NOT_SIGNED)
+            raise VerificationError("the document is not signed", code=Code.NOT_SIGNED)
         value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)
         return Loaded(path, value, False, False, 0)  # noqa: FBT003 -- fields
 
 
 def _is_yaml(path: Path, data: bytes) -> bool:
-    """By its ending; of what has none, as a pipe, by whether it begins as XML does."""
+    """By the file suffix; without one (a pipe), by whether the data begins like XML."""
     return path.suffix in YAML or not (path.suffix or _XML.match(data))

@@ -1,4 +1,4 @@
-"""Whom who-may asks about: the participants of a keystore, or of permissions documents."""
+"""The participants for who-may: from a keystore, or from permissions documents."""
 
 import stat
 from collections import Counter
@@ -40,27 +40,27 @@ _SIGNED_FIRST = (".p7s", ".xml", ".yaml", ".yml")
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """Participants, and the governance that they share."""
+    """Participants and their shared governance."""
 
     governance: Governance
     members: list[Member]
     refused: dict[str, str]
-    """Who is left out, and why: no stack would believe its documents."""
+    """Participants or files that are left out, and why: no stack would accept the documents."""
 
 
 def fleet_of(
     paths: tuple[Path, ...], governance: Path | None, now: datetime, reading: Interpretation
 ) -> Fleet:
-    """Of a keystore, of files, or of folders of files; without any, of the user's keystore.
+    """From a keystore, files, or folders of files; without paths, from the user's keystore.
 
-    Of a keystore, who has no grant by `reading` is left out.
+    Participants of a keystore without a grant by `reading` are left out.
 
-    UsageError if it is not clear which governance counts, FileError if there is nobody.
+    UsageError if the governance is ambiguous, FileError if there are no permissions.
     """
     root = paths[0] if paths else _settings.keystore_path()
     if not paths or (len(paths) == 1 and exists(root / SETTINGS)):
         if governance:
-            raise UsageError("--governance is for files; a keystore has its own")
+            raise UsageError("--governance is for files: a keystore has its own governance")
         return _in_keystore(Keystore.open(root), now, reading)
     return _in_files(paths, governance, now)
 
@@ -77,7 +77,7 @@ def _in_keystore(keystore: Keystore, now: datetime, reading: Interpretation) -> 
             with located(own.path):
                 _refuse_ungranted(own.value, subject, now, reading)
             if own_governance(keystore, name, governance, check) != governance.value:
-                raise VerificationError("it has a governance of its own, unlike the others")
+                raise VerificationError("its governance differs from the governance of the others")
         except PqsecError as error:
             _refuse_unreadable(error)
             refused[name] = str(error)
@@ -89,36 +89,40 @@ def _in_keystore(keystore: Keystore, now: datetime, reading: Interpretation) -> 
 def _refuse_ungranted(
     permissions: Permissions, subject: str, now: datetime, reading: Interpretation
 ) -> None:
-    """VerificationError if none of the grants is the subject's."""
+    """VerificationError if no grant is for the subject."""
     question = Question(subject=subject, domain=0, action=Action.JOIN, now=now)
     if reading.grant_for(permissions, question) is None:
-        raise VerificationError(Problem(f"nothing in them is granted to {subject}", Code.NO_GRANT))
+        raise VerificationError(Problem(f"no grant is for {subject}", Code.NO_GRANT))
 
 
 def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> Fleet:
     documents, refused = _documents(paths, now)
     found = [(each.path, each.value) for each in documents if isinstance(each.value, Permissions)]
     if not found:
-        raise FileError("there is no permissions document", hint="name files, or their folder")
+        raise FileError(
+            "there is no permissions document", hint="name files, or a folder with files"
+        )
     if governance:
         documents = [each for each in documents if isinstance(each.value, Permissions)]
         documents.append(governance_in(governance))
     governing = [each.value for each in documents if isinstance(each.value, Governance)]
     if len(set(governing)) > 1:
         raise UsageError(
-            "there is more than one governance document", hint="say which: --governance FILE"
+            "there is more than one governance document", hint="choose one: --governance FILE"
         )
     if not governing:
-        _printing.note("there is no governance document: taken as if it controlled everything")
+        _printing.note(
+            "there is no governance document: everything is assumed to be access-controlled"
+        )
         governing = [Governance.protected(DomainSet(parts=(DomainRange(first=0),)))]
     if any(each.signed for each in documents):
-        _printing.note("who signed the documents was not checked")
+        _printing.note("the signatures of the documents were not checked")
     members = list(_members(found, refused))
     return Fleet(governing[0], members, refused)
 
 
 def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], dict[str, str]]:
-    """Those that can be read, and why others in folders cannot."""
+    """The documents that can be read; and for other files in folders, the reason."""
     found: list[Document] = []
     refused: dict[str, str] = {}
     for path, is_named in _files(paths):
@@ -133,7 +137,7 @@ def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], di
 
 
 def _members(found: list[tuple[Path, Permissions]], refused: dict[str, str]) -> Iterator[Member]:
-    """Each subject of each document; with the file where it is in several."""
+    """Each subject of each document; its name has the file if several files have the subject."""
     subjects = [
         (path, permissions, subject)
         for path, permissions in found
@@ -151,7 +155,7 @@ def _members(found: list[tuple[Path, Permissions]], refused: dict[str, str]) -> 
 
 
 def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
-    """The files, and whether the user named each; of x.p7s and x.xml in a folder the signed."""
+    """Each file, and whether the user named it. In a folder, x.p7s is preferred to x.xml."""
     for path in paths:
         if not is_folder(path):
             yield path, True
@@ -165,7 +169,7 @@ def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
 
 
 def _is_regular(path: Path) -> bool:
-    """Whether it is neither a folder nor a pipe that would never end; reading tells the rest."""
+    """Whether it is not a folder, pipe or device. True if unknown: reading gives the error."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except OSError:
@@ -173,6 +177,6 @@ def _is_regular(path: Path) -> bool:
 
 
 def _refuse_unreadable(error: PqsecError) -> None:
-    """Whom a closed file is about may have any right: an answer without them is not one."""
+    """An unreadable file may grant any right: raise its error. Without it the answer is wrong."""
     if isinstance(error, FileError) and not isinstance(error, MissingError):
         raise error

@@ -1,4 +1,4 @@
-"""verify-handshake --attack, in words."""
+"""verify-handshake --attack: run attacks and print the report."""
 
 import sys
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ EVERY = "all"
 
 
 def attacks_named(name: str) -> tuple[Attack, ...]:
-    """Those a user means; UnknownAlgorithmError if there is none of that name."""
+    """The attack of that name, or all. UnknownAlgorithmError for an unknown name."""
     return ATTACKS if name.lower() == EVERY else (attack_named(name),)
 
 
@@ -30,7 +30,7 @@ def try_attacks(
     parties: tuple[HandshakeParty, HandshakeParty],
     attacks: tuple[Attack, ...],
 ) -> bool:
-    """Attack the two and tell what became of it; whether all was refused."""
+    """Run the attacks and print the report. Returns whether all were refused."""
     with click.progressbar(
         length=len(attacks), label="attacks", file=sys.stderr, hidden=not sys.stderr.isatty()
     ) as bar:
@@ -45,7 +45,7 @@ def _lines(attack_report: AttackReport, *, details: bool) -> Iterator[str]:
         yield f"{_mark(outcome)}  {outcome.attack.name.ljust(width)}  {_summary(outcome)}"
         for result in outcome.results:
             if details or not result.refused:
-                yield f"      {_told(result)}"
+                yield f"      {_result_line(result)}"
         if outcome.hint:
             yield f"      hint: {outcome.hint}"
     if attack_report.outcomes:
@@ -69,14 +69,14 @@ def _summary(outcome: Outcome) -> str:
     return f"{outcome.attack.title}: {count}{' at ' if places else ''}{', '.join(places)}"
 
 
-def _told(result: Result) -> str:
+def _result_line(result: Result) -> str:
     if result.step is None:
         return f"{result.what}: NOT refused"
-    told = f"{result.what}: {result.by} refused ({result.step.name}): {result.step.detail}"
+    line = f"{result.what}: {result.by} refused ({result.step.name}): {result.step.detail}"
     if result.shares_key:
-        told += (
-            "; until then it was suffered, as DDS-Security 1.1 leaves it: both have one key,"
+        line += (
+            "; DDS-Security 1.1 accepts the earlier messages: both have the same key,"
             " each with the attacker as its peer"
         )
     due = ", ".join(result.due)
-    return told if result.refused else f"{told}; NOT by the check that is due ({due})"
+    return line if result.refused else f"{line}; NOT by the check that is due ({due})"

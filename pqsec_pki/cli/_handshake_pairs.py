@@ -1,4 +1,4 @@
-"""verify-handshake --all, in words and as JSON."""
+"""verify-handshake --all: run all pairs, print a matrix or JSON."""
 
 import json
 import sys
@@ -16,9 +16,9 @@ from pqsec_pki.selfcheck.pairs import AllPairsJob, Outcome, PairsCheck, check_pa
 from pqsec_pki.selfcheck.summary import Cause, Summary, faults
 
 MATRIX = 20
-"""Participants that a matrix has room for."""
+"""The most participants for which a matrix is printed."""
 LISTED = 20
-"""Participants with one fault that are named; --json names all."""
+"""The most participants listed for one fault; --json lists all."""
 _MET = "met"
 _CELLS = {True: "ok", False: "FAIL", None: "-"}
 
@@ -26,15 +26,17 @@ Item = TypeVar("Item")
 
 
 def try_all(job: AllPairsJob, names: Sequence[str], jobs: int) -> bool:
-    """Let all pairs meet and tell how it went; whether all went well."""
+    """Run all pairs and print the result. Returns whether all succeeded."""
     if len(names) < 2:  # noqa: PLR2004 -- a pair
         raise KeystoreError(
             f"{job.root} has {len(names)} participants, and a handshake needs two",
-            hint="make them: pqsec issue NAME NAME",
+            hint="issue more: pqsec issue NAME NAME",
         )
     parties = len(names) * len(set(job.stacks))
-    with check_pairs(job, names, jobs, lambda found: _shown(found, parties, "one by one")) as found:
-        account = _Account(found)
+    with check_pairs(
+        job, names, jobs, lambda found: _with_progress(found, parties, "one by one")
+    ) as found:
+        account = _Totals(found)
         if _settings.settings().json:
             for line in _json(account):
                 _printing.say(line)
@@ -46,21 +48,21 @@ def try_all(job: AllPairsJob, names: Sequence[str], jobs: int) -> bool:
 
 
 @dataclass(slots=True)
-class _Account:
-    """What is kept of all that passes by."""
+class _Totals:
+    """The totals of all outcomes, collected while they pass."""
 
     check_pairs: PairsCheck
     summary: Summary = field(default_factory=Summary)
     cells: dict[tuple[str, str], str] = field(default_factory=dict)
-    """For the matrix: of the row's name and the column's."""
+    """For the matrix: (name of the row, name of the column) -> text."""
     seconds: float = 0.0
 
     def outcomes(self) -> Iterator[Outcome]:
-        """Each outcome, accounted for."""
+        """Each outcome, after it was counted."""
         names = self.check_pairs.names
         count = count_pairs(names, self.check_pairs.job)
         started = time.perf_counter()
-        for outcome in _shown(self.check_pairs.outcomes(), count, "two by two"):
+        for outcome in _with_progress(self.check_pairs.outcomes(), count, "two by two"):
             self.summary.add(outcome)
             if len(names) <= MATRIX:
                 self._mark(outcome)
@@ -74,7 +76,7 @@ class _Account:
             self.cells[column, row] = self._cell(outcome, column)
 
     def _cell(self, outcome: Outcome, sender: str) -> str:
-        """How they meet, and whether the other may subscribe to what `sender` publishes."""
+        """The cell text: handshake result, and whether the other may subscribe to `sender`."""
         talks = outcome.result.talks if outcome.ok and outcome.result else ()
         no_topic = any(each.sender == sender and not each.topics for each in talks)
         return _MET if no_topic else _CELLS[outcome.ok]
@@ -96,24 +98,24 @@ class _Account:
         }
 
 
-def _shown(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
+def _with_progress(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
     """The same items, with a progress bar on stderr if that is a terminal."""
-    amid_the_result = _settings.settings().json and sys.stdout.isatty()
+    mixed_with_result = _settings.settings().json and sys.stdout.isatty()
     with click.progressbar(
         items,
         length=count,
         label=label,
         file=sys.stderr,
-        hidden=amid_the_result or not sys.stderr.isatty(),
+        hidden=mixed_with_result or not sys.stderr.isatty(),
         update_min_steps=1 + count // 500,
     ) as bar:
         yield from bar
 
 
-# As JSON: one object, written as it comes to be.
+# As JSON: one object, written piece by piece.
 
 
-def _json(account: _Account) -> Iterator[str]:
+def _json(account: _Totals) -> Iterator[str]:
     found = account.check_pairs
     people = [_participant_json(found, name) for name in found.names]
     yield f'{{"version": {_printing.JSON_VERSION}, "participants": {json.dumps(people, indent=2)},'
@@ -155,17 +157,17 @@ def _fault(step: Step) -> dict[str, str | None]:
     return {"step": step.name, "cause": step.detail, "hint": step.hint}
 
 
-# In words.
+# As text.
 
 
-def _lines(account: _Account) -> Iterator[str]:
+def _lines(account: _Totals) -> Iterator[str]:
     if account.cells:
         yield from _matrix(account)
     for (stack, cause), ones in faults(account.check_pairs.findings.values()).items():
         names = [each.party.name for each in ones]
-        whose = f" as {stack_named(stack).title}" if stack != PQSEC.name else ""
+        role = f" as {stack_named(stack).title}" if stack != PQSEC.name else ""
         yield from _fault_lines(cause, [each.failed for each in ones])
-        yield f"  so {_listed(names)} would meet nobody{whose}"
+        yield f"  so no handshake of {_listed(names)}{role} can succeed"
         yield ""
     for cause, outcomes in account.summary.causes.items():
         yield from _fault_lines(cause, [each.failed for each in outcomes])
@@ -182,7 +184,7 @@ def _lines(account: _Account) -> Iterator[str]:
 
 
 def _fault_lines(cause: Cause, steps: Sequence[Step | None]) -> Iterator[str]:
-    """What several share; of one alone, its own words."""
+    """The cause that several steps share; for a single step, its own words."""
     [first, *others] = steps
     if first and not others:
         cause = Cause(first.name, first.detail, first.hint)
@@ -197,7 +199,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _by_initiator(outcomes: Iterable[Outcome]) -> Iterator[str]:
-    """Pairs in the order they speak, a line for each that begins."""
+    """One line for each initiator, with its repliers."""
     repliers: dict[str, list[str]] = {}
     for each in outcomes:
         if result := each.result:
@@ -206,7 +208,7 @@ def _by_initiator(outcomes: Iterable[Outcome]) -> Iterator[str]:
         yield f"{initiator} to {', '.join(others)}"
 
 
-def _matrix(account: _Account) -> Iterator[str]:
+def _matrix(account: _Totals) -> Iterator[str]:
     names, stacks = account.check_pairs.names, account.check_pairs.job.stacks
     numbers = [str(number) for number, _ in enumerate(names, 1)]
     rows = [
@@ -215,7 +217,7 @@ def _matrix(account: _Account) -> Iterator[str]:
     ]
     yield from _printing.table(("", "", *numbers), rows)
     if _MET in account.cells.values():
-        yield f"{_MET}: they meet, but the column may not subscribe to what the row may publish"
+        yield (f"{_MET}: it succeeds, but the column may not subscribe to what the row may publish")
     if stacks != (PQSEC.name, PQSEC.name):
         row, column = (stack_named(name).title for name in stacks)
         yield f"a row behaves as {row}, a column as {column}"

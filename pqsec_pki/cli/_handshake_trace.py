@@ -1,4 +1,4 @@
-"""verify-handshake --trace: a handshake, byte for byte, in a file or on stdout."""
+"""verify-handshake --trace: write every byte of a handshake to a file or stdout."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,30 +12,32 @@ from pqsec_pki.selfcheck.trace import DecodedMessage, Piece, Trace, trace
 
 STDOUT = Path("-")
 _LINE = 32
-"""Bytes of hex in a line."""
-_WITHHELD = "(withheld: --insecure-show-secrets shows it)"
+"""Bytes in a line of hex."""
+_HIDDEN = "(withheld: --insecure-show-secrets shows it)"
 
 
-def refuse_taken(path: Path) -> None:
-    """ExistsError if something is there, before any work is done."""
+def refuse_existing_file(path: Path) -> None:
+    """ExistsError if the file exists. Called before the handshake runs."""
     if path != STDOUT:
         refuse_existing(path)
 
 
-def tell(report: Report, told: list[str], path: Path, *, show_secrets: bool, force: bool) -> None:
-    """Write the trace of `report` to `path`, or to stdout; `told` is the report in words.
+def write_trace(
+    report: Report, summary: list[str], path: Path, *, show_secrets: bool, force: bool
+) -> None:
+    """Write the trace of `report` to `path` or stdout; `summary` has the lines of the report.
 
-    ExistsError if something is there already, unless `force`.
+    ExistsError if the file exists, unless `force`.
     """
     found = trace(report, _described)
     value = found.to_json(show_secrets=show_secrets)
-    lines = [*told, "", *_lines(found, show_secrets=show_secrets)]
+    lines = [*summary, "", *_lines(found, show_secrets=show_secrets)]
     if path == STDOUT:
         _printing.emit(value, lines)
         return
     text = _printing.as_json(value) if _settings.settings().json else "\n".join(lines)
     write(path, text.encode() + b"\n", private=show_secrets, force=force)
-    _printing.emit(report.to_json(), told)
+    _printing.emit(report.to_json(), summary)
 
 
 def _described(data: bytes) -> list[str]:
@@ -70,7 +72,7 @@ def _piece(piece: Piece, indent: str = "", *, show: bool = True) -> Iterator[str
     yield f"{indent}{piece.name}: {len(piece.data)} bytes"
     yield from (f"{indent}  | {words}" for words in piece.words)
     if not show:
-        yield f"{indent}    {_WITHHELD}"
+        yield f"{indent}    {_HIDDEN}"
     elif piece.parts:
         for part in piece.parts:
             yield from _piece(part, f"{indent}    ")

@@ -1,17 +1,17 @@
-"""Text in lines that fit a terminal, behind what it is about."""
+"""Wrap text to the width of a terminal, after a label."""
 
 import re
 from textwrap import wrap
 
 WIDTH = 96
-"""Characters of a line, where no word or command is longer."""
+"""Characters in a line; more if one word or command is longer."""
 _COMMAND = re.compile(r"`[^`]*`")
 
 
 def paragraph(front: str, text: str) -> list[str]:
-    """`front`, then `text`: lines below each other that break no command in two.
+    """`front` and `text` as lines; following lines are indented by the width of `front`.
 
-    Commands stand in backticks; they are there to be copied.
+    Commands in backticks are never split, so that they can be copied.
     """
     whole = _COMMAND.sub(lambda command: command[0].replace(" ", "\0"), text)
     lines = wrap(

@@ -1,4 +1,4 @@
-"""What participants shall be allowed: the options of commands that issue, or ask to."""
+"""Options for the rights of participants, shared by commands that issue or request."""
 
 from dataclasses import dataclass
 from datetime import timedelta
@@ -19,34 +19,65 @@ _ROS = {
     "ros_action_server": ros.action_server,
     "ros_action_client": ros.action_client,
 }
-"""Option -> what it lets a participant publish and subscribe to."""
+"""Option -> function that returns the topics to publish and subscribe."""
 
 _OPTIONS = (
-    click.option("--publish", multiple=True, metavar="TOPIC", help="A DDS topic expression."),
-    click.option("--subscribe", multiple=True, metavar="TOPIC", help="A DDS topic expression."),
-    click.option("--ros-publish", multiple=True, metavar="TOPIC", help="A ROS 2 topic: /chatter."),
-    click.option("--ros-subscribe", multiple=True, metavar="TOPIC", help="A ROS 2 topic."),
-    click.option("--ros-service", multiple=True, metavar="NAME", help="A ROS 2 service it serves."),
-    click.option("--ros-client", multiple=True, metavar="NAME", help="A ROS 2 service it calls."),
-    click.option("--ros-action-server", multiple=True, metavar="NAME", help="An action it serves."),
-    click.option("--ros-action-client", multiple=True, metavar="NAME", help="An action it calls."),
+    click.option(
+        "--publish", multiple=True, metavar="TOPIC", help="Allow to publish this DDS topic."
+    ),
+    click.option(
+        "--subscribe", multiple=True, metavar="TOPIC", help="Allow to subscribe to this DDS topic."
+    ),
+    click.option(
+        "--ros-publish", multiple=True, metavar="TOPIC", help="Allow to publish this ROS 2 topic."
+    ),
+    click.option(
+        "--ros-subscribe",
+        multiple=True,
+        metavar="TOPIC",
+        help="Allow to subscribe to this ROS 2 topic.",
+    ),
+    click.option(
+        "--ros-service", multiple=True, metavar="NAME", help="Allow to serve this ROS 2 service."
+    ),
+    click.option(
+        "--ros-client", multiple=True, metavar="NAME", help="Allow to call this ROS 2 service."
+    ),
+    click.option(
+        "--ros-action-server",
+        multiple=True,
+        metavar="NAME",
+        help="Allow to serve this ROS 2 action.",
+    ),
+    click.option(
+        "--ros-action-client",
+        multiple=True,
+        metavar="NAME",
+        help="Allow to call this ROS 2 action.",
+    ),
     click.option(
         "--ros-node",
         multiple=True,
         metavar="NODE",
-        help="What a ROS 2 node needs to start: /talker.",
+        help="Allow the topics that this ROS 2 node needs to start.",
     ),
     click.option(
         "--policy",
         type=_settings.FILE,
-        help="Take what each NAME may do from permissions in YAML, or a policy of SROS2.",
+        help="Take the rights of each NAME from permissions in YAML or an SROS2 policy.",
     ),
-    click.option("--validity", type=_settings.Duration(), default="1y", show_default=True),
+    click.option(
+        "--validity",
+        type=_settings.Duration(),
+        default="1y",
+        show_default=True,
+        help="Issue for this long: 1y, 26w, 90d or 12h.",
+    ),
 )
 
 
 def participant_options(command: _settings.Command) -> _settings.Command:
-    """Add the options; what they say arrives as keywords, for Wanted.of."""
+    """Add the options; their values are the keyword arguments of ParticipantOptions.of."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -54,7 +85,7 @@ def participant_options(command: _settings.Command) -> _settings.Command:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantOptions:
-    """What each participant that is named shall be allowed."""
+    """The rights of each named participant."""
 
     publish: tuple[str, ...]
     subscribe: tuple[str, ...]
@@ -73,7 +104,7 @@ class ParticipantOptions:
         validity: timedelta,
         **ros_names: Any,
     ) -> Self:
-        """From the options; UsageError for what is not a ROS name, or topics beside a policy."""
+        """From the options. UsageError for an invalid ROS name, or topics and --policy."""
         publish += tuple(map(ros.topic, ros_publish))
         subscribe += tuple(map(ros.topic, ros_subscribe))
         for option, given in ros_names.items():
@@ -81,7 +112,7 @@ class ParticipantOptions:
                 also = _ROS[option](name)
                 publish, subscribe = publish + also.publish, subscribe + also.subscribe
         if policy and (publish or subscribe):
-            raise UsageError("--policy says which topics there are: name none beside it")
+            raise UsageError("--policy and topics exclude each other")
         return cls(
             publish=tuple(dict.fromkeys(publish)),
             subscribe=tuple(dict.fromkeys(subscribe)),
@@ -90,12 +121,12 @@ class ParticipantOptions:
         )
 
     @property
-    def everybody(self) -> tuple[str, ...]:
-        """Whom the policy has grants for, in its order; nobody without one."""
+    def policy_names(self) -> tuple[str, ...]:
+        """The names that the policy has grants for, in its order; empty without a policy."""
         return _policy.names_in(self.policy, now=_settings.now()) if self.policy else ()
 
     def specs(self, names: tuple[str, ...], domains: DomainSet) -> list[ParticipantSpec]:
-        """One for each name; UsageError for a name that the policy does not have."""
+        """One spec for each name. UsageError for a name without a grant in the policy."""
         specs = [
             ParticipantSpec(
                 name=name,
@@ -107,5 +138,5 @@ class ParticipantOptions:
             for name in names
         ]
         if self.policy:
-            specs = _policy.granted(specs, self.policy, now=_settings.now())
+            specs = _policy.with_grants(specs, self.policy, now=_settings.now())
         return specs

@@ -1,4 +1,4 @@
-"""Passphrases: from files, or asked for at a terminal; and the CAs that they unlock."""
+"""Read passphrases from files or the terminal, and unlock CAs with them."""
 
 import sys
 from contextlib import suppress
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore import Authorities, Keystore
 
 VARIABLE = "PQSEC_PASSPHRASE_FILE"
-LONGEST = 4096
+MAX_FILE = 4096
 """Bytes."""
 
 
@@ -24,18 +24,18 @@ def option(command: _settings.Command) -> _settings.Command:
         "--passphrase-file",
         type=_settings.FILE,
         envvar=VARIABLE,
-        help="A file whose first line is the CA passphrase.",
+        help="Read the CA passphrase from the first line of this file.",
     )
     return add(command)
 
 
 def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
-    """The keystore's CAs; the passphrase from the file, or asked for at a terminal."""
+    """The keystore's CAs, unlocked with the passphrase from the file or the terminal."""
     return keystore.unlock(of_cas(keystore, passphrase_file))
 
 
 def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
-    """What the CA keys are encrypted under; None if they are not."""
+    """The passphrase of the CA keys; None if they are not encrypted."""
     if not keystore.is_locked:
         return None
     if passphrase_file:
@@ -51,7 +51,7 @@ def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
 def new(
     passphrase_file: Path | None, *, none: bool, option: str = "--passphrase-file"
 ) -> bytes | None:
-    """The passphrase for new CA keys; None only if the user says so."""
+    """The passphrase for new CA keys; None with --no-passphrase only."""
     if none and passphrase_file:
         raise UsageError(f"{option} and --no-passphrase exclude each other")
     if none:
@@ -67,7 +67,7 @@ def new(
 
 
 def of_key(path: Path | None) -> str | None:
-    """The passphrase of a participant's key, as stacks take it; None without a file."""
+    """The passphrase of a participant's key, as text for a stack; None without a file."""
     if path is None:
         return None
     try:
@@ -85,13 +85,13 @@ def _asked(what: str, *, twice: bool = False) -> bytes:
 
 
 def _read(path: Path) -> bytes:
-    """The first line of the file, without its line end; PassphraseError if it is empty."""
+    """The first line of the file, without its line end. PassphraseError if it is empty."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
 
-    with suppress(OSError):  # what is wrong with the path, reading it tells
+    with suppress(OSError):  # read() below raises the error
         if path.stat().st_mode & 0o077:
             _printing.note(f"{path} can be read by others: chmod 600 it")
-    passphrase = read(path, limit=LONGEST).split(b"\n", 1)[0].rstrip(b"\r")
+    passphrase = read(path, limit=MAX_FILE).split(b"\n", 1)[0].rstrip(b"\r")
     if not passphrase:
-        raise PassphraseError(f"{path}: no passphrase in its first line")
+        raise PassphraseError(f"{path}: the first line is empty, and must be the passphrase")
     return passphrase

@@ -1,4 +1,4 @@
-"""What the commands that take policies share: files in, files out, grants for names."""
+"""Shared by commands with policies: read and write documents, find grants by name."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,9 +20,9 @@ from pqsec_pki.smime import document_in, is_signed
 def output_options(command: _settings.Command) -> _settings.Command:
     """Add -o and --force to a command that writes one document."""
     for option in (
-        click.option("--force", is_flag=True, help="Replace the file if it is there."),
+        click.option("--force", is_flag=True, help="Replace an existing file."),
         click.option(
-            "-o", "--output", type=_settings.FILE, help="Where to write. [default: print]"
+            "-o", "--output", type=_settings.FILE, help="Write to this file. [default: print]"
         ),
     ):
         command = option(command)
@@ -41,10 +41,10 @@ def put(document: bytes, output: Path | None, *, force: bool) -> None:
 
 
 class Document(Protocol):
-    """Governance or permissions, as values."""
+    """A governance or permissions value."""
 
     def to_xml(self) -> bytes:
-        """The document that stacks read."""
+        """The XML document that stacks read."""
 
 
 Value = TypeVar("Value", bound=Document)
@@ -58,17 +58,17 @@ def add_commands(
     *,
     warn: Callable[[Value], None] = lambda _: None,
 ) -> None:
-    """Add to the group what both kinds of documents have: render, read and schema."""
+    """Add the commands that both kinds of documents have: render, read and schema."""
 
     @group.command()
     @click.argument("file", type=_settings.FILE)
     @output_options
     @_settings.command_options
     def render(file: Path, output: Path | None, *, force: bool) -> None:
-        """Make the XML that DDS stacks read, of FILE in YAML.
+        """Convert YAML to the XML that DDS stacks read.
 
-        Every mistake in FILE is told with its line; nothing is written then. The sign
-        command of this kind signs the result.
+        Every mistake in FILE is reported with its line, and nothing is written then. Sign the
+        result with `pqsec sign-governance` or `pqsec sign-permissions`.
         """
         data = _files.read(file)
         with located(file):
@@ -82,9 +82,9 @@ def add_commands(
     @output_options
     @_settings.command_options
     def read(file: Path, output: Path | None, *, force: bool) -> None:
-        """Make YAML of a document, signed or not.
+        """Convert a document, signed or not, to YAML.
 
-        Signatures are not looked at: that is `pqsec verify`.
+        Signatures are not checked: use `pqsec verify`.
         """
         data = _files.read(file)
         with located(file):
@@ -100,35 +100,39 @@ def add_commands(
         put(text, output, force=force)
 
 
-NAMELESS = "/"
-"""Where SROS2 writes down nodes that were run without --enclave; no participant's name."""
-_RUN_ANEW = (
-    "run each process with its own `--ros-args --enclave /NAME`, and have SROS2 write it anew"
+UNNAMED = "/"
+"""The enclave that SROS2 records for nodes without --enclave. Not a participant's name."""
+_ENCLAVE_HINT = (
+    "run each process with its own `--ros-args --enclave /NAME`, and generate the policy again"
 )
 
 
 def names_in(policy: Path, *, now: datetime) -> tuple[str, ...]:
-    """Everybody whom the policy has grants for; UsageError if nobody can be called so."""
+    """The names that the policy has grants for. UsageError if there is none but `/`."""
     if policy.suffix == ".xml":
         found = [enclave.path for enclave in sros2.read_policy(policy)]
     else:
         found = [grant.name for grant in _yaml_grants(policy, now)]
-    names = tuple(name for name in dict.fromkeys(found) if name != NAMELESS)
+    names = tuple(name for name in dict.fromkeys(found) if name != UNNAMED)
     if not names:
-        raise UsageError(f"{policy} has grants for {NAMELESS} alone", hint=_RUN_ANEW)
+        raise UsageError(f"{policy} has grants for {UNNAMED} only", hint=_ENCLAVE_HINT)
     if len(names) < len(set(found)):
-        _printing.note(f"{policy} also has grants for {NAMELESS}, which nobody gets: {_RUN_ANEW}")
+        _printing.note(
+            f"{policy} also has grants for {UNNAMED}, which are not used: {_ENCLAVE_HINT}"
+        )
     return names
 
 
-def granted(specs: list[ParticipantSpec], policy: Path, *, now: datetime) -> list[ParticipantSpec]:
-    """The wishes with their grants of the policy; UsageError for a name it does not have."""
-    grants = _grants_in(policy, specs[0], now)  # all wishes have one validity
+def with_grants(
+    specs: list[ParticipantSpec], policy: Path, *, now: datetime
+) -> list[ParticipantSpec]:
+    """The specs with their grants. UsageError for a name without a grant in the policy."""
+    grants = _grants_in(policy, specs[0], now)  # all specs have the same validity
     return [_with_grants(spec, grants, policy) for spec in specs]
 
 
 def _grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:
-    """All grants; those of SROS2, which say neither, for the wish's domains and validity."""
+    """All grants. SROS2 policies have no domains or validity: those of `spec` are used."""
     if policy.suffix == ".xml":
         not_before, not_after = lasting(now, spec.validity)
         enclaves = sros2.read_policy(policy)
@@ -149,7 +153,7 @@ def _with_grants(spec: ParticipantSpec, grants: tuple[Grant, ...], policy: Path)
     if not own:
         there = list(dict.fromkeys(grant.name for grant in grants))
         hint = f"it has {', '.join(there)}"
-        hint += f" alone: {_RUN_ANEW}" if there == [NAMELESS] else ""
+        hint += f" only: {_ENCLAVE_HINT}" if there == [UNNAMED] else ""
         raise UsageError(f"{policy} has no grant for {spec.name}", hint=hint)
     domains = [part for grant in own for rule in grant.rules for part in rule.domains.parts]
     return replace(

@@ -1,4 +1,4 @@
-"""pqsec try ros2 --dry-run: would ROS 2 run a node secured, started from this shell?"""
+"""pqsec try ros2 --dry-run: check whether ROS 2 would run a secured node from this shell."""
 
 import os
 from collections.abc import Iterator
@@ -11,11 +11,13 @@ from pqsec_pki.vendors.ros2_check import Check
 
 
 def report(names: tuple[str, ...]) -> int:
-    """Print the checks for these participants, or for all there are; the exit code."""
+    """Print the checks for these participants, or for all. Returns the exit code."""
     keystore, now = _settings.open_keystore(), _settings.now()
     names = names or tuple(keystore.names())
     if not names:
-        raise KeystoreError("there is no participant to check", hint="make one: `pqsec issue NAME`")
+        raise KeystoreError(
+            "there is no participant to check", hint="issue one: `pqsec issue NAME`"
+        )
     checks = {name: list(preflight(keystore, name, os.environ, now=now)) for name in names}
     good = all(each.ok for found in checks.values() for each in found)
     value = {
@@ -37,7 +39,7 @@ def _lines(checks: dict[str, list[Check]]) -> Iterator[str]:
         if not bad:
             yield f"ROS 2 would run {name} secured from this shell: --ros-args --enclave {name}"
             continue
-        yield f"ROS 2 would not run {name} secured from this shell. To mend it:"
+        yield f"ROS 2 would not run {name} secured from this shell. To fix it:"
         yield from (f"  {fix}" for fix in dict.fromkeys(each.fix for each in bad))
 
 

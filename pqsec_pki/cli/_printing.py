@@ -1,4 +1,4 @@
-"""How commands print: results as lines or JSON, and notes."""
+"""Print results, as lines or JSON, and notes."""
 
 import json
 import os
@@ -18,16 +18,16 @@ JSON_VERSION = 1
 def emit(
     value: Mapping[str, object] | None, lines: Iterable[str], *, verbatim: bool = False
 ) -> None:
-    """Print the result: `value` as JSON, or `lines` for a person. FileError on a full disk.
+    """Print `value` as JSON with --json, else `lines`. FileError on a full disk.
 
-    Lines of a document are printed `verbatim`; in others, what a terminal would obey is escaped.
+    Control characters are escaped, except in the lines of a document (`verbatim`).
     """
     if settings().json:
         text = as_json(value or {})
     else:
         text = "\n".join(lines if verbatim else map(printable, lines))
     if text:
-        with advising("what was asked for is done all the same"):
+        with with_hint("the command itself succeeded"):
             say(text)
 
 
@@ -37,19 +37,19 @@ def as_json(value: Mapping[str, object]) -> str:
 
 
 def say(text: str) -> None:
-    """Print a part of the result as it is; FileError on a full disk."""
+    """Print a part of the result unchanged. FileError on a full disk."""
     try:
         click.echo(text)
     except OSError as error:
-        # Python flushes again as it ends; what is left of the result goes nowhere.
+        # Python flushes again at exit: discard the rest of the result.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         reason = (error.strerror or str(error)).lower()
         raise FileError(f"the result cannot be printed: {reason}") from error
 
 
 @contextmanager
-def advising(hint: str) -> Iterator[None]:
-    """Let a FileError that passes through here say what to do: the work itself is done."""
+def with_hint(hint: str) -> Iterator[None]:
+    """Set the hint of a FileError raised inside: the work itself is already done."""
     try:
         yield
     except FileError as error:
@@ -58,24 +58,24 @@ def advising(hint: str) -> Iterator[None]:
 
 
 def note(text: str) -> None:
-    """Tell the user something that is not the result."""
+    """Print a note on stderr."""
     click.echo(f"pqsec: note: {printable(text)}", err=True)
 
 
 def printable(text: str) -> str:
-    """`text` without what a terminal would obey: names of files are anybody's choice."""
+    """`text` with control characters escaped: file names may contain terminal commands."""
     return text if text.isprintable() else shown(text, len(text))
 
 
 def counted(number: int, what: str) -> str:
-    """1 file, 2 files."""
+    """Such as "1 file" or "2 files"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
-    """The lines of a table with columns as wide as they must be."""
-    grid = [heads, *rows]
-    widths = [max(len(row[column]) for row in grid) for column in range(len(heads))]
+def table(headers: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
+    """The lines of a table with aligned columns."""
+    grid = [headers, *rows]
+    widths = [max(len(row[column]) for row in grid) for column in range(len(headers))]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in grid

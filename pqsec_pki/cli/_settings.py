@@ -1,4 +1,4 @@
-"""What commands are told: -k and --json, paths, durations, and the time."""
+"""Shared by commands: -k and --json, parameter types, and the clock."""
 
 import os
 import re
@@ -21,12 +21,12 @@ KEYSTORE_VARIABLES = ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE")
 
 
 class _Path(click.Path):
-    """A path; click takes the empty one, as of a variable that is not set, for `.`."""
+    """A path that is not empty. click takes an empty path (an unset variable) as `.`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; click's own error for an empty one."""
+        """The path. Raises click's error for an empty one."""
         if value == "":
-            self.fail("it is empty", param, ctx)
+            self.fail("the path is empty", param, ctx)
         return super().convert(value, param, ctx)
 
 
@@ -36,14 +36,14 @@ FOLDER = _Path(path_type=Path, file_okay=False, readable=False)
 
 @dataclass(slots=True)
 class Settings:
-    """The options that are taken before or after the command."""
+    """The options that are accepted before and after the command."""
 
     keystore: Path | None = None
     json: bool = False
 
 
 def settings() -> Settings:
-    """The settings of the command that runs."""
+    """The settings of the current command."""
     return click.get_current_context().find_root().ensure_object(Settings)
 
 
@@ -61,7 +61,7 @@ def command_options(command: Command) -> Command:
         type=FOLDER,
         expose_value=False,
         callback=remember,
-        help=f"The keystore; else ${' or $'.join(KEYSTORE_VARIABLES)}.",
+        help=f"Use this keystore. [default: ${', then $'.join(KEYSTORE_VARIABLES)}]",
     )
     as_json = click.option(
         "--json",
@@ -74,25 +74,25 @@ def command_options(command: Command) -> Command:
 
 
 def keystore_path() -> Path:
-    """The keystore the user means; UsageError if none is named."""
+    """The path of the keystore. UsageError if none is named."""
     named = settings().keystore
     if named:
         return named
     for variable in KEYSTORE_VARIABLES:
         if found := os.environ.get(variable):
             return Path(found)
-    raise UsageError("no keystore is named", hint="say which: -k DIR, or set PQSEC_KEYSTORE")
+    raise UsageError("no keystore named", hint="name one: -k DIR, or set PQSEC_KEYSTORE")
 
 
 def open_keystore(*, to_change: bool = False) -> "Keystore":
-    """The keystore the user means, open; nothing in it is altered unless it is `to_change`."""
-    from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- lxml and more hang on it
+    """Open the keystore; nothing in it is changed unless `to_change`."""
+    from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- it imports lxml and more
 
     return Keystore.open(keystore_path(), to_change=to_change)
 
 
 def now() -> datetime:
-    """The time, in UTC. Rooms have no clock of their own."""
+    """The current time in UTC. Other rooms get the time as a parameter."""
     return datetime.now(UTC)
 
 
@@ -107,10 +107,10 @@ class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> timedelta:
-        """The duration; click's own error for anything else."""
+        """The duration. Raises click's error for anything else."""
         if isinstance(value, timedelta):
             return value
         found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", str(value))
         if not found:
-            self.fail(f"{value!r} is not a duration; write 10y, 26w, 90d or 12h", param, ctx)
+            self.fail(f"{value!r} is not a duration: write 10y, 26w, 90d or 12h", param, ctx)
         return int(found[1]) * _UNITS[found[2]]

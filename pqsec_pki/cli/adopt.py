@@ -1,4 +1,4 @@
-"""pqsec adopt: a keystore that SROS2 or OpenSSL made becomes one of pqsec's."""
+"""pqsec adopt: turn a keystore of SROS2 or OpenSSL into a pqsec keystore."""
 
 from pathlib import Path
 
@@ -15,10 +15,11 @@ from pqsec_pki.lint import check
 @click.argument("folder", type=_settings.FOLDER, required=False, metavar="[DIR]")
 @_settings.command_options
 def adopt(folder: Path | None) -> None:
-    """Make a keystore of SROS2, or one in its layout, a keystore of pqsec's, and check it.
+    """Turn a keystore of SROS2 or OpenSSL into a pqsec keystore, and check it.
 
-    No file that is there is changed: pqsec.json and the ledger are added. What the check
-    finds is shown, and is not a reason to fail.
+    DIR has the layout of an SROS2 keystore; without it, the keystore of -k. Existing files
+    do not change: pqsec.json and the ledger are added. The findings of the check are
+    printed, and do not change the exit code.
     """
     now = _settings.now()
     found = adopt_folder(folder or _settings.keystore_path(), now=now)
@@ -36,17 +37,17 @@ def adopt(folder: Path | None) -> None:
         [*_lines(found), *report_lines(report)],
     )
     if not found.fitting:
-        _printing.note("no profile has these kinds of keys; what is made from now on is classical")
+        _printing.note("no profile has these kinds of keys: new keys will be classical")
     if found.one_ca:
         _printing.note(
-            "one key is identity CA and permissions CA (CVE-2023-24010): make two with"
-            " `pqsec ca rotate`; until then nothing can be issued"
+            "one key is both identity CA and permissions CA (CVE-2023-24010): replace it with two"
+            " CAs with `pqsec ca rotate`; until then nothing can be issued"
         )
 
 
 def _lines(found: Adopted) -> list[str]:
     keystore = found.keystore
-    whom = _printing.counted(len(found.participants), "participant")
-    first = f"{keystore.root}: {whom}, profile {keystore.profile.name}, domains {keystore.domains}"
+    count = _printing.counted(len(found.participants), "participant")
+    first = f"{keystore.root}: {count}, profile {keystore.profile.name}, domains {keystore.domains}"
     refused = [f"not taken: {place}: {reason}" for place, reason in found.refused.items()]
     return [first, *refused]

@@ -1,4 +1,4 @@
-"""pqsec agent: the process that holds the keys of participants that use the plugin."""
+"""pqsec agent: control the process that holds the keys of participants with the plugin."""
 
 import os
 import signal
@@ -10,25 +10,25 @@ from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import ExistsError, FileError
 from pqsec_pki.plugin import AgentFolder, Status, agent_status, stop_agent
 
-_NOBODY = "no agent runs; the first participant that uses the plugin starts one"
+_NOT_RUNNING = "no agent runs: the first participant that uses the plugin starts one"
 
 
 @click.group()
 def agent() -> None:
-    """Look after the agent, which holds the keys for the plugin.
+    """Control the agent, which holds the keys for the plugin.
 
-    One agent serves all participants of a user. The first that uses the plugin starts it,
-    and it ends when nobody has needed it for five minutes.
+    One agent serves all participants of a user. The first participant that uses the plugin
+    starts it. It stops after five minutes without a participant.
     """
 
 
 @agent.command("status")
 @_settings.command_options
 def status() -> int:
-    """Tell whether an agent runs, and for whom. Exit code 1 if none does."""
-    found = agent_status(_place())
+    """Show whether the plugin's agent runs, and which processes use it."""
+    found = agent_status(_agent_folder())
     if found is None:
-        _printing.emit({"running": False}, [_NOBODY])
+        _printing.emit({"running": False}, [_NOT_RUNNING])
         return 1
     value = {
         "running": True,
@@ -44,24 +44,24 @@ def status() -> int:
 @agent.command("stop")
 @_settings.command_options
 def stop() -> None:
-    """Let the agent end.
+    """Stop the agent.
 
-    Participants that are matched go on exchanging data; for new ones another agent
-    starts. A participant that was made before can meet nobody new, and learns of no
-    revocation: make it again.
+    Matched participants continue to exchange data. New participants start a new agent. A
+    participant that was created earlier cannot authenticate new peers and is not informed
+    of revocations: restart it.
     """
-    stopped = stop_agent(_place())
-    _printing.emit({"stopped": stopped}, ["stopped" if stopped else _NOBODY])
+    stopped = stop_agent(_agent_folder())
+    _printing.emit({"stopped": stopped}, ["stopped" if stopped else _NOT_RUNNING])
 
 
 @agent.command("log")
 @_settings.command_options
 def log() -> None:
-    """Print what the agent wrote: whom it refused, and why."""
-    place = _place()
-    path = place.log
-    if not place.is_there() or not is_there(path):
-        raise FileError(f"there is no log at {path}", hint=_NOBODY)
+    """Print which processes the agent refused, and why."""
+    folder = _agent_folder()
+    path = folder.log
+    if not folder.is_there() or not is_there(path):
+        raise FileError(f"there is no log at {path}", hint=_NOT_RUNNING)
     lines = read(path).decode(errors="replace").splitlines()
     _printing.emit({"lines": lines}, lines)
 
@@ -69,31 +69,33 @@ def log() -> None:
 @agent.command("run")
 @_settings.command_options
 def run() -> None:
-    """Run the agent here, until it is interrupted; its log goes to stderr.
+    """Run the agent in the foreground, for systemd and containers.
 
-    For systemd and containers. It does not end when it is idle. At a socket that systemd
-    listens at, it goes on where that is (`pqsec plugin install --systemd`).
+    It runs until it is interrupted, also when idle, and logs to stderr. It uses the socket
+    that systemd passes, if there is one (`pqsec plugin install --systemd`).
     """
     from pqsec_pki.plugin import listening  # noqa: PLC0415 -- only here
-    from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- likewise
+    from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- only here
 
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a host that goes does not end it
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a participant that exits must not stop it
     os.umask(0o077)
-    place = _place()
-    given = listening.given(os.environ, place)
-    if not Agent(place, float("inf"), _settings.now, _printing.note).run(given=given):
-        raise ExistsError(f"an agent listens at {place.socket} already", hint="pqsec agent stop")
+    folder = _agent_folder()
+    sockets = listening.given(os.environ, folder)
+    if not Agent(folder, float("inf"), _settings.now, _printing.note).run(given=sockets):
+        raise ExistsError(
+            f"an agent already listens at {folder.socket}", hint="stop it: pqsec agent stop"
+        )
 
 
-def _place() -> AgentFolder:
+def _agent_folder() -> AgentFolder:
     return AgentFolder.of(os.environ)
 
 
 def _lines(found: Status) -> list[str]:
-    heads = [
+    lines = [
         f"process   {found.process}",
         f"version   {found.version}",
         f"socket    {found.socket}",
     ]
     rows = [(each["process"], each["plugin"], str(each["objects"])) for each in found.connections]
-    return heads + (["", *_printing.table(("HOST", "PLUGIN", "OBJECTS"), rows)] if rows else [])
+    return lines + (["", *_printing.table(("HOST", "PLUGIN", "OBJECTS"), rows)] if rows else [])

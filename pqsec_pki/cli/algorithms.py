@@ -1,4 +1,4 @@
-"""pqsec profiles, pqsec algorithms: what there is to choose from."""
+"""pqsec profiles, pqsec algorithms: list what can be chosen."""
 
 from collections.abc import Iterator, Mapping
 
@@ -52,8 +52,8 @@ def _lines(profile: Profile) -> Iterator[str]:
 def algorithms() -> None:
     """List the algorithms, their sizes and which stacks run them.
 
-    Level is NIST's security category; 0 is broken by a quantum computer. Sizes are in
-    bytes, at most.
+    LEVEL is the NIST security category; 0 is broken by a quantum computer. Sizes are
+    maxima in bytes.
     """
     signatures = [_signature(row) for row in SIGNATURES]
     agreements = [_agreement(row) for row in KEY_AGREEMENTS]

@@ -1,4 +1,4 @@
-"""pqsec apply: make the keystore as a domain file wants it."""
+"""pqsec apply: change the keystore to match a domain file."""
 
 import sys
 from collections import Counter
@@ -27,8 +27,10 @@ from pqsec_pki.keystore import Authorities, Keystore
 
 @click.command()
 @file_argument
-@click.option("--check", is_flag=True, help="Change nothing; exit code 1 if anything would be.")
-@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option(
+    "--check", is_flag=True, help="Change nothing; exit with 1 if there are changes to make."
+)
+@click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @prune_option
 @new_keys_option
 @click.option(
@@ -36,10 +38,12 @@ from pqsec_pki.keystore import Authorities, Keystore
     "folder",
     type=_settings.FOLDER,
     metavar="DIR",
-    help="Keep in DIR the bundle of each participant whose key is on its robot.",
+    help="Write to DIR a bundle for each participant that has its key on the robot.",
 )
 @click.option(
-    "--revoke-most", is_flag=True, help="Let --yes revoke more participants than FILE names."
+    "--revoke-most",
+    is_flag=True,
+    help="With --yes: allow to revoke more participants than FILE names.",
 )
 @click.option("--no-passphrase", is_flag=True, help="Leave the keys of new CAs unencrypted.")
 @_passphrases.option
@@ -56,73 +60,79 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
     revoke_most: bool,
     no_passphrase: bool,
 ) -> None:
-    """Make the keystore as FILE wants it: what `pqsec plan` tells is done.
+    """Change the keystore to match a domain file.
 
-    FILE is domain.yaml if it is not named. Each batch of participants is one change of
-    the keystore. Killed at any time, run it again: it does what is left.
+    FILE is domain.yaml if not named; `pqsec plan` shows the changes. Each batch of
+    participants is one change of the keystore. If it is interrupted, run it again: it makes
+    the changes that are left.
     """
     if check and folder:
-        raise UsageError("--check changes nothing, and --bundles writes", hint="leave one out")
+        raise UsageError(
+            "--check and --bundles exclude each other", hint="--check does not write anything"
+        )
     desired, now = read_domain(file), _settings.now()
     keystore = keystore_or_none(to_change=not check)
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     done = list[Step]()
     if found.steps and not check:
         if yes:
-            _refuse_slips(found, desired, revoke_most=revoke_most)
+            _refuse_mass_revocation(found, desired, revoke_most=revoke_most)
         else:
             _ask(found, desired)
         keystore, authorities = _opened(desired, keystore, passphrase_file, none=no_passphrase)
-        outbox = _Outbox(desired, keystore, found, folder)
-        done = _take(desired, keystore, authorities, found, outbox)
-    written = _Outbox(desired, keystore, found, folder).fill(len(done)) if keystore else []
+        bundles = _BundleWriter(desired, keystore, found, folder)
+        done = _apply_steps(desired, keystore, authorities, found, bundles)
+    written = _BundleWriter(desired, keystore, found, folder).fill(len(done)) if keystore else []
     if keystore and (written or (found.steps and not check)):
-        _tell(found, done, keystore, written)
+        _report(found, done, keystore, written)
     else:
         show(found, desired)
     if found.blocked or (check and found.steps):
         click.get_current_context().exit(1)
 
 
-def _refuse_slips(found: Plan, desired: Desired, *, revoke_most: bool) -> None:
-    """A list that was cut short would take back a fleet, and nothing brings that back."""
+def _refuse_mass_revocation(found: Plan, desired: Desired, *, revoke_most: bool) -> None:
+    """UsageError: a truncated list would revoke a fleet, and revocations cannot be undone."""
     if found.revoked > len(desired.members) and not revoke_most:
         raise UsageError(
             f"{found.revoked} participants would be revoked, and {desired.path} names"
             f" {len(desired.members)}",
-            hint="is a list it names cut short? if it is meant: --revoke-most",
+            hint="check that no list in the file is truncated; to do it, use --revoke-most",
         )
 
 
 def _ask(found: Plan, desired: Desired) -> None:
     if _settings.settings().json:
-        raise UsageError("--json asks nobody", hint="`pqsec plan --json` shows it; --yes does it")
+        raise UsageError(
+            "--json does not ask for confirmation",
+            hint="`pqsec plan --json` shows the changes, --yes makes them",
+        )
     if not sys.stdin.isatty():
         raise UsageError(
             f"there are {len(found.steps)} changes to make, and no terminal to ask",
             hint="`pqsec plan` shows them; --yes makes them",
         )
     show(found, desired)
-    click.confirm("Do this?", abort=True, err=True)
+    click.confirm("Make these changes?", abort=True, err=True)
 
 
 def _opened(
     desired: Desired, keystore: Keystore | None, passphrase_file: Path | None, *, none: bool
 ) -> tuple[Keystore, Authorities]:
-    """The keystore, made if there is none, and its CAs."""
+    """The keystore, created if it does not exist, and its CAs."""
     if keystore:
         return keystore, _passphrases.unlock(keystore, passphrase_file)
     path = _settings.keystore_path()
     passphrase = _passphrases.new(passphrase_file, none=none)
     keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
     if none:
-        _printing.note(f"the CA keys in {path / 'private'} are not encrypted; guard that folder")
+        _printing.note(f"the CA keys in {path / 'private'} are not encrypted: protect that folder")
     return keystore, keystore.unlock(passphrase)
 
 
 @dataclass(frozen=True, slots=True)
-class _Outbox:
-    """Where bundles are kept, if that is wanted."""
+class _BundleWriter:
+    """Writes bundles into a folder, if there is one."""
 
     desired: Desired
     keystore: Keystore
@@ -130,7 +140,7 @@ class _Outbox:
     folder: Path | None
 
     def fill(self, done: int) -> list[Path]:
-        """Those written, for all whose keys are on their robots: not only for who was changed."""
+        """Write bundles for all participants with keys on robots; returns the paths."""
         if self.folder is None:
             return []
         wanted = self.desired.members.keys() - {each.name for each in self.found.blocked}
@@ -140,14 +150,18 @@ class _Outbox:
             return list(refresh(self.keystore, elsewhere, self.folder, now=_settings.now()))
         except PqsecError:
             if done:
-                _printing.note(f"all {done} changes are done; apply again writes the bundles")
+                _printing.note(f"all {done} changes are made; run apply again to write the bundles")
             raise
 
 
-def _take(
-    desired: Desired, keystore: Keystore, authorities: Authorities, found: Plan, outbox: _Outbox
+def _apply_steps(
+    desired: Desired,
+    keystore: Keystore,
+    authorities: Authorities,
+    found: Plan,
+    bundles: _BundleWriter,
 ) -> list[Step]:
-    """With a bar on a terminal that shows how far it is."""
+    """Make the changes, with a progress bar on a terminal. Returns the steps that were made."""
     hidden, done = not sys.stderr.isatty(), list[Step]()
     every = len(found.steps)
     try:
@@ -156,25 +170,25 @@ def _take(
                 bar.update(len(batch))
                 done += batch
     except PqsecError:
-        _printing.note(f"{len(done)} of {every} changes are done; apply again does the rest")
-        with suppress(PqsecError):  # what kept the others from being done is told
-            outbox.fill(0)
+        _printing.note(f"{len(done)} of {every} changes are made; run apply again to make the rest")
+        with suppress(PqsecError):  # the first error is reported
+            bundles.fill(0)
         raise
     if len(done) < every:
-        _printing.note(f"{every - len(done)} changes were made meanwhile by another command")
+        _printing.note(f"{every - len(done)} changes were made by another command in the meantime")
     return done
 
 
-def _tell(found: Plan, done: list[Step], keystore: Keystore, written: list[Path]) -> None:
+def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Path]) -> None:
     for each in found.blocked:
-        _printing.note(f"{each.name} {each.why}: that stays so")
+        _printing.note(f"{each.name} {each.why}: not changed")
     if any(step.action in {Action.REVOKE, Action.RENEW_CRL} for step in done):
-        _printing.note("there is a new revocation list: give it to every robot")
+        _printing.note("there is a new revocation list: copy it to every robot")
     changed = {step.name for step in done if step.name and step.action is not Action.REVOKE}
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]
     if waiting and not written:
-        way = "--bundles DIR, or `pqsec bundle`, makes what they need"
-        _printing.note(f"their keys are on their robots: {few(waiting)}; {way}")
+        fix = "write their bundles with --bundles DIR or `pqsec bundle`"
+        _printing.note(f"the keys of these are on their robots: {few(waiting)}; {fix}")
     counts: Counter[Action] = Counter()
     for step in done:
         counts[step.action] += bool(step.name)

@@ -1,4 +1,4 @@
-"""pqsec bundle: what one robot needs of a keystore, in one file."""
+"""pqsec bundle: write what one robot needs from a keystore into one file."""
 
 from pathlib import Path
 
@@ -17,15 +17,18 @@ from pqsec_pki.keystore import regular_name
     "--robot",
     type=_settings.FILE,
     metavar="FILE",
-    help="The participants of a robot, one name in a line, in place of NAME...",
+    help="Read the names from FILE, one in a line, instead of NAME...",
 )
 @click.option(
-    "-o", "--output", type=_settings.FILE, help="Where to write. [default: of the first name]"
+    "-o",
+    "--output",
+    type=_settings.FILE,
+    help="Write to this file. [default: named after the first NAME]",
 )
 @_bundles.seal_option
-@click.option("--plain-key", is_flag=True, help="Write private keys that anybody can read.")
-@click.option("--no-keys", is_flag=True, help="Leave private keys out.")
-@click.option("--force", is_flag=True, help="Replace the file if it is there.")
+@click.option("--plain-key", is_flag=True, help="Write private keys without encryption.")
+@click.option("--no-keys", is_flag=True, help="Leave out private keys.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 @_settings.command_options
 def bundle(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
@@ -37,15 +40,15 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     no_keys: bool,
     force: bool,
 ) -> None:
-    """Write a bundle: all that one robot needs of the keystore, in one file.
+    """Write everything that one robot needs into one file.
 
-    Each NAME's certificate, permissions, governance, CA certificates and revocation list,
-    and its private keys if they were made here; never a CA's key. `pqsec install` takes
-    it, so what it would refuse is not written. With private keys it is sealed for its
-    robot, or you say --plain-key.
+    The bundle has each NAME's certificate, permissions, governance, CA certificates and
+    revocation list, and its private keys if they were generated here; never a CA key. A
+    bundle that `pqsec install` would refuse is not written. A bundle with private keys must
+    be encrypted with --seal-for, unless you use --plain-key.
     """
     if bool(names) == bool(robot):
-        raise UsageError("say whom the bundle is for: names, or --robot FILE")
+        raise UsageError("no participant named: give names, or --robot FILE")
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
     wanted = names or _names_in(robot)
@@ -56,7 +59,9 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     recipient = _bundles.recipient(seal_for)
     _bundles.write(made, goal, recipient, force=force, plain_key=plain_key)
     if made.has_keys and plain_key:
-        _printing.note(f"{goal} holds private keys that anybody can read who gets it")
+        _printing.note(
+            f"{goal} has private keys without encryption: anybody with the file can read them"
+        )
     value = {
         "bundle": str(goal),
         "names": made.names,
@@ -68,11 +73,11 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
 
 
 def _names_in(path: Path | None) -> tuple[str, ...]:
-    """One name in a line; what follows a # is for people."""
+    """The names in the file, one in a line; text after # is a comment."""
     lines = _files.read(path).decode(errors="replace").splitlines() if path else []
     written = [name for line in lines if (name := line.partition("#")[0].strip())]
     with located(path):
         names = tuple(map(regular_name, written))
     if not names:
-        raise FileError(f"{path} names no participant")
+        raise FileError(f"{path} does not name a participant")
     return names

@@ -1,4 +1,4 @@
-"""pqsec ca: make and show the two CAs, and the list of what the identity CA took back."""
+"""pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -20,7 +20,7 @@ from pqsec_pki.keystore import Keystore, Overlap, renew_list
 @click.group()
 @_settings.command_options
 def ca() -> None:
-    """Make, show and change the CAs, and the identity CA's revocation list."""
+    """Create, show and change the CAs and the revocation list."""
 
 
 ca.add_command(passphrase)
@@ -32,21 +32,33 @@ profile_option = click.option(
     type=click.Choice([profile.name for profile in PROFILES], case_sensitive=False),
     default=DEFAULT_PROFILE.name,
     show_default=True,
-    help="What is used together; `pqsec profiles` explains.",
+    help="Choose the algorithms; `pqsec profiles` explains them.",
 )
 
 
 @ca.command()
 @profile_option
-@click.option("--identity-key", metavar="NAME", help="Another identity CA key.")
-@click.option("--permissions-key", metavar="NAME", help="Another permissions CA key.")
-@click.option("--participant-key", metavar="NAME", help="Another kind of participant key.")
-@click.option("--alt-key", metavar="NAME", help="Another alternative key.")
-@click.option("--kem", metavar="NAME", help="Another key agreement.")
-@click.option("--name", default="", help="Whose CAs these are; the start of their names.")
-@click.option("--validity", type=_settings.Duration(), default="10y", show_default=True)
+@click.option("--identity-key", metavar="NAME", help="Choose another kind of identity CA key.")
 @click.option(
-    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+    "--permissions-key", metavar="NAME", help="Choose another kind of permissions CA key."
+)
+@click.option("--participant-key", metavar="NAME", help="Choose another kind of participant key.")
+@click.option("--alt-key", metavar="NAME", help="Choose another kind of alternative key.")
+@click.option("--kem", metavar="NAME", help="Choose another key agreement.")
+@click.option("--name", default="", help="Start the names of the CAs with this.")
+@click.option(
+    "--validity",
+    type=_settings.Duration(),
+    default="10y",
+    show_default=True,
+    help="Issue the CA certificates for this long.",
+)
+@click.option(
+    "--domain",
+    "domains",
+    default="0",
+    show_default=True,
+    help="Govern these DDS domains: 0, or 0-3, or 0,5.",
 )
 @_passphrases.option
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
@@ -65,10 +77,10 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     *,
     no_passphrase: bool,
 ) -> None:
-    """Make a keystore: two distinct CAs and a signed governance document.
+    """Create a keystore: two CAs and a signed governance document.
 
-    Everything on the domains is authenticated and encrypted; edit
-    enclaves/governance.xml and `pqsec sign-governance` it for something else.
+    The governance authenticates and encrypts everything on the domains. To change that,
+    edit enclaves/governance.xml and sign it with `pqsec sign-governance`.
     """
     profile = profile_named(profile_name).changed(
         {
@@ -92,13 +104,13 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         now=_settings.now(),
     )
     if no_passphrase:
-        _printing.note(f"the CA keys in {path / 'private'} are not encrypted; guard that folder")
+        _printing.note(f"the CA keys in {path / 'private'} are not encrypted: protect that folder")
     _show(keystore)
 
 
 @ca.command()
 @click.option(
-    "--pins", is_flag=True, help="Only the CAs, as `pqsec install` is told to trust them."
+    "--pins", is_flag=True, help="Print only the --ca-fingerprint options for `pqsec install`."
 )
 @_settings.command_options
 def show(*, pins: bool) -> None:
@@ -111,10 +123,10 @@ def show(*, pins: bool) -> None:
 
 
 @ca.command()
-@click.option("--show", is_flag=True, help="Tell of the list there is, and make none.")
+@click.option("--show", is_flag=True, help="Show the current list, and do not issue a new one.")
 @list_validity_option
-@click.option("-o", "--out", type=_settings.FILE, help="Write the list there too, in PEM.")
-@click.option("--force", is_flag=True, help="Replace the file at --out.")
+@click.option("-o", "--out", type=_settings.FILE, help="Also write the list to this file, in PEM.")
+@click.option("--force", is_flag=True, help="Replace an existing file at --out.")
 @_passphrases.option
 @_settings.command_options
 def crl(
@@ -125,10 +137,10 @@ def crl(
     show: bool,
     force: bool,
 ) -> None:
-    """Make the revocation list anew, so that it lasts longer.
+    """Issue a new revocation list, or show the current one.
 
-    Without revoked certificates the list is empty; stacks that are given it refuse
-    everybody once it has ended, so make one early only if you will keep it up.
+    Without revoked certificates the list is empty. Stacks refuse all peers once their list
+    has expired: issue a list early only if you will renew it in time.
     """
     keystore = _settings.open_keystore(to_change=not show)
     if out and not force:
@@ -137,13 +149,13 @@ def crl(
     if show and found is None:
         raise KeystoreError(
             "there is no revocation list",
-            hint="`pqsec revoke` makes it, or `pqsec ca crl` an empty one",
+            hint="`pqsec revoke` issues one, or `pqsec ca crl` an empty one",
         )
     if found is None:
         authorities = _passphrases.unlock(keystore, passphrase_file)
         found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
     if out:
-        with _printing.advising("the list is there: `pqsec ca crl --show -o FILE` writes a copy"):
+        with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):
             write(out, found.pem, force=force)
     _printing.emit(list_value(keystore, found), [list_line(keystore, found)])
 
@@ -151,18 +163,19 @@ def crl(
 @ca.command()
 @_settings.command_options
 def recover() -> None:
-    """Finish a change that was interrupted when it was half done.
+    """Finish a change of the keystore that was interrupted.
 
-    Every command that changes the keystore does so first; those that only read it refuse.
+    Every command that changes the keystore does this first. Commands that only read the
+    keystore refuse to run until it is done.
     """
     path = _settings.keystore_path()
     finished = Keystore.recover(path)
-    line = "the change that was interrupted is finished" if finished else "nothing was interrupted"
+    line = "the interrupted change is finished" if finished else "no change was interrupted"
     _printing.emit({"keystore": str(path), "finished": finished}, [f"{path}: {line}"])
 
 
 def _show_pins(keystore: Keystore) -> None:
-    """What a robot is told to trust, as `pqsec install` takes it."""
+    """Print the trusted CAs as options of `pqsec install`."""
     overlap = Overlap.of(keystore)
     cas = [("identity", keystore.identity_ca), ("permissions", keystore.permissions_ca)]
     cas += [("identity", overlap.other)] if overlap else []
@@ -200,7 +213,7 @@ def _show(keystore: Keystore) -> None:
 
 
 def _keys(keystore: Keystore) -> str:
-    """How the CA keys lie there; who only looks may not be let in to see."""
+    """Whether the CA keys are encrypted, missing, or not readable for this user."""
     try:
         return "encrypted" if keystore.is_locked else "not encrypted"
     except KeystoreError:

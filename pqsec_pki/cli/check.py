@@ -1,4 +1,4 @@
-"""pqsec check: what is wrong or risky in a keystore, a folder or files."""
+"""pqsec check: report errors and risks in a keystore, a folder or files."""
 
 import json
 from dataclasses import replace
@@ -22,25 +22,25 @@ from pqsec_pki.lint import (
 )
 from pqsec_pki.lint import check as check_all
 
-# A file or a folder; like FILE and FOLDER it takes no empty path.
+# A file or a folder; like FILE and FOLDER it refuses an empty path.
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 
 
 class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
-    """Names of stacks between commas."""
+    """Names of stacks, separated by commas."""
 
     name = "targets"
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[Target, ...]:
-        """The targets; click's own error for an unknown one."""
+        """The targets. Raises click's error for an unknown one."""
         if isinstance(value, tuple):
             return value
         words = [word.strip().lower() for word in str(value).split(",")]
         for word in words:
             if word not in set(Target):
-                self.fail(f"{word!r} is none of {', '.join(Target)}", param, ctx)
+                self.fail(f"{word!r} is not one of {', '.join(Target)}", param, ctx)
         return tuple(map(Target, words))
 
 
@@ -52,17 +52,19 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     type=_Targets(),
     default=(),
     metavar="STACK,...",
-    help=f"Ask only what matters to these stacks: {', '.join(Target)}.",
+    help=f"Report only findings for these stacks: {', '.join(Target)}.",
 )
-@click.option("--strict", is_flag=True, help="Exit 1 on warnings too.")
+@click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
 @click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
-@click.option("--explain", metavar="ID", help="Tell about one rule: why, and how to mend it.")
+@click.option(
+    "--explain", metavar="ID", help="Explain one rule: why it exists, and how to fix a finding."
+)
 @click.option(
     "--ignore",
     "ignored",
     multiple=True,
     metavar="ID=REASON",
-    help="Leave out the findings of a rule; say why. Also in .pqsec-check.yaml.",
+    help="Suppress the findings of a rule, with a reason. Also in .pqsec-check.yaml.",
 )
 @_settings.command_options
 def check(  # noqa: PLR0913 -- one for each option
@@ -74,11 +76,12 @@ def check(  # noqa: PLR0913 -- one for each option
     strict: bool,
     sarif: bool,
 ) -> None:
-    """Tell what is wrong or risky in keystores, folders and files.
+    """Report errors and risks in keystores, folders and files.
 
     PATH is a keystore, a folder, or a certificate, key or document; without it, the
-    keystore. Nothing is changed, and no private key is decrypted. An error does not work
-    on some stack, or is a hole; a warning is a risk; what is info may be meant.
+    keystore of -k is checked. Nothing is changed, and no private key is decrypted. An
+    error fails on some stack or is a security hole; a warning is a risk; an info may be
+    intended.
     """
     if explain:
         _explain(rule_named(explain))
@@ -106,7 +109,7 @@ def _suppression(text: str) -> Suppression:
 
 
 def _exit_code(report: Report, *, strict: bool) -> int:
-    """1 for a no, which what could not be read would not change; else 3 if there was such."""
+    """1 if there are findings that fail the check; else 3 if a file could not be read; else 0."""
     unread = report.unread
     left = set(map(id, unread))
     known = replace(
@@ -118,7 +121,7 @@ def _exit_code(report: Report, *, strict: bool) -> int:
 
 
 def report_lines(report: Report) -> list[str]:
-    """The report for a person."""
+    """The report as lines."""
     counts = [
         f"{number} {severity}" if severity is Severity.INFO else _printing.counted(number, severity)
         for severity in Severity
@@ -126,7 +129,7 @@ def report_lines(report: Report) -> list[str]:
     ]
     checked = f"{_printing.counted(_read(report), 'file')} checked"
     ignored = [f"{len(report.ignored)} ignored"] if report.ignored else []
-    summary = f"{checked}: {', '.join([*(counts or ['nothing to complain of']), *ignored])}"
+    summary = f"{checked}: {', '.join([*(counts or ['no findings']), *ignored])}"
     if unread := len(report.unread):
         summary += f"; incomplete: {unread} could not be read"
     return [*map(str, report.findings), summary]
@@ -178,5 +181,5 @@ def _explain(rule: Rule) -> None:
     lines += [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
     lines += [f"Known from: {rule.measured}"] if rule.measured else []
     if rule.only_when_asked:
-        lines.append(f"Asked only with --target {' or '.join(sorted(rule.stacks))}")
+        lines.append(f"Checked only with --target {' or '.join(sorted(rule.stacks))}")
     _printing.emit(value, lines)

@@ -1,4 +1,4 @@
-"""pqsec demo: a whole secured domain, made and proved in one command."""
+"""pqsec demo: create a secured domain and run its handshake in one command."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -21,10 +21,11 @@ _YEAR = timedelta(days=365)
 @profile_option
 @_settings.command_options
 def demo(folder: Path | None, profile_name: str) -> None:
-    """Make a secured domain of two participants and prove that it works.
+    """Create a secured domain with two participants and run their handshake.
 
-    A talker and a listener, in FOLDER (else -k, else pqsec-demo). The CA keys of a demo
-    are not encrypted. Each step is a command of its own; they are printed.
+    The keystore is written to FOLDER, else to -k, else to pqsec-demo. Its participants are
+    /talker and /listener, and its CA keys are not encrypted. The single commands that do the
+    same are printed.
     """
     folder = folder or _settings.settings().keystore or Path("pqsec-demo")
     profile = profile_named(profile_name)
@@ -47,7 +48,9 @@ def demo(folder: Path | None, profile_name: str) -> None:
     setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
     report = run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener"))
     value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
-    _printing.emit(value, [*_story(keystore), *lines_of(report), "", *_next(keystore)])
+    _printing.emit(
+        value, [*_result_lines(keystore), *lines_of(report), "", *_command_lines(keystore)]
+    )
     if not report.ok:
         click.get_current_context().exit(1)
 
@@ -55,7 +58,7 @@ def demo(folder: Path | None, profile_name: str) -> None:
 def _spec(
     name: str, domains: DomainSet, publish: tuple[str, ...] = (), subscribe: tuple[str, ...] = ()
 ) -> ParticipantSpec:
-    """A ROS 2 node called `name` with these topics."""
+    """The ROS 2 node `name` with these topics."""
     needs = ros.node_minimum(name)
     return ParticipantSpec(
         name=name,
@@ -66,28 +69,28 @@ def _spec(
     )
 
 
-def _story(keystore: Keystore) -> list[str]:
+def _result_lines(keystore: Keystore) -> list[str]:
     root, profile = keystore.root, keystore.profile
     second = f" and {profile.alternative_key.name}" if profile.alternative_key else ""
     keys = f"{profile.identity_key.name}{second}"
     return [
-        f"Made a secured domain in {root}, profile {profile.name}: {profile.summary}.",
+        f"Created a secured domain in {root}, profile {profile.name}: {profile.summary}.",
         "",
         f"  {root}/public             identity and permissions CA ({keys})",
         f"  {root}/private            their keys (not encrypted: this is a demo)",
         f"  {root}/enclaves           governance: all authenticated and encrypted on domain 0",
-        f"  {root}/enclaves/talker    may publish rt/chatter, and nothing else of its own",
-        f"  {root}/enclaves/listener  may subscribe to rt/chatter, likewise",
+        f"  {root}/enclaves/talker    may publish rt/chatter, and what every ROS 2 node needs",
+        f"  {root}/enclaves/listener  may subscribe to rt/chatter, and what every ROS 2 node needs",
         "",
         "Ran the handshake between them, and one encrypted message each way:",
         "",
     ]
 
 
-def _next(keystore: Keystore) -> list[str]:
+def _command_lines(keystore: Keystore) -> list[str]:
     root = keystore.root
     return [
-        "The same, step by step:",
+        "The same in single steps:",
         f"  pqsec -k my-domain ca init --profile {keystore.profile.name}",
         "  pqsec -k my-domain issue /talker --ros-node /talker --ros-publish /chatter",
         "  pqsec -k my-domain issue /listener --ros-node /listener --ros-subscribe /chatter",

@@ -1,4 +1,4 @@
-"""pqsec diff: what does a change of policy grant and take away?"""
+"""pqsec diff: show which rights a policy change grants and removes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,12 +31,12 @@ _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What differs in a document, and whose it is."""
+    """The differences of a document."""
 
     about: str
     difference: Difference
-    whose: str = ""
-    """The participant that has a document of its own where others share one."""
+    owner: str = ""
+    """The participant, if the document is not shared with others; else empty."""
 
 
 @click.command()
@@ -44,21 +44,20 @@ class _Part:
 @click.argument("new", type=_PATH)
 @_settings.command_options
 def diff(old: Path, new: Path) -> int:
-    """Tell what a change of policy grants and takes away.
+    """Show the rights that a policy change grants and removes.
 
     OLD and NEW are two governance or two permissions documents (.xml, .p7s, .yaml), or two
-    keystores. Signatures are not looked at. The exit code is 0 if they allow the same, and
-    1 if not.
+    keystores. Signatures are not checked.
     """
     now = _settings.now()
     if is_folder(old) != is_folder(new):
-        raise UsageError(f"{old} and {new} are a folder and a file")
+        raise UsageError(f"one of {old} and {new} is a folder, and the other a file")
     parts = list(_keystores(old, new, now) if is_folder(old) else _files(old, new, now))
     changes = [change for part in parts for change in part.difference.changes]
     if not all(part.difference.complete for part in parts):
         _printing.note(
-            "the patterns overlap in too many ways to try all: what is told is true, but there"
-            " may be more"
+            "too many patterns overlap to compare all: the changes shown are correct, but there may"
+            " be more"
         )
     value = {
         "same": not changes,
@@ -82,12 +81,12 @@ def _files(old: Path, new: Path, now: datetime) -> Iterator[_Part]:
         difference = permissions_diff(one, other)
     else:
         kinds = kind_of(before), kind_of(after)
-        raise UsageError(f"{old} is a {kinds[0]} document, and {new} a {kinds[1]} one")
+        raise UsageError(f"{old} is a {kinds[0]} document, and {new} is a {kinds[1]} document")
     yield _Part(kind_of(before).value, difference)
 
 
 def _keystores(old: Path, new: Path, now: datetime) -> Iterator[_Part]:
-    before, after = _Kept.of(old), _Kept.of(new)
+    before, after = _KeystorePolicy.of(old), _KeystorePolicy.of(new)
     shared = before.governance.value, after.governance.value
     yield _Part("governance", governance_diff(*shared))
     for name in sorted(before.names | after.names):
@@ -99,16 +98,16 @@ def _keystores(old: Path, new: Path, now: datetime) -> Iterator[_Part]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
-    """What a keystore holds."""
+class _KeystorePolicy:
+    """The documents of a keystore."""
 
     keystore: Keystore
     names: frozenset[str]
     governance: Loaded[Governance]
-    """The one that all share."""
+    """The shared governance."""
 
     @classmethod
-    def of(cls, root: Path) -> "_Kept":
+    def of(cls, root: Path) -> "_KeystorePolicy":
         keystore = Keystore.open(root)
         return cls(keystore, frozenset(keystore.names()), shared_governance(keystore, None))
 
@@ -118,7 +117,7 @@ class _Kept:
         return own_permissions(self.keystore, name, now, None).value
 
     def governance_of(self, name: str) -> Governance:
-        """Its own, if it has one."""
+        """The participant's own governance if there is one, else the shared one."""
         if name not in self.names:
             return self.governance.value
         return own_governance(self.keystore, name, self.governance, None)
@@ -149,17 +148,17 @@ def _lines(parts: list[_Part]) -> Iterator[str]:
     if not changes:
         same = all(part.difference.same_text for part in parts)
         reason = "" if same else "; the documents differ in form or order only"
-        yield f"no change in what is allowed and how it is protected{reason}"
+        yield f"no change of rights or protection{reason}"
     elif all(change.interpretation != SPEC.name for change in changes):
-        yield "no change by the standard, but in stacks that read the documents otherwise"
+        yield "no change by the standard, but in stacks that interpret the documents differently"
     for sense in Sense:
         alike = [
-            (change.subject or part.whose, change.text)
+            (change.subject or part.owner, change.text)
             for part in parts
             for change in part.difference.changes
             if change.sense is sense
         ]
         if alike:
             yield f"{sense}:"
-        for whose, text in alike:
-            yield f"  {plain(f'{whose}: {text}' if whose else text)}"
+        for owner, text in alike:
+            yield f"  {plain(f'{owner}: {text}' if owner else text)}"

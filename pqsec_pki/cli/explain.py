@@ -1,4 +1,4 @@
-"""pqsec explain: may this participant do that, and why?"""
+"""pqsec explain: show whether a participant may do something, and why."""
 
 import re
 import shlex
@@ -30,32 +30,61 @@ _PATTERN = re.compile(r"[*?\[\]]")
 
 
 @click.command()
-@click.option("--participant", metavar="NAME", help="A participant of the keystore: /talker.")
-@click.option("--governance", type=_settings.FILE, help="Without a keystore: the governance,")
-@click.option("--permissions", type=_settings.FILE, help="the permissions (.xml, .p7s or .yaml),")
-@click.option("--subject", metavar="NAME", help="whose certificate asks: CN=robot,O=Lab,")
-@click.option("--permissions-ca", type=_settings.FILE, help="and who must have signed both.")
-@click.option("--publish", metavar="TOPIC", help="May it publish this DDS topic?")
-@click.option("--subscribe", metavar="TOPIC", help="May it subscribe to this DDS topic?")
-@click.option("--relay", metavar="TOPIC", help="May it relay this DDS topic?")
-@click.option("--ros-publish", metavar="TOPIC", help="May it publish this ROS 2 topic: /chatter?")
-@click.option("--ros-subscribe", metavar="TOPIC", help="May it subscribe to this ROS 2 topic?")
-@click.option("--join", is_flag=True, help="May it join the domain?")
-@click.option("--domain", type=click.IntRange(0), help="On this DDS domain.  [default: on all]")
-@click.option("--partition", "partitions", multiple=True, help="In this partition, and ...")
-@click.option("--tag", "tags", multiple=True, metavar="NAME=VALUE", help="With this data tag.")
+@click.option("--participant", metavar="NAME", help="Ask about this participant of the keystore.")
+@click.option(
+    "--governance",
+    type=_settings.FILE,
+    help="Without a keystore: read the governance from this file (.xml, .p7s or .yaml).",
+)
+@click.option(
+    "--permissions",
+    type=_settings.FILE,
+    help="Without a keystore: read the permissions from this file.",
+)
+@click.option(
+    "--subject",
+    metavar="NAME",
+    help="Without a keystore: ask about the certificate with this subject name.",
+)
+@click.option(
+    "--permissions-ca",
+    type=_settings.FILE,
+    help="Without a keystore: check that this CA signed both documents.",
+)
+@click.option("--publish", metavar="TOPIC", help="Ask whether it may publish this DDS topic.")
+@click.option(
+    "--subscribe", metavar="TOPIC", help="Ask whether it may subscribe to this DDS topic."
+)
+@click.option("--relay", metavar="TOPIC", help="Ask whether it may relay this DDS topic.")
+@click.option("--ros-publish", metavar="TOPIC", help="Ask whether it may publish this ROS 2 topic.")
+@click.option(
+    "--ros-subscribe", metavar="TOPIC", help="Ask whether it may subscribe to this ROS 2 topic."
+)
+@click.option("--join", is_flag=True, help="Ask whether it may join the domain.")
+@click.option("--domain", type=click.IntRange(0), help="Ask about this DDS domain.  [default: all]")
+@click.option(
+    "--partition", "partitions", multiple=True, help="Ask about this partition; repeatable."
+)
+@click.option(
+    "--tag",
+    "tags",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Ask about this data tag; repeatable.",
+)
 @click.option(
     "--as",
     "stack",
     type=click.Choice([each.name for each in INTERPRETATIONS]),
-    help="As this stack reads the documents. [default: the standard, and where stacks differ]",
+    help="Answer as this stack interprets the documents.  [default: by the standard, with the"
+    " stacks that differ]",
 )
 @_settings.command_options
 def explain(stack: str | None, **asked: Any) -> int:
-    """Tell whether a participant may do something, which rule decided, and why.
+    """Show whether a participant may do something, and which rule decides.
 
-    The exit code is 0 for yes, were it on one domain only, and 1 for no. A participant of
-    the keystore is believed only what the CAs have signed.
+    Name a participant of the keystore, or the files of one, and one right. Documents of a
+    keystore must be signed by its CAs.
     """
     now = _settings.now()
     action, topic = _wanted(asked)
@@ -77,22 +106,24 @@ def explain(stack: str | None, **asked: Any) -> int:
     found = list(
         answers_by_domain(policy_input, asked_of, stack, everywhere=asked["domain"] is None)
     )
-    _tell(policy_input, found)
+    _print_answers(policy_input, found)
     if not found[0].allowed and topic:
-        _tell_of_slips(policy_input, action, topic)
+        _note_similar_topic(policy_input, action, topic)
     return 0 if found[0].allowed else 1
 
 
 def _policy_input(asked: dict[str, Any], now: datetime) -> PolicyInput:
     name, files = asked["participant"], ("governance", "permissions")
     if name and any(asked[each] for each in (*files, "subject", "permissions_ca")):
-        raise UsageError("--participant is of the keystore; it goes without files and --subject")
+        raise UsageError(
+            "--participant excludes --governance, --permissions, --subject and --permissions-ca"
+        )
     if name:
         return policy_input_of(_settings.open_keystore(), name, now)
     if not all(asked[each] for each in files):
         raise UsageError(
-            "no participant is named",
-            hint="say --participant NAME, or --governance FILE and --permissions FILE",
+            "no participant named",
+            hint="use --participant NAME, or --governance FILE and --permissions FILE",
         )
     return _policy_input_in_files(asked, now)
 
@@ -105,7 +136,7 @@ def _policy_input_in_files(asked: dict[str, Any], now: datetime) -> PolicyInput:
     for each in (governance, permissions):
         if each.signed and not each.verified:
             _printing.note(
-                f"who signed {plain(str(each.path))} was not checked: say --permissions-ca FILE"
+                f"{plain(str(each.path))}: the signature was not checked: use --permissions-ca"
             )
     subject = _subject(asked["subject"]) if asked["subject"] else only_subject(permissions)
     return PolicyInput(who=subject, subject=subject, governance=governance, permissions=permissions)
@@ -120,7 +151,7 @@ def _subject(text: str) -> str:
 
 
 def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
-    """What is asked: an action, and the DDS topic; UsageError if that is not one question."""
+    """The action and the DDS topic. UsageError unless there is exactly one question."""
     wanted = [
         (action, prefix, name)
         for action in Action
@@ -130,7 +161,7 @@ def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
     if len(wanted) != 1:
         raise UsageError(
             "ask exactly one question",
-            hint="say --publish TOPIC, --subscribe TOPIC, --relay TOPIC, --ros-publish TOPIC,"
+            hint="use --publish TOPIC, --subscribe TOPIC, --relay TOPIC, --ros-publish TOPIC,"
             " --ros-subscribe TOPIC or --join",
         )
     action, prefix, name = wanted[0]
@@ -139,8 +170,8 @@ def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
     if _PATTERN.search(name):
         instead = f"--{'ros-' if prefix else ''}topic {shlex.quote(plain(name))}"
         raise UsageError(
-            f"{plain(name)} is a pattern, and explain takes the name of one topic",
-            hint=f"`pqsec who-may {instead}` lists what it matches, and who may",
+            f"{plain(name)} is a pattern, and explain needs the name of one topic",
+            hint=f"`pqsec who-may {instead}` lists the topics that match it",
         )
     return action, ros.topic(name) if prefix else name
 
@@ -148,12 +179,12 @@ def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
 def _tag(text: str) -> tuple[str, str]:
     name, found, value = text.partition("=")
     if not found:
-        raise UsageError(f"{text!r} is not a data tag", hint="write --tag NAME=VALUE")
+        raise UsageError(f"{text!r} is not a data tag", hint="write it as --tag NAME=VALUE")
     return name, value
 
 
-def _tell_of_slips(policy_input: PolicyInput, action: Action, topic: str) -> None:
-    """Of a topic that none of its rules names or covers, and that looks like another name."""
+def _note_similar_topic(policy_input: PolicyInput, action: Action, topic: str) -> None:
+    """Note a similar topic name if no rule names or matches `topic`."""
     who = Member(
         name=policy_input.who,
         subject=policy_input.subject,
@@ -163,13 +194,13 @@ def _tell_of_slips(policy_input: PolicyInput, action: Action, topic: str) -> Non
     if topic in named or is_known(topic, named):
         return
     if action is not Action.RELAY and (instead := _ros_topic(topic)):
-        _printing.note(f"{topic} is the ROS 2 name of {instead}; ask with --ros-{action} {topic}")
+        _printing.note(f"{topic} is the ROS 2 name of {instead}: ask with --ros-{action} {topic}")
     elif instead := meant(topic, named):
         _printing.note(f"no rule of {plain(policy_input.who)} names {plain(topic)}; {instead}")
 
 
 def _ros_topic(name: str) -> str:
-    """The DDS topic of what is a ROS 2 name; nothing for what is not."""
+    """The DDS topic of a ROS 2 name; empty if `name` is not a ROS 2 name."""
     try:
         return ros.topic(name)
     except UsageError:
@@ -179,7 +210,7 @@ def _ros_topic(name: str) -> str:
 # Printing
 
 
-def _tell(policy_input: PolicyInput, found: list[DomainsAnswer]) -> None:
+def _print_answers(policy_input: PolicyInput, found: list[DomainsAnswer]) -> None:
     question = found[0].question
     value = {
         "participant": policy_input.who,
@@ -248,17 +279,17 @@ def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -
         yield f"same  {', '.join(alike)}"
     for other in others:
         if other.differs(answer):
-            yield f"{other.word.upper():<4}  {other.interpretation.title} decides otherwise"
+            yield f"{other.word.upper():<4}  {other.interpretation.title} decides differently"
             yield from _why(policy_input, other, "      ")
-        elif other.whose:
-            yield f"note  {other.interpretation.title}: {other.whose}"
+        elif other.disagreement:
+            yield f"note  {other.interpretation.title}: {other.disagreement}"
         if other.hazard:
             yield f"note  {other.interpretation.title}: {other.hazard}"
 
 
 def _why(policy_input: PolicyInput, answer: Answer, indent: str) -> Iterator[str]:
-    whose = f"; {answer.whose}" if answer.whose else ""
-    yield f"{indent}{plain(answer.decision.reason)}{whose}"
+    disagreement = f"; {answer.disagreement}" if answer.disagreement else ""
+    yield f"{indent}{plain(answer.decision.reason)}{disagreement}"
     if place := policy_input.place(answer.decision):
         criteria = policy_input.criteria_line(answer.decision)
         topics = f" (its topics from line {criteria})" if criteria else ""

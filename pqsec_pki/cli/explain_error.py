@@ -1,4 +1,4 @@
-"""pqsec explain-error: what a stack's security error means, and the way out."""
+"""pqsec explain-error: explain a stack's security error, and how to fix it."""
 
 import sys
 from collections import Counter
@@ -13,9 +13,9 @@ from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.vendors.messages import Message, Recognised, messages, nearest, recognise
 
 MAX_LOG = 16 << 20
-"""Bytes; a log of a day of errors is smaller."""
+"""Bytes. A log of a day of errors is smaller."""
 MOST_ALIKE = 3
-"""Of one message with different values, as of many peers; the way out is the same."""
+"""The most explanations of one message with different values, such as many peers."""
 TITLES = {
     "cyclonedds": "Cyclone DDS",
     "fastdds": "Fast DDS",
@@ -26,24 +26,20 @@ TITLES = {
 
 @click.command("explain-error")
 @click.argument("text", nargs=-1, metavar="TEXT|CODE|-")
-@click.option("--stack", type=click.Choice(list(TITLES)), help="Only what this stack says.")
-@click.option("--list", "as_list", is_flag=True, help="List all messages that are known.")
+@click.option(
+    "--stack", type=click.Choice(list(TITLES)), help="Recognise only messages of this stack."
+)
+@click.option("--list", "as_list", is_flag=True, help="List all known messages.")
 @_settings.command_options
 def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) -> None:
-    """Tell what a DDS stack's security error means, and the way out.
+    """Explain a security error of a DDS stack, and how to fix it.
 
-    TEXT is the message, or a whole log on standard input (-); CODE is a number of Cyclone
-    DDS's table. The exit code is 0 if something in it is known and 1 if nothing is.
-
-    pqsec explain-error 146
-
-    pqsec explain-error "Subject name is invalid(code: 146)"
-
-    pqsec explain-error - < node.log
+    TEXT is an error message. CODE is an error code of Cyclone DDS. With -, a whole log is
+    read from standard input.
     """
     if as_list:
         if text:
-            raise UsageError("--list takes no text")
+            raise UsageError("--list and TEXT exclude each other")
         rows = messages(stack)
         _printing.emit({"messages": list(map(_row, rows))}, _list(rows))
         return
@@ -59,20 +55,20 @@ def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) ->
 def _given(text: tuple[str, ...]) -> str:
     words = _standard_input() if text == ("-",) else " ".join(text)
     if not words.strip():
-        hint = 'as in `pqsec explain-error "Subject name is invalid"`, or `-` for standard input'
-        raise UsageError("no message is given", hint=hint)
+        hint = 'use `pqsec explain-error "Subject name is invalid"`, or `-` for stdin'
+        raise UsageError("no message given", hint=hint)
     return words
 
 
 def _standard_input() -> str:
     stream = getattr(sys.stdin, "buffer", None)
     try:
-        data = stream.read(MAX_LOG + 1) if stream else b""  # it may be closed
+        data = stream.read(MAX_LOG + 1) if stream else b""  # None if it is closed
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(f"standard input cannot be read: {reason}") from error
     if len(data) > MAX_LOG:
-        hint = "give the part that matters, as with `tail -n 1000`"
+        hint = "pass a part of it, for example with `tail -n 1000`"
         raise FileError(f"standard input has more than {MAX_LOG >> 20} MiB", hint=hint)
     return str(data.decode(errors="replace"))
 
@@ -89,23 +85,23 @@ def _lines(
     for row, times in alike.items():
         if times > MOST_ALIKE:
             yield ""
-            yield f"{_who(row)}: {row.title}: {times - MOST_ALIKE} more (--json has them)"
+            yield f"{_source(row)}: {row.title}: {times - MOST_ALIKE} more (--json has them)"
     if not found:
-        yield "No message of a stack that is known is in it."
+        yield "The text does not contain a known message."
     if near:
-        yield "Nearest:"
-        yield from (f"  {_who(row)}: {row.title}" for row in near)
+        yield "Similar messages:"
+        yield from (f"  {_source(row)}: {row.title}" for row in near)
 
 
 def _explained(each: Recognised, *, in_log: bool) -> Iterator[str]:
     times = f", {each.times} times" if each.times > 1 else ""
     where = f" (line {each.line}{times})" if in_log else ""
-    yield f"{_who(each.message)}: {each.said}{where}"
+    yield f"{_source(each.message)}: {each.said}{where}"
     yield from paragraph("  cause   ", each.cause)
     yield from paragraph("  remedy  ", each.remedy)
 
 
-def _who(row: Message) -> str:
+def _source(row: Message) -> str:
     who = " or ".join(TITLES[stack] for stack in row.stacks)
     return f"{who}, code {row.code}" if row.code else who
 

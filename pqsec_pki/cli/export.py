@@ -1,4 +1,4 @@
-"""pqsec export: the configuration with which a DDS stack runs as a participant."""
+"""pqsec export: write the configuration of a DDS stack for a participant."""
 
 import os
 from pathlib import Path, PurePosixPath
@@ -21,29 +21,34 @@ from pqsec_pki.vendors import export as make_export
     "--output",
     type=_settings.FOLDER,
     metavar="DIR",
-    help="Write the files into this folder. [default: print the first one]",
+    help="Write the files into DIR. [default: print the first file]",
 )
-@click.option("--stack-version", "version", metavar="VERSION", help="Such as 3.1.2, or 0.10.")
-@click.option("--loopback", is_flag=True, help="For tests on one machine: 127.0.0.1 alone.")
+@click.option(
+    "--stack-version",
+    "version",
+    metavar="VERSION",
+    help="Write for this version of the stack, such as 3.1.2.",
+)
+@click.option("--loopback", is_flag=True, help="Use 127.0.0.1 only, for tests on one machine.")
 @click.option(
     "--at",
     metavar="PATH",
-    help="Where the participant's folder will be on the machine that runs it. [default: where"
-    " it is]",
+    help="Write paths as if the participant's folder were at PATH, on the machine that runs it."
+    " [default: where it is]",
 )
 @click.option(
     "--plugins",
     type=_settings.FOLDER,
     metavar="DIR",
-    help="Where Cyclone DDS's plugins are; with --plugin, where pqsec's is. [default for that:"
-    f" ~/{DEFAULT_FOLDER}]",
+    help="Load Cyclone DDS's plugins from DIR; with --plugin, pqsec's plugin. [default with"
+    f" --plugin: ~/{DEFAULT_FOLDER}]",
 )
 @click.option(
     "--crypto",
     type=_settings.FILE,
     metavar="FILE",
-    help="Cyclone DDS's own plugin for encryption, which runs with --plugin too. [default: beside"
-    " the others, which are looked for]",
+    help="Load Cyclone DDS's own plugin for encryption from FILE, also with --plugin. [default:"
+    " search for it]",
 )
 @click.option(
     "--plugin", is_flag=True, help="Run pqsec's plugin in Cyclone DDS, for post-quantum keys."
@@ -54,8 +59,10 @@ from pqsec_pki.vendors import export as make_export
     help="Write the passphrase of the participant's key, the first line of this file, into the"
     " configuration. [default: the process reads $PQSEC_KEY_PASSWORD; not Fast DDS]",
 )
-@click.option("--anyway", is_flag=True, help="Write also what the stack is known to refuse.")
-@click.option("--force", is_flag=True, help="Replace files that are there already.")
+@click.option(
+    "--anyway", is_flag=True, help="Also write a configuration that the stack is known to refuse."
+)
+@click.option("--force", is_flag=True, help="Replace existing files.")
 @_settings.command_options
 def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     stack: str,
@@ -72,16 +79,17 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     anyway: bool,
     force: bool,
 ) -> None:
-    """Write the configuration with which a DDS stack runs as a participant.
+    """Write the configuration that a DDS stack needs to run as a participant.
 
-    STACK is cyclonedds, fastdds, opendds, connext or ros2; NAME a participant such as
-    /talker. The files name the credentials where they are. What the stack is known to
-    refuse is not written: then it says why.
+    STACK is cyclonedds, fastdds, opendds, connext or ros2. NAME is a participant such as
+    /talker. The files refer to the credentials where they are now. A configuration that the
+    stack is known to refuse is not written; the reason is printed.
     """
     if plugin and at is not None and plugins is None:
         raise UsageError(
-            "where is pqsec's plugin on the machine that --at is about?",
-            hint="name its folder there: --plugins DIR, as in `pqsec plugin install --dir DIR`",
+            "--at with --plugin needs --plugins",
+            hint="name the plugin's folder on that machine: --plugins DIR, as in `pqsec plugin"
+            " install --dir DIR`",
         )
     options = Options(
         version=version,
@@ -98,16 +106,16 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     made = make_export(stack_named(stack), keystore, name, options, now=_settings.now())
     if made.is_private and output is None:
         raise UsageError(
-            "the configuration holds the passphrase, and is not printed",
-            hint="write it with -o DIR: the file is then for your eyes only",
+            "the configuration contains the passphrase and is not printed",
+            hint="write it with -o DIR: only you can read the file",
         )
     written = write(made, output, force=force) if output else []
     for text in (*made.notes, *made.warnings):
         _printing.note(text)
-    _tell(made, output, written)
+    _print_export(made, output, written)
 
 
-def _tell(made: Export, output: Path | None, written: list[Path]) -> None:
+def _print_export(made: Export, output: Path | None, written: list[Path]) -> None:
     value: dict[str, Any] = {
         "stack": made.stack,
         "participant": made.participant,

@@ -1,4 +1,4 @@
-"""pqsec governance: write governance documents in YAML, with presets."""
+"""pqsec governance: write and convert governance documents in YAML."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from pqsec_pki.documents import (
 @click.group()
 @_settings.command_options
 def governance() -> None:
-    """Write the governance document in YAML, with presets."""
+    """Write and convert governance documents in YAML."""
 
 
 @governance.command()
@@ -28,17 +28,21 @@ def governance() -> None:
     type=click.Choice([preset.name for preset in PRESETS]),
     default=PRESETS[0].name,
     show_default=True,
-    help="How much is protected; `pqsec governance presets` explains.",
+    help="Start from this preset; `pqsec governance presets` explains them.",
 )
 @click.option(
-    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+    "--domain",
+    "domains",
+    default="0",
+    show_default=True,
+    help="Govern these DDS domains: 0, or 0-3, or 0,5.",
 )
 @_policy.output_options
 @_settings.command_options
 def new(preset: str, domains: str, output: Path | None, *, force: bool) -> None:
     """Write a commented governance in YAML, to edit.
 
-    Every setting of the preset is spelled out and explained.
+    Every setting of the preset is listed and explained.
     """
     document = new_governance(preset_named(preset), DomainSet.parse(domains))
     _policy.put(document, output, force=force)
@@ -47,7 +51,7 @@ def new(preset: str, domains: str, output: Path | None, *, force: bool) -> None:
 @governance.command()
 @_settings.command_options
 def presets() -> None:
-    """Tell what each preset protects, and what it costs."""
+    """Show what each preset protects, and what it costs."""
     keys = ("name", "summary", "protects", "costs")
     lines = []
     for preset in PRESETS:
@@ -63,8 +67,8 @@ def _warn(value: Governance) -> None:
     for rule in value.domain_rules:
         if rule.topic_rules[-1].topic_expression != "*":
             _printing.note(
-                f"domains {rule.domains}: the last topic rule is not for '*', so topics that no"
-                " rule names cannot be used at all"
+                f"domains {rule.domains}: the last topic rule is not for '*': topics that no rule"
+                " names cannot be used"
             )
 
 

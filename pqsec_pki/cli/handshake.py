@@ -1,4 +1,4 @@
-"""pqsec verify-handshake: would these two authenticate each other?"""
+"""pqsec verify-handshake: run the authentication handshake between participants."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -16,125 +16,121 @@ from pqsec_pki.selfcheck import PQSEC, HandshakeParty, HandshakeSetup, Report, S
 from pqsec_pki.selfcheck.shared_domains import JoinableDomains, meet_on
 
 MATRIX_ROUNDS = 5
-_COUPLE = 2
-_TOLD = 6
-"""Topics, and domains, in a line."""
+_PAIR = 2
+_MAX_LISTED = 6
+"""The most topics, or domains, in a line."""
 _NO_TOPIC = "They share no topic: neither may subscribe to anything that the other may publish."
-_MEETING = {"--domain", "--kem", "--as"}
-_TAKES = {
-    "two participants": _MEETING,
-    "--all": _MEETING | {"--jobs"},
+_PAIR_OPTIONS = {"--domain", "--kem", "--as"}
+_MODE_OPTIONS = {
+    "two participants": _PAIR_OPTIONS,
+    "--all": _PAIR_OPTIONS | {"--jobs"},
     "--matrix": {"--rounds"},
-    "--trace": _MEETING | {"--force", "--insecure-show-secrets"},
+    "--trace": _PAIR_OPTIONS | {"--force", "--insecure-show-secrets"},
     "--attack": {"--domain", "--kem"},
 }
-"""What can be asked for, and the options that mean something there."""
+"""Mode -> options that it accepts."""
 
 
 @click.command("verify-handshake")
 @click.argument("names", nargs=-1, metavar="[A B]")
-@click.option("--all", is_flag=True, help="Every two participants that share a domain.")
-@click.option("--matrix", is_flag=True, help="Every profile with every key agreement, measured.")
+@click.option("--all", is_flag=True, help="Run all pairs of participants that share a domain.")
+@click.option("--matrix", is_flag=True, help="Measure every profile with every key agreement.")
 @click.option(
     "--trace",
     metavar="FILE",
     type=_settings.FILE,
-    help="Write every message, byte for byte and in words, to FILE (- is stdout).",
+    help="Write every message, decoded and byte for byte, to FILE (- is stdout).",
 )
-@click.option("--attack", metavar="NAME|all", help="Attack the two, and see all refused.")
-@click.option("--kem", metavar="NAME", help="Another key agreement than the profile's.")
+@click.option(
+    "--attack", metavar="NAME|all", help="Attack the handshake, and check that both refuse."
+)
+@click.option("--kem", metavar="NAME", help="Use another key agreement than the profile's.")
 @click.option(
     "--domain",
     type=click.IntRange(0, 230),
-    help="The domain they meet on. [default: the first that both may join]",
+    help="Run on this domain. [default: the first domain that both may join]",
 )
 @click.option(
     "--as",
     "stacks",
     metavar="STACK",
     multiple=True,
-    help="B behaves as that DDS stack; given twice, A and then B. With --all, both ways round.",
+    help="Let B behave like this DDS stack; given twice, A and then B. With --all, in both orders.",
 )
 @click.option(
-    "--jobs", type=click.IntRange(1, 256), help="Processes for --all. [default: one for each CPU]"
+    "--jobs",
+    type=click.IntRange(1, 256),
+    help="Use this many processes for --all. [default: one per CPU]",
 )
 @click.option(
     "--rounds",
     type=click.IntRange(1, 1000),
     default=MATRIX_ROUNDS,
     show_default=True,
-    help="Handshakes of each suite for --matrix.",
+    help="Run this many handshakes of each suite for --matrix.",
 )
-@click.option("--force", is_flag=True, help="Replace FILE of --trace.")
+@click.option("--force", is_flag=True, help="Replace an existing FILE of --trace.")
 @click.option(
     "--insecure-show-secrets",
     is_flag=True,
-    help="Put the secrets that both end with into the trace, and plaintext. Never private keys.",
+    help="Write the shared secrets and plaintext into the trace. Private keys are never written.",
 )
 @_settings.command_options
 @click.pass_context
 def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given: Any) -> None:
     """Run the authentication handshake between two participants.
 
-    All three messages between A and B, in memory: both certificate chains, both
-    permissions documents, and the key exchange up to one encrypted message each way.
-    Exit 1, with the failing step, if they would not meet. What they may then say to each
-    other is told too: two that share no topic meet all the same.
-
-    \b
-    pqsec verify-handshake /talker /listener
-    pqsec verify-handshake /talker /listener --as cyclonedds
-    pqsec verify-handshake /talker /listener --trace trace.txt
-    pqsec verify-handshake /talker /listener --attack all
-    pqsec verify-handshake --all
-    pqsec verify-handshake --matrix
+    All three messages between A and B are exchanged in memory. Both certificate chains
+    and permissions documents are checked, and after the key exchange one encrypted message
+    is sent each way. The failing step is printed, and the topics that the two share. A
+    handshake also succeeds without a common topic.
     """
     mode = _mode(context, names)
     runs = {"--all": _all, "--matrix": _matrix, "--trace": _trace, "--attack": _attack}
-    if not runs.get(mode, _two)(names, given):
+    if not runs.get(mode, _one_pair)(names, given):
         context.exit(1)
 
 
 def _mode(context: click.Context, names: tuple[str, ...]) -> str:
-    """Which of _TAKES is asked for; UsageError where things do not go together."""
-    known = set(_TAKES).union(*_TAKES.values())
+    """The mode, a key of _MODE_OPTIONS. UsageError for options that exclude each other."""
+    known = set(_MODE_OPTIONS).union(*_MODE_OPTIONS.values())
     given = {
         option.opts[0]
         for option in context.command.params
         if context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
     } & known
-    mode, *others = [mode for mode in _TAKES if mode in given] or ["two participants"]
+    mode, *others = [mode for mode in _MODE_OPTIONS if mode in given] or ["two participants"]
     if others:
         raise UsageError(f"{mode} and {others[0]} exclude each other")
-    for option in sorted(given - _TAKES[mode] - {mode}):
-        right = " or ".join(each for each, takes in _TAKES.items() if option in takes)
+    for option in sorted(given - _MODE_OPTIONS[mode] - {mode}):
+        right = " or ".join(each for each, accepted in _MODE_OPTIONS.items() if option in accepted)
         raise UsageError(f"{option} is for {right}, not for {mode}")
-    due = 0 if mode in {"--all", "--matrix"} else _COUPLE
+    due = 0 if mode in {"--all", "--matrix"} else _PAIR
     if len(names) != due:
         raise UsageError(
-            f"{mode} takes no participants, and here are {len(names)}"
+            f"{mode} takes no participants, but {len(names)} are named"
             if due == 0
-            else f"a handshake is between two participants, and here are {len(names)}",
-            hint="name two, as in `pqsec verify-handshake /talker /listener`, or say --all alone",
+            else f"a handshake needs two participants, but {len(names)} are named",
+            hint="name two, as in `pqsec verify-handshake /talker /listener`, or use --all alone",
         )
     return mode
 
 
-def _two(names: tuple[str, ...], given: dict[str, Any]) -> bool:
+def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     report = _report(names, given)
     _printing.emit(report.to_json(), lines_of(report))
     return report.ok
 
 
 def _report(names: tuple[str, ...], given: dict[str, Any]) -> Report:
-    setup, parties, joinable = _invited(names, given)
+    setup, parties, joinable = _setup(names, given)
     return meet_on(joinable, setup, *parties, anywhere=given["domain"] is None)
 
 
-def _invited(
+def _setup(
     names: tuple[str, ...], given: dict[str, Any]
 ) -> tuple[HandshakeSetup, tuple[HandshakeParty, HandshakeParty], JoinableDomains]:
-    """Two who are to meet, where, and on what; and where they could."""
+    """The setup and the two parties of a handshake, and the domains that both may join."""
     keystore, now = _keystore(given["kem"]), _settings.now()
     for name in names:
         keystore.refuse_unknown(name)
@@ -183,10 +179,10 @@ def _trace(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
     path, force = given["trace"], given["force"]
     if not force:
-        _handshake_trace.refuse_taken(path)
+        _handshake_trace.refuse_existing_file(path)
     report = _report(names, given)
     shown = given["insecure_show_secrets"]
-    _handshake_trace.tell(report, lines_of(report), path, show_secrets=shown, force=force)
+    _handshake_trace.write_trace(report, lines_of(report), path, show_secrets=shown, force=force)
     return report.ok
 
 
@@ -194,39 +190,39 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    setup, parties, joinable = _invited(names, given)
+    setup, parties, joinable = _setup(names, given)
     if given["domain"] is None:
         joinable.refuse_split()
     return _handshake_attacks.try_attacks(setup, parties, attacks)
 
 
 def _keystore(kem: str | None) -> Keystore:
-    """The keystore that is meant, which may have to do with a weaker key agreement."""
+    """The keystore; prints a note if `kem` breaks a promise of its profile."""
     keystore = _settings.open_keystore()
     if kem is not None:
-        _warn_of_a_weaker(kem, keystore.profile)
+        _note_broken_promise(kem, keystore.profile)
     return keystore
 
 
 def _stacks(names: tuple[str, ...]) -> tuple[Stack, Stack]:
-    """How the first and the second participant behave."""
-    if len(names) > _COUPLE:
-        raise UsageError("--as is for two participants: give it twice at most")
+    """The stacks that the first and the second participant behave like."""
+    if len(names) > _PAIR:
+        raise UsageError("--as is given more than twice: there are two participants")
     first, second = [PQSEC, PQSEC, *map(stack_named, names)][-2:]
     return first, second
 
 
-def _warn_of_a_weaker(kem: str, profile: Profile) -> None:
+def _note_broken_promise(kem: str, profile: Profile) -> None:
     try:
         profile.changed({"key_agreement": kem})
     except UnknownAlgorithmError:
         raise
     except UsageError as error:
-        _printing.note(f"{error}; trying it all the same")
+        _printing.note(f"{error}; the handshake runs anyway")
 
 
 def lines_of(report: Report) -> list[str]:
-    """The report for a person."""
+    """The report as lines."""
     width = max(len(step.name) for step in report.steps)
     lines = [
         f"{'ok  ' if step.ok else 'FAIL'}  {step.name.ljust(width)}  {step.detail}"
@@ -239,14 +235,14 @@ def lines_of(report: Report) -> list[str]:
     return [
         *lines,
         "",
-        *_talk_lines(report),
+        *_topic_lines(report),
         f"signatures {report.signature}, key agreement {report.key_agreement}",
         f"{sizes}; {report.milliseconds:.1f} ms for both sides",
     ]
 
 
-def _talk_lines(report: Report) -> Iterator[str]:
-    """Where they meet, and what they may say to each other there."""
+def _topic_lines(report: Report) -> Iterator[str]:
+    """The domain, and the topics that each may send to the other."""
     if report.domain is None:
         return
     others = [str(each) for each in report.shared if each != report.domain]
@@ -260,5 +256,5 @@ def _talk_lines(report: Report) -> Iterator[str]:
 
 
 def _shortened(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return ", ".join(map(plain, names[:_TOLD])) + more
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(map(plain, names[:_MAX_LISTED])) + more

@@ -1,4 +1,4 @@
-"""pqsec inspect: what is this file?"""
+"""pqsec inspect: describe a file."""
 
 from pathlib import Path
 
@@ -20,11 +20,11 @@ from pqsec_pki.inspection import Description, describe
 )
 @_settings.command_options
 def inspect(files: tuple[Path, ...]) -> None:
-    """Tell in words what a certificate, key or document is.
+    """Describe a certificate, key, request or document.
 
     FILE is a certificate, a private or public key, a request or a revocation list, in
-    PEM or DER; or a governance or permissions document, bare or signed. Nothing is
-    verified: that is `pqsec verify`. Of a private key, nothing private is shown.
+    PEM or DER; or a governance or permissions document, signed or not. Signatures are not
+    checked: use `pqsec verify`. The private part of a key is not shown.
     """
     described = [(file, _described(file)) for file in files]
     lines: list[str] = []

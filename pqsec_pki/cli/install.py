@@ -1,4 +1,4 @@
-"""pqsec install and rollback: on the robot, the answer to its request, and the way back."""
+"""pqsec install and rollback: on the robot, install a bundle or return to the previous one."""
 
 from pathlib import Path
 
@@ -18,16 +18,20 @@ from pqsec_pki.enrolment import rollback as roll_back
     "fingerprints",
     multiple=True,
     metavar="ROLE:SHA256",
-    help="Of a CA to trust, and as what: identity, permissions or countersigner; name each."
-    " [default: those that are trusted here]",
+    help="Trust this CA as identity, permissions or countersigner; one option for each CA."
+    " [default: the CAs that are trusted here]",
 )
 @click.option(
     "--trust-first",
     is_flag=True,
-    help="If nothing is installed yet, trust the CAs in the bundle, whoever made it.",
+    help="If nothing is installed yet, trust the CAs in the bundle without a check.",
 )
-@click.option("--only", is_flag=True, help="Let go what else is installed, and its keys.")
-@click.option("--older", is_flag=True, help="Also what is older than what is installed.")
+@click.option(
+    "--only", is_flag=True, help="Remove everything else that is installed, and its keys."
+)
+@click.option(
+    "--older", is_flag=True, help="Also install a bundle that is older than the installed one."
+)
 @folder_option
 @_settings.command_options
 def install(  # noqa: PLR0913 -- one for each option, by name
@@ -39,11 +43,11 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     older: bool,
     only: bool,
 ) -> None:
-    """Check a bundle, and let it be what this robot runs with.
+    """Check a bundle and install it on this robot.
 
-    Everything in it must hold now, under the CAs that are trusted, and fit a key that is
-    here. Then DIR/current leads to it and to what else is installed, in one step; what was
-    there before is kept for `pqsec rollback`.
+    Everything in the bundle must be valid now under the trusted CAs, and belong to a key on
+    this robot. Then DIR/current is switched, in one step, to a folder with the bundle and
+    everything else that is installed. The previous folder is kept for `pqsec rollback`.
     """
     done = install_bundle(
         bundle,
@@ -60,22 +64,24 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         "not_after": done.not_after.isoformat(),
         "already": done.already,
     }
-    word = "was installed already" if done.already else "installed"
+    word = "was already installed" if done.already else "installed"
     until = f"until {done.not_after:%Y-%m-%d}"
     _printing.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 
 @click.command()
-@click.option("--older", is_flag=True, help="Also to what is older, or of other CAs.")
+@click.option("--older", is_flag=True, help="Also restore something older, or from other CAs.")
 @folder_option
 @_settings.command_options
 def rollback(folder: Path, *, older: bool) -> None:
-    """Go back to what was installed before the last bundle, once.
+    """Restore what was installed before the last bundle.
 
-    What is older than the newest that was installed here is refused: it may grant rights that
-    were withdrawn, and let in peers that were revoked. --older takes it all the same. Whether its
-    certificates have expired is not checked.
+    It works once. Something older than the newest installed bundle is refused, unless you use
+    --older: it may grant rights that were withdrawn, and accept peers that were revoked. The
+    expiry of its certificates is not checked.
     """
     earlier = roll_back(folder, older=older)
     value = {"current": str(earlier.path), "installed_at": earlier.at.isoformat()}
-    _printing.emit(value, [f"back to what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"])
+    _printing.emit(
+        value, [f"restored what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]
+    )

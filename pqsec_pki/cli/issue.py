@@ -1,4 +1,4 @@
-"""pqsec issue: participants of a domain."""
+"""pqsec issue: issue participants."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +20,9 @@ from pqsec_pki.smime import document_in
 
 @click.command()
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--domain", "domains", help="DDS domains: 0, or 0-3, or 0,5. [default: the CA's]")
+@click.option(
+    "--domain", "domains", help="Allow these DDS domains: 0, 0-3 or 0,5. [default: the keystore's]"
+)
 @participant_options
 @click.option(
     "--csr",
@@ -28,19 +30,19 @@ from pqsec_pki.smime import document_in
     multiple=True,
     type=_settings.FILE,
     metavar="FILE",
-    help="Certify the keys of this request, made on the robot, and write a bundle for it.",
+    help="Certify the keys of this request from a robot, and write a bundle for it.",
 )
 @click.option(
     "--allow-name",
     "patterns",
     multiple=True,
     metavar="PATTERN",
-    help="With --csr: names that requests may have, such as '/fleet/*'; else they are NAME...",
+    help="With --csr: allow names like '/fleet/*' in requests, instead of NAME... only.",
 )
 @_bundles.folder_option
 @_bundles.seal_option
-@click.option("--force", is_flag=True, help="Replace participants that are there already.")
-@click.option("--after-revocation", is_flag=True, help="Also those that were revoked.")
+@click.option("--force", is_flag=True, help="Replace existing participants.")
+@click.option("--after-revocation", is_flag=True, help="Also issue participants that were revoked.")
 @_bundles.compromised_option
 @_passphrases.option
 @_settings.command_options
@@ -61,15 +63,15 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     """Issue participants: key, certificate and signed permissions.
 
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
-    expressions as they stand on the wire (rt/chatter); --ros-... takes ROS names. Each
-    NAME may do what is named here, or in its grant of --policy, and nothing else; without
-    a NAME, everybody in --policy is issued. With --csr the keys were made elsewhere, and
-    the answers are bundles for `pqsec install`.
+    expressions (rt/chatter), or ROS 2 names in the --ros-... options. Each NAME gets the
+    rights of these options, or of its grant in --policy, and no others. Without a NAME,
+    every name in --policy is issued. With --csr the keys stay on the robot, and bundles for
+    `pqsec install` are written.
     """
     wanted = ParticipantOptions.of(**how)
     if not requests:
         _refuse_without_requests(patterns, folder, seal_for)
-        names = names or _everybody(wanted)
+        names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
     asked = _bundles.read_requests(requests, keystore.profile, names, patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
@@ -90,57 +92,53 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         compromised_keys=compromised_keys,
     )
     _warn(governance, specs)
-    tell_of_governance(keystore)
+    note_unsigned_governance(keystore)
     for name, goal in goals.items():
-        _answer(keystore, name, goal, recipient, force=force)
-    tell(keystore, issued, goals)
+        _write_bundle(keystore, name, goal, recipient, force=force)
+    print_issued(keystore, issued, goals)
 
 
 def _refuse_without_requests(patterns: tuple[str, ...], *others: Path | None) -> None:
     if patterns or any(others):
-        raise UsageError("--allow-name, --bundles and --seal-for are for requests: --csr FILE")
+        raise UsageError("--allow-name, --bundles and --seal-for need requests: --csr FILE")
 
 
-def _everybody(wanted: ParticipantOptions) -> tuple[str, ...]:
-    """Whom the policy is about; UsageError if there is none."""
+def _policy_names(wanted: ParticipantOptions) -> tuple[str, ...]:
+    """The names in the policy. UsageError without --policy."""
     if not wanted.policy:
-        raise UsageError(
-            "name at least one participant", hint="or a --policy, or a request: --csr FILE"
-        )
-    return wanted.everybody
+        raise UsageError("no participant named", hint="give names, or --policy FILE, or --csr FILE")
+    return wanted.policy_names
 
 
-def _answer(
+def _write_bundle(
     keystore: Keystore, name: str, goal: Path, recipient: SealingPublicKey | None, *, force: bool
 ) -> None:
     bundle = Bundle.of(keystore, [name], now=_settings.now())
-    with _printing.advising(
-        f"{name} is issued all the same: `pqsec bundle {name}` makes its bundle"
-    ):
+    with _printing.with_hint(f"{name} is issued: write its bundle with `pqsec bundle {name}`"):
         _bundles.write(bundle, goal, recipient, force=force)
 
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:
     if not any(spec.publish or spec.subscribe or spec.grants for spec in specs):
-        _printing.note("no topic was named: the permissions deny everything, even to join")
+        _printing.note("no topic named: the permissions deny everything, also to join the domain")
     wanted = sorted({domain for spec in specs for domain in spec.domains.ids()})
     ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]
     if ungoverned:
         _printing.note(
-            f"the governance does not name domain {', '.join(map(str, ungoverned))}: nobody can"
-            " join there until you add it and run `pqsec sign-governance`"
+            f"the governance does not name domain {', '.join(map(str, ungoverned))}: no participant"
+            " can join it until you add it and run `pqsec sign-governance`"
         )
 
 
-def tell_of_governance(keystore: Keystore) -> None:
-    """Of a governance with which none of its participants would start, once for all of them."""
+def note_unsigned_governance(keystore: Keystore) -> None:
+    """Print one note if the governance is not signed: no participant would start with it."""
     path = _governance(keystore)
     try:
         keystore.anchors.signed(keystore.governance)
     except PqsecError as error:
         _printing.note(
-            f"{path}: the permissions CA did not sign it as it is ({error}), and no participant"
-            " starts with it: put back what was signed, or look through governance.xml and"
+            f"{path}: not signed by the permissions CA ({error}), and no participant starts with"
+            " it: restore the signed file, or review governance.xml and"
             f" `pqsec -k {keystore.root} sign-governance {path.with_suffix('.xml')} --force`"
         )
 
@@ -149,14 +147,14 @@ def _governance(keystore: Keystore) -> Path:
     return keystore.root / ENCLAVES / GOVERNANCE
 
 
-def tell(
+def print_issued(
     keystore: Keystore, issued: list[Issued], bundles: Mapping[str, Path] | None = None
 ) -> None:
-    """What was made, one line for each participant; where its bundle is, if it has one."""
+    """Print one line for each issued participant, with the path of its folder or bundle."""
     bundles = bundles or {}
     if issued and issued[0].shortened:
         end = issued[0].not_after
-        _printing.note(f"valid until {end:%Y-%m-%d} only, when the identity CA expires")
+        _printing.note(f"valid only until {end:%Y-%m-%d}, when the identity CA expires")
     value = {
         "keystore": str(keystore.root),
         "issued": [
@@ -172,8 +170,8 @@ def tell(
             for each in issued
         ],
     }
-    places = {each.name: bundles.get(each.name, each.folder) for each in issued}
+    paths = {each.name: bundles.get(each.name, each.folder) for each in issued}
     _printing.emit(
         value,
-        [f"{each.name}  until {each.not_after:%Y-%m-%d}  {places[each.name]}" for each in issued],
+        [f"{each.name}  until {each.not_after:%Y-%m-%d}  {paths[each.name]}" for each in issued],
     )

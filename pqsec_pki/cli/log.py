@@ -1,4 +1,4 @@
-"""pqsec log: everything that was issued, signed and taken back, and that nobody altered it."""
+"""pqsec log: show and verify the ledger."""
 
 import click
 
@@ -8,28 +8,30 @@ from pqsec_pki.keystore import Keystore, Line, audit
 
 _SHA256 = 64
 """Hexadecimal digits."""
-_HEADS = ("line", "when", "who", "what", "name", "serial or hash")
+_HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 
 
 @click.command()
 @click.option(
-    "--verify", is_flag=True, help="Check that no line was altered or removed, and none missing."
+    "--verify", is_flag=True, help="Check that no line was changed or removed, and none is missing."
 )
-@click.option("--head", metavar="HASH", help="With --verify: the head an earlier --verify printed.")
+@click.option(
+    "--head", metavar="HASH", help="Check against the head that an earlier --verify printed."
+)
 @_settings.command_options
 def log(*, verify: bool, head: str | None) -> None:
-    """Show the ledger: every certificate, document and revocation made here.
+    """Show or verify the ledger of everything issued, signed and revoked.
 
-    --verify checks the chain of hashes, and that all that lies in the keystore was
-    entered. Keep the head it prints elsewhere: with --head, a ledger that was cut or
-    written anew shows.
+    --verify checks the chain of hashes, and that every file in the keystore has an entry.
+    Keep the head that it prints in another place: --head then detects a ledger that was
+    truncated or rewritten.
     """
     keystore = _settings.open_keystore()
     if verify or head is not None:
         _verify(keystore, head)
         return
     lines = keystore.lines()
-    _printing.emit({"lines": list(map(_value, lines))}, _printing.table(_HEADS, map(_row, lines)))
+    _printing.emit({"lines": list(map(_value, lines))}, _printing.table(_HEADERS, map(_row, lines)))
 
 
 def _verify(keystore: Keystore, head: str | None) -> None:
@@ -42,21 +44,23 @@ def _verify(keystore: Keystore, head: str | None) -> None:
     _printing.emit({"ok": True, "lines": count, "head": newest}, [f"{count} lines, head {newest}"])
 
 
-_FOR_MACHINES = {"keys"}
-"""Details that --json has alone."""
+_JSON_ONLY = {"keys"}
+"""Details that only --json shows."""
 
 
 def _row(line: Line) -> tuple[str, ...]:
     entry = line.entry
-    told = {key: _short(v) for key, v in entry.details.items() if v and key not in _FOR_MACHINES}
-    details = ", ".join(f"{key} {value}" for key, value in told.items())
+    details_shown = {
+        key: _short(v) for key, v in entry.details.items() if v and key not in _JSON_ONLY
+    }
+    details = ", ".join(f"{key} {value}" for key, value in details_shown.items())
     what = f"{entry.kind} ({details})" if details else entry.kind
     last = entry.serial or entry.sha256[:16]
     return (str(line.number), entry.at[:16], entry.operator or "-", what, entry.name or "-", last)
 
 
 def _short(value: str) -> str:
-    """A hash by its beginning, anything else as it is."""
+    """The first 16 digits of a hash; anything else unchanged."""
     return value[:16] if len(value) == _SHA256 else value
 
 

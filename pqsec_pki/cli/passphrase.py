@@ -11,25 +11,27 @@ from pqsec_pki.keystore import change_passphrase
 @click.command()
 @_passphrases.option
 @click.option(
-    "--new-passphrase-file", type=_settings.FILE, help="A file whose first line is the new one."
+    "--new-passphrase-file",
+    type=_settings.FILE,
+    help="Read the new passphrase from the first line of this file.",
 )
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
 @_settings.command_options
 def passphrase(
     passphrase_file: Path | None, new_passphrase_file: Path | None, *, no_passphrase: bool
 ) -> None:
-    """Change, set or remove the passphrase of the CA keys, all of them in one step.
+    """Change, set or remove the passphrase of the CA keys.
 
-    The old files are overwritten with zeros. Where a file system or a disk keeps old
-    blocks, and in backups, what they held may stay; keys of older generations keep the
-    passphrase they had.
+    All keys change in one step, and the old files are overwritten with zeros. Copies may
+    remain in backups, and on file systems or disks that keep old blocks. Keys of older
+    generations keep their passphrase.
     """
     keystore = _settings.open_keystore(to_change=True)
     authorities = _passphrases.unlock(keystore, passphrase_file)
     new = _passphrases.new(new_passphrase_file, none=no_passphrase, option="--new-passphrase-file")
     paths = change_passphrase(keystore, authorities, new)
     if new is None:
-        _printing.note(f"the CA keys in {paths[0].parent} are not encrypted; guard that folder")
-    word = "not encrypted" if new is None else "encrypted anew"
+        _printing.note(f"the CA keys in {paths[0].parent} are not encrypted: protect that folder")
+    word = "not encrypted" if new is None else "encrypted again"
     value = {"keys": [str(path) for path in paths], "encrypted": new is not None}
     _printing.emit(value, [f"{path}  {word}" for path in paths])

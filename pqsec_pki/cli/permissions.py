@@ -1,4 +1,4 @@
-"""pqsec permissions: write permissions documents in YAML, and import those of SROS2."""
+"""pqsec permissions: write and convert permissions in YAML, import SROS2 policies."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -22,7 +22,7 @@ from pqsec_pki.errors import UsageError
 @click.group()
 @_settings.command_options
 def permissions() -> None:
-    """Write permissions documents in YAML, and import policies of SROS2."""
+    """Write and convert permissions documents in YAML, and import SROS2 policies."""
 
 
 @permissions.command()
@@ -31,7 +31,9 @@ def permissions() -> None:
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
 @click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
-@click.option("--dds", is_flag=True, help="They are not ROS 2 nodes: with DDS topics only.")
+@click.option(
+    "--dds", is_flag=True, help="Write DDS topics only, for participants that are not ROS 2 nodes."
+)
 @_policy.output_options
 @_settings.command_options
 def new(  # noqa: PLR0913 -- one for each option, by name
@@ -45,8 +47,9 @@ def new(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Write commented permissions in YAML, to edit.
 
-    NAME is a participant's enclave path, such as /talker, and also its ROS 2 node, which
-    gets what it needs to start. Add what it may publish, subscribe to, serve and call.
+    NAME is a participant's enclave path, such as /talker, and also the name of its ROS 2
+    node. The node gets the topics that it needs to start. Add the topics, services and
+    actions that it may use.
     """
     if not dds:
         _require_nodes(names)
@@ -58,14 +61,20 @@ def new(  # noqa: PLR0913 -- one for each option, by name
 
 @permissions.command("import")
 @click.argument("policy", type=_settings.FILE)
-@click.option("--enclave", "wanted", multiple=True, metavar="PATH", help="Only this enclave.")
+@click.option(
+    "--enclave", "wanted", multiple=True, metavar="PATH", help="Import only this enclave."
+)
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
 )
 @click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
-@click.option("--complete", is_flag=True, help="Add what its Jazzy nodes need to start.")
 @click.option(
-    "--root", type=_settings.FOLDER, help="Includes may come from here. [default: POLICY's]"
+    "--complete", is_flag=True, help="Add the topics that ROS 2 Jazzy nodes need to start."
+)
+@click.option(
+    "--root",
+    type=_settings.FOLDER,
+    help="Allow includes from this folder. [default: the folder of POLICY]",
 )
 @_policy.output_options
 @_settings.command_options
@@ -80,10 +89,10 @@ def import_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     complete: bool,
     force: bool,
 ) -> None:
-    """Make YAML of a policy of SROS2 (*.policy.xml).
+    """Convert an SROS2 policy to YAML.
 
-    The permissions are those that SROS2 makes of it. Includes are taken from the folder of
-    POLICY only.
+    POLICY is a file such as robot.policy.xml. The permissions are the same that SROS2
+    generates. Includes are read from the folder of POLICY only.
     """
     enclaves = _wanted(sros2.read_policy(policy, root=root), wanted)
     not_before, not_after = lasting(_settings.now(), validity)
@@ -104,7 +113,7 @@ def _require_nodes(names: tuple[str, ...]) -> None:
         for name in names:
             ros.node_minimum(name)
     except UsageError as error:
-        hint = f"{error.hint}; or --dds, if it is not a ROS 2 node"
+        hint = f"{error.hint}; or use --dds if it is not a ROS 2 node"
         raise UsageError(str(error), hint=hint) from None
 
 
@@ -124,8 +133,8 @@ def _warn(enclaves: tuple[sros2.Enclave, ...]) -> None:
         if topics := sros2.lacking(enclave):
             others = f" and {len(topics) - 1} more topic(s)" if len(topics) > 1 else ""
             _printing.note(
-                f"{enclave.path} lacks {topics[0]}{others}, without which a Jazzy node does not"
-                " start: --complete adds them"
+                f"{enclave.path} lacks {topics[0]}{others}, which a Jazzy node needs to start:"
+                " --complete adds them"
             )
 
 

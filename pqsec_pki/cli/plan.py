@@ -1,4 +1,4 @@
-"""pqsec plan: what a domain file wants and the keystore has not."""
+"""pqsec plan: show the changes that `pqsec apply` would make."""
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby
@@ -15,7 +15,7 @@ from pqsec_pki.keystore import Keystore
 
 DEFAULT_FILE = Path("domain.yaml")
 _SHOWN = 5
-"""Names on one line; --json has all."""
+"""The most names on one line; --json has all."""
 
 file_argument = click.argument("file", type=_settings.FILE, default=DEFAULT_FILE, metavar="[FILE]")
 prune_option = click.option(
@@ -24,25 +24,25 @@ prune_option = click.option(
 new_keys_option = click.option(
     "--new-keys",
     is_flag=True,
-    help="Also answer requests for other keys than their participants had.",
+    help="Also certify new keys of existing participants.",
 )
 
 
 @click.command()
 @file_argument
-@click.option("--init", is_flag=True, help="Write a new FILE with comments, to be edited.")
+@click.option("--init", is_flag=True, help="Write a new, commented FILE to edit.")
 @prune_option
 @new_keys_option
 @_settings.command_options
 def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
-    """Tell what FILE wants and the keystore has not: what `pqsec apply` would do.
+    """Show the changes that `pqsec apply` would make.
 
-    FILE is domain.yaml if it is not named. Exit code 0 if there is nothing to do, 1 if
-    there is.
+    FILE describes a whole domain: its governance, participants and their rights. It is
+    domain.yaml if not named.
     """
     if init:
         _files.write(file, new_domain("Robots"))
-        _printing.emit({"written": str(file)}, [f"{file}: edit it, then `pqsec plan`"])
+        _printing.emit({"written": str(file)}, [f"{file}: edit it, then run `pqsec plan`"])
         return
     desired = read_domain(file)
     keystore, now = keystore_or_none(), _settings.now()
@@ -53,7 +53,7 @@ def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
 
 
 def keystore_or_none(*, to_change: bool = False) -> Keystore | None:
-    """The keystore the user means; None if nothing is there yet."""
+    """The keystore; None if it does not exist yet."""
     path = _settings.keystore_path()
     try:
         return Keystore.open(path, to_change=to_change)
@@ -70,15 +70,15 @@ def keystore_or_none(*, to_change: bool = False) -> Keystore | None:
 
 
 def show(found: Plan, desired: Desired) -> None:
-    """The plan, and notes on what it leaves alone."""
+    """Print the plan, and notes on what it does not change."""
     as_json = _settings.settings().json
     _printing.emit(value(found) if as_json else None, lines(found))
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
-        _printing.note(f"the governance does not name domain {where}: nobody can join there")
+        _printing.note(f"the governance does not name domain {where}: no participant can join it")
     if found.unlisted:
         names = few(found.unlisted)
-        _printing.note(f"not in {desired.path}: {names}; --prune revokes what is not in it")
+        _printing.note(f"not in {desired.path}: {names}; --prune revokes them")
 
 
 def value(found: Plan) -> dict[str, object]:
@@ -98,7 +98,7 @@ def value(found: Plan) -> dict[str, object]:
 
 
 def lines(found: Plan) -> Iterator[str]:
-    """The plan, for a person: a line for all steps that are alike."""
+    """The plan as lines, one for each group of similar steps."""
     width = max((len(step.action.words) for step in found.steps), default=0)
     alike = groupby(found.steps, key=lambda step: (step.action, _kind(step.action, step.why)))
     for (action, why), steps in alike:
@@ -108,19 +108,17 @@ def lines(found: Plan) -> Iterator[str]:
         yield f"blocked: {each.name} {each.why}; {each.way_out}"
     count = len(found.steps)
     right = found.unchanged
-    rest = (
-        f"{right} {'participant is as it' if right == 1 else 'participants are as they'} should be"
-    )
+    rest = f"{right} {'participant is' if right == 1 else 'participants are'} up to date"
     yield f"{count or 'no'} {'change' if count == 1 else 'changes'}; {rest}"
 
 
 def _kind(action: Action, why: str) -> str:
-    """Renewals are for one reason, whichever day each ends."""
+    """The reason that similar steps share; for a renewal, without its date."""
     return why.split(maxsplit=1)[0] if action is Action.RENEW else why
 
 
 def few(names: Iterable[str]) -> str:
-    """The names, but not more than fit on a line."""
+    """The names, shortened to fit on one line."""
     some = [name for name in names if name]
     if len(some) <= _SHOWN:
         return ", ".join(some)

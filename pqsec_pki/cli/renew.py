@@ -1,4 +1,4 @@
-"""pqsec renew and needs-renewal: certificates and permissions for another while."""
+"""pqsec renew and needs-renewal: renew certificates and permissions."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
-from pqsec_pki.cli.issue import tell, tell_of_governance
+from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Renewal, State, Status
 from pqsec_pki.keystore import renew as renew_participants
 from pqsec_pki.keystore import status as status_of
 
-_THIRD = timedelta()
-"""Stands for --due without a value; no duration is that short."""
+_NO_TIME = timedelta()
+"""The value of --due without TIME; no duration is zero."""
 
 
 @click.command()
@@ -22,20 +22,24 @@ _THIRD = timedelta()
     "--due",
     type=_settings.Duration(),
     is_flag=False,
-    flag_value=_THIRD,
-    help="Whatever ends within this time; without one, what has less than a third of its life"
-    " left.",
+    flag_value=_NO_TIME,
+    help="Renew what expires within this time; without a time, what has less than a third of its"
+    " life left.",
 )
-@click.option("--all", "everybody", is_flag=True, help="Every participant that is not revoked.")
+@click.option(
+    "--all", "everybody", is_flag=True, help="Renew every participant that is not revoked."
+)
 @click.option(
     "--rekey/--keep-key",
     default=None,
-    help="Make new keys, or certify again those in the certificate.  [default: new ones, where"
-    " the old ones lie here]",
+    help="Generate new keys, or certify the same keys again.  [default: new keys, if the old"
+    " ones are in the keystore]",
 )
 @_bundles.compromised_option
 @click.option(
-    "--validity", type=_settings.Duration(), help="From now on.  [default: as long as before]"
+    "--validity",
+    type=_settings.Duration(),
+    help="Issue for this long from now.  [default: as long as before]",
 )
 @_passphrases.option
 @_settings.command_options
@@ -49,16 +53,16 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     rekey: bool | None,
     compromised_keys: bool,
 ) -> None:
-    """Renew participants: certificate and permissions together, allowed the same as before.
+    """Renew certificates and permissions, with the same rights as before.
 
-    Name them, or say --due, or --all. All are renewed, or none. A revocation list that is
-    due is made anew with them.
+    Name participants, or use --due or --all. Either all are renewed or none. If the
+    revocation list is due, a new one is issued too.
     """
     if [bool(names), due is not None, everybody].count(True) != 1:
-        raise UsageError("say whom to renew: names, or --due, or --all")
+        raise UsageError("no participant named: give names, --due or --all")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     standing = status_of(keystore, names or None, now=now, due=due or None)
-    chosen = standing.due if due is not None else _all_but_the_dead(standing, names)
+    chosen = standing.due if due is not None else _renewable(standing, names)
     if not chosen and not standing.list_is_due:
         _printing.emit({"keystore": str(keystore.root), "issued": []}, ["nothing to renew"])
         return
@@ -66,13 +70,15 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     authorities = _passphrases.unlock(keystore, passphrase_file)
     renewed = renew_participants(keystore, authorities, chosen, terms, now=now)
     if standing.list_is_due:
-        _printing.note("the revocation list was due and is made anew: give it to every robot")
-    tell_of_governance(keystore)
-    tell(keystore, renewed)
+        _printing.note(
+            "a new revocation list was issued because the old one was due: copy it to every robot"
+        )
+    note_unsigned_governance(keystore)
+    print_issued(keystore, renewed)
 
 
-def _all_but_the_dead(standing: Status, names: tuple[str, ...]) -> list[str]:
-    """Whoever was named, whatever may be wrong with them; else all that can be renewed."""
+def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
+    """All named participants in any state; without names, all that can be renewed."""
     skipped = set() if names else {State.PREVIOUS_CA, State.REVOKED, State.GONE}
     return [each.name for each in standing.participants if each.state not in skipped]
 
@@ -82,14 +88,13 @@ def _all_but_the_dead(standing: Status, names: tuple[str, ...]) -> list[str]:
 @click.option(
     "--due",
     type=_settings.Duration(),
-    help="What ends within this time.  [default: less than a third of its life is left]",
+    help="Test what expires within this time.  [default: less than a third of its life left]",
 )
 @_settings.command_options
 def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
-    """Tell whether participants, or the revocation list, should be renewed.
+    """Test whether participants or the revocation list are due for renewal.
 
-    Exit code 0 if any of them should, 1 if none. Without a NAME it is about all, and the
-    list.
+    Without a NAME, all participants and the revocation list are tested.
     """
     keystore = _settings.open_keystore()
     standing = status_of(keystore, names or None, now=_settings.now(), due=due)

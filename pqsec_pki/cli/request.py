@@ -1,4 +1,4 @@
-"""pqsec request and bundle-key: on the robot, before it is enrolled."""
+"""pqsec request and bundle-key: generate keys on the robot, before enrolment."""
 
 from pathlib import Path
 
@@ -18,17 +18,17 @@ folder_option = click.option(
     default=Path("credentials"),
     show_default=True,
     metavar="DIR",
-    help="Where this robot keeps its credentials.",
+    help="Keep this robot's credentials in DIR.",
 )
 
 
 @click.command()
 @click.argument("name")
 @profile_option
-@click.option("--participant-key", metavar="NAME", help="Another kind of key.")
-@click.option("--alt-key", metavar="NAME", help="Another alternative key.")
+@click.option("--participant-key", metavar="NAME", help="Choose another kind of key.")
+@click.option("--alt-key", metavar="NAME", help="Choose another kind of alternative key.")
 @folder_option
-@click.option("--force", is_flag=True, help="Replace a request for NAME, and its keys.")
+@click.option("--force", is_flag=True, help="Replace an existing request for NAME, and its keys.")
 @_settings.command_options
 def request(  # noqa: PLR0913 -- one for each option, by name
     name: str,
@@ -39,10 +39,10 @@ def request(  # noqa: PLR0913 -- one for each option, by name
     *,
     force: bool,
 ) -> None:
-    """Make keys on the robot, and the request for their certificate.
+    """Generate keys and a certificate request on the robot.
 
-    The keys stay in DIR; send the request.csr that is printed to where the CAs are, for
-    `pqsec issue --csr`. The profile must be the keystore's.
+    The keys stay in DIR. Copy the request.csr that is printed to the machine with the CAs,
+    for `pqsec issue --csr`. The profile must be the same as the keystore's.
     """
     profile = profile_named(profile_name).changed(
         {"participant_key": participant_key, "alternative_key": alt_key}
@@ -54,12 +54,16 @@ def request(  # noqa: PLR0913 -- one for each option, by name
 
 @click.command("bundle-key")
 @folder_option
-@click.option("--force", is_flag=True, help="Replace the key: older bundles cannot be opened then.")
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Replace an existing key: bundles for the old key can no longer be opened.",
+)
 @_settings.command_options
 def bundle_key(folder: Path, *, force: bool) -> None:
-    """Make the key on the robot with which it opens sealed bundles.
+    """Generate the robot's key for opening sealed bundles.
 
-    Send the bundle.pub.pem that is printed to where the CAs are, for --seal-for.
+    Copy the bundle.pub.pem that is printed to the machine with the CAs, for --seal-for.
     """
     path, sha256 = make_sealing_key(folder, force=force)
     _printing.emit({"public_key": str(path), "sha256": sha256}, [f"{path}  SHA-256 {sha256}"])

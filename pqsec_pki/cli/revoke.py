@@ -1,4 +1,4 @@
-"""pqsec revoke: take participants' certificates back."""
+"""pqsec revoke: revoke certificates of participants."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -8,14 +8,14 @@ import click
 from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.keystore import LIST_VALIDITY, Keystore, Revoked
-from pqsec_pki.keystore import revoke as take_back
+from pqsec_pki.keystore import revoke as revoke_subjects
 
 list_validity_option = click.option(
     "--validity",
     type=_settings.Duration(),
     default=LIST_VALIDITY,
     show_default="1y",
-    help="When the next list is due: past that, stacks refuse everybody.",
+    help="Issue a list that is valid this long; stacks refuse all peers after that.",
 )
 
 
@@ -26,7 +26,7 @@ list_validity_option = click.option(
     type=click.Choice([reason.value for reason in Reason], case_sensitive=False),
     default=Reason.UNSPECIFIED.value,
     show_default=True,
-    help="What the list says of it (RFC 5280 5.3.1).",
+    help="Record this reason in the list (RFC 5280 5.3.1).",
 )
 @list_validity_option
 @_passphrases.option
@@ -34,16 +34,16 @@ list_validity_option = click.option(
 def revoke(
     subjects: tuple[str, ...], reason: str, validity: timedelta, passphrase_file: Path | None
 ) -> None:
-    """Take certificates back: a new revocation list, linked into every enclave.
+    """Revoke certificates, and put the new revocation list into every enclave.
 
-    NAME takes back all certificates of that participant which have not expired, SERIAL
-    one certificate. Give the new crl.pem to every robot: who has an old list, or none,
-    still lets them in.
+    NAME revokes all unexpired certificates of that participant, SERIAL one certificate.
+    Copy the new crl.pem to every robot: a robot with an older list, or without one, still
+    accepts the revoked certificates.
     """
     keystore = _settings.open_keystore(to_change=True)
     first = not keystore.has_revocation_list
     authorities = _passphrases.unlock(keystore, passphrase_file)
-    revoked, made = take_back(
+    revoked, made = revoke_subjects(
         keystore,
         authorities,
         subjects,
@@ -52,11 +52,13 @@ def revoke(
         validity=validity,
     )
     if first:
-        _printing.note("DDS stacks read crl.pem when a participant starts, and OpenDDS not at all")
+        _printing.note(
+            "DDS stacks read crl.pem when a participant starts; OpenDDS does not read it"
+        )
     if not all(each.listed for each in revoked):
         _printing.note(
-            "what an earlier CA issued is in no list: who still trusts that CA lets it in;"
-            " bring every robot the files of the present one"
+            "certificates of an earlier CA are not in a list: participants that still trust that CA"
+            " accept them; copy the files of the current CA to every robot"
         )
     value = {"revoked": [_value(each) for each in revoked], **list_value(keystore, made)}
     _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
@@ -73,8 +75,8 @@ def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:
 
 
 def list_line(keystore: Keystore, made: RevocationList) -> str:
-    """The list, for a person."""
-    due = f", due again by {made.next_update:%Y-%m-%d}" if made.next_update else ""
+    """The list as one line."""
+    due = f", next due by {made.next_update:%Y-%m-%d}" if made.next_update else ""
     what = _printing.counted(len(made.revoked), "certificate")
     return f"list {made.number}: {what}{due}  {keystore.revocation_list_path}"
 
@@ -91,5 +93,5 @@ def _value(each: Revoked) -> dict[str, object]:
 
 
 def _line(each: Revoked) -> str:
-    word = "was revoked already," if each.before else "revoked"
+    word = "was already revoked," if each.before else "revoked"
     return f"{each.name}  {each.serial}  {word} {each.since:%Y-%m-%d} ({each.reason})"

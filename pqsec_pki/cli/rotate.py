@@ -1,4 +1,4 @@
-"""pqsec ca rotate: a new generation of CAs, and what that means, told before."""
+"""pqsec ca rotate: replace the CAs, with a plan of the consequences."""
 
 from collections.abc import Iterator
 from datetime import timedelta
@@ -9,7 +9,7 @@ import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.cli import _passphrases, _printing, _settings
-from pqsec_pki.cli._overlap import Order, Step, run, whom
+from pqsec_pki.cli._overlap import OverlapOptions, Step, count_participants, run
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import CA_VALIDITY, Keystore, Rollover, RolloverPlan, Scope, plan_rollover
 from pqsec_pki.keystore import rotate as rotate_keystore
@@ -23,32 +23,43 @@ _CAS = {
 
 
 @click.command()
-@click.option("--plan", is_flag=True, help="Tell what would be done and what breaks.  [default]")
-@click.option("--apply", "do", is_flag=True, help="Do it.")
+@click.option("--plan", is_flag=True, help="Show what would be done and what breaks.  [default]")
+@click.option("--apply", "do", is_flag=True, help="Replace the CAs.")
 @click.option(
     "--profile",
     "profile_name",
     type=click.Choice([profile.name for profile in PROFILES], case_sensitive=False),
-    help="Go over to that profile.  [default: stay]",
+    help="Change to this profile.  [default: no change]",
 )
 @click.option(
     "--only",
     "scope",
     type=click.Choice([Scope.IDENTITY.value, Scope.PERMISSIONS.value]),
-    help="Leave the other CA as it is.  [default: both are made anew]",
+    help="Replace only this CA.  [default: replace both]",
 )
 @click.option(
     "--overlap",
     type=click.Choice([step.value for step in Step]),
-    help="A step of the way on which robots trust two identity CAs, the old and the new.",
+    help="Make one step of a change during which robots trust the old and the new identity CA.",
 )
-@click.option("--name", help="The start of the new CAs' names.  [default: as before, with G2, G3]")
 @click.option(
-    "--validity", type=_settings.Duration(), default=CA_VALIDITY, show_default="10y", help="Of CAs."
+    "--name", help="Start the names of the new CAs with this.  [default: as before, with G2, G3]"
 )
-@click.option("--rekey", is_flag=True, help="New keys for participants whose kind stays too.")
 @click.option(
-    "--destroy-old-keys", "destroy", is_flag=True, help="Overwrite the old CA keys, keep none."
+    "--validity",
+    type=_settings.Duration(),
+    default=CA_VALIDITY,
+    show_default="10y",
+    help="Issue the CA certificates for this long.",
+)
+@click.option(
+    "--rekey", is_flag=True, help="Also replace participants' keys whose kind does not change."
+)
+@click.option(
+    "--destroy-old-keys",
+    "destroy",
+    is_flag=True,
+    help="Overwrite the old CA keys, and do not keep them.",
 )
 @_passphrases.option
 @click.option("--no-passphrase", is_flag=True, help="Leave the new CA keys unencrypted.")
@@ -67,13 +78,14 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     destroy: bool,
     no_passphrase: bool,
 ) -> None:
-    """Make new CAs, and everything that they sign anew: a rollover, or another profile.
+    """Replace the CAs and reissue everything they signed, or change the profile.
 
-    Participants may do what they might before, and keep their keys where the profile asks
-    for no other kind. The old CAs need not be unlocked, unless one of them stays.
+    Participants keep their rights, and their keys unless the profile needs another kind.
+    The passphrase of the old CAs is needed only with --only or --overlap.
 
-    With --overlap, robots go over to a new identity CA one after the other, where their
-    stack trusts two: begin, switch, finish, and the robots' files in between.
+    With --overlap, robots change to a new identity CA one after the other, if their stack
+    can trust two. The steps are begin, switch and finish; copy the files to the robots
+    after each step.
     """
     if plan and do:
         raise UsageError("--plan and --apply exclude each other")
@@ -87,7 +99,7 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
         destroy=destroy,
     )
     if overlap:
-        run(Order(keystore, terms, passphrase_file), Step(overlap), do=do)
+        run(OverlapOptions(keystore, terms, passphrase_file), Step(overlap), do=do)
         return
     planned = plan_rollover(keystore, terms, now=_settings.now())
     if not do:
@@ -97,7 +109,7 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
 
 
 def _profile(keystore: Keystore, name: str | None) -> Profile:
-    """The one that is named; the keystore's own as it is, with the choices made there."""
+    """The named profile; without a name, the keystore's, with the algorithms chosen there."""
     if name is None or name == keystore.profile.name:
         return keystore.profile
     return profile_named(name)
@@ -117,7 +129,7 @@ def _apply(
     passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
     done = rotate_keystore(keystore, terms, kept=kept, passphrase=passphrase, now=_settings.now())
     for name, reason in done.left_out.items():
-        _printing.note(f"{name} stays behind: {reason}")
+        _printing.note(f"{name} is not reissued: {reason}")
     value = {
         "generation": done.generation,
         "profile": terms.profile.name,
@@ -127,10 +139,14 @@ def _apply(
         "new_list": done.new_list,
         "archive": str(done.archive),
     }
-    count = whom(done.issued)
-    keys = "certificates only, the keys are destroyed" if terms.destroy else "for their owner only"
+    count = count_participants(done.issued)
+    keys = (
+        "certificates only, the keys are destroyed"
+        if terms.destroy
+        else "readable by their owner only"
+    )
     lines = [
-        f"generation {done.generation}: {_CAS[terms.scope]}, {count} issued anew",
+        f"generation {done.generation}: {_CAS[terms.scope]}, {count} reissued",
         f"generation {done.generation - 1} is in {done.archive} ({keys})",
         *(f"next: {step}" for step in _to_robots(plan)),
     ]
@@ -160,17 +176,17 @@ def _plan_value(plan: RolloverPlan) -> dict[str, Any]:
 
 def _plan_lines(plan: RolloverPlan) -> Iterator[str]:
     yield f"generation {plan.generation}: {_CAS[plan.scope]}, {_change(plan)}"
-    yield from ("", "`--apply` does, in one step that is done wholly or not at all:")
+    yield from ("", "`--apply` makes these changes, all or none:")
     yield from _numbered(_steps(plan))
-    yield from ("", "Then, by you:")
+    yield from ("", "Then you:")
     yield from _numbered(_to_robots(plan))
     yield from ("", "What breaks:")
     yield from (f"  - {text}" for text in _breaks(plan))
-    yield from ("", "Who can trust two generations for a while, and needs no switch:")
+    yield from ("", "Stacks that can trust two generations of CAs at the same time:")
     if plan.scope is not Scope.IDENTITY:
-        yield "  of permissions CAs nobody"
+        yield "  permissions CAs: none"
     if plan.scope is not Scope.PERMISSIONS:
-        yield "  of identity CAs, by way of `--overlap begin`:"
+        yield "  identity CAs, with `--overlap begin`:"
         yield from (f"  {row.stack}: {row.how or 'no'}" for row in TRUST)
 
 
@@ -188,19 +204,19 @@ def _steps(plan: RolloverPlan) -> Iterator[str]:
     after = plan.after
     second = f" and {after.alternative_key.name}" if after.alternative_key else ""
     if plan.scope is not Scope.PERMISSIONS:
-        yield f"make an identity CA ({after.identity_key.name}{second})"
+        yield f"create an identity CA ({after.identity_key.name}{second})"
     if plan.scope is not Scope.IDENTITY:
-        yield f"make a permissions CA ({after.permissions_key.name}{second})"
+        yield f"create a permissions CA ({after.permissions_key.name}{second})"
     if plan.keeping:
-        yield f"certify {whom(plan.keeping)} again, with the same keys"
+        yield f"reissue {count_participants(plan.keeping)} with the same keys"
     if plan.rekeyed:
-        yield f"issue {whom(plan.rekeyed)} anew, with new keys"
+        yield f"reissue {count_participants(plan.rekeyed)} with new keys"
     permissions = _printing.counted(plan.participants, "permissions document")
-    yield f"sign the governance and {permissions} anew"
+    yield f"sign the governance and {permissions} again"
     if plan.new_list:
-        yield "make a revocation list with nothing in it: nobody trusts what the old CA issued"
+        yield "issue an empty revocation list: certificates of the old CA are no longer trusted"
     for name, reason in plan.left_out.items():
-        yield f"leave {name} behind: {reason}"
+        yield f"do not reissue {name}: {reason}"
     if plan.destroy:
         yield f"destroy the old keys, and keep the old certificates in {plan.archive}"
     else:
@@ -208,30 +224,30 @@ def _steps(plan: RolloverPlan) -> Iterator[str]:
 
 
 def _to_robots(plan: RolloverPlan) -> Iterator[str]:
-    yield "bring every robot its enclave folder, with the files that its links show"
+    yield "copy to every robot its enclave folder, with the files that its links point to"
     yield "restart all participants of a domain together: stacks read the files when they start"
     if plan.left_out:
-        yield f"see to those left behind: {', '.join(plan.left_out)}"
+        yield f"reissue the participants that were left out: {', '.join(plan.left_out)}"
 
 
 def _breaks(plan: RolloverPlan) -> Iterator[str]:
     yield (
-        "Participants with old and with new files do not let each other in, from the first"
-        " robot that restarts with new files until the last."
+        "Participants with old files and participants with new files refuse each other, from the"
+        " first robot that restarts with new files until the last."
     )
-    yield "Participants that run go on until they restart; DDS has no way to tell them."
+    yield "Running participants continue until they restart; DDS cannot notify them."
     before, after = plan.before, plan.after
     if before.name != after.name:
         yield f"Profile {after.name} runs in {after.runs_in}."
     if before.runs_in_stock and not after.runs_in_stock:
-        yield "What still runs in a stock stack stops for good; it needs pqsec's plugin before."
+        yield "Participants in a stock stack stop working; install pqsec's plugin first."
         if not before.alternative_key:
             yield (
-                "Go by way of `--profile transition`: stock stacks run it, and you can bring"
-                " the plugin to one robot after the other."
+                "Change to `--profile transition` first: stock stacks run it, and you can install"
+                " the plugin on one robot after the other."
             )
     if plan.one_ca:
         yield (
             "Until it is done, one key is both CAs: any participant's key can sign permissions"
-            " that some stacks take (CVE-2023-24010)."
+            " that some stacks accept (CVE-2023-24010)."
         )

@@ -1,4 +1,4 @@
-"""pqsec sign-governance, pqsec sign-permissions: check a document, then sign it."""
+"""pqsec sign-governance and sign-permissions: check a document, then sign it."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,17 +23,17 @@ from pqsec_pki.problems import Problem
 
 def _options(command: _settings.Command) -> _settings.Command:
     for option in (
-        click.option("--force", is_flag=True, help="Replace the signed file if it is there."),
+        click.option("--force", is_flag=True, help="Replace an existing signed file."),
         click.option(
             "--embed-certificate",
             is_flag=True,
-            help="Put the signer's certificate in, even where the profile leaves it out.",
+            help="Include the signer's certificate, also if the profile does not.",
         ),
         click.option(
             "-o",
             "--output",
             type=_settings.FILE,
-            help="Where to write. [default: FILE with .p7s]",
+            help="Write to this file. [default: FILE with .p7s]",
         ),
         click.argument("file", type=_settings.FILE),
     ):
@@ -46,10 +46,10 @@ def _options(command: _settings.Command) -> _settings.Command:
 @_passphrases.option
 @_settings.command_options
 def sign_governance(file: Path, **choices: Any) -> None:
-    """Check a governance document against its schema and sign it.
+    """Check a governance document against its schema, and sign it.
 
-    The keystore's permissions CA signs. Nothing is written if FILE breaks the schema. From
-    a FILE.yaml it is rendered first.
+    The keystore's permissions CA signs it. Nothing is written if FILE is not valid. YAML is
+    converted to XML first.
     """
     _sign(Kind.GOVERNANCE, Governance.from_xml, file, **choices)
 
@@ -59,10 +59,10 @@ def sign_governance(file: Path, **choices: Any) -> None:
 @_passphrases.option
 @_settings.command_options
 def sign_permissions(file: Path, **choices: Any) -> None:
-    """Check a permissions document against its schema and sign it.
+    """Check a permissions document against its schema, and sign it.
 
-    The keystore's permissions CA signs. Nothing is written if FILE breaks the schema. From
-    a FILE.yaml it is rendered first.
+    The keystore's permissions CA signs it. Nothing is written if FILE is not valid. YAML is
+    converted to XML first.
     """
     _sign(Kind.PERMISSIONS, Permissions.from_xml, file, **choices)
 
@@ -83,10 +83,10 @@ def _sign(  # noqa: PLR0913 -- one for each option
             if file.suffix in {".yaml", ".yml"}:
                 document = _rendered(kind, document)
             check(document)
-        except MalformedError as error:  # no XML at all: that is a no, as in `validate`
+        except MalformedError as error:  # not XML: exit code 1, as in `validate`
             raise InvalidDocumentError([Problem(str(error))], hint=error.hint) from error
     goal = output or file.with_suffix(".p7s")
-    if not force:  # told before anyone types a passphrase
+    if not force:  # before the passphrase is asked for
         refuse_existing(goal)
     keystore = _settings.open_keystore(to_change=True)
     signed = sign_document(
@@ -99,16 +99,16 @@ def _sign(  # noqa: PLR0913 -- one for each option
         embed_certificate=embed_certificate,
         force=force,
     )
-    _tell_of_another(goal, document)
+    _note_other_xml(goal, document)
     _printing.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
 
 
-def _tell_of_another(goal: Path, document: bytes) -> None:
-    """Of the XML beside `goal`, if it is not what was signed: somebody may sign it next."""
+def _note_other_xml(goal: Path, document: bytes) -> None:
+    """Note that the XML file next to `goal` differs from what was signed."""
     beside = goal.with_suffix(".xml")
-    with suppress(FileError):  # it is signed all the same
+    with suppress(FileError):  # the document is already signed
         if beside != goal and exists(beside) and read(beside) != document:
-            _printing.note(f"{beside} says something else than what was signed into {goal.name}")
+            _printing.note(f"{beside} differs from the document that was signed into {goal.name}")
 
 
 def _rendered(kind: Kind, document: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""pqsec sign-request: requests to CAs that have no network, and their answers."""
+"""pqsec sign-request: requests to CAs on an offline machine, and their answers."""
 
 import hashlib
 from datetime import timedelta
@@ -16,31 +16,35 @@ from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import UsageError, VerificationError, located
 from pqsec_pki.keystore import ParticipantSpec
 
-_force = click.option("--force", is_flag=True, help="Replace what is there already.")
+_force = click.option("--force", is_flag=True, help="Replace existing files or participants.")
 
 
 @click.group("sign-request")
 @_settings.command_options
 def sign_request() -> None:
-    """Have requests signed by CAs on a machine without a network."""
+    """Sign requests with CAs on an offline machine."""
 
 
 @sign_request.command()
 @click.argument("requests", nargs=-1, required=True, type=_settings.FILE, metavar="CSR...")
 @click.option(
-    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+    "--domain",
+    "domains",
+    default="0",
+    show_default=True,
+    help="Allow these DDS domains: 0, or 0-3, or 0,5.",
 )
 @participant_options
-@click.option("-o", "--output", type=_settings.FILE, required=True, help="Where to write.")
+@click.option("-o", "--output", type=_settings.FILE, required=True, help="Write to this file.")
 @_force
 @_settings.command_options
 def export(
     requests: tuple[Path, ...], domains: str, output: Path, *, force: bool, **wanted: Any
 ) -> None:
-    """Write requests of robots, and what each shall be allowed, into one file.
+    """Write requests of robots, and the rights they need, into one file.
 
-    Needs no keystore. Compare the SHA-256 that is printed with what `sign-request sign`
-    prints.
+    A keystore is not needed. Compare the SHA-256 that is printed with the one that
+    `pqsec sign-request sign` prints.
     """
     found = _bundles.load_requests(requests)
     names = []
@@ -52,7 +56,7 @@ def export(
                 raise VerificationError(NAMELESS)
             names.append(name)
     if len(set(names)) < len(names):
-        raise UsageError("two requests have one name")
+        raise UsageError("two requests have the same name")
     specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
     data = SignRequest(tuple(found), tuple(specs)).to_bytes(now=_settings.now())
     _files.write(output, data, force=force)
@@ -63,18 +67,18 @@ def export(
 
 @sign_request.command("sign")
 @click.argument("file", type=_settings.FILE)
-@click.option("-o", "--output", type=_settings.FILE, help="Where the answer goes.")
-@click.option("--sha256", metavar="HASH", help="Refuse FILE if this is not its SHA-256.")
+@click.option("-o", "--output", type=_settings.FILE, help="Write the answer to this file.")
+@click.option("--sha256", metavar="HASH", help="Refuse FILE if its SHA-256 is different.")
 @click.option(
     "--allow-name",
     "patterns",
     multiple=True,
     metavar="PATTERN",
-    help="Refuse names that fit none of these, such as '/fleet/*'.",
+    help="Refuse names that do not match, for example '/fleet/*'; repeatable.",
 )
-@click.option("--show", is_flag=True, help="Tell what is asked for, and sign nothing.")
+@click.option("--show", is_flag=True, help="Show what is requested, and sign nothing.")
 @_force
-@click.option("--after-revocation", is_flag=True, help="Also those that were revoked.")
+@click.option("--after-revocation", is_flag=True, help="Also issue participants that were revoked.")
 @_bundles.compromised_option
 @_passphrases.option
 @_settings.command_options
@@ -90,10 +94,10 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     after_revocation: bool,
     compromised_keys: bool,
 ) -> None:
-    """Issue what a file of `sign-request export` asks for, and write the answer.
+    """Issue what a request file asks for, and write the answer.
 
-    For the machine with the CA keys. What was issued for this very file before is not
-    issued again: sign it as often as you like.
+    FILE is from `pqsec sign-request export`. Run this on the machine with the CA keys. What
+    was already issued for the same file is not issued again: you can repeat it.
     """
     keystore = _settings.open_keystore(to_change=not show)
     asked = _read(file)
@@ -105,7 +109,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
         _show(asked)
         return
     if output is None:
-        raise UsageError("say where to write the answer", hint="-o FILE, or only --show")
+        raise UsageError("no output file named", hint="use -o FILE, or --show to sign nothing")
     if not force:
         _files.refuse_existing(output)
     authorities = _passphrases.unlock(keystore, passphrase_file)
@@ -119,7 +123,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
         after_revocation=after_revocation,
         compromised_keys=compromised_keys,
     )
-    with _printing.advising("it is issued all the same: sign it again, with another -o"):
+    with _printing.with_hint("the certificates are issued: run it again with another -o"):
         _files.write(output, answer, force=force)
     names = [spec.name for spec in asked.specs]
     value = {"answer": str(output), "names": names, "request_sha256": asked.sha256}
@@ -133,14 +137,14 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     "file",
     type=_settings.FILE,
     required=True,
-    help="The file that was exported, which it must answer.",
+    help="Check that it answers this exported file.",
 )
 @click.option(
     "--ca-fingerprint",
     "fingerprints",
     multiple=True,
     metavar="ROLE:SHA256",
-    help="Of the CAs that the bundles must be of, each with its role.",
+    help="Check that the bundles are from these CAs; one option for each.",
 )
 @_bundles.folder_option
 @_force
@@ -153,9 +157,9 @@ def import_(
     *,
     force: bool,
 ) -> None:
-    """Check an answer, and write its bundles: one for each robot.
+    """Check an answer, and write one bundle for each robot.
 
-    Import it as often as you like: a bundle that is there already stays.
+    You can repeat it: existing bundles do not change.
     """
     asked = _read(file)
     data = _files.read(answer, limit=MAX_ARCHIVE)
@@ -173,7 +177,7 @@ def import_(
             {"name": each.name, "path": str(each.path), "already": each.already} for each in found
         ]
     }
-    words = {True: "  (was there)", False: ""}
+    words = {True: "  (already there)", False: ""}
     _printing.emit(value, [f"{each.name}  {each.path}{words[each.already]}" for each in found])
 
 
@@ -210,9 +214,9 @@ def _show(asked: SignRequest) -> None:
         )
         for spec in asked.specs
     ]
-    heads = ("participant", "domains", "publish", "subscribe", "by", "for")
+    headers = ("participant", "domains", "publish", "subscribe", "by", "for")
     policies = [line for spec in asked.specs for line in _policy(spec)]
-    _printing.emit(value, [*_printing.table(heads, rows), *policies, f"SHA-256 {asked.sha256}"])
+    _printing.emit(value, [*_printing.table(headers, rows), *policies, f"SHA-256 {asked.sha256}"])
 
 
 def _length(validity: timedelta) -> str:
@@ -221,12 +225,12 @@ def _length(validity: timedelta) -> str:
 
 
 def _topics(expressions: tuple[str, ...]) -> str:
-    """Whole: somebody decides by it."""
+    """The topics in full: the operator decides by them."""
     return " ".join(expressions) or "-"
 
 
 def _policy(spec: ParticipantSpec) -> list[str]:
-    """The lines of the permissions that a policy asks for, in place of the columns."""
+    """The lines of the permissions document, for requests with a policy."""
     if not spec.grants:
         return []
     document = Permissions(grants=spec.grants).to_xml().decode()

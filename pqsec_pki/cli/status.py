@@ -1,4 +1,4 @@
-"""pqsec status: what there is, how long it lasts, and what to do first."""
+"""pqsec status: show participants, their state and expiry."""
 
 from collections.abc import Iterator
 from datetime import timedelta
@@ -12,7 +12,7 @@ from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore, State, Status
 from pqsec_pki.keystore import status as status_of
 
-_HEADS = ("participant", "state", "until", "profile", "domains", "serial")
+_HEADERS = ("participant", "state", "until", "profile", "domains", "serial")
 _ROLES = {
     "identity-ca": "identity CA",
     "permissions-ca": "permissions CA",
@@ -27,25 +27,24 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 @click.option(
     "--due",
     type=_settings.Duration(),
-    help="Call due what ends within this time.  [default: less than a third of its life is left]",
+    help="Mark what expires within this time as due.  [default: a third of its life]",
 )
 @click.option(
     "--prometheus",
     type=_settings.FILE,
-    help="Write metrics there too, for the textfile collector; replaces its own older file.",
+    help="Also write metrics to this file, for the textfile collector; replaces older metrics.",
 )
 @_settings.command_options
 def status(due: timedelta | None, prometheus: Path | None) -> None:
-    """Show every participant, how long it lasts and its state, the most urgent first.
+    """Show each participant's state and expiry, the most urgent first.
 
-    All of it comes from the ledger: what was issued here. `pqsec check` looks at the
-    files.
+    The data comes from the ledger, not from the files: check those with `pqsec check`.
     """
     keystore = _settings.open_keystore()
     standing = status_of(keystore, now=_settings.now(), due=due)
     if prometheus:
         _write(prometheus, "".join(_metrics(standing)))
-    # Only if it is wanted: with thousands of participants it shows.
+    # Only with --json: it is slow for thousands of participants.
     value = _value(keystore, standing) if _settings.settings().json else None
     _printing.emit(value, _lines(keystore, standing))
 
@@ -60,7 +59,7 @@ def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
     if standing.participants:
         yield ""
         yield from _printing.table(
-            _HEADS,
+            _HEADERS,
             (
                 (
                     *(each.name, each.state, f"{each.not_after:%Y-%m-%d}"),
@@ -100,7 +99,7 @@ def _value(keystore: Keystore, standing: Status) -> dict[str, object]:
 
 
 def _metrics(standing: Status) -> Iterator[str]:
-    """Prometheus' text format, version 0.0.4."""
+    """The metrics in Prometheus' text format, version 0.0.4."""
     yield _FIRST_LINE
     yield "# TYPE pqsec_not_after_seconds gauge\n"
     every = [("participant", each.name, each.not_after) for each in standing.participants]
@@ -121,7 +120,9 @@ def _label(text: str) -> str:
 
 
 def _write(path: Path, metrics: str) -> None:
-    """Replace metrics by newer ones, and nothing else."""
+    """Write the metrics. ExistsError if `path` is another kind of file."""
     if is_there(path) and not read(path).startswith(_FIRST_LINE.encode()):
-        raise ExistsError(f"{path} is not a file of pqsec's metrics", hint="choose another place")
+        raise ExistsError(
+            f"{path} exists and is not a metrics file of pqsec", hint="choose another file"
+        )
     write(path, metrics.encode(), force=True)

@@ -1,4 +1,4 @@
-"""pqsec try: do these two meet in a real DDS stack?"""
+"""pqsec try: run two participants in a real DDS stack."""
 
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -29,17 +29,17 @@ from pqsec_pki.trial import (
 
 ROS2, PLUGGABLE = "ros2", "cyclonedds"
 TIMEOUT = 10.0
-_COUPLE = 2
+_PAIR = 2
 
 
 @click.command("try")
 @click.argument("stack", type=click.Choice([*STACKS, ROS2]), metavar="STACK")
 @click.argument("names", nargs=-1, metavar="A B")
-@click.option("--topic", help="A sends on this DDS topic. [default: one they may use together]")
+@click.option("--topic", help="Send on this DDS topic. [default: a topic that both may use]")
 @click.option(
     "--domain",
     type=click.IntRange(0, 230),
-    help="The domain they meet on. [default: the first that both may join]",
+    help="Run on this domain. [default: the first domain that both may join]",
 )
 @click.option(
     "--timeout",
@@ -47,45 +47,41 @@ _COUPLE = 2
     default=TIMEOUT,
     show_default=True,
     metavar="SECONDS",
-    help="How long to wait for the sample.",
+    help="Wait this long for the sample.",
 )
 @click.option(
-    "--password-file", type=_settings.FILE, help="Whose first line opens the participants' keys."
+    "--password-file",
+    type=_settings.FILE,
+    help="Read the passphrase of the participants' keys from the first line of this file.",
 )
 @click.option(
     "--root",
     type=_settings.FOLDER,
     default=MACHINE,
     metavar="DIR",
-    help="Use the stack in this root file system. [default: the one that is installed]",
+    help="Use the stack in this root file system. [default: the installed one]",
 )
-@click.option("--plugin", is_flag=True, help="Run pqsec's plugin in Cyclone DDS.")
+@click.option("--plugin", is_flag=True, help="Use pqsec's plugin in Cyclone DDS.")
 @click.option(
     "--stock",
     multiple=True,
     metavar="NAME",
-    help="With --plugin: this participant runs Cyclone DDS's own all the same.",
+    help="With --plugin: run this participant with Cyclone DDS's own plugin.",
 )
-@click.option("--anyway", is_flag=True, help="Try also what the stack is known to refuse.")
+@click.option("--anyway", is_flag=True, help="Run also what the stack is known to refuse.")
 @click.option(
-    "--dry-run", is_flag=True, help="For ros2: check what it would need, and run nothing."
+    "--dry-run", is_flag=True, help="With ros2: check what a node needs, and run nothing."
 )
 @_settings.command_options
 def try_(stack: str, names: tuple[str, ...], *, dry_run: bool, **given: Any) -> int:
-    """Let two participants meet in a real DDS stack on this machine.
+    """Run two participants in a real DDS stack on this machine.
 
-    STACK is cyclonedds or fastdds, and is installed with its headers and a compiler: the
-    first time, a small program is compiled. A and B run as processes on a loopback, and one
-    sends the other a sample; a third one, without credentials, must get nothing. The exit
-    code is 0 if both is so, and 1 if not. With --plugin they run pqsec's plugin, for
-    post-quantum keys, with an agent of their own. ROS 2 is not run: ros2 takes --dry-run
-    only, and any number of participants.
-
-    \b
-    pqsec try cyclonedds /talker /listener
-    pqsec try cyclonedds --plugin /talker /listener
-    pqsec try fastdds /talker /listener --topic rt/chatter
-    pqsec try ros2 --dry-run /talker
+    STACK is cyclonedds, fastdds or ros2. The stack must be installed with its headers and a
+    C compiler: a small program is compiled the first time. A and B run as processes on a
+    loopback network, and A sends a sample to B. A third process without credentials must
+    not receive it. With --plugin they use pqsec's plugin, for post-quantum keys, with an
+    agent of their own. ROS 2 is not run: ros2 needs --dry-run, and accepts any number of
+    participants.
     """
     if dry_run is not (stack == ROS2):
         raise UsageError(
@@ -101,15 +97,15 @@ def try_(stack: str, names: tuple[str, ...], *, dry_run: bool, **given: Any) -> 
 
 
 def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
-    if len(names) != _COUPLE:
+    if len(names) != _PAIR:
         raise UsageError(
-            f"two participants are to meet, and here are {len(names)}",
+            f"two participants are needed, but {len(names)} are named",
             hint=f"name two, as in `pqsec try {stack} /talker /listener`",
         )
     keystore, now = _settings.open_keystore(), _settings.now()
     if not given["anyway"]:
         refuse_untrusted(keystore, names, now)
-    way = _way(keystore, names, now, topic=given["topic"], domain=given["domain"])
+    route = _route(keystore, names, now, topic=given["topic"], domain=given["domain"])
     trial = Trial(
         installation=find(stack, given["root"]),
         keystore=keystore,
@@ -120,7 +116,7 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
         now=now,
     )
     with plugin() if given["plugin"] else nullcontext() as ours:
-        report = run_trial(replace(trial, plugin=ours), way)
+        report = run_trial(replace(trial, plugin=ours), route)
     for warning in report.warnings:
         _printing.note(warning)
     _printing.emit(_as_json(report), _lines(report))
@@ -128,22 +124,22 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
 
 
 def _refuse_plugin(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> None:
-    """UsageError where it makes no sense."""
+    """UsageError if --plugin or --stock do not fit the other options."""
     if given["plugin"] and stack != PLUGGABLE:
         raise UsageError(
             f"--plugin is not for {stack}",
-            hint="--dry-run looks for it as ROS 2 would, in LD_LIBRARY_PATH"
+            hint="--dry-run searches for it in LD_LIBRARY_PATH, as ROS 2 does"
             if stack == ROS2
             else f"it is for {PLUGGABLE}",
         )
-    if strange := [each for each in given["stock"] if each not in names or not given["plugin"]]:
+    if unknown := [each for each in given["stock"] if each not in names or not given["plugin"]]:
         raise UsageError(
-            f"--stock {shown(strange[0])} makes no sense",
-            hint="with --plugin, it is for one of the two participants, named as there",
+            f"--stock {shown(unknown[0])} is not one of the participants, or --plugin is missing",
+            hint="use it with --plugin, and with a name exactly as given",
         )
 
 
-def _way(
+def _route(
     keystore: Keystore,
     names: tuple[str, ...],
     now: datetime,
@@ -151,7 +147,7 @@ def _way(
     topic: str | None,
     domain: int | None,
 ) -> TopicRoute:
-    """Who sends to whom, on what and where, with what the user left out found."""
+    """The sender, receiver, topic and domain; finds a topic and domain if none is given."""
     first, second = names
     for name in names:
         keystore.refuse_unknown(name)
@@ -162,7 +158,7 @@ def _way(
     if topic is None:
         return topic_route(keystore, (first, second), domain, now)
     if not topic:
-        raise UsageError("a topic has a name", hint="leave --topic out, and one is found")
+        raise UsageError("the topic is empty", hint="omit --topic to use a topic that both may use")
     return TopicRoute(sender=first, receiver=second, domain=domain, topic=topic)
 
 
@@ -190,25 +186,25 @@ def _as_json(report: Report) -> dict[str, Any]:
 
 
 def _lines(report: Report) -> Iterator[str]:
-    way, sender, receiver = report.topic_route, report.sender.role.name, report.receiver.role.name
+    route, sender, receiver = report.topic_route, report.sender.role.name, report.receiver.role.name
     yield (
-        f"{report.installation.title}{_plugged(report)}, domain {way.domain}: {sender} sends on"
-        f" {shown(way.topic)}, {receiver} receives"
+        f"{report.installation.title}{_plugged(report)}, domain {route.domain}: {sender} sends on"
+        f" {shown(route.topic)}, {receiver} receives"
     )
     seconds = f"{report.trial_run.seconds:.1f} s"
     if report.accepted:
         yield f"ok    sample    arrived after {seconds}"
     else:
-        yield f"FAIL  sample    did not arrive, and it was over after {seconds}"
+        yield f"FAIL  sample    did not arrive; stopped after {seconds}"
     yield from _why(report)
     yield from _unauthenticated(report)
     yield from _wire(report)
     if not report.trial_run.alone:
-        yield "      network   that of this machine: others on the domain may have taken part"
+        yield "      network   of this machine: others on the domain may have taken part"
 
 
 def _plugged(report: Report) -> str:
-    """Who runs pqsec's plugin, in words."""
+    """Which participants use pqsec's plugin, as text."""
     both = {report.sender.role.name, report.receiver.role.name} <= set(report.plugged)
     who = "" if both else f" in {', '.join(report.plugged)}"
     return f" with pqsec's plugin{who}" if report.plugged else ""
@@ -224,12 +220,12 @@ def _why(report: Report) -> Iterator[str]:
 
 def _unauthenticated(report: Report) -> Iterator[str]:
     if report.unauthenticated_heard is None:
-        why = "not put to the test" if not report.accepted else "did not come up"
+        why = "not tested" if not report.accepted else "did not start"
         yield f"{'FAIL' if report.accepted else '    '}  outsider  {UNAUTHENTICATED}: {why}"
     elif report.unauthenticated_heard:
-        yield f"FAIL  outsider  {UNAUTHENTICATED} got the sample: `pqsec explain` shows why"
+        yield f"FAIL  outsider  {UNAUTHENTICATED} received the sample: `pqsec explain` shows why"
     else:
-        yield f"ok    outsider  {UNAUTHENTICATED} got nothing"
+        yield f"ok    outsider  {UNAUTHENTICATED} received nothing"
 
 
 def _wire(report: Report) -> Iterator[str]:

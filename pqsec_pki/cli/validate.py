@@ -1,4 +1,4 @@
-"""pqsec validate: do documents keep to their schemas?"""
+"""pqsec validate: check documents against their schemas."""
 
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from pqsec_pki.smime import document_in, is_signed
 def validate(files: tuple[Path, ...]) -> None:
     """Check governance and permissions documents against their schemas.
 
-    FILE is XML, or a signed file with XML inside; which of the two documents it is, is
-    found out. Signatures are not looked at: that is `pqsec verify`.
+    FILE is XML, or a signed file with XML inside. The kind of document is detected.
+    Signatures are not checked: use `pqsec verify`.
     """
     results = [_validated(file) for file in files]
     lines = []

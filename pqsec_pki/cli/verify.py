@@ -1,4 +1,4 @@
-"""pqsec verify: who signed this document?"""
+"""pqsec verify: check the signatures of a document."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,27 +24,26 @@ from pqsec_pki.smime import Require, Verified
 @click.option(
     "--ca",
     type=_settings.FILE,
-    help="The permissions CA's certificate. [default: the keystore's]",
+    help="Trust this permissions CA certificate. [default: the keystore's]",
 )
 @click.option(
     "--alt-ca",
     type=_settings.FILE,
-    help="The countersigner's certificate. [default: *.alt.cert.pem beside the CA's]",
+    help="Trust this countersigner certificate. [default: *.alt.cert.pem next to the CA's]",
 )
 @click.option(
     "--require",
     type=click.Choice([each.value for each in Require]),
-    help="Refuse a file without such a signature. [default: what the keystore's CAs"
-    " promise; both with --alt-ca; any with --ca]",
+    help="Refuse a file without this kind of signature. [default: as the keystore's CAs sign;"
+    " both with --alt-ca; any with --ca]",
 )
 @_settings.command_options
 def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
     """Check who signed a governance or permissions document.
 
     The permissions CA itself must be the signer; certificates inside the file are not
-    trusted. A post-quantum countersignature is checked if it is there. It can be
-    stripped without a trace, so with --ca say --require both (or pq) where you expect
-    one.
+    trusted. A post-quantum countersignature is checked if there is one. It can be removed
+    without a trace: with --ca, use --require both (or pq) if you expect one.
     """
     if ca is None:
         keystore = _settings.open_keystore()
@@ -53,7 +52,7 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             anchors = replace(anchors, countersigner=_certificate(alt_ca))
         demanded = Require(require) if require else None
     else:
-        # Who names a countersigner expects its signature.
+        # --alt-ca means that a countersignature is expected.
         demanded = Require(require) if require else None if alt_ca else Require.ANY
         alt_ca = alt_ca or _beside(ca)
         anchors = TrustAnchors(
@@ -61,7 +60,7 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             permissions_ca=_certificate(ca),
             countersigner=_certificate(alt_ca) if alt_ca else None,
         )
-        _tell_of_version_1(anchors.permissions_ca, ca)
+        _note_version_1(anchors.permissions_ca, ca)
     message = read(file)
     try:
         _refuse_signers(anchors, {PERMISSIONS_CA: ca, PERMISSIONS_ALT_CA: alt_ca or _second(ca)})
@@ -72,11 +71,11 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             problems = [str(each) for each in error.problems]
             _printing.emit({"ok": False, "file": str(file), "problems": problems}, [])
         raise
-    _tell(file, verified, anchors)
+    _print_signatures(file, verified, anchors)
 
 
 def _beside(ca: Path) -> Path | None:
-    """The countersigner's certificate, where a keystore has it."""
+    """The path of the countersigner's certificate next to `ca`, if it exists."""
     beside = _second(ca)
     return beside if beside != ca and is_there(beside) else None
 
@@ -89,17 +88,17 @@ def _certificate(path: Path) -> Certificate:
     return only_certificate(read(path), str(path))
 
 
-def _tell_of_version_1(certificate: Certificate, path: Path) -> None:
-    """A trust anchor is a name and a key (RFC 5280 6.1.1 (d)): it need not say what it is."""
+def _note_version_1(certificate: Certificate, path: Path) -> None:
+    """Note a version 1 CA. A trust anchor is a name and a key only (RFC 5280 6.1.1 (d))."""
     if certificate.version == 1:
         _printing.note(
-            f"{path} is a certificate of version 1, which does not say whether it is a CA's:"
-            " it is trusted because you name it"
+            f"{path} is a version 1 certificate, which does not state whether it is a CA: it is"
+            " trusted because you named it"
         )
 
 
 def _refuse_signers(anchors: TrustAnchors, paths: dict[str, Path]) -> None:
-    """VerificationError, naming the files, if no document should be signed by these CAs."""
+    """VerificationError, with the files, if these CAs may not sign documents."""
     problems = [
         replace(each, subject=str(paths.get(each.subject, each.subject)))
         for each in anchors.signer_problems(_settings.now())
@@ -109,14 +108,14 @@ def _refuse_signers(anchors: TrustAnchors, paths: dict[str, Path]) -> None:
 
 
 def _kind(document: bytes) -> str | None:
-    """governance or permissions; None where the document is neither, or broken."""
+    """governance or permissions; None if the document is neither or not valid."""
     try:
         return validate(document).value
     except PqsecError:
         return None
 
 
-def _tell(file: Path, verified: Verified, anchors: TrustAnchors) -> None:
+def _print_signatures(file: Path, verified: Verified, anchors: TrustAnchors) -> None:
     found = [
         {
             "algorithm": each.algorithm.name,
@@ -133,7 +132,7 @@ def _tell(file: Path, verified: Verified, anchors: TrustAnchors) -> None:
         lines.append(f"  good {kind}: {each['algorithm']} ({each['family']}){when}")
     countersigned = any(each.countersignature for each in verified.signatures)
     if anchors.countersigner and not countersigned:
-        _printing.note("there is no countersignature: it was never made, or it was stripped")
+        _printing.note("there is no countersignature: it was never made, or it was removed")
     if verified.unchecked:
         _printing.note("a countersignature was not checked: name its certificate with --alt-ca")
     value = {

@@ -1,4 +1,4 @@
-"""pqsec who-may: who may publish and subscribe to what?"""
+"""pqsec who-may: show which participants may publish and subscribe to each topic."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -26,14 +26,14 @@ from pqsec_pki.errors import UsageError, meant
 
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 _MOST = 6
-"""Names in a cell of the table for a terminal."""
+"""The most names in a cell of the text table."""
 _PATTERN = re.compile(r"[*?\[]")
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
 
 
 @dataclass(frozen=True, slots=True)
 class _Question:
-    """Where, when, and as who reads the documents."""
+    """The domains, the time, and the interpretation of the documents."""
 
     domains: DomainSet | None
     now: datetime
@@ -42,10 +42,11 @@ class _Question:
     def rows(
         self, fleet: Fleet, topics: tuple[str, ...], asked: dict[str, str | None]
     ) -> list[Placed]:
-        """On all domains, if none is named."""
+        """The rows for `topics`, on all domains if none is named."""
         if self.domains and (ungoverned := domains_ungoverned(fleet.governance, self.domains)):
             _printing.note(
-                f"the governance does not name {domains_said(ungoverned)}: nobody can join there"
+                f"the governance does not name {domains_said(ungoverned)}: no participant can join"
+                " it"
             )
         found = who_may_anywhere(
             fleet.governance,
@@ -65,22 +66,24 @@ class _Question:
     "--topic",
     "topics",
     multiple=True,
-    help="Only this DDS topic, or all that this pattern matches.",
+    help="Show only this DDS topic, or the topics that this pattern matches.",
 )
 @click.option(
-    "--ros-topic", "ros_topics", multiple=True, help="Only this ROS 2 topic: /chatter, or /cmd*."
+    "--ros-topic", "ros_topics", multiple=True, help="Show only this ROS 2 topic or pattern."
 )
 @click.option(
-    "--domain", "domains", help="On these DDS domains: 0, or 0-3, or 0,5.  [default: on all]"
+    "--domain", "domains", help="Show these DDS domains: 0, or 0-3, or 0,5.  [default: all]"
 )
-@click.option("--governance", type=_settings.FILE, help="With PATHs: the governance document.")
+@click.option(
+    "--governance", type=_settings.FILE, help="With PATHs: read this governance document."
+)
 @click.option(
     "--as",
     "stack",
     type=click.Choice([each.name for each in INTERPRETATIONS]),
     default="spec",
     show_default=True,
-    help="As this stack reads the documents.",
+    help="Answer as this stack interprets the documents.",
 )
 @click.option(
     "--format",
@@ -88,6 +91,7 @@ class _Question:
     type=click.Choice(["table", "json", "dot", "md"]),
     default="table",
     show_default=True,
+    help="Print in this format.",
 )
 @_settings.command_options
 def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
@@ -99,11 +103,11 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     stack: str,
     form: str,
 ) -> None:
-    """Tell who may publish and subscribe to what.
+    """Show which participants may publish and subscribe to each topic.
 
-    Of the keystore, or of PATHs: a keystore, permissions documents (.p7s, .xml, .yaml), or
-    folders of them. Without --topic, of all topics that rules name; without --domain, on
-    all domains.
+    PATH is a keystore, a permissions document (.p7s, .xml, .yaml), or a folder with
+    permissions documents; without it, the keystore of -k. Without --topic, all topics in
+    the rules are shown.
     """
     now = _settings.now()
     where = None if domains is None else DomainSet.parse(domains)
@@ -113,7 +117,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _printing.note(f"{plain(name)} is left out: {plain(reason)}")
     wanted = (*topics, *map(_ros_topic, ros_topics))
     if "" in wanted:
-        raise UsageError("a topic has a name")
+        raise UsageError("the topic is empty")
     near = _unknown(fleet, wanted)
     for topic, instead in near.items():
         _printing.note(f"no rule names {plain(topic)}{'; ' if instead else ''}{instead}")
@@ -125,25 +129,25 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 
 
 def _rows(fleet: Fleet, wanted: tuple[str, ...], question: _Question) -> list[Placed]:
-    """Of all topics that rules name, if none is `wanted`."""
+    """The rows for the topics `wanted`, or for all topics in the rules."""
     named = topics_named(fleet.members)
     asked = topics_asked(fleet.members, wanted) if wanted else dict[str, str | None]()
     rows = question.rows(fleet, tuple(asked) if wanted else named, asked)
-    # A pattern stands there itself for what it covers beside all that it lists.
+    # A pattern has its own row for topics that it matches and no rule names.
     beside = {topic for topic in wanted if _PATTERN.search(topic)}.difference(named)
     used = [each for each in rows if each.is_used or each.row.topic not in beside]
     return used or rows
 
 
 def _ros_topic(name: str) -> str:
-    """The DDS topic; of a pattern, the pattern of theirs."""
+    """The DDS topic of a ROS 2 name, or the DDS pattern of a ROS 2 pattern."""
     if name.startswith("/") and _PATTERN.search(name):
         return f"rt{name}"
     return ros.topic(name)
 
 
 def _unknown(fleet: Fleet, wanted: tuple[str, ...]) -> dict[str, str]:
-    """The topics and patterns that no rule names or covers, each with what may be meant."""
+    """Topics and patterns that no rule names or matches -> similar names as a text."""
     named = topics_named(fleet.members) if wanted else ()
     unknown = (topic for topic in wanted if topic not in named and not is_known(topic, named))
     return {topic: meant(topic, named) for topic in unknown}
@@ -181,12 +185,12 @@ def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
         more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
         return ", ".join(map(plain, names[:_MOST])) + more or "-"
 
-    heads = ("topic", "domain", "may publish", "may subscribe")
+    headers = ("topic", "domain", "may publish", "may subscribe")
     cells = (
         (_topic(each.row), str(each.domains), cell(each.row.publishers), cell(each.row.subscribers))
         for each in rows
     )
-    yield from _printing.table(heads, cells)
+    yield from _printing.table(headers, cells)
 
 
 def _topic(row: Row) -> str:
@@ -207,7 +211,7 @@ def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:
 
 
 def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
-    """Publishers -> topic -> subscribers; names stand in labels only."""
+    """A graph from publishers to topics to subscribers. Names are only in labels."""
     used = (name for each in rows for name in (*each.row.publishers, *each.row.subscribers))
     nodes = {name: f"p{number}" for number, name in enumerate(dict.fromkeys(used))}
     yield "digraph who_may {"
@@ -223,7 +227,7 @@ def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
 
 
 def _label(text: str) -> str:
-    """A quoted string of dot, in which `\\` and `&` begin escapes."""
+    """A quoted string of the dot language; escapes `\\`, `&` and quotes."""
     for special, escaped in (("&", "&amp;"), ("\\", "\\\\"), ('"', '\\"')):
         text = text.replace(special, escaped)
     return f'"{text}"'

@@ -420,7 +420,7 @@ def test_keystore_and_json_are_taken_anywhere(pqsec, keystore, line):
 
 def test_no_keystore_named_is_said_with_the_ways_to_name_one(pqsec, tmp_path):
     for line in ("ca init --no-passphrase", "ca show", "issue /a", "verify-handshake a b"):
-        pqsec(line).refused(2, "no keystore is named", hint="-k DIR, or set PQSEC_KEYSTORE")
+        pqsec(line).refused(2, "no keystore named", hint="-k DIR, or set PQSEC_KEYSTORE")
     assert list(tmp_path.iterdir()) == []
 
 

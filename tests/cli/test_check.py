@@ -61,7 +61,7 @@ def test_the_keystore_is_meant_where_no_path_is_named_and_nothing_is_written(
     assert one == pqsec("check k").done().out
     assert "files checked: " in one
     assert snapshot(tmp_path) == before
-    pqsec("check").refused(2, "no keystore is named")
+    pqsec("check").refused(2, "no keystore named")
 
 
 def test_a_finding_is_told_with_file_line_severity_and_rule(pqsec, flawed):

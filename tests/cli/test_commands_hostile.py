@@ -51,7 +51,7 @@ COMPANY = {
 """Words without which a command would not get as far as the file that is tried."""
 ALONE = {"bundle --robot", "issue --csr"}
 """Options that stand for names."""
-DONE = ("all the same", "the list is there")
+DONE = ("succeeded", "is issued", "are issued")
 """What a hint says where only the file in which the result goes could not be written."""
 
 

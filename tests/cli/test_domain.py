@@ -51,7 +51,7 @@ def test_plan_tells_and_changes_nothing(pqsec, domain, tmp_path):
         "create the CAs       (there is no keystore)",
         "sign the governance  (there is no keystore)",
         "issue                /r1, /r2, /r3  (new)",
-        "5 changes; 0 participants are as they should be",
+        "5 changes; 0 participants are up to date",
     ]
     assert not (tmp_path / "k").exists()
 
@@ -66,7 +66,7 @@ def test_apply_does_it_and_then_there_is_nothing_to_do(pqsec, domain):
     assert "not encrypted" in done.err
     for line in ("plan", "apply --check", "apply"):
         told = pqsec(f"-k k {line}").done()
-        assert told.out == "no changes; 3 participants are as they should be\n"
+        assert told.out == "no changes; 3 participants are up to date\n"
     pqsec("-k k verify-handshake /r1 /r2").done()
 
 
@@ -105,7 +105,7 @@ def test_prune_revokes_and_says_so(pqsec, applied, change):
     done = pqsec("-k k apply --prune --yes --json").done()
     assert done.json["done"] is True
     assert [(each["action"], each["name"]) for each in done.json["steps"]] == [("revoke", "/r3")]
-    assert "a new revocation list: give it to every robot" in done.err
+    assert "a new revocation list: copy it to every robot" in done.err
     pqsec("-k k plan --prune").done()
     assert pqsec("-k k verify-handshake /r1 /r3").code == 1
 
@@ -119,7 +119,7 @@ def test_who_was_revoked_keeps_the_answer_at_no(pqsec, applied):
     shutil.rmtree(applied.parent / "k/enclaves/r1")
     told = pqsec("-k k apply --yes")
     assert (told.code, told.out) == (1, "issue: 1\n")
-    assert "note: /r2 was revoked: that stays so" in told.err
+    assert "note: /r2 was revoked: not changed" in told.err
 
 
 def test_who_has_its_key_elsewhere_is_given_no_other(pqsec, applied, tmp_path):
@@ -170,14 +170,14 @@ def test_who_cannot_be_done_is_told_last(pqsec, applied, change):
     told = pqsec("-k k apply --yes")
     assert told.code == 3
     assert told.out == ""
-    assert "note: 2 of 3 changes are done; apply again does the rest" in told.err
+    assert "note: 2 of 3 changes are made; run apply again to make the rest" in told.err
     assert "error: k/enclaves/r2/permissions.p7s: k/enclaves/r2/permissions.xml is not" in told.err
     assert "renew  /r2  (ends)" in pqsec("-k k plan").out
 
 
 def test_what_is_not_there_could_not_be_done(pqsec, domain, tmp_path):
     pqsec("-k k plan nowhere.yaml").refused(3, "nowhere.yaml")
-    pqsec("plan").refused(2, "no keystore is named")
+    pqsec("plan").refused(2, "no keystore named")
     (tmp_path / "k/private").mkdir(parents=True)
     pqsec("-k k plan").refused(3, "k is not a pqsec keystore")
 
@@ -185,7 +185,7 @@ def test_what_is_not_there_could_not_be_done(pqsec, domain, tmp_path):
 def test_domains_that_the_governance_does_not_name_are_noted(pqsec, domain, change):
     change("role: robot}", "role: robot, domains: 0-5}")
     change("name: Lab", "name: Lab\ngovernance: {domains: 0-3}")
-    assert "note: the governance does not name domain 4, 5: nobody can join there" in (
+    assert "note: the governance does not name domain 4, 5: no participant can join it" in (
         pqsec("-k k plan").err
     )
 
@@ -193,7 +193,7 @@ def test_domains_that_the_governance_does_not_name_are_noted(pqsec, domain, chan
 def test_a_bar_shows_how_far_it_is_on_a_terminal(domain, tmp_path):
     said = on_a_terminal(tmp_path, "-k", "k", "apply", "--no-passphrase", answer=b"y\n")
     assert "issue                /r1, /r2, /r3  (new)" in said
-    assert "Do this? [y/N]" in said
+    assert "Make these changes? [y/N]" in said
     assert "100%" in said
     assert (tmp_path / "k/enclaves/r3/cert.pem").exists()
 
@@ -240,7 +240,7 @@ def robots(pqsec, domain, change, tmp_path):
 def test_a_robot_that_asks_is_answered_with_a_bundle_that_it_installs(pqsec, robots, tmp_path):
     told = pqsec("-k k apply --yes --no-passphrase --bundles out")
     assert told.code == 1
-    assert "note: /r3 has sent no request (new): that stays so" in told.err
+    assert "note: /r3 has sent no request (new): not changed" in told.err
     assert not (tmp_path / "out").exists()
     robots()
     told = pqsec("-k k apply --yes --bundles out").done()
@@ -259,7 +259,7 @@ def test_a_bundle_that_cannot_be_written_is_the_next_applys(pqsec, robots, tmp_p
     (tmp_path / "out/r3.bundle").write_text("a note of mine")
     told = pqsec("-k k apply --yes --no-passphrase --bundles out")
     assert told.code == 3
-    assert "note: all 5 changes are done; apply again writes the bundles" in told.err
+    assert "note: all 5 changes are made; run apply again to write the bundles" in told.err
     assert "error: out/r3.bundle exists and is not a bundle for /r3" in told.err
     (tmp_path / "out/r3.bundle").unlink()
     assert pqsec("-k k apply --bundles out").done().out == "bundles: 1\n"
@@ -268,7 +268,10 @@ def test_a_bundle_that_cannot_be_written_is_the_next_applys(pqsec, robots, tmp_p
 def test_without_a_folder_for_bundles_it_is_told_who_waits_for_one(pqsec, robots):
     robots()
     told = pqsec("-k k apply --yes --no-passphrase").done()
-    assert "note: their keys are on their robots: /r3; --bundles DIR, or `pqsec bundle`" in told.err
+    assert (
+        "note: the keys of these are on their robots: /r3; write their bundles with --bundles DIR"
+        in told.err
+    )
 
 
 def test_another_key_is_certified_only_if_that_is_said(pqsec, robots):
@@ -288,7 +291,7 @@ def test_another_key_is_certified_only_if_that_is_said(pqsec, robots):
 
 
 def test_a_check_writes_no_bundles(pqsec, applied):
-    pqsec("-k k apply --check --bundles out").refused(2, "--check changes nothing")
+    pqsec("-k k apply --check --bundles out").refused(2, "--check and --bundles")
 
 
 def test_bundles_are_written_although_somebody_could_not_be_done(pqsec, robots, change, tmp_path):
@@ -317,5 +320,5 @@ def test_a_list_that_was_cut_short_does_not_take_back_a_fleet(pqsec, applied, ch
 
 
 def test_json_asks_nobody(pqsec, domain, tmp_path):
-    pqsec("-k k apply --json").refused(2, "--json asks nobody", hint="--yes")
+    pqsec("-k k apply --json").refused(2, "--json does not ask", hint="--yes")
     assert not (tmp_path / "k").exists()

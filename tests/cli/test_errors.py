@@ -258,7 +258,7 @@ def test_a_full_disk_below_the_result_is_an_error(tmp_path, option):
     assert process.returncode == 3
     assert err == (
         "pqsec: error: the result cannot be printed: no space left on device\n"
-        "pqsec: hint: what was asked for is done all the same\n"
+        "pqsec: hint: the command itself succeeded\n"
     )
 
 
@@ -303,7 +303,7 @@ def test_a_folder_that_is_gone_is_told(tmp_path):
     )
     assert done.returncode == 3
     assert done.stdout == ""
-    assert done.stderr.startswith("pqsec: error: the folder in which this shell is")
+    assert done.stderr.startswith("pqsec: error: the current folder")
 
 
 def test_what_is_made_can_be_read_whatever_the_umask(pqsec, tmp_path):

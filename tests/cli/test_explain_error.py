@@ -28,13 +28,13 @@ def test_lines_are_short_and_no_command_is_broken(pqsec):
 def test_an_unknown_message_ends_with_1_and_what_is_near(pqsec):
     result = pqsec("explain-error the subject name is wrong")
     assert (result.code, result.err) == (1, "")
-    assert result.out.startswith("No message of a stack that is known is in it.\nNearest:\n")
+    assert result.out.startswith("The text does not contain a known message.\nSimilar messages:\n")
     assert f"  Cyclone DDS, code 146: {SUBJECT}\n" in result.out
 
 
 def test_an_unknown_message_without_anything_near(pqsec):
     result = pqsec("explain-error zebra")
-    assert (result.code, result.out) == (1, "No message of a stack that is known is in it.\n")
+    assert (result.code, result.out) == (1, "The text does not contain a known message.\n")
 
 
 def test_another_stack_does_not_say_it(pqsec):
@@ -115,7 +115,7 @@ def test_a_log_that_is_too_long_is_refused():
 
 @pytest.mark.parametrize(
     ("redirection", "code", "words"),
-    [("<&-", 2, "no message is given"), ("0> /dev/null", 3, "cannot be read: bad file")],
+    [("<&-", 2, "no message given"), ("0> /dev/null", 3, "cannot be read: bad file")],
     ids=["closed", "not for reading"],
 )
 def test_a_standard_input_that_is_none_is_refused(redirection, code, words):
@@ -135,11 +135,11 @@ def test_a_standard_input_that_is_none_is_refused(redirection, code, words):
 
 @pytest.mark.parametrize("line", ["explain-error", "explain-error ''", "explain-error -"])
 def test_no_message_is_no_use(pqsec, line):
-    pqsec(line).refused(2, "no message is given", hint="standard input")
+    pqsec(line).refused(2, "no message given", hint="standard input")
 
 
 def test_the_list_takes_no_text(pqsec):
-    pqsec("explain-error --list 146").refused(2, "--list takes no text")
+    pqsec("explain-error --list 146").refused(2, "--list and TEXT exclude each other")
 
 
 def test_an_unknown_stack_is_refused(pqsec):

@@ -183,7 +183,7 @@ def test_a_key_agreement_that_breaks_a_promise_is_tried_and_noted(
 
 def broken(profile, promise):
     combination = f"this combination breaks what profile {profile} promises: {promise}"
-    return f"pqsec: note: {combination}; trying it all the same\n"
+    return f"pqsec: note: {combination}; the handshake runs anyway\n"
 
 
 def test_an_unknown_key_agreement_is_refused_with_those_there_are(pqsec, keystore):
@@ -619,7 +619,7 @@ def test_all_pairs_tell_who_shares_no_topic_and_which_way(pqsec, fleet):
     assert rows["/ear"] == ["-", "-", "-", "met", "-"]
     assert rows["/one"] == ["-", "-", "-", "-", "ok"]
     assert "1 without a common topic" in said
-    assert "met: they meet, but " in said
+    assert "met: it succeeds, but " in said
     found = pqsec("-k k verify-handshake --all --json").done().json
     assert found["totals"]["no_common_topic"] == 1
     talks = {tuple(each["pair"]): each["topic_flows"] for each in found["pairs"]}

@@ -33,13 +33,13 @@ LAST = re.compile(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("", "a handshake is between two participants, and here are 0"),
-        ("/talker", "a handshake is between two participants, and here are 1"),
-        ("/a /b /c", "a handshake is between two participants, and here are 3"),
-        ("--trace -", "a handshake is between two participants, and here are 0"),
-        ("--attack all /a", "a handshake is between two participants, and here are 1"),
-        ("/talker --all", "--all takes no participants, and here are 1"),
-        ("/talker /listener --matrix", "--matrix takes no participants, and here are 2"),
+        ("", "a handshake needs two participants, but 0 are named"),
+        ("/talker", "a handshake needs two participants, but 1 are named"),
+        ("/a /b /c", "a handshake needs two participants, but 3 are named"),
+        ("--trace -", "a handshake needs two participants, but 0 are named"),
+        ("--attack all /a", "a handshake needs two participants, but 1 are named"),
+        ("/talker --all", "--all takes no participants, but 1 are named"),
+        ("/talker /listener --matrix", "--matrix takes no participants, but 2 are named"),
         ("--all --matrix", "--all and --matrix exclude each other"),
         ("/a /b --trace t --attack all", "--trace and --attack exclude each other"),
         ("--matrix --domain 0", "--domain is for "),
@@ -134,7 +134,7 @@ def test_a_broken_participant_fails_its_pairs_and_is_told_once(pqsec, broken):
     assert faults[0].startswith("FAIL  files of /third  k/enclaves/third/key.pem: ")
     assert faults[1:] == [
         f"  hint: {RESTORE}",
-        "  so /third would meet nobody",
+        "  so no handshake of /third can succeed",
     ]
     assert LAST.fullmatch(last).groups() == ("3", "3", "1", "2", "0", "0")
 
@@ -194,7 +194,7 @@ def test_a_stack_that_takes_no_such_keys_is_told_once(pqsec, keystore):
     assert said.code == 1
     _, fault, (last,) = (part.splitlines() for part in said.out.split("\n\n"))
     assert fault[0].startswith("FAIL  identity of NAME  OpenDDS accepts no ml-dsa-65 key of a part")
-    assert fault[-1] == "  so /listener, /talker would meet nobody as OpenDDS"
+    assert fault[-1] == "  so no handshake of /listener, /talker as OpenDDS can succeed"
     assert LAST.fullmatch(last).groups() == ("2", "2", "0", "2", "0", "0")
 
 

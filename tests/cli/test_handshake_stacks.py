@@ -145,4 +145,4 @@ def test_an_unknown_stack_is_refused_with_those_there_are(pqsec, keystore):
 def test_a_third_stack_is_a_usage_error(pqsec, keystore):
     keystore()
     line = "-k k verify-handshake /talker /listener" + " --as pqsec" * 3
-    pqsec(line).refused(2, "--as is for two participants: give it twice at most")
+    pqsec(line).refused(2, "--as is given more than twice")

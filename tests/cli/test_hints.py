@@ -35,9 +35,10 @@ JUSTIFIED = {
     " name the domain too": "it signs what the user edits, in place of what was signed before",
     "`pqsec -k * sign-permissions * --force` signs what it says now; or remove *: it is written"
     " again from the signed document": "it signs what the user edited, and names the file",
-    "*: the permissions CA did not sign it as it is (*), and no participant starts with it: put"
-    " back what was signed, or look through governance.xml and `pqsec -k * sign-governance *"
-    " --force`": "it replaces a governance that nobody takes, and says to look first",
+    "*: not signed by the permissions CA (*), and no participant starts with it: restore the"
+    " signed file, or review governance.xml and `pqsec -k * sign-governance * --force`": (
+        "it replaces a governance that no stack accepts, and says to review it first"
+    ),
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
 WORDS = ("all its", "--ros-node", "plugin install")

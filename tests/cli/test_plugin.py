@@ -105,7 +105,7 @@ def test_an_agent_runs_in_the_foreground_until_it_is_told_to_stop(pqsec, runtime
         status = pqsec("agent status").out
         assert f"process   {agent.pid}" in status
         assert "authentication" in status
-        pqsec("agent run").refused(3, "an agent listens at", hint="pqsec agent stop")
+        pqsec("agent run").refused(3, "an agent already listens at", hint="pqsec agent stop")
         client.close()
         assert pqsec("agent stop").out == "stopped\n"
         agent.wait(20)

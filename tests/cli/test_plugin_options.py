@@ -50,7 +50,7 @@ def test_without_a_home_the_plugin_must_be_named_and_nothing_else(pqsec, keystor
 def test_on_another_machine_its_folder_must_be_said(pqsec, keystore):
     keystore("pq")
     line = "-k k export cyclonedds /talker --plugin --at /robot"
-    pqsec(line).refused(2, "where is pqsec's plugin", hint="--plugins DIR")
+    pqsec(line).refused(2, "--at with --plugin needs --plugins", hint="--plugins DIR")
     assert "/opt/pqsec/libpqsec_dds.so" in pqsec(f"{line} --plugins /opt/pqsec").done().out
 
 
@@ -76,8 +76,8 @@ def test_a_stack_that_cannot_load_it_says_so(pqsec, keystore, stack):
     ("line", "words", "hint"),
     [
         ("fastdds /talker /listener --plugin", "--plugin is not for fastdds", "cyclonedds"),
-        ("cyclonedds /talker /listener --stock /talker", "--stock /talker makes", "with --plugin"),
-        ("cyclonedds /talker /listener --plugin --stock /x", "--stock /x makes", "of the two"),
+        ("cyclonedds /talker /listener --stock /talker", "--stock /talker is not", "with --plugin"),
+        ("cyclonedds /talker /listener --plugin --stock /x", "--stock /x is not", "with --plugin"),
         ("ros2 --dry-run /talker --plugin", "--plugin is not for ros2", "LD_LIBRARY_PATH"),
     ],
 )

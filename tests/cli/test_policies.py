@@ -35,7 +35,7 @@ def test_new_permissions_without_ros(pqsec, tmp_path):
     assert [grant.name for grant in value.grants] == names
     assert {rule.allow for grant in value.grants for rule in grant.rules} == {True}
     assert not any(rule.publish or rule.subscribe for g in value.grants for rule in g.rules)
-    pqsec("permissions new robot-1").refused(2, "no full ROS 2 name", hint="or --dds")
+    pqsec("permissions new robot-1").refused(2, "no full ROS 2 name", hint="use --dds")
 
 
 @every_kind
@@ -303,7 +303,7 @@ def test_nodes_that_ran_without_enclave_are_nobodys(pqsec, keystore, tmp_path, n
     ("more", "code", "words"),
     [
         ("/a /c --policy p.yaml", 2, "p.yaml has no grant for /c"),
-        ("/a --policy p.yaml --publish x", 2, "name none beside it"),
+        ("/a --policy p.yaml --publish x", 2, "exclude each other"),
         ("/a --policy none.yaml", 3, "none.yaml: no such file"),
         ("/a --policy bad.yaml", 1, "bad.yaml: line 1: the key 'grants' is missing"),
         ("/a --policy old.yaml", 2, "the policy's grant for /a and its certificate never hold"),

@@ -51,7 +51,7 @@ def test_an_empty_environment_would_run_it_unsecured(pqsec, shell):
     result = pqsec("-k k try ros2 /talker --dry-run")
     assert (result.code, result.err) == (1, "")
     assert "FAIL  ROS_SECURITY_ENABLE            is not set: nodes run unsecured" in result.out
-    assert result.out.endswith('To mend it:\n  eval "$(pqsec export ros2 /talker)"\n')
+    assert result.out.endswith('To fix it:\n  eval "$(pqsec export ros2 /talker)"\n')
 
 
 def test_one_letter_makes_the_difference(pqsec, shell):

@@ -201,7 +201,7 @@ def test_stacks_that_decide_otherwise_are_told_with_the_reason(pqsec, put, rules
     assert differing - {"opendds"} == otherwise - {"opendds"}
     said = pqsec(f"{FILES} --publish {asked}").out
     for interpretation in INTERPRETATIONS[1:]:
-        assert (f"{interpretation.title} decides otherwise" in said) is (
+        assert (f"{interpretation.title} decides differently" in said) is (
             interpretation.name in differing
         )
     for other in found["others"]:
@@ -226,7 +226,7 @@ def test_a_stack_of_which_only_one_side_refuses_is_told_so(pqsec, policy):
 def test_a_stack_that_would_let_it_on_its_own_side_is_noted(pqsec, policy):
     said = pqsec(f"{FILES} --join --domain 7")
     assert "same  Cyclone DDS 0.10.2, Fast DDS 2.9.1" in said.out
-    assert "note  Fast DDS 2.9.1: its own stack would let it, its peers refuse" in said.out
+    assert "note  Fast DDS 2.9.1: its own stack would allow it, its peers refuse" in said.out
 
 
 @pytest.mark.parametrize(("days", "told"), [(0.3, True), (300, False)])
@@ -346,9 +346,9 @@ def test_signed_files_are_unverified_unless_a_ca_is_named(pqsec, keystore):
         (f"{FILES} --publish a --tag x", "not a data tag"),
         (f"{FILES} --publish a --subject nobody", "--subject: 'nobody' is no subject name"),
         (f"{FILES} --ros-publish chatter", "no full ROS 2 name"),
-        (f"{FILES} --publish a --participant /x", "goes without files"),
-        ("explain --governance g.xml --publish a", "no participant is named"),
-        ("explain --publish a", "no participant is named"),
+        (f"{FILES} --publish a --participant /x", "excludes --governance"),
+        ("explain --governance g.xml --publish a", "no participant named"),
+        ("explain --publish a", "no participant named"),
         ("explain --participant /x --publish a", "no keystore"),
         (f"{FILES} --publish a --domain -1", "--domain"),
         (f"{FILES} --publish a --as rti", "--as"),
@@ -371,8 +371,8 @@ def test_a_pattern_is_not_taken_for_the_name_of_a_topic(pqsec, policy):
         ("--ros-subscribe", "/*", "--ros-topic '/*'"),
     ):
         said = pqsec(FILES, option, pattern)
-        words = f"{pattern} is a pattern, and explain takes the name of one topic"
-        way_out = f"`pqsec who-may {instead}` lists what it matches"
+        words = f"{pattern} is a pattern, and explain needs the name of one topic"
+        way_out = f"`pqsec who-may {instead}` lists the topics that match it"
         if said.code != 2 or said.out or words not in said.err or way_out not in said.err:
             wrong.append((option, pattern, said))
     assert wrong == []
@@ -473,7 +473,7 @@ def test_several_domains_may_be_asked(pqsec, apart):
     }
     assert matrix(pqsec, "--domain 2-9 --topic rt/chatter") == {("rt/chatter", "2-3"): ([], [])}
     said = pqsec("-k k who-may --domain 3-9 --json").done()
-    assert "does not name domains 4-9: nobody can join there" in said.err
+    assert "does not name domains 4-9: no participant can join it" in said.err
     assert said.json["domains"] == "3-9"
     pqsec("-k k who-may --domain 3-").refused(2, "domain")
     pqsec("-k k who-may --domain x").refused(2, "domain")
@@ -569,7 +569,7 @@ def test_who_has_only_a_grant_that_a_stack_takes_for_its_own_is_asked_of_that_st
 def test_a_domain_that_governance_does_not_name_is_noted(pqsec, keystore):
     keystore()
     said = pqsec("-k k who-may --domain 9 --json").done()
-    assert "does not name domain 9: nobody can join there" in said.err
+    assert "does not name domain 9: no participant can join it" in said.err
     assert said.json["topics"] == []
     for form in ("table", "md"):
         assert "rt/" not in pqsec(f"-k k who-may --domain 9 --format {form}").done().out
@@ -580,7 +580,7 @@ def test_a_folder_of_documents_is_asked_too(pqsec, tmp_path, keystore):
     (tmp_path / "k/enclaves/broken.xml").write_text("<dds/>")
     said = pqsec("who-may k/enclaves --json").done()
     assert said.json["participants"] == ["CN=/listener", "CN=/talker"]
-    assert "who signed the documents was not checked" in said.err
+    assert "the signatures of the documents were not checked" in said.err
     assert list(said.json["left_out"]) == ["k/enclaves/broken.xml"]
     pqsec("who-may k/enclaves/broken.xml").refused(1, "broken.xml")
 
@@ -713,7 +713,7 @@ def broken(tmp_path, keystore):
 @pytest.mark.parametrize(
     ("rules", "code", "words"),
     [
-        ([rule("chatter", "rt/*")], 0, "no change in what is allowed"),
+        ([rule("chatter", "rt/*")], 0, "no change of rights"),
         ([rule("rt/*"), rule("chatter")], 0, "the documents differ in form or order only"),
         ([rule("chatter", "rt/*", "new")], 1, "granted:\n  CN=/robot: publish 'new' on domain 0"),
         ([rule("rt/*")], 1, "taken away:\n  CN=/robot: publish 'chatter' on domain 0"),
@@ -745,7 +745,7 @@ def test_a_change_of_order_that_only_stacks_see_is_told(pqsec, put):
 def test_a_signed_document_is_compared_with_its_xml(pqsec, keystore):
     keystore()
     said = pqsec("diff k/enclaves/governance.xml k/enclaves/governance.p7s").done()
-    assert said.out == "no change in what is allowed and how it is protected\n"
+    assert said.out == "no change of rights or protection\n"
 
 
 def test_governance_is_compared_by_strength(pqsec):
@@ -801,14 +801,14 @@ def test_governance_of_one_participant_alone_is_not_hidden(pqsec, keystore, tmp_
     changes = pqsec("diff k new --json").json["changes"]
     assert {each["document"] for each in changes} == {"governance of /talker"}
     left = pqsec("-k new who-may --json").done().json["left_out"]
-    assert left == {"/talker": "it has a governance of its own, unlike the others"}
+    assert left == {"/talker": "its governance differs from the governance of the others"}
 
 
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [
         ("diff p.xml g.xml", 2, "a governance one"),
-        ("diff p.xml k", 2, "a folder and a file"),
+        ("diff p.xml k", 2, "is a folder, and the other a file"),
         ("diff p.xml nothing.xml", 3, "nothing.xml"),
         ("diff p.xml broken.xml", 1, "broken.xml"),
         ("diff p.xml", 2, "NEW"),

@@ -34,11 +34,11 @@ def test_a_plan_changes_nothing_and_tells_all(pqsec, k, option):
     assert snapshot(k) == before
     assert told.startswith("generation 2: identity CA and permissions CA, from profile classical")
     for words in (
-        "make an identity CA (ml-dsa-65)",
-        "issue 2 participants anew, with new keys",
+        "create an identity CA (ml-dsa-65)",
+        "reissue 2 participants with new keys",
         "keep the old CAs in k/private/generations/1",
         "runs in no stock stack today",
-        "Go by way of `--profile transition`",
+        "Change to `--profile transition` first",
         "Fast DDS 2.9.1, 3.1.2: both certificates in the file identity_ca,",
     ):
         assert words in told
@@ -47,11 +47,11 @@ def test_a_plan_changes_nothing_and_tells_all(pqsec, k, option):
 def test_a_plan_is_about_what_is_asked_for(pqsec, k):
     pqsec("-k k revoke /talker")
     told = pqsec("-k k ca rotate --only identity --destroy-old-keys").done().out
-    assert "make a permissions CA" not in told
-    assert "of permissions CAs nobody" not in told
-    assert "certify 1 participant again, with the same keys" in told
+    assert "create a permissions CA" not in told
+    assert "permissions CAs: none" not in told
+    assert "reissue 1 participant with the same keys" in told
     assert "leave /talker behind: revoked" in told
-    assert "make a revocation list with nothing in it" in told
+    assert "issue an empty revocation list" in told
     assert "destroy the old keys" in told
     value = pqsec("-k k ca rotate --json --rekey").done().json
     assert value["rekeyed"] == ["/listener"]
@@ -65,7 +65,7 @@ def test_a_domain_goes_from_classical_by_transition_to_pq(pqsec, k):
         done = pqsec(f"-k k ca rotate --apply --profile {profile} --no-passphrase").done()
         assert f"generation {number}: " in done.out
         assert f"generation {number - 1} is in k/private/generations/{number - 1}" in done.out
-        assert "2 participants issued anew" in done.out
+        assert "2 participants reissued" in done.out
         pqsec("-k k verify-handshake /talker /listener").done()
         assert pqsec("-k k check").code == 0
         pqsec("-k k log --verify").done()
@@ -76,7 +76,7 @@ def test_a_domain_goes_from_classical_by_transition_to_pq(pqsec, k):
 def test_who_stays_behind_is_told(pqsec, k):
     pqsec("-k k revoke /talker")
     done = pqsec("-k k ca rotate --apply --no-passphrase --json").done()
-    assert "note: /talker stays behind: revoked" in done.err
+    assert "note: /talker is not reissued: revoked" in done.err
     assert done.json["left_out"] == {"/talker": "revoked"}
     assert done.json["new_list"]
     assert pqsec("-k k verify-handshake /listener /talker").code == 1
@@ -129,9 +129,14 @@ def test_what_makes_no_sense_is_refused(pqsec, k, options, code, words):
 
 def test_an_overlap_goes_on_step_by_step_as_its_plans_say(pqsec, k):
     for step, plan, done, left in (
-        ("begin", "which issues nothing yet", "CN=G2 Identity CA is trusted too", "switch`"),
-        ("switch", "certify 2 participants again", "generation 2: identity CA, 2 part", "finish`"),
-        ("finish", "cut off whoever", "CN=Identity CA is trusted no more", "`pqsec ca show`"),
+        ("begin", "which does not issue yet", "CN=G2 Identity CA is now trusted too", "switch`"),
+        ("switch", "reissue 2 participants", "generation 2: identity CA, 2 part", "finish`"),
+        (
+            "finish",
+            "refuse certificates that",
+            "CN=Identity CA is no longer trusted",
+            "`pqsec ca show --pins`",
+        ),
     ):
         before = snapshot(k)
         told = pqsec(f"-k k ca rotate --overlap {step}").done().out
@@ -156,7 +161,7 @@ def test_an_overlap_is_taken_back(pqsec, k):
     assert "destroy the key of CN=G2 Identity CA" in told
     done = pqsec("-k k ca rotate --overlap cancel --apply --json").done().json
     assert done["overlap"] == "cancel"
-    assert done["done"] == ["CN=G2 Identity CA is trusted no more, and its key destroyed"]
+    assert done["done"] == ["CN=G2 Identity CA is no longer trusted, and its key is destroyed"]
     after = snapshot(k)
     assert {name for name in before | after if before.get(name) != after.get(name)} <= {
         name for name in before | after if "ledger" in str(name)
@@ -181,10 +186,10 @@ def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
         ("--overlap soon", 2, "'soon' is not one of"),
         ("--overlap begin --only permissions", 2, "no stack trusts two permissions CAs"),
         ("--overlap begin --profile pq", 2, "a new profile applies to both CAs"),
-        ("--overlap begin --rekey", 2, "--rekey says nothing about --overlap begin"),
-        ("--overlap switch --name x", 2, "--name says nothing about --overlap switch"),
-        ("--overlap finish --validity 1y", 2, "--validity says nothing about --overlap finish"),
-        ("--overlap begin --no-passphrase", 2, "--no-passphrase says nothing about"),
+        ("--overlap begin --rekey", 2, "--rekey does not go with --overlap begin"),
+        ("--overlap switch --name x", 2, "--name does not go with --overlap switch"),
+        ("--overlap finish --validity 1y", 2, "--validity does not go with --overlap finish"),
+        ("--overlap begin --no-passphrase", 2, "--no-passphrase does not go with"),
         ("--overlap switch", 3, "no overlap has begun"),
         ("--overlap finish", 3, "no overlap has begun"),
         ("--overlap cancel", 3, "no overlap has begun"),
@@ -229,7 +234,7 @@ def test_what_waits_for_the_end_of_an_overlap_says_so(pqsec, k):
 def test_a_passphrase_is_set_changed_and_removed(pqsec, k, secret):
     one, two = secret("one"), secret("two")
     done = pqsec(f"-k k ca passphrase --new-passphrase-file {one}").done()
-    assert "k/private/identity_ca.key.pem  encrypted anew" in done.out
+    assert "k/private/identity_ca.key.pem  encrypted again" in done.out
     pqsec(f"-k k ca passphrase --passphrase-file {one} --new-passphrase-file {two}").done()
     pqsec(f"-k k issue /a --passphrase-file {one}").refused(3, hint="give the CA passphrase")
     pqsec(f"-k k issue /a --passphrase-file {two}").done()
@@ -256,7 +261,7 @@ def test_a_keystore_of_sros2_is_adopted_and_led_out_of_its_hole(pqsec, tmp_path)
     assert first == "sros2: 2 participants, profile classical, domains 0"
     assert [line for line in findings if "CVE-2023-24010" in line]
     assert "files checked" in findings[-1]
-    assert "make two with `pqsec ca rotate`" in done.err
+    assert "with `pqsec ca rotate`" in done.err
     assert "/talker" in pqsec("-k sros2 status").done().out
     pqsec("-k sros2 issue /new").refused(3, "CVE-2023-24010", hint="pqsec ca rotate")
     assert "one key is both CAs" in pqsec("-k sros2 ca rotate").done().out
@@ -277,7 +282,7 @@ def test_what_is_not_taken_is_told(pqsec, tmp_path):
 
 def test_what_is_no_keystore_is_not_adopted(pqsec, k, tmp_path):
     pqsec("adopt k").refused(3, "k is a pqsec keystore already")
-    pqsec("adopt").refused(2, "no keystore is named")
+    pqsec("adopt").refused(2, "no keystore named")
     (tmp_path / "empty").mkdir()
     pqsec("adopt empty").refused(3, "empty lacks public/identity_ca.cert.pem", hint="SROS2")
     assert list((tmp_path / "empty").iterdir()) == []

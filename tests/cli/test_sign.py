@@ -259,7 +259,7 @@ def test_a_broken_document_is_told_before_a_passphrase_is_needed(process, locked
 
 def test_without_keystore_nothing_is_signed(pqsec, keystore, tmp_path):
     keystore()
-    pqsec(f"sign-governance k/{WHERE['governance']} -o out").refused(2, "no keystore is named")
+    pqsec(f"sign-governance k/{WHERE['governance']} -o out").refused(2, "no keystore named")
     pqsec(f"-k no sign-governance k/{WHERE['governance']} -o out").refused(3, "no pqsec.json")
     assert not (tmp_path / "out").exists()
 
@@ -355,4 +355,4 @@ def test_an_older_xml_beside_a_copy_elsewhere_is_told(pqsec, keystore, tmp_path)
     new = edited(k, "permissions")
     (tmp_path / "out.xml").write_bytes((k / WHERE["permissions"]).with_suffix(".xml").read_bytes())
     said = pqsec(f"-k k sign-permissions {new} -o out.p7s").done()
-    assert "out.xml says something else than what was signed" in said.err
+    assert "out.xml differs from the document that was signed" in said.err

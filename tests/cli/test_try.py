@@ -9,10 +9,10 @@ import pytest
     ("line", "words", "hint"),
     [
         ("cyclonedds /talker", "here are 1", "name two"),
-        ("fastdds /talker /listener /more", "here are 3", "name two"),
+        ("fastdds /talker /listener /more", "3 are named", "name two"),
         ("ros2 /talker", "ros2 is not run here", "--dry-run"),
         ("fastdds /talker /listener --dry-run", "not for fastdds", "ros2 --dry-run"),
-        ("fastdds /talker /listener --topic ''", "a topic has a name", "leave --topic out"),
+        ("fastdds /talker /listener --topic ''", "the topic is empty", "omit --topic"),
         ("connext /talker /listener", "'connext' is not one of", "--help"),
         ("fastdds /talker /listener --timeout 0", "--timeout", "--help"),
         ("fastdds /talker /listener --domain 231", "--domain", "--help"),

@@ -247,8 +247,8 @@ def test_a_ca_of_version_1_is_trusted_because_it_is_named(pqsec, keystore, tmp_p
     said = pqsec(f"verify {GOVERNANCE} --ca old.pem").done()
     assert said.out.startswith(f"{GOVERNANCE}: signed by CN=Permissions CA\n")
     assert said.err == (
-        "pqsec: note: old.pem is a certificate of version 1, which does not say whether it is"
-        " a CA's: it is trusted because you name it\n"
+        "pqsec: note: old.pem is a version 1 certificate, which does not state whether it is"
+        " a CA: it is trusted because you named it\n"
     )
 
 
@@ -383,7 +383,7 @@ def test_files_that_cannot_be_read_are_errors_and_not_a_no(pqsec, keystore, tmp_
     pqsec("-k k verify k").refused(2, "is a directory")
     (tmp_path / "huge.p7s").write_bytes(b"x" * (9 << 20))
     pqsec("-k k verify huge.p7s").refused(3, "huge.p7s: larger than")
-    pqsec(f"verify {GOVERNANCE}").refused(2, "no keystore is named")
+    pqsec(f"verify {GOVERNANCE}").refused(2, "no keystore named")
     pqsec("-k k verify").refused(2, "FILE")
 
 

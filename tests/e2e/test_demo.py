@@ -45,7 +45,7 @@ def secrets(folder):
 def test_the_demo_makes_a_domain_and_proves_it(run, tmp_path, profile):
     code, out, err = run("demo", "--profile", profile)
     assert (code, err) == (0, "")
-    assert out.startswith(f"Made a secured domain in pqsec-demo, profile {profile}: ")
+    assert out.startswith(f"Created a secured domain in pqsec-demo, profile {profile}: ")
     assert "FAIL" not in out
     assert out.count("\nok    ") == 16
     enclaves = tmp_path / "pqsec-demo/enclaves"
