@@ -76,6 +76,18 @@ COMMANDS = {
 }
 """Command -> (module in this room, one-line help for `pqsec --help`)."""
 
+GROUPS = {
+    "Issue and maintain": "demo ca adopt issue renew needs-renewal revoke status log plan apply",
+    "Robots with their own keys, and offline CAs": (
+        "request bundle-key bundle install rollback sign-request"
+    ),
+    "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
+    "Check and explain": (
+        "check verify verify-handshake explain who-may diff inspect profiles algorithms"
+    ),
+    "Use with a DDS stack": "export try explain-error plugin agent",
+}
+"""Heading, as in README -> commands below it, in `pqsec --help`."""
 
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 """Name and mode of each standard stream, by file descriptor number."""
@@ -108,8 +120,9 @@ class _Lazy(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         del ctx
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, help_) for name, (_, help_) in COMMANDS.items()])
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, COMMANDS[name][1]) for name in names.split()])
 
 
 @click.group(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"]})

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.cli import COMMANDS
+from pqsec_pki.cli import COMMANDS, GROUPS
 from pqsec_pki.cli._printing import JSON_VERSION
 from tests.cli.conftest import clean_environment
 
@@ -182,6 +182,8 @@ def test_help_lists_the_commands_with_the_help_each_gives(process):
     assert said.code == 0
     assert said.err == ""
     assert [name for name in COMMANDS if f"\n  {name} " not in said.out] == []
+    assert [heading for heading in GROUPS if f"\n{heading}:\n" not in said.out] == []
+    assert sorted(" ".join(GROUPS.values()).split()) == sorted(COMMANDS)
 
 
 @pytest.mark.parametrize("option", ["-h", "--help"])

@@ -306,7 +306,11 @@ def test_nodes_that_ran_without_enclave_are_nobodys(pqsec, keystore, tmp_path, n
         ("/a --policy p.yaml --publish x", 2, "exclude each other"),
         ("/a --policy none.yaml", 3, "none.yaml: no such file"),
         ("/a --policy bad.yaml", 1, "bad.yaml: line 1: the key 'grants' is missing"),
-        ("/a --policy old.yaml", 2, "the policy's grant for /a and its certificate never hold"),
+        (
+            "/a --policy old.yaml",
+            2,
+            "the policy's grant for /a and its certificate are never valid together",
+        ),
     ],
 )
 def test_a_policy_that_does_not_fit_issues_nobody(pqsec, keystore, more, code, words):

@@ -28,7 +28,7 @@ import click
 import pytest
 
 import pqsec_pki
-from pqsec_pki.cli import COMMANDS, pqsec
+from pqsec_pki.cli import COMMANDS, GROUPS, pqsec
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.fastdds import find_compiler
 
@@ -240,9 +240,23 @@ def _all_commands() -> list[str]:
     return found
 
 
-def test_the_overview_of_commands_in_the_readme_is_complete():
+def _help_of(name: str) -> str:
+    """The first sentence of a command's help, as it stands in a table."""
+    command: click.Command = pqsec
+    for word in name.split():
+        found = command.get_command(click.Context(command), word)
+        assert found is not None
+        command = found
+    own = " ".join((command.help or "").partition("\n\n")[0].split()).removesuffix(".")
+    return own[0].lower() + own[1:]
+
+
+def test_the_overview_in_the_readme_has_every_command_and_its_help():
     overview = README.read_text().partition("## Commands")[2].partition("\n## ")[0]
-    assert sorted(re.findall(r"(?m)^\| `pqsec ([a-z -]+)`", overview)) == sorted(_all_commands())
+    rows = re.findall(r"(?m)^\| `pqsec ([a-z -]+)` \| (.*?)(?: \(\[docs\].*\))? \|$", overview)
+    assert dict(rows) == {name: _help_of(name) for name in _all_commands()}
+    headings = re.findall(r"(?m)^\| ([^`|]+) \| \|$", overview)
+    assert headings == list(GROUPS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
