@@ -36,6 +36,13 @@ def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) ->
 
     TEXT is an error message. CODE is an error code of Cyclone DDS. With -, a whole log is
     read from standard input.
+
+    Examples:
+
+    \b
+    pqsec explain-error 146
+    pqsec explain-error "Subject name is invalid(code: 146)"
+    pqsec explain-error - < node.log
     """
     if as_list:
         if text:

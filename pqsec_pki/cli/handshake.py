@@ -84,6 +84,16 @@ def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given:
     and permissions documents are checked, and after the key exchange one encrypted message
     is sent each way. The failing step is printed, and the topics that the two share. A
     handshake also succeeds without a common topic.
+
+    Examples:
+
+    \b
+    pqsec verify-handshake /talker /listener
+    pqsec verify-handshake /talker /listener --as cyclonedds
+    pqsec verify-handshake /talker /listener --trace trace.txt
+    pqsec verify-handshake /talker /listener --attack all
+    pqsec verify-handshake --all
+    pqsec verify-handshake --matrix
     """
     mode = _mode(context, names)
     runs = {"--all": _all, "--matrix": _matrix, "--trace": _trace, "--attack": _attack}

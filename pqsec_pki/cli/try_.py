@@ -82,6 +82,14 @@ def try_(stack: str, names: tuple[str, ...], *, dry_run: bool, **given: Any) -> 
     not receive it. With --plugin they use pqsec's plugin, for post-quantum keys, with an
     agent of their own. ROS 2 is not run: ros2 needs --dry-run, and accepts any number of
     participants.
+
+    Examples:
+
+    \b
+    pqsec try cyclonedds /talker /listener
+    pqsec try cyclonedds --plugin /talker /listener
+    pqsec try fastdds /talker /listener --topic rt/chatter
+    pqsec try ros2 --dry-run /talker
     """
     if dry_run is not (stack == ROS2):
         raise UsageError(

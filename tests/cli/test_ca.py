@@ -457,7 +457,7 @@ def test_domains_that_are_none_are_refused(pqsec, tmp_path, text):
 )
 def test_a_validity_that_is_none_is_refused_with_examples(pqsec, tmp_path, text):
     said = pqsec("-k k ca init --no-passphrase", f"--validity={text}")
-    said.refused(2, "--validity", "is not a duration; write 10y")
+    said.refused(2, "--validity", "is not a duration: write 10y")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -112,7 +112,7 @@ def test_only_the_stacks_that_are_meant_are_asked(pqsec, flawed):
     flawed("<id>0</id>", "<id>999</id>")
     assert pqsec(f"check --target fastdds {PERMISSIONS}").code == 0
     assert pqsec(f"check --target fastdds,cyclonedds {PERMISSIONS}").code == 1
-    pqsec(f"check --target fast {PERMISSIONS}").refused(2, "'fast' is none of cyclonedds")
+    pqsec(f"check --target fast {PERMISSIONS}").refused(2, "'fast' is not one of cyclonedds")
 
 
 def test_ros_2_asks_for_the_topics_a_node_needs(pqsec, keystore):

@@ -135,7 +135,7 @@ def test_a_standard_input_that_is_none_is_refused(redirection, code, words):
 
 @pytest.mark.parametrize("line", ["explain-error", "explain-error ''", "explain-error -"])
 def test_no_message_is_no_use(pqsec, line):
-    pqsec(line).refused(2, "no message given", hint="standard input")
+    pqsec(line).refused(2, "no message given", hint="stdin")
 
 
 def test_the_list_takes_no_text(pqsec):

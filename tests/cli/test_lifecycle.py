@@ -298,7 +298,10 @@ def test_renew_and_issue_tell_of_a_governance_that_the_permissions_ca_did_not_si
                 wrong.append((fault, line, said))
     assert wrong == []
     governance.write_bytes((k / "enclaves/governance.xml").read_bytes())
-    assert "k/enclaves/governance.p7s: the permissions" in pqsec("-k k renew /talker").done().err
+    assert (
+        "k/enclaves/governance.p7s: not signed by the permissions CA"
+        in pqsec("-k k renew /talker").done().err
+    )
     refused = pqsec("-k k issue /talker --force --publish a").refused(3, "not an S/MIME signed")
     assert "k/enclaves/governance.p7s" in refused.err
     [way_out] = [each for each in told[0].split("`") if each.startswith("pqsec -k k sign-gov")]

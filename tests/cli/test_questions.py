@@ -539,7 +539,7 @@ def test_a_participant_whose_documents_do_not_hold_is_left_out(pqsec, keystore):
     ("file", "source", "words"),
     [
         ("cert.pem", None, "k/enclaves/talker lacks cert.pem"),
-        ("permissions.p7s", "listener", "nothing in them is granted to CN=/talker"),
+        ("permissions.p7s", "listener", "no grant is for CN=/talker"),
     ],
 )
 def test_no_participant_is_left_out_in_silence(pqsec, keystore, file, source, words):
@@ -561,7 +561,7 @@ def test_who_has_only_a_grant_that_a_stack_takes_for_its_own_is_asked_of_that_st
     pqsec("-k k issue /talker/arm --publish rt/arm").done()
     shutil.copy(enclaves / "talker/arm/permissions.p7s", enclaves / "talker")
     said = pqsec("-k k who-may --json").done()
-    assert "granted to CN=/talker" in said.json["left_out"]["/talker"]
+    assert "no grant is for CN=/talker" in said.json["left_out"]["/talker"]
     taken = pqsec("-k k who-may --topic rt/arm --as cyclonedds --json").done().json
     assert (taken["left_out"], taken["topics"][0]["publish"]) == ({}, ["/talker", "/talker/arm"])
 
@@ -807,7 +807,7 @@ def test_governance_of_one_participant_alone_is_not_hidden(pqsec, keystore, tmp_
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [
-        ("diff p.xml g.xml", 2, "a governance one"),
+        ("diff p.xml g.xml", 2, "a governance document"),
         ("diff p.xml k", 2, "is a folder, and the other a file"),
         ("diff p.xml nothing.xml", 3, "nothing.xml"),
         ("diff p.xml broken.xml", 1, "broken.xml"),
@@ -885,7 +885,7 @@ def test_an_unknown_command_may_be_another(pqsec, line, instead):
     ("topic", "words"),
     [
         ("rt/chater", "no rule of /talker names rt/chater; did you mean 'rt/chatter'?"),
-        ("/chatter", "/chatter is the ROS 2 name of rt/chatter; ask with --ros-publish /chatter"),
+        ("/chatter", "/chatter is the ROS 2 name of rt/chatter: ask with --ros-publish /chatter"),
         ("/some/other", "ask with --ros-publish /some/other"),
         ("/not a name", ""),
         ("other", ""),

@@ -8,7 +8,7 @@ import pytest
 @pytest.mark.parametrize(
     ("line", "words", "hint"),
     [
-        ("cyclonedds /talker", "here are 1", "name two"),
+        ("cyclonedds /talker", "but 1 are named", "name two"),
         ("fastdds /talker /listener /more", "3 are named", "name two"),
         ("ros2 /talker", "ros2 is not run here", "--dry-run"),
         ("fastdds /talker /listener --dry-run", "not for fastdds", "ros2 --dry-run"),
