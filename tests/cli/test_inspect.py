@@ -271,6 +271,6 @@ def test_what_names_no_file_is_a_usage_error(pqsec, keystore):
     hint = "`pqsec inspect --help`"
     pqsec("inspect").refused(2, "Missing argument 'FILE...'", hint=hint)
     pqsec("inspect", "").refused(2, "'FILE...': the path is empty", hint=hint)
-    pqsec("inspect k/enclaves/governance.xml", "").refused(2, "it is empty", hint=hint)
+    pqsec("inspect k/enclaves/governance.xml", "").refused(2, "the path is empty", hint=hint)
     pqsec("inspect k").refused(2, "is a directory", hint=hint)
     pqsec("inspect --passphrase-file x").refused(2, "--passphrase-file")

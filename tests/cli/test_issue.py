@@ -256,7 +256,7 @@ def test_a_participant_ends_with_its_ca_and_that_is_said(pqsec, make_domain, tmp
     make_domain(tmp_path, "--no-passphrase --profile classical --validity 30d")
     said = pqsec(f"-k k issue /a {TOPIC} --validity 2y").done()
     ca = Keystore.open(tmp_path / "k").identity_ca
-    assert f"pqsec: note: valid until {ca.not_after:%Y-%m-%d} only" in said.err
+    assert f"pqsec: note: valid only until {ca.not_after:%Y-%m-%d}" in said.err
     leaf = certificate(tmp_path / "k/enclaves/a")
     assert leaf.not_after == ca.not_after
     assert leaf.not_before >= ca.not_before
