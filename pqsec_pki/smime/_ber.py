@@ -14,9 +14,16 @@ MAX_CHILDREN = 4096
 MAX_SIZE = 1 << 20
 """Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
 _CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
-_SEQUENCE, _SET, _OCTET_STRING, _OBJECT_IDENTIFIER = 0x30, 0x31, 0x04, 0x06
-_ARCS = re.compile(rb"(?:(?!\x80)[\x80-\xff]*[\x00-\x7f])+", re.DOTALL)
-"""X.690 8.19.2: each number in the fewest octets; only the last octet has no high bit."""
+_SEQUENCE, _SET, _OCTET_STRING = 0x30, 0x31, 0x04
+_CONTENT = {
+    0x01: ("boolean", re.compile(rb".", re.DOTALL)),
+    0x02: ("integer", re.compile(rb".|(?!\x00[\x00-\x7f]|\xff[\x80-\xff])..+", re.DOTALL)),
+    0x03: ("bit string", re.compile(rb"\x00|[\x00-\x07].+", re.DOTALL)),
+    0x05: ("null", re.compile(rb"")),
+    0x06: ("object identifier", re.compile(rb"(?:(?!\x80)[\x80-\xff]*[\x00-\x7f])+", re.DOTALL)),
+}
+"""Universal tag -> its name, and what its content must be (X.690 8.2, 8.3, 8.6, 8.8, 8.19).
+OpenSSL refuses anything else wherever it stands, also where no type is expected."""
 
 
 def to_der(data: bytes) -> bytes:
@@ -38,8 +45,8 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
         raise MalformedError("a length in the CMS structure runs past its end")
     if not tag & _CONSTRUCTED:
         stop = start + (length or 0)
-        if tag == _OBJECT_IDENTIFIER and not _ARCS.fullmatch(data, start, stop):
-            raise MalformedError("a broken object identifier")  # OpenSSL refuses these too
+        if tag in _CONTENT and not _CONTENT[tag][1].fullmatch(data, start, stop):
+            raise MalformedError(f"a broken {_CONTENT[tag][0]}")
         return _value(tag, data[start:stop]), stop
     children, stop = _children(
         data, start, end if length is None else start + length, depth, length

@@ -760,11 +760,26 @@ def test_a_set_is_put_in_order():
         ("0600", "broken object identifier"),
         ("3003 0601f1", "broken object identifier"),
         ("0603 2a8001", "broken object identifier"),
+        ("0501 00", "broken null"),
+        ("3103 050161", "broken null"),
+        ("0100", "broken boolean"),
+        ("0102 0000", "broken boolean"),
+        ("0200", "broken integer"),
+        ("0202 007f", "broken integer"),
+        ("0202 ff80", "broken integer"),
+        ("0300", "broken bit string"),
+        ("0302 0800", "broken bit string"),
+        ("0301 01", "broken bit string"),
     ],
 )
 def test_broken_ber_is_refused(ber, words):
     with pytest.raises(MalformedError, match=words):
         to_der(bytes.fromhex(ber))
+
+
+@pytest.mark.parametrize("der", ["0500", "0101ff", "020100", "02020080", "0202ff7f", "030100"])
+def test_values_of_the_right_length_are_read(der):
+    assert to_der(bytes.fromhex(der)) == bytes.fromhex(der)
 
 
 def test_a_length_in_more_octets_than_it_takes_is_read():
