@@ -80,7 +80,7 @@ def _of_profile(profile) -> Suite:
 
 @dataclass(frozen=True)
 class People:
-    """A CA, and the two to whom it issued certificates and permissions."""
+    """A CA, and the two participants that have its certificates and permissions."""
 
     ca: Authority
     alice: Identity

@@ -63,7 +63,7 @@ def opendds(named: str, subject: str) -> bool:
 
 @lru_cache(maxsize=4096)
 def _parsed(text: str) -> Subject:
-    """Its parts; none if it is no name, and so nobody's."""
+    """Its parts; empty if it is not a subject name."""
     try:
         return parse_subject(text)
     except MalformedError:

@@ -108,7 +108,7 @@ class _Asking:
         return policy.decide(question).allowed
 
     def everyone(self, topics: Iterable[str]) -> frozenset[str]:
-        """Those of the topics that a member may use of whom no rule says anything."""
+        """Of `topics`, those that every member may use, as governance leaves them open."""
         rule = Rule(allow=True, domains=DomainSet(parts=(self.domain,)))
         day = timedelta(days=1)
         grant = Grant(

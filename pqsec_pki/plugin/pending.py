@@ -1,6 +1,6 @@
 """Handshakes that wait for a Final, and what they may cost an agent.
 
-A Request proves nothing: whoever heard a certificate on the network can send as many in its
+A Request proves nothing: anybody who has recorded a certificate can send as many in its
 holder's name as it likes, each with a document of 256 kB that has to be kept until the Final.
 So all that wait in an agent together hold MAX_HELD octets, and when that is not enough, one ends:
 of the certificate in whose name most is held, the largest, and of equals the oldest. Who replays

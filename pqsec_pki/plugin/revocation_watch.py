@@ -18,12 +18,12 @@ class RevocationWatch:
     def __init__(
         self,
         handles: Handles,
-        meetings: PeerTable,
+        peers: PeerTable,
         newest: NewestLists,
         clock: Clock,
         note: Callable[[str], None],
     ) -> None:
-        self._handles, self._peers = handles, meetings
+        self._handles, self._peers = handles, peers
         self._lists, self._now, self._note = newest, clock, note
         self._told: set[int] = set()
 

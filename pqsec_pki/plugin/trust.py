@@ -45,7 +45,7 @@ _TRUSTED = "dds.sec.auth.trusted_ca_dir"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trust:
-    """What both plugins look at first: who the participant is, and whom it trusts."""
+    """What both plugins read first: the participant's certificate and its trust anchors."""
 
     certificate: Certificate
     settings: Settings

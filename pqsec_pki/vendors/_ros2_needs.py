@@ -42,14 +42,14 @@ class Needs:
     @classmethod
     def of(cls, enclave: Enclave) -> Self:
         """Of the files in the enclave; what cannot be read is an error that names it."""
-        papers = {}
+        documents = {}
         for name in (GOVERNANCE, PERMISSIONS):
             with located(enclave.folder / name):
-                papers[name] = document_in(read(enclave.folder / name))
+                documents[name] = document_in(read(enclave.folder / name))
         with located(enclave.folder / GOVERNANCE):
-            governance = Governance.from_xml(papers[GOVERNANCE])
+            governance = Governance.from_xml(documents[GOVERNANCE])
         with located(enclave.folder / PERMISSIONS):
-            permissions = Permissions.from_xml(papers[PERMISSIONS])
+            permissions = Permissions.from_xml(documents[PERMISSIONS])
         subject = load_certificate(enclave.folder / CERTIFICATE).subject_name
         return cls(enclave.name, subject, governance, permissions)
 
