@@ -84,7 +84,7 @@ class Code(StrEnum):
     NO_DOMAIN_RULE = "no-domain-rule"
     DOMAIN_DENIED = "domain-denied"
 
-    # A handshake message, by the number of the check (docs/wire.md, 9). C10 has the codes of
+    # A handshake message, by the number of the check (wire.md, 9). C10 has the codes of
     # certificates, C25 also those of documents
     C1 = "C1"
     C2 = "C2"

@@ -27,7 +27,7 @@ CERTIFICATE = (
     *(Code.EXPIRED, Code.NOT_YET_VALID, Code.CRITICAL_EXTENSION, Code.NOT_PARTICIPANT),
     *(Code.KEY_USAGE, Code.REVOKED),
 )
-"""C10 of docs/wire.md: what can be wrong with a participant's certificate."""
+"""C10 of docs/reference/wire.md: what can be wrong with a participant's certificate."""
 DOCUMENT = (
     *(Code.NOT_SIGNED, Code.WRONG_SIGNER, Code.CONTENT_CHANGED, Code.SIGNATURE_BAD),
     *(Code.SIGNATURE_MISSING, Code.COUNTERSIGNATURE_BAD, Code.DOCUMENT_INVALID),

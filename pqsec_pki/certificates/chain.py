@@ -2,7 +2,7 @@
 
 DDS-Security uses self-signed CAs that issue participants' certificates directly, so a chain
 is two certificates. cryptography's verifier cannot be used: it refuses composite and
-Ed25519 authorities and does not know alternative signatures (docs/adr/0002).
+Ed25519 authorities and does not know alternative signatures (docs/explanation/adr/0002).
 """
 
 from collections.abc import Iterator

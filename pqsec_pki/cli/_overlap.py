@@ -102,7 +102,7 @@ def _plan_lines(step: Step, steps: list[str], robots: tuple[str, ...]) -> Iterat
     yield from (f"  {number}. {text}" for number, text in enumerate(steps, start=1))
     yield from ("", "Then you:")
     yield from (f"  {number}. {text}" for number, text in enumerate(robots, start=1))
-    yield from ("", "Stacks that trust both CAs during the overlap (docs/rollover.md):")
+    yield from ("", "Stacks that trust both CAs during the overlap (docs/how-to/rollover.md):")
     yield from (f"  {row.stack}: {row.how or f'no ({row.evidence})'}" for row in TRUST)
 
 

@@ -118,7 +118,8 @@ class Marks:
                 yield _older(name, CERTIFICATE, "the certificate is")
         key = _key_of(credentials)
         if key not in new.lists:
-            # With two trusted identity CAs, in a rollover, there is no list (docs/rollover.md).
+            # With two trusted identity CAs, in a rollover, there is no list
+            # (docs/how-to/rollover.md).
             if key in self.lists and not credentials.anchors.in_overlap:
                 words = "the revocation list is missing, but one was installed before"
                 yield Problem(words, Code.LIST_MISSING, f"{name}: {REVOCATION_LIST}")

@@ -1,4 +1,4 @@
-"""Set the number of the check in docs/wire.md, section 9, as the code of an error."""
+"""Set the number of the check in docs/reference/wire.md, section 9, as the code of an error."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

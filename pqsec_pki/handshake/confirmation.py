@@ -1,4 +1,4 @@
-"""The first protected message, and the only one that confirms the key (docs/wire.md, C26).
+"""The first protected message, and the only one that confirms the key (wire.md, C26).
 
 Crypto tokens are the first messages that two peers send under the key of their key exchange.
 One key serves both directions, so successful decryption proves too little: a participant

@@ -173,7 +173,7 @@ class Ledger:
         """The error for a lost ledger: a new one would lack the revocations."""
         return KeystoreError(
             f"{self._path} is missing or empty: it alone records what was issued and revoked",
-            hint="restore it from a backup; without one, see docs/keystore.md, Backups",
+            hint="restore it from a backup; without one, see docs/reference/keystore.md, Backups",
         )
 
     @contextmanager

@@ -99,7 +99,7 @@ def _refuse_unfit(root: Path) -> None:
     if missing:
         raise KeystoreError(
             f"{root} lacks {', '.join(missing)}",
-            hint="put the files where SROS2 has them; docs/keystore.md shows its layout",
+            hint="put the files where SROS2 has them; docs/reference/keystore.md shows its layout",
         )
     if links:
         raise KeystoreError(

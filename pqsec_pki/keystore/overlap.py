@@ -2,7 +2,7 @@
 
 Both certificates are in public/identity_ca.cert.pem, which every enclave links to: the issuing
 CA first, then the other. Stacks that read only the first one are not affected
-(docs/adr/0010-two-identity-cas-in-one-file.md).
+(docs/explanation/adr/0010-two-identity-cas-in-one-file.md).
 """
 
 import hashlib

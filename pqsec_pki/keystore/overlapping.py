@@ -5,7 +5,7 @@ switch:  lets the new CA issue, and reissues all participants; the old CA is sti
 finish:  removes the trust in the old CA.
 
 Each is one change. Between two of them every robot gets its new files; robots with new files
-still accept robots with old ones (docs/adr/0010-two-identity-cas-in-one-file.md).
+still accept robots with old ones (docs/explanation/adr/0010-two-identity-cas-in-one-file.md).
 """
 
 from dataclasses import dataclass

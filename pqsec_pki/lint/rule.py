@@ -15,7 +15,7 @@ A family is a module with one table of rules. Each rule is a function that finds
         yield Violation("this rule names no domains", line)
 
 The class that a function takes is its scope: the function is called for every subject of that
-class (see `file`, `document` and `subjects`) and of its subclasses. docs/rules.md is generated
+class (see `file`, `document` and `subjects`) and of its subclasses. rules.md is generated
 from the texts.
 Numbers: 0xx frame, 1xx X.509, 2xx documents, 3xx cross-artefact, 4xx naming, 5xx size,
 6xx post-quantum, 7xx files.
@@ -79,7 +79,7 @@ class Rule:
     stacks: frozenset[Target]
     """The stacks that it affects; none means all, or that the rule is about security."""
     rows: tuple[str, ...] = ()
-    """The measurements that it is based on (rows in docs/rules.md)."""
+    """The measurements that it is based on (rows in docs/reference/rules.md)."""
     measured: str = ""
     """Stacks and versions, or another source."""
     only_when_asked: bool = False

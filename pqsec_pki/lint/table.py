@@ -65,5 +65,6 @@ def rule_named(id_: str) -> Rule:
         return RULES[id_.upper()]
     except KeyError:
         raise UsageError(
-            f"there is no rule {id_}", hint="docs/rules.md lists all rules: PQS001 and so on"
+            f"there is no rule {id_}",
+            hint="docs/reference/rules.md lists all rules: PQS001 and so on",
         ) from None

@@ -71,7 +71,7 @@ def _refuse_unknown(name: str) -> None:
     near = _near(name)
     raise UsageError(
         f"the property {shown(name)} is unknown to pqsec's plugin, and is not ignored",
-        hint=f"did you mean {near[0]}?" if near else "docs/plugin.md lists those that it knows",
+        hint=f"did you mean {near[0]}?" if near else "docs/reference/plugin.md lists them all",
     )
 
 

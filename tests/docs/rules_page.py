@@ -1,4 +1,4 @@
-"""Makes docs/rules.md of the rules themselves: run `python tests/docs/rules_page.py`."""
+"""Makes docs/reference/rules.md of the rules themselves: run `python tests/docs/rules_page.py`."""
 
 import json
 import re
@@ -15,7 +15,7 @@ if __name__ == "__main__":
 from pqsec_pki.lint import RULES, Rule, Severity  # noqa: E402 -- after the path
 from tests.docs.stack_differences import HABITS, Habit  # noqa: E402
 
-PAGE = ROOT / "docs" / "rules.md"
+PAGE = ROOT / "docs/reference/rules.md"
 MEASURED = json.loads((Path(__file__).parent / "measured.json").read_text())
 STACKS = ("Cyclone 0.10.2", "0.10.5", "11.0.1", "Fast 2.9.1", "3.1.2", "3.6.2")
 FAMILIES = {
@@ -50,7 +50,7 @@ read in their source (OpenDDS)."""
 
 
 def page() -> str:
-    """The text of docs/rules.md."""
+    """The text of docs/reference/rules.md."""
     parts = [HEAD]
     for digit, rules in groupby(RULES.values(), lambda rule: rule.id[3]):
         title, what = FAMILIES[digit]

@@ -207,7 +207,7 @@ def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, requires):
 
 def test_the_documents_are_all_here():
     names = {str(path.relative_to(ROOT)) for path in DOCUMENTS}
-    assert {"README.md", "docs/commands.md", "examples/quickstart/README.md"} <= names
+    assert {"README.md", "docs/reference/commands.md", "examples/quickstart/README.md"} <= names
     assert len(WITH_COMMANDS) >= 7
 
 

@@ -1,4 +1,4 @@
-"""docs/rules.md is what the rules say, and nothing that was measured is without its rule."""
+"""rules.md is what the rules say, and nothing that was measured is without its rule."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""docs/wire.md is what the code does: every table, every formula with a name or label in it."""
+"""wire.md is what the code does: every table, every formula with a name or label in it."""
 
 import hmac
 import re
@@ -51,8 +51,8 @@ from pqsec_pki.selfcheck.session import _STATELESS_WRITER as STATELESS_WRITER
 from tests.docs.tables import Document, missing, number
 from tests.vectors.handshake import make_pq
 
-WIRE = Document("wire.md")
-PAPER = Document("paper.md")
+WIRE = Document("reference/wire.md")
+PAPER = Document("explanation/paper.md")
 IN_CYCLONE = (612, 676)
 """Octets of the sample of a Request or Reply beyond pqsec's token, with Cyclone DDS's c.pdata."""
 AFEW = 40

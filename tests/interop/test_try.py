@@ -86,7 +86,7 @@ def pqsec(command):
 
 @pytest.mark.parametrize(("number", "code"), [(0, 0), (1, 1), (2, 0)])
 def test_the_documents_show_what_it_prints(pqsec, number, code):
-    line, _, expected = Document("commands.md").block(TITLE, number).partition("\n")
+    line, _, expected = Document("reference/commands.md").block(TITLE, number).partition("\n")
     done, printed = pqsec(line.removeprefix("$ "))
     if os.geteuid() != 0 and code == 0:
         pytest.skip("only root sees the wire: run the tests as root")

@@ -481,7 +481,7 @@ def test_what_another_check_refuses_than_is_due_got_through(setup, due):
 
 @pytest.mark.parametrize("row", list(KEY_AGREEMENTS), ids=lambda row: row.name)
 def test_an_insider_in_the_middle_has_two_share_a_key_only_with_a_plain_suite(setup, row):
-    """And the first protected message tells (docs/wire.md, 15)."""
+    """And the first protected message tells (docs/reference/wire.md, 15)."""
     attacks = [attack_named("insider-in-the-middle")]
     attack_report = run_attacks(replace(setup("classical"), agreement=row), *GUESTS, attacks)
     assert attack_report.ok, attack_report.verdict
@@ -564,14 +564,14 @@ def test_nothing_in_the_keystore_is_changed(setup):
 
 
 def numbers(codes):
-    """The checks of docs/wire.md that these codes stand for."""
+    """The checks of docs/reference/wire.md that these codes stand for."""
     groups = dict.fromkeys(CERTIFICATE, 10) | dict.fromkeys(DOCUMENT, 25)
     found = {groups[code] if code in groups else int(code[1:]) for code in codes}
     return ", ".join(f"C{number}" for number in sorted(found))
 
 
 def test_the_table_of_the_document_is_the_rows():
-    text = (Path(__file__).parents[2] / "docs/attacks.md").read_text()
+    text = (Path(__file__).parents[2] / "docs/reference/attacks.md").read_text()
     rows = re.findall(r"(?m)^\| `([a-z-]+)` \| (.*) \| (.*) \| (.*) \| (.*) \|$", text)
     assert rows == [
         (row.name, row.attacker, row.title, ", ".join(row.refused_at), numbers(row.checks))

@@ -535,7 +535,7 @@ def test_a_replayed_request_gets_no_further_than_its_reply(meeting):
 
 @pytest.mark.parametrize("agreement", list(KEY_AGREEMENTS), ids=lambda row: row.name)
 def test_a_final_is_good_for_one_reply_though_two_have_one_announced_challenge(now, agreement):
-    """Each Reply has a fresh dh2, and the Final's signature covers it (docs/wire.md, 9)."""
+    """Each Reply has a fresh dh2, and the Final's signature covers it (wire.md, 9)."""
     meeting = Meeting(now, agreement=agreement)
     meeting.of_bob = replace(meeting.of_bob, announced=os.urandom(32))
     request, waiting = meeting.request()

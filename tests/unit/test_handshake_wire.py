@@ -50,7 +50,7 @@ SUBJECT = b"0\x0c1\n0\x08\x06\x03U\x04\x03\x0c\x01a"
 
 
 def test_the_octets_that_are_hashed_are_these():
-    # docs/wire.md 3.1: count; name with NUL; value; padding before each length, none after.
+    # wire.md 3.1: count; name with NUL; value; padding before each length, none after.
     expected = b"\0\0\0\2\0\0\0\5c.id\0\0\0\0\0\0\0\3abc\0\0\0\0\5dh-1\0\0\0\0\0\0\0\1z"
     assert encode_properties([("c.id", b"abc"), ("dh-1", b"z")]) == expected
 
@@ -125,7 +125,7 @@ def test_a_message_comes_back_as_it_went(order):
 
 @ORDERS
 def test_the_fixed_part_of_a_handshake_message_is_as_libddsc_writes_it(order):
-    # docs/wire.md 3.2: 120 bytes for "dds.sec.auth", equal to libddsc's plist_ser_generic.
+    # wire.md 3.2: 120 bytes for "dds.sec.auth", equal to libddsc's plist_ser_generic.
     sample = MESSAGE.encode(order)
     sign = order.value
     head = {"<": b"\0\1\0\0", ">": b"\0\0\0\0"}[sign]

@@ -17,7 +17,7 @@ of_fixed_size = pytest.mark.parametrize(
     "row", [row for row in KEY_AGREEMENTS if row is not MODP], ids=lambda row: row.name
 )
 
-# docs/wire.md 6.2: names and bytes of the TLS groups (RFC 10024), and DDS-Security's own.
+# docs/reference/wire.md 6.2: names and bytes of the TLS groups (RFC 10024), and DDS-Security's own.
 WIRE = {
     "ecdh-p256": ("ECDH+prime256v1-CEUM", 65, 65, 32),
     "ecdh-p384": ("ECDHE-CEUM+P384", 97, 97, 48),

@@ -694,7 +694,7 @@ def test_a_lost_ledger_is_not_begun_anew(keystore, root, how, command):
 
 
 def test_a_keystore_whose_ledger_is_lost_for_good_can_be_adopted(keystore, root):
-    """As docs/keystore.md says; who was revoked is then known from the list."""
+    """As docs/reference/keystore.md says; who was revoked is then known from the list."""
     issue_to(keystore, "/talker", "/listener")
     revoke(keystore, keystore.unlock(None), ["/talker"], now=NOW)
     (root / "private/ledger.sqlite3").unlink()

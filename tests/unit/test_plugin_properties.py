@@ -31,13 +31,13 @@ UNKNOWN = {
     "dds.sec.auth.Identity_CA": "did you mean dds.sec.auth.identity_ca?",
     "dds.sec.auth.builtin.PKI-DH.identity_ca": "did you mean dds.sec.auth.identity_ca?",
     "dds.sec.access.builtin.Access-Permissions.governance": "mean dds.sec.access.governance?",
-    "dds.sec.auth.builtin.PKI-DH.preferred_key_agreement": "docs/plugin.md",
-    "dds.sec.auth.ocsp": "docs/plugin.md",
+    "dds.sec.auth.builtin.PKI-DH.preferred_key_agreement": "docs/reference/plugin.md",
+    "dds.sec.auth.ocsp": "docs/reference/plugin.md",
     "DDS.SEC.AUTH.CRL": "is unknown to pqsec's plugin",
     "org.eclipse.cyclonedds.sec.auth.clr": "did you mean org.eclipse.cyclonedds.sec.auth.crl?",
     "com.rti.serv.secure.authentication.ca_file": "is unknown to pqsec's plugin",
     "com.rti.serv.secure.authentication.crl": "is unknown to pqsec's plugin",
-    "pqsec.key_agreements": "docs/plugin.md",
+    "pqsec.key_agreements": "docs/reference/plugin.md",
 }
 
 

@@ -24,7 +24,7 @@ STOCK_PEERS = 'peers = "stock"\n'
 NO_HANG = 300.0
 """Seconds for a process that has to end by itself within three."""
 TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
-PAGE = Path(__file__).parents[3] / "docs" / "plugin.md"
+PAGE = Path(__file__).parents[3] / "docs/reference/plugin.md"
 HOST = Path(__file__).with_name("gil_host.py")
 
 

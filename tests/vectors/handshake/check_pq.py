@@ -1,6 +1,6 @@
 """Checks pq.json from its raw octets, with nothing of pqsec: python check_pq.py
 
-For implementers: every step of docs/wire.md in the shortest form, primitives from the
+For implementers: every step of docs/reference/wire.md in the shortest form, primitives from the
 package `cryptography`. What is left out is said where it is.
 """
 
