@@ -8,10 +8,9 @@ from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
 from pqsec_pki.lint.run import Report, check
 from pqsec_pki.lint.sarif import to_sarif
 from pqsec_pki.lint.suppress import Suppression, from_option
-from pqsec_pki.lint.table import FAMILIES, RULES, rule_named
+from pqsec_pki.lint.table import RULES, rule_named
 
 __all__ = [
-    "FAMILIES",
     "RULES",
     "Finding",
     "Report",

@@ -4,12 +4,24 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from pqsec_pki.documents import Governance, Grant, Node, Permissions, Tree, read_tree, validate
+from pqsec_pki.documents import (
+    DomainRule,
+    Governance,
+    Grant,
+    Node,
+    Permissions,
+    Tree,
+    read_tree,
+    validate,
+)
 from pqsec_pki.errors import InvalidDocumentError, PqsecError
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Violation
 from pqsec_pki.problems import Problem
 from pqsec_pki.smime import lines_before_document
+
+ACTIONS = ("publish", "subscribe", "relay")
+"""What a rule of permissions allows or denies."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +112,11 @@ class GovernanceFile(Document):
             return Governance.from_xml(self.xml or b"")
         except PqsecError:
             return None
+
+    @property
+    def domain_rules(self) -> tuple[DomainRule, ...]:
+        """Its rules; none if it does not match its schema."""
+        return self.governance.domain_rules if self.governance else ()
 
 
 class PermissionsFile(Document):

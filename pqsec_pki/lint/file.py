@@ -7,11 +7,30 @@ from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
-from pqsec_pki.errors import PqsecError
-from pqsec_pki.smime import AmbiguousError, document_in, is_signed
+from pqsec_pki.algorithms import is_encrypted, load_private_key
+from pqsec_pki.certificates import RevocationList
+from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
+from pqsec_pki.smime import (
+    AmbiguousError,
+    Listed,
+    ListedSigner,
+    document_in,
+    is_signed,
+    signers_in,
+)
 
 _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
 """PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, then a tag that certificates and CRLs lack."""
+
+
+@dataclass(frozen=True, slots=True)
+class PrivateKeyInfo:
+    """What is known of a private key without its passphrase. The key itself is not kept."""
+
+    spki: bytes | None = None
+    """DER SubjectPublicKeyInfo of its public key; None if it cannot be loaded here."""
+    reason: str | None = None
+    """Why it cannot be read, if the reason is not a missing passphrase."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +80,52 @@ class File:
         """Whether it contains a private key; in DER, only unencrypted ones are recognised."""
         in_pem = any(label.endswith("PRIVATE KEY") for label in self.labels)
         return in_pem or _DER_KEY.match(self.data) is not None
+
+    @cached_property
+    def private_key(self) -> PrivateKeyInfo:
+        """The private key in it."""
+        if self.unreadable or is_encrypted(self.data):
+            return PrivateKeyInfo()
+        try:
+            return PrivateKeyInfo(load_private_key(self.data).public_key.spki)
+        except UnknownAlgorithmError:
+            return PrivateKeyInfo()  # stacks accept some kinds that pqsec does not
+        except PqsecError as error:
+            return PrivateKeyInfo(reason=str(error))
+
+    @property
+    def listed(self) -> Listed | None:
+        """The signatures and certificates in S/MIME; None if it cannot be read."""
+        return self._listed[0]
+
+    @property
+    def signers(self) -> tuple[ListedSigner, ...]:
+        """The signers that the document names; none if it cannot be read."""
+        return self.listed.signers if self.listed else ()
+
+    @property
+    def signature_trouble(self) -> str | None:
+        """Why the signatures of S/MIME cannot be read, if they cannot."""
+        return self._listed[1]
+
+    @cached_property
+    def _listed(self) -> tuple[Listed | None, str | None]:
+        if not self.is_signed:
+            return None, None
+        try:
+            return signers_in(self.data), None
+        except PqsecError as error:
+            return None, str(error)
+
+    @cached_property
+    def revocation_list(self) -> tuple[RevocationList | None, str | None]:
+        """(the list in it, None), or (None, why it cannot be read); (None, None) without one."""
+        if not self.is_revocation_list:
+            return None, None
+        try:
+            return RevocationList.from_pem(self.data), None
+        except PqsecError as error:
+            return None, str(error)
 
     @property
     def is_revocation_list(self) -> bool:

@@ -1,35 +1,48 @@
-"""What a rule is, and how a family of rules is written.
+"""What a rule is, and how one is written.
 
-A family is a module with one table of rules. Each rule is a function that finds violations:
+A rule is a function that finds violations, decorated with what a reader should know about it:
 
-    FAMILY = Family("documents")
-
-    @FAMILY.rule(
-        "PQS213", Severity.ERROR, PermissionsFile, "a rule names no domains",
+    @lint_rule(
+        "PQS217", Severity.ERROR, "a rule without domains",
         why="Cyclone DDS crashes on it and Fast DDS refuses the document.",
         fix="Add <domains> as the first element of the rule.",
-        stacks=(Target.CYCLONEDDS, Target.FASTDDS),
+        bad="<allow_rule/>",
+        good="<allow_rule><domains><id>0</id></domains></allow_rule>",
         rows=("rule without `<domains>`",),
     )
     def rule_without_domains(document: PermissionsFile) -> Iterator[Violation]:
         yield Violation("this rule names no domains", line)
 
-The class that a function takes is its scope: the function is called for every subject of that
-class (see `file`, `document` and `subjects`) and of its subclasses. rules.md is generated
-from the texts.
-Numbers: 0xx frame, 1xx X.509, 2xx documents, 3xx cross-artefact, 4xx naming, 5xx size,
-6xx post-quantum, 7xx files.
+The class of its argument is the rule's scope: the function is called for every subject of that
+class (see `file`, `document` and `subjects`) and of its subclasses. `bad` and `good` are a short
+example: a piece of XML, a suppression file, or commands. rules.md is generated from the
+texts. `table` finds all modules here.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pqsec_pki.problems import Code
 
-S = TypeVar("S")
+Check = TypeVar("Check", bound=Callable[[Any], Iterable[Any]])
+
+RULES: dict[str, "Rule"] = {}
+"""By id, in the order in which modules were imported; `table` sorts them."""
+FAMILIES = {
+    "0": "frame",
+    "1": "x509",
+    "2": "documents",
+    "3": "cross-artefact",
+    "4": "naming",
+    "5": "size",
+    "6": "post-quantum",
+    "7": "files",
+}
+"""Hundreds of a rule's number -> the family that reports name."""
 
 
 class Severity(StrEnum):
@@ -73,7 +86,10 @@ class Rule:
     title: str
     why: str
     fix: str
-    family: str
+    bad: str
+    """A short example of a violation: XML, a suppression file, or commands after `$`."""
+    good: str
+    """The same, fixed. Commands continue after those of `bad`."""
     scope: type
     check: Callable[[Any], Iterable[Violation]]
     stacks: frozenset[Target]
@@ -86,6 +102,11 @@ class Rule:
     """Whether it runs only if --target names one of its stacks, because what it reports is
     correct for the other stacks."""
 
+    @property
+    def family(self) -> str:
+        """The family that reports name."""
+        return FAMILIES[self.id[3]]
+
     def matters_to(self, targets: frozenset[Target]) -> bool:
         """Whether the rule runs for these targets; no targets means all."""
         if not targets:
@@ -93,48 +114,44 @@ class Rule:
         return not self.stacks or bool(self.stacks & targets)
 
 
-@dataclass(frozen=True, slots=True)
-class Family:
-    """The rules of one module."""
+def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
+    id_: str,
+    severity: Severity,
+    title: str,
+    *,
+    why: str,
+    fix: str,
+    bad: str = "",
+    good: str = "",
+    stacks: Iterable[Target] = (),
+    rows: Iterable[str] = (),
+    measured: str = "",
+    only_when_asked: bool = False,
+) -> Callable[[Check], Check]:
+    """Register the decorated function as a rule; the class of its argument is the scope."""
 
-    name: str
-    rules: list[Rule] = field(default_factory=list)
+    def add(check: Check) -> Check:
+        if id_ in RULES:
+            raise ValueError(f"two rules are called {id_}")
+        scope, *_ = check.__annotations__.values()
+        RULES[id_] = Rule(
+            id=id_,
+            severity=severity,
+            title=title,
+            why=why,
+            fix=fix,
+            bad=cleandoc(bad),
+            good=cleandoc(good),
+            scope=scope,
+            check=check,
+            stacks=frozenset(stacks),
+            rows=tuple(rows),
+            measured=measured,
+            only_when_asked=only_when_asked,
+        )
+        return check
 
-    def rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
-        self,
-        id_: str,
-        severity: Severity,
-        scope: type[S],
-        title: str,
-        *,
-        why: str,
-        fix: str,
-        stacks: Iterable[Target] = (),
-        rows: Iterable[str] = (),
-        measured: str = "",
-        only_when_asked: bool = False,
-    ) -> Callable[[Callable[[S], Iterable[Violation]]], Callable[[S], Iterable[Violation]]]:
-        """Register the decorated function, which finds violations in subjects of class `scope`."""
-
-        def add(check: Callable[[S], Iterable[Violation]]) -> Callable[[S], Iterable[Violation]]:
-            rule = Rule(
-                id=id_,
-                severity=severity,
-                title=title,
-                why=why,
-                fix=fix,
-                family=self.name,
-                scope=scope,
-                check=check,
-                stacks=frozenset(stacks),
-                rows=tuple(rows),
-                measured=measured,
-                only_when_asked=only_when_asked,
-            )
-            self.rules.append(rule)
-            return check
-
-        return add
+    return add
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

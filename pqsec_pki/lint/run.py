@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki.credentials import ENCLAVES
-from pqsec_pki.lint._frame import UNREAD
 from pqsec_pki.lint.collect import take_inventory
-from pqsec_pki.lint.files import PRIVATE
+from pqsec_pki.lint.enclaves.trust import said_once
+from pqsec_pki.lint.keystores.files import PRIVATE
+from pqsec_pki.lint.keystores.incomplete import UNREAD
 from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
 from pqsec_pki.lint.table import RULES
-from pqsec_pki.lint.trust import said_once
 
 COMMAND_LINE = Path("--ignore")
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}

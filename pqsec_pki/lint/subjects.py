@@ -4,20 +4,21 @@ Every file is read once, even if several links lead to it, and parsed when first
 cannot be parsed is None, with a separate reason: subjects raise no errors.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
 from pqsec_pki.algorithms import pem, unpem
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import (
     CERTIFICATE,
     GOVERNANCE,
     IDENTITY_CA,
     KEY,
     PERMISSIONS,
+    PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
     TrustAnchors,
 )
@@ -25,6 +26,8 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
+from pqsec_pki.lint.roles import Role, role_of
+from pqsec_pki.lint.signed import SignedDocument
 
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 """The files of an enclave that every stack needs."""
@@ -60,6 +63,16 @@ class CertificateFile(Content):
     def reasons(self) -> tuple[str, ...]:
         """Why other certificates in the file could not be read."""
         return self._parsed[1]
+
+    @property
+    def issued(self) -> Iterator[Certificate]:
+        """Those that are not self-issued: documents name only such participants."""
+        return (each for each in self.certificates if not each.is_self_issued)
+
+    @cached_property
+    def role(self) -> Role:
+        """The role by the file's name; for other names, by whether it is marked as a CA."""
+        return role_of(self.path.name, self.first)
 
     @cached_property
     def first(self) -> Certificate | None:
@@ -109,6 +122,29 @@ class Enclave:
         found = self._subject(name)
         return found if isinstance(found, GovernanceFile) else None
 
+    @property
+    def signed_documents(self) -> Iterator[SignedDocument]:
+        """Its documents with its permissions CA, if that can be read."""
+        ca = self.certificate(PERMISSIONS_CA)
+        for name in (PERMISSIONS, GOVERNANCE):
+            if ca and name in self.files:
+                alternative, others = self.certificate(PERMISSIONS_ALT_CA), tuple(self._others())
+                yield SignedDocument(self.files[name], ca, alternative, self.anchors, others)
+
+    @property
+    def revocation_lists(self) -> Iterator[tuple[File, RevocationList]]:
+        """(file, revocation list) for each readable list, other than among certificates."""
+        for file in self.files.values():
+            revoked, _ = file.revocation_list
+            if revoked and "CERTIFICATE" not in file.labels:
+                yield file, revoked
+
+    def _others(self) -> Iterator[tuple[str, Certificate]]:
+        names = {"the identity CA": IDENTITY_CA, "the participant itself": CERTIFICATE}
+        for role, name in names.items():
+            if certificate := self.certificate(name):
+                yield role, certificate
+
     def _subject(self, name: str) -> "Document | CertificateFile | None":
         file = self.files.get(name)
         return self.inventory_files.get(file.path) if file else None
@@ -133,3 +169,25 @@ class Inventory:
     """The journal of an interrupted change of that keystore."""
     lost: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
     """Keystore of pqsec -> the files that it lacks."""
+
+    @cached_property
+    def signed_documents(self) -> tuple[SignedDocument, ...]:
+        """Each document with each CA that it is checked against, without duplicates."""
+        found: dict[tuple[Path, str], SignedDocument] = {}
+        in_enclaves = (each for enclave in self.enclaves for each in enclave.signed_documents)
+        for each in (*in_enclaves, *self._outside_enclaves()):
+            found.setdefault((each.file.path, each.ca.fingerprint), each)
+        return tuple(found.values())
+
+    def _outside_enclaves(self) -> Iterator[SignedDocument]:
+        """Documents outside of enclaves, if there is exactly one permissions CA."""
+        in_enclaves = {file.path for each in self.enclaves for file in each.files.values()}
+        roles = [(each.role, each.first) for each in self.certificates if each.first]
+        signers = {each.fingerprint: each for role, each in roles if role is Role.PERMISSIONS_CA}
+        counters = [each for role, each in roles if role is Role.COUNTERSIGNER]
+        if len(signers) != 1:
+            return
+        [ca] = signers.values()
+        for file in self.files:
+            if file.is_signed and file.path not in in_enclaves:
+                yield SignedDocument(file, ca, counters[0] if counters else None, None, ())

@@ -56,7 +56,7 @@ class Suppression:
 
 @dataclass(frozen=True, slots=True)
 class SuppressionFile:
-    """The entries of one suppression file, and its problems, for the rules of `_frame`."""
+    """The entries of one suppression file, and its problems: a subject of rules."""
 
     path: Path
     folder: Path | None

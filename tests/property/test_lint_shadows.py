@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pqsec_pki.documents import DomainRange, DomainSet
-from pqsec_pki.lint._shadows import (
+from pqsec_pki.lint.documents._shadows import (
     ODD_PATTERNS,
     Patterns,
     Starts,

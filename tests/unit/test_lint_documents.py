@@ -7,7 +7,7 @@ import pytest
 
 from pqsec_pki.documents import PRESETS, DomainSet, Governance, Grant, Permissions
 from pqsec_pki.lint import RULES, Severity, Target, check
-from pqsec_pki.lint.expressions import _BRACE, _ODD_BRACKET
+from pqsec_pki.lint.documents.expressions import _BRACE, _ODD_BRACKET
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)

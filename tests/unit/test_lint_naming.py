@@ -8,7 +8,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from pqsec_pki.documents import DomainSet, Grant, Permissions
-from pqsec_pki.lint import check, naming
+from pqsec_pki.lint import check
+from pqsec_pki.lint.keystores import names
 from tests.unit.test_lint_documents import NOW, YEAR
 
 KEY, OTHER_KEY = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
@@ -101,8 +102,8 @@ def test_of_a_thousand_names_few_are_compared(tmp_path, monkeypatch):
         grants=tuple(Permissions.from_xml(permissions(each)).grants[0] for each in grants)
     )
     compared = []
-    may_pass = naming._may_pass
-    monkeypatch.setattr(naming, "_may_pass", lambda *two: compared.append(two) or may_pass(*two))
+    may_pass = names._may_pass
+    monkeypatch.setattr(names, "_may_pass", lambda *two: compared.append(two) or may_pass(*two))
     files = {"a/permissions.xml": document.to_xml(), "b/cert.pem": certificate("CN=/fleet/robot7")}
     [finding] = found_in(tmp_path, "PQS401", files)
     assert "CN=/fleet/robot7/arm" in finding.message

@@ -7,7 +7,7 @@ import pytest
 
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority, Certificate
-from pqsec_pki.lint.post_quantum import STOCK
+from pqsec_pki.lint.post_quantum.keys import STOCK
 from pqsec_pki.smime import Signer, document_in, sign
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab

@@ -8,7 +8,7 @@ from pqsec_pki.algorithms import PROFILES, STOCK_AGREEMENT
 from pqsec_pki.documents import Criteria, Permissions
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint import Target
-from pqsec_pki.lint.size import DATAGRAM, FAST_DDS_LIMIT, FRAGMENT, MANY, reply_size
+from pqsec_pki.lint.enclaves.size import DATAGRAM, FAST_DDS_LIMIT, FRAGMENT, MANY, reply_size
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab

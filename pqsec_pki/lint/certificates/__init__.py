@@ -1,0 +1,1 @@
+"""Rules about certificates, their keys and revocation lists, each by itself."""

@@ -1,0 +1,124 @@
+"""The key of a certificate: its kind, what it signed, and extensions."""
+
+from functools import lru_cache
+from typing import TypeVar
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+
+from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, decode, encode
+from pqsec_pki.algorithms import Family, PublicKey, load_public_key
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
+
+Value = TypeVar("Value", bound=x509.ExtensionType)
+
+UNREADABLE = "unreadable"
+_RSA, _EC = "1.2.840.113549.1.1.1", "1.2.840.10045.2.1"
+_KINDS = {"1.3.101.112": "ed25519", "1.3.101.113": "ed448", "1.2.840.10040.4.1": "dsa"}
+_CURVES = {
+    "1.3.36.3.3.2.8.1.1.7": "brainpoolP256r1",
+    "1.3.36.3.3.2.8.1.1.11": "brainpoolP384r1",
+    "1.3.36.3.3.2.8.1.1.13": "brainpoolP512r1",
+    "1.3.132.0.10": "secp256k1",
+    "1.3.132.0.33": "ecdsa-p224",
+    "1.3.132.0.35": "ecdsa-p521",
+}
+
+
+def extension(certificate: Certificate, kind: type[Value]) -> Value | None:
+    """The value of that extension; None if the certificate has none."""
+    try:
+        return certificate.extensions.get_extension_for_class(kind).value
+    except x509.ExtensionNotFound:
+        return None
+
+
+def is_ca(certificate: Certificate) -> bool:
+    """Whether basicConstraints marks it as a CA."""
+    constraints = extension(certificate, x509.BasicConstraints)
+    return constraints is not None and constraints.ca
+
+
+def key_of(certificate: Certificate) -> PublicKey | None:
+    """Its public key; None if pqsec does not support the algorithm."""
+    try:
+        return certificate.public_key
+    except PqsecError:
+        return None
+
+
+def alternative_key_of(certificate: Certificate | None) -> PublicKey | None:
+    """Its alternative public key; None if it has none, or pqsec cannot read it."""
+    try:
+        return certificate.alternative_key if certificate else None
+    except PqsecError:
+        return None
+
+
+def is_signed_by(certificate: Certificate, issuer: Certificate) -> bool:
+    """Whether `issuer` signed it; True if pqsec cannot check the signature."""
+    key = key_of(issuer)
+    is_marked_for_it = key is not None and key.algorithm.accepts(certificate.identifier)
+    if key is None or (family_of(issuer) is Family.CLASSICAL and not is_marked_for_it):
+        return _is_signed_otherwise(certificate, issuer)
+    try:
+        key.verify(certificate.signature, certificate.tbs, certificate.identifier)
+    except PqsecError:
+        return False
+    return True
+
+
+def _is_signed_otherwise(certificate: Certificate, issuer: Certificate) -> bool:
+    """Check signatures that pqsec does not create: other curves, RSASSA-PSS, SHA-1."""
+    try:
+        signer = x509.load_der_x509_certificate(issuer.der)
+        x509.load_der_x509_certificate(certificate.der).verify_directly_issued_by(signer)
+    except (InvalidSignature, ValueError):
+        return False
+    except (TypeError, UnsupportedAlgorithm):
+        return True
+    return True
+
+
+def family_of(certificate: Certificate) -> Family:
+    """The family of the key's algorithm; classical for an algorithm that pqsec does not have."""
+    key = key_of(certificate)
+    return key.algorithm.family if key else Family.CLASSICAL
+
+
+def key_kind(certificate: Certificate) -> str:
+    """The algorithm's name in pqsec, or its common name if pqsec lacks it, such as rsa-1024."""
+    return _kind(certificate.spki, certificate.der)
+
+
+@lru_cache(maxsize=256)
+def _kind(spki: bytes, der: bytes) -> str:
+    try:
+        return load_public_key(spki).algorithm.name
+    except UnknownAlgorithmError:
+        return _foreign_kind(spki, der)
+    except PqsecError:
+        return UNREADABLE
+
+
+def _foreign_kind(spki: bytes, der: bytes) -> str:
+    try:
+        info = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
+        oid = info.algorithm.algorithm.dotted_string
+        if oid == _EC:
+            curve = decode(Oid, encode(info.algorithm.parameters), "curve").dotted_string
+            return _CURVES.get(curve, f"EC curve {curve}")
+        if oid == _RSA:
+            # Only for RSA: for other kinds the library tests primes, which takes long.
+            return f"rsa-{_size(der)}"
+    except PqsecError:
+        return UNREADABLE
+    return _KINDS.get(oid, f"algorithm {oid}")
+
+
+def _size(der: bytes) -> int:
+    try:
+        return int(getattr(x509.load_der_x509_certificate(der).public_key(), "key_size", 0))
+    except (ValueError, TypeError):
+        return 0

@@ -1,0 +1,92 @@
+"""Rules about revocation lists: their own file, and how they apply to the enclave.
+
+Each variant was measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1,
+3.1.2 and 3.6.2. A stack with an invalid list refuses every participant.
+"""
+
+from collections.abc import Iterator
+
+from pqsec_pki.lint.certificates.validity import is_near
+from pqsec_pki.lint.file import File
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+
+_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+_BAD_LIST = "CRL expired / wrong CA / bad signature"
+NEW_LIST = "Issue a new revocation list (`pqsec ca crl`), and copy it to all participants."
+
+
+@lint_rule(
+    "PQS140", Severity.ERROR, "a revocation list cannot be read",
+    why="A stack that is configured with this list refuses to start.",
+    fix=NEW_LIST,
+)  # fmt: skip
+def unreadable(file: File) -> Iterator[Violation]:
+    if reason := file.revocation_list[1]:
+        yield Violation(f"the revocation list in it cannot be read: {reason}")
+
+
+@lint_rule(
+    "PQS141", Severity.ERROR, "a revocation list has expired",
+    why="After nextUpdate, stacks refuse every participant, revoked or not.",
+    fix=NEW_LIST, rows=(_BAD_LIST,), measured=_ALL,
+)  # fmt: skip
+def expired(file: File) -> Iterator[Violation]:
+    revoked = file.revocation_list[0]
+    if revoked and revoked.next_update and file.now > revoked.next_update:
+        yield Violation(f"the revocation list expired on {revoked.next_update:%Y-%m-%d %H:%M} UTC")
+
+
+@lint_rule(
+    "PQS148", Severity.WARNING, "a revocation list expires soon",
+    why="After nextUpdate, stacks refuse every participant, revoked or not.",
+    fix=NEW_LIST,
+)  # fmt: skip
+def ends_soon(file: File) -> Iterator[Violation]:
+    revoked = file.revocation_list[0]
+    end = revoked.next_update if revoked else None
+    if revoked and end and is_near(file.now, revoked.this_update, end):
+        yield Violation(f"the revocation list expires on {end:%Y-%m-%d %H:%M} UTC")
+
+
+@lint_rule(
+    "PQS142", Severity.ERROR, "a revocation list is not in force yet",
+    why="Before thisUpdate, stacks refuse every participant.",
+    fix="Correct the clock, or issue a new revocation list.",
+    measured="`openssl verify -crl_check` 3.0.19 and 3.5: 'CRL is not yet valid'",
+)  # fmt: skip
+def not_yet(file: File) -> Iterator[Violation]:
+    revoked = file.revocation_list[0]
+    if revoked and file.now < revoked.this_update:
+        yield Violation(
+            f"the revocation list is valid from {revoked.this_update:%Y-%m-%d %H:%M} UTC"
+        )
+
+
+@lint_rule(
+    "PQS143", Severity.WARNING, "a revocation list has no nextUpdate",
+    why="RFC 5280 5.1.2.5 requires it. Without it, an old list is accepted forever. An attacker who"
+    " holds back the new list keeps a revoked participant in the domain.",
+    fix="Issue revocation lists with a nextUpdate.",
+)  # fmt: skip
+def endless(file: File) -> Iterator[Violation]:
+    revoked = file.revocation_list[0]
+    if revoked and revoked.next_update is None:
+        yield Violation("the revocation list has no nextUpdate")
+
+
+@lint_rule(
+    "PQS144", Severity.WARNING, "a revocation list in a file of certificates",
+    why="Fast DDS 3 enforces a list in the identity CA's file; Cyclone DDS and OpenDDS ignore it."
+    " No stack reads a list in the permissions CA's file.",
+    fix="Put the list into crl.pem and configure the stack with that file.",
+    rows=(
+        "CRL appended to identity_ca.pem, b revoked",
+        "CRL in permissions CA file revoking it (ignored)",
+    ),
+    measured=_ALL,
+)  # fmt: skip
+def misplaced(file: File) -> Iterator[Violation]:
+    if file.is_revocation_list and "CERTIFICATE" in file.labels:
+        yield Violation(
+            "a revocation list among certificates: Fast DDS 3 enforces it, others do not"
+        )

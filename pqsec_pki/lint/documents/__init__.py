@@ -1,0 +1,1 @@
+"""Rules about what governance and permissions have in common: XML, values, patterns."""

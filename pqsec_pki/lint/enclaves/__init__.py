@@ -1,0 +1,1 @@
+"""Rules about one enclave: its files, which must match each other."""

@@ -1,0 +1,62 @@
+"""Rules about the grants for an enclave's participant."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.documents import DefaultAction, Grant, parse_subject, same_subject
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.lint.documents._shadows import domains_meet
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.subjects import Enclave
+
+_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+
+
+@lint_rule(
+    "PQS308", Severity.ERROR, "no grant is for this participant",
+    why="Stacks search the grants for the subject of the certificate. If there is none, they refuse"
+    " to start.",
+    fix="Write the subject as `pqsec inspect cert.pem` prints it, and sign the permissions again.",
+    rows=("subset `CN=x` only", "superset (+`,L=Madrid`)"), measured=_ALL,
+)  # fmt: skip
+def no_grant(enclave: Enclave) -> Iterator[Violation]:
+    document, certificate = enclave.permissions(), enclave.certificate()
+    if document and document.permissions and certificate and not own_grants(enclave):
+        yield Violation(f"no grant is for {certificate.subject_name}", path=document.path)
+
+
+@lint_rule(
+    "PQS309", Severity.ERROR, "governance and permissions have no domain in common",
+    why="Governance has no rule for the domains of the permissions, and permissions have no rule"
+    " for the domains of the governance. The participant cannot join any domain.",
+    fix="Name the same domains in both documents.",
+)  # fmt: skip
+def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
+    governance, permissions = enclave.governance(), enclave.permissions()
+    if not (governance and governance.governance and permissions):
+        return
+    governed = [rule.domains for rule in governance.governance.domain_rules]
+    grants = own_grants(enclave)
+    if any(grant.default is DefaultAction.ALLOW for grant in grants):
+        return  # on every domain
+    granted = dict.fromkeys(rule.domains for grant in grants for rule in grant.rules)
+    if granted and not any(domains_meet(one, other) for one in governed for other in granted):
+        yield Violation("names no domain that the governance names", path=permissions.path)
+
+
+def own_grants(enclave: Enclave) -> list[Grant]:
+    """The grants for the certificate's subject, in any spelling."""
+    document, certificate = enclave.permissions(), enclave.certificate()
+    if not (document and document.permissions and certificate):
+        return []
+    return [
+        grant
+        for grant in document.permissions.grants
+        if _is_for(grant.subject_name, certificate.subject_name)
+    ]
+
+
+def _is_for(named: str, subject: str) -> bool:
+    try:
+        return named == subject or same_subject(parse_subject(named), parse_subject(subject))
+    except PqsecError:
+        return False

@@ -1,0 +1,186 @@
+"""Rules about the size of a participant's handshake.
+
+The largest message is the Reply: it contains the certificate and the signed permissions.
+It is built here as it is sent, with zeros in place of secrets and signatures.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pqsec_pki.algorithms import (
+    MODP_RAW,
+    Family,
+    KeyAgreement,
+    Profile,
+    PublicKey,
+    SignatureAlgorithm,
+)
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import PERMISSIONS
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.handshake import (
+    CHALLENGE_SIZE,
+    GenericMessage,
+    Introduction,
+    MessageClass,
+    Reply,
+    participant_data,
+)
+from pqsec_pki.handshake.messages import HASH_SIZE
+from pqsec_pki.handshake.wire import GUID_SIZE, MAX_TOKEN
+from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.subjects import Enclave, Inventory
+
+FAST_DDS_LIMIT = 8192
+"""Bytes of a message in Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2."""
+DATAGRAM = 65507
+"""Bytes: the largest UDP payload over IPv4, in which Fast DDS sends a message whole."""
+FRAGMENT = 1344
+"""Bytes of a message in one datagram: the default of Cyclone DDS (General/FragmentSize)."""
+MANY = 40
+"""Fragments. The largest handshake of pqsec's profiles has 29."""
+_SMALLER = "Write permissions with fewer rules (patterns instead of lists of topics)"
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """The largest handshake message of one participant, in bytes."""
+
+    enclave: Enclave
+    message: int
+    certificate: int
+    permissions: int
+
+    @property
+    def found(self) -> str:
+        """The size and its main parts, for messages."""
+        return (
+            f"handshake messages of {self.message} bytes"
+            f" (certificate {self.certificate}, permissions {self.permissions})"
+        )
+
+
+@lint_rule(
+    "PQS501", Severity.WARNING, "some versions of Fast DDS cannot send the handshake",
+    why="Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2 fail above 8192 bytes with"
+    " 'Cannot serialize ParticipantGenericMessage', and sometimes crash the peer.",
+    fix=f"{_SMALLER}, use the classical profile, or use another version. 2.14.5 and 3.2.3 have the"
+    " fix.",
+    stacks=(Target.FASTDDS,), only_when_asked=True,
+    rows=(
+        "EC P-256 + X.509 alt ML-DSA-44/65/87 (5.8/7.8/10.5 KB PEM)", "RSA-2048 + alt ML-DSA-65",
+        "leaf padded +4…32 KB", "all RSA-4096",
+        "ML-DSA-65 signature in an *unsigned attribute* of the EC SignerInfo",
+        "PQ blob after final boundary / in header / in preamble / XML comment",
+    ),
+    measured="Fast DDS 3.1.2; the other versions by source",
+)  # fmt: skip
+def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
+    for size in _sizes(inventory, None):
+        if size.message > FAST_DDS_LIMIT:
+            words = f"{size.found}: over {FAST_DDS_LIMIT}, too large for some versions of Fast DDS"
+            yield _found(size, words)
+
+
+@lint_rule(
+    "PQS502", Severity.ERROR, "the handshake does not fit into a datagram",
+    why="Fast DDS (2.9.1, 3.1.2) cannot send more than 64 KB. Fast DDS 3.6.2 and Cyclone DDS can.",
+    fix=f"{_SMALLER}, or a smaller certificate.",
+    stacks=(Target.FASTDDS,),
+    rows=("leaf padded +48…128 KB", "permissions document 512 KB"),
+    measured="Fast DDS 2.9.1, 3.1.2",
+)  # fmt: skip
+def over_datagram(inventory: Inventory) -> Iterator[Violation]:
+    for size in _largest(inventory):
+        if size.message > DATAGRAM:
+            yield _found(size, f"{size.found}: over the {DATAGRAM} bytes of a datagram")
+
+
+@lint_rule(
+    "PQS503", Severity.WARNING, "the handshake has many fragments",
+    why="The handshake uses a best-effort topic: if one fragment is lost, the whole message is lost"
+    " and sent again a second later. With 40 fragments and 1 % loss, every third message is lost.",
+    fix=f"{_SMALLER}, or raise General/FragmentSize and MaxMessageSize in Cyclone DDS.",
+    measured="fragments counted at Cyclone DDS's default of 1344 bytes",
+)  # fmt: skip
+def many_fragments(inventory: Inventory) -> Iterator[Violation]:
+    for size in _largest(inventory):
+        if (number := -(-size.message // FRAGMENT)) > MANY:
+            yield _found(size, f"{size.found}: {number} fragments, which must all arrive")
+
+
+@lint_rule(
+    "PQS504", Severity.WARNING, "the handshake is too large for pqsec peers",
+    why="A pqsec peer limits what it reads from a participant that is not authenticated yet. Stacks"
+    " differ: Cyclone DDS and Fast DDS (3.6.2) accepted 512 KB.",
+    measured="the limit is pqsec's own",
+    fix=f"{_SMALLER}.",
+)  # fmt: skip
+def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
+    for size in _largest(inventory):
+        if size.message > MAX_TOKEN:
+            yield _found(size, f"{size.found}: pqsec peers read at most {MAX_TOKEN}")
+
+
+def reply_size(
+    certificate: Certificate, permissions: bytes, row: SignatureAlgorithm, agreement: KeyAgreement
+) -> int:
+    """Bytes of the Reply, at most: an ECDSA signature may be a few bytes shorter."""
+    introduction = Introduction(
+        certificate=certificate.pem,
+        permissions=permissions,
+        participant_data=participant_data(bytes(GUID_SIZE)),
+        signature_algorithm=row.wire_name.encode() + b"\0",
+        key_agreement=agreement.wire_name.encode() + b"\0",
+    )
+    reply = Reply(
+        introduction=introduction,
+        dh2=bytes(agreement.ciphertext_size),
+        challenge1=bytes(CHALLENGE_SIZE),
+        challenge2=bytes(CHALLENGE_SIZE),
+        dh1=bytes(agreement.public_size),
+        hash_c2=bytes(HASH_SIZE),
+        hash_c1=bytes(HASH_SIZE),
+        signature=bytes(row.signature_size),
+    )
+    message = GenericMessage(
+        source=bytes(GUID_SIZE),
+        sequence=1,
+        destination_participant=bytes(GUID_SIZE),
+        class_id=MessageClass.HANDSHAKE,
+        tokens=(reply.to_holder(),),
+    )
+    return len(message.encode())
+
+
+def _largest(inventory: Inventory) -> Iterator[Size]:
+    return _sizes(inventory, inventory.keystore.profile if inventory.keystore else None)
+
+
+def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[Size]:
+    """The size for each participant: between pqsec peers of `profile`, or for stock stacks."""
+    for enclave in inventory.enclaves:
+        certificate, file = enclave.certificate(), enclave.files.get(PERMISSIONS)
+        key = _key(certificate, profile) if certificate else None
+        if certificate is None or file is None or key is None:
+            continue
+        agreement = profile.key_agreement if profile else MODP_RAW
+        yield Size(
+            enclave,
+            message=reply_size(certificate, file.data, key.algorithm, agreement),
+            certificate=len(certificate.pem),
+            permissions=len(file.data),
+        )
+
+
+def _key(certificate: Certificate, profile: Profile | None) -> PublicKey | None:
+    """The key that signs the handshake: the strongest for pqsec peers, else a classical one."""
+    try:
+        key = certificate.handshake_keys[0] if profile else certificate.public_key
+    except PqsecError:
+        return None
+    return key if profile or key.algorithm.family is Family.CLASSICAL else None
+
+
+def _found(size: Size, words: str) -> Violation:
+    return Violation(words, path=size.enclave.folder)

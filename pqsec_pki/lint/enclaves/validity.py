@@ -1,0 +1,142 @@
+"""Rules about the validity of permissions: expired, soon expired, not yet valid, time zones."""
+
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+
+from pqsec_pki.documents import Grant
+from pqsec_pki.lint.certificates.validity import is_near
+from pqsec_pki.lint.document import PermissionsFile
+from pqsec_pki.lint.enclaves.grants import own_grants
+from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.subjects import Enclave
+
+WEST = timedelta(hours=12)
+"""The furthest that local time is behind UTC."""
+TOGETHER = timedelta(days=2)
+"""Ends this close count as equal: one day of margin for time zones is common."""
+_LOCAL = "Fast DDS 2.9.1, 3.1.2, 3.6.2, in the zone of Los Angeles"
+_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+
+
+@lint_rule(
+    "PQS320", Severity.ERROR, "a grant has expired",
+    why="Stacks refuse the participant of this grant.",
+    fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
+    rows=("expired / future",), measured=_ALL,
+)  # fmt: skip
+def expired(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if document.now > grant.not_after:
+            yield _found(document, grant, f"expired on {_day(grant.not_after)}")
+
+
+@lint_rule(
+    "PQS321", Severity.WARNING, "a grant expires soon",
+    why="From that time on the participant is refused, even if its certificate is still valid.",
+    fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
+)  # fmt: skip
+def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if is_near(document.now, grant.not_before, grant.not_after):
+            yield _found(document, grant, f"expires on {_day(grant.not_after)}")
+
+
+@lint_rule(
+    "PQS322", Severity.ERROR, "a grant is not valid yet",
+    why="Stacks refuse the participant of this grant until that time.",
+    fix="Correct the clock, or sign permissions with an earlier not_before.",
+    rows=("expired / future",), measured=_ALL,
+)  # fmt: skip
+def not_yet(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if document.now < grant.not_before:
+            yield _found(document, grant, f"is valid from {_day(grant.not_before)}")
+
+
+@lint_rule(
+    "PQS323", Severity.WARNING, "a grant is too new for other time zones",
+    why="Fast DDS ignores the zone and reads the time as local time. West of Greenwich, a grant"
+    " that began an hour ago is not valid yet.",
+    fix="Set not_before one day back, as pqsec does.",
+    stacks=(Target.FASTDDS,),
+    rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
+)  # fmt: skip
+def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if timedelta() <= document.now - grant.not_before < WEST:
+            words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS reads as local time"
+            yield _found(document, grant, words)
+
+
+@lint_rule(
+    "PQS324", Severity.WARNING, "a grant has expired, but not in every time zone",
+    why="Fast DDS ignores the zone and reads the time as local time. West of Greenwich, it accepts"
+    " a grant for hours after its end.",
+    fix="Set not_after one day earlier than needed.",
+    stacks=(Target.FASTDDS,),
+    rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
+)  # fmt: skip
+def lingers(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if timedelta() < document.now - grant.not_after < WEST:
+            words = f"expired at {grant.not_after:%H:%M} UTC, which Fast DDS reads as local time"
+            yield _found(document, grant, words)
+
+
+@lint_rule(
+    "PQS325", Severity.WARNING, "the permissions expire before the certificate",
+    why="From that time on the participant is refused, although its certificate is still valid.",
+    fix="Set the same end for both, as `pqsec issue` does.",
+)  # fmt: skip
+def end_first(enclave: Enclave) -> Iterator[Violation]:
+    certificate, grants = enclave.certificate(), own_grants(enclave)
+    if certificate is None or not grants:
+        return
+    end = max(grant.not_after for grant in grants)
+    if certificate.not_after - end > TOGETHER:
+        days = (certificate.not_after - end).days
+        yield _of(enclave, f"ends {days} days before the certificate, on {_day(end)}")
+
+
+@lint_rule(
+    "PQS326", Severity.INFO, "the permissions end after the certificate",
+    why="They are also valid for the next certificate with the same name, even if it should have"
+    " other rights.",
+    fix="Set the same end for both, as `pqsec issue` does.",
+)  # fmt: skip
+def end_last(enclave: Enclave) -> Iterator[Violation]:
+    certificate, grants = enclave.certificate(), own_grants(enclave)
+    if certificate is None or not grants:
+        return
+    end = max(grant.not_after for grant in grants)
+    if end - certificate.not_after > TOGETHER:
+        days = (end - certificate.not_after).days
+        yield _of(enclave, f"ends {days} days after the certificate, on {_day(end)}")
+
+
+@lint_rule(
+    "PQS327", Severity.ERROR,
+    "certificate and permissions are never valid at the same time",
+    why="One expires before the other becomes valid.",
+    fix="Renew the participant: `pqsec renew NAME`.",
+)  # fmt: skip
+def never_together(enclave: Enclave) -> Iterator[Violation]:
+    certificate, grants = enclave.certificate(), own_grants(enclave)
+    if certificate is None or not grants:
+        return
+    first, last = certificate.not_before, certificate.not_after
+    if all(grant.not_after < first or grant.not_before > last for grant in grants):
+        yield _of(enclave, "is never valid at the same time as the certificate")
+
+
+def _found(document: PermissionsFile, grant: Grant, words: str) -> Violation:
+    return Violation(f"the grant for {grant.subject_name} {words}", document.line(grant.line))
+
+
+def _of(enclave: Enclave, words: str) -> Violation:
+    document = enclave.permissions()
+    return Violation(f"the participant's grant {words}", path=document.path if document else None)
+
+
+def _day(time: datetime) -> str:
+    return f"{time:%Y-%m-%d %H:%M} UTC"

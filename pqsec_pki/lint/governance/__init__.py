@@ -1,0 +1,1 @@
+"""Rules about governance: protection and access control of domains and topics."""

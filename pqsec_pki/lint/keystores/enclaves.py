@@ -1,0 +1,166 @@
+"""Rules about several enclaves: what all of a keystore must share, and what they must not."""
+
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import (
+    ENCLAVES,
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS_CA,
+)
+from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
+
+
+@lint_rule(
+    "PQS310", Severity.WARNING, "enclaves have different governance",
+    why="Participants that protect a domain or topic differently cannot communicate, and no stack"
+    " reports why.",
+    fix="Use the same governance.p7s for all enclaves: link it, as pqsec and SROS2 do.",
+)  # fmt: skip
+def different_governance(inventory: Inventory) -> Iterator[Violation]:
+    def text(enclave: Enclave) -> Hashable:
+        document = enclave.governance()
+        return document.governance if document else None
+
+    for enclave, other in _odd_ones(inventory, text):
+        place = enclave.files[GOVERNANCE].path
+        yield Violation(f"differs from the governance of {other.name} and others", path=place)
+
+
+@lint_rule(
+    "PQS311", Severity.WARNING, "enclaves trust different CAs",
+    why="Participants that trust different CAs refuse each other.",
+    fix="Use the same CA certificates for all enclaves, unless the domains are meant to be"
+    " separate.",
+)  # fmt: skip
+def different_cas(inventory: Inventory) -> Iterator[Violation]:
+    for name in (IDENTITY_CA, PERMISSIONS_CA):
+
+        def key(enclave: Enclave, name: str = name) -> Hashable:
+            ca = enclave.certificate(name)
+            return ca.fingerprint if ca else None
+
+        for enclave, other in _odd_ones(inventory, key):
+            place = enclave.files[name].path
+            yield Violation(f"differs from the {name} of {other.name} and others", path=place)
+
+
+@lint_rule(
+    "PQS312", Severity.ERROR, "identity CA and permissions CA have the same key",
+    why="Some stacks do not check which certificate signed a document (Cyclone DDS 0.10, Fast DDS"
+    " 2.9). With one CA for both, any participant can sign its own permissions (CVE-2023-24010).",
+    fix="Create two CAs with `pqsec ca rotate`. For a keystore of SROS2, run `pqsec adopt` first.",
+    rows=("document signed by leaf or intermediate under the CA, CA file = root",),
+    measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
+)  # fmt: skip
+def shared_ca(inventory: Inventory) -> Iterator[Violation]:
+    signers = {ca.spki for ca in _cas(inventory, PERMISSIONS_CA, Role.PERMISSIONS_CA).values()}
+    for path, ca in _cas(inventory, IDENTITY_CA, Role.IDENTITY_CA).items():
+        if ca.spki in signers:
+            yield Violation(
+                "this key is identity CA and permissions CA (CVE-2023-24010)", path=path
+            )
+
+
+@lint_rule(
+    "PQS317", Severity.WARNING,
+    "some participants do not have the latest revocation list",
+    why="A participant without a list, or with an older one, accepts participants that were revoked"
+    " later.",
+    fix="Copy the latest crl.pem to all participants and restart them: stacks read it when they"
+    " start.",
+)  # fmt: skip
+def old_list(inventory: Inventory) -> Iterator[Violation]:
+    newest: dict[Path, tuple[datetime, Enclave]] = {}
+    for enclave in inventory.enclaves:
+        made, root = _latest(enclave), _root(enclave.folder)
+        if made and (root not in newest or made > newest[root][0]):
+            newest[root] = made, enclave
+    for enclave in inventory.enclaves:
+        latest, other = newest.get(_root(enclave.folder), (None, enclave))
+        own = _latest(enclave)
+        if latest and (own is None or own < latest):
+            has = f"a revocation list of {own:%Y-%m-%d %H:%M}" if own else "no revocation list"
+            words = f"has {has}; {other.name} has one of {latest:%Y-%m-%d %H:%M} UTC"
+            yield Violation(words, path=enclave.folder)
+
+
+@lint_rule(
+    "PQS314", Severity.WARNING, "two participants have the same key",
+    why="An attacker who gets into one robot has the key of both, and you cannot revoke only one of"
+    " them. This happens when an enclave folder is copied to a second robot.",
+    fix="Issue each participant with its own key: `pqsec issue NAME`.",
+)  # fmt: skip
+def shared_key(inventory: Inventory) -> Iterator[Violation]:
+    first: dict[bytes, Enclave] = {}
+    for enclave in inventory.enclaves:
+        for key in _own_keys(enclave):
+            other = first.setdefault(key, enclave)
+            if other is not enclave:
+                yield Violation(f"has the same key as {other.name}", path=enclave.folder)
+                break
+
+
+@lint_rule(
+    "PQS315", Severity.WARNING, "two certificates have the same serial number",
+    why="Revocation lists identify certificates by serial number: a list that revokes one revokes"
+    " the other too. RFC 5280 4.1.2.2 requires a unique number for each certificate of a CA.",
+    fix="Issue one of them again, and let the CA choose the number (no -set_serial).",
+)  # fmt: skip
+def same_serial(inventory: Inventory) -> Iterator[Violation]:
+    first: dict[tuple[bytes, int], CertificateFile] = {}
+    for file in inventory.certificates:
+        if certificate := file.first:
+            number = (certificate.issuer_der, certificate.serial_number)
+            other = first.setdefault(number, file)
+            if other.first and other.first.der != certificate.der:
+                yield Violation(f"has the same serial number as {other.path}", path=file.path)
+
+
+def _latest(enclave: Enclave) -> datetime | None:
+    """When its newest revocation list was issued; None if it has none."""
+    return max((each.this_update for _, each in enclave.revocation_lists), default=None)
+
+
+def _own_keys(enclave: Enclave) -> Iterator[bytes]:
+    certificate = enclave.certificate()
+    if certificate:
+        yield certificate.spki
+        if certificate.alternative and certificate.alternative.spki:
+            yield certificate.alternative.spki
+
+
+def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certificate]:
+    """CAs in files for that role, or that enclaves have under `name` (SROS2 links both to one)."""
+    found = {each.path: each.first for each in inventory.certificates if each.role is role}
+    for enclave in inventory.enclaves:
+        if name in enclave.files:
+            found[enclave.files[name].path] = enclave.certificate(name)
+    return {path: ca for path, ca in found.items() if ca}
+
+
+def _odd_ones(
+    inventory: Inventory, key: Callable[[Enclave], Hashable]
+) -> Iterator[tuple[Enclave, Enclave]]:
+    """(enclave, another enclave) for each that differs from the majority of its keystore."""
+    keystores: dict[Path, dict[Hashable, list[Enclave]]] = {}
+    for enclave in inventory.enclaves:
+        value = key(enclave)
+        if value is not None:
+            keystores.setdefault(_root(enclave.folder), {}).setdefault(value, []).append(enclave)
+    for groups in keystores.values():
+        most, *others = sorted(groups.values(), key=len, reverse=True)
+        for enclave in (each for group in others for each in group):
+            yield enclave, most[0]
+
+
+def _root(folder: Path) -> Path:
+    parts = folder.parts
+    if ENCLAVES not in parts:
+        return folder.parent
+    return Path(*parts[: len(parts) - parts[::-1].index(ENCLAVES)])

@@ -1,0 +1,45 @@
+"""Rules about the check itself: unreadable files, suppressions, incomplete keystores."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.lint.file import File
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.subjects import Inventory
+
+UNREAD = "PQS001"
+
+
+@lint_rule(
+    UNREAD, Severity.WARNING, "a file could not be read",
+    why="A file that cannot be read is not checked and may be wrong. The check is then incomplete."
+    " The exception is a keystore's private/, which others are not meant to read.",
+    fix="Run the check as the owner of the files, or do not include the file.",
+)  # fmt: skip
+def unreadable(file: File) -> Iterator[Violation]:
+    if file.unreadable:
+        yield Violation(f"was not checked, because it cannot be read: {file.unreadable}")
+
+
+@lint_rule(
+    "PQS006", Severity.WARNING, "a change of the keystore was interrupted",
+    why="A command was killed while it moved files into place, so the keystore is in an"
+    " intermediate state. The check changes nothing and does not finish the change.",
+    fix="Run `pqsec ca recover` on the keystore to finish the change, and check again.",
+)  # fmt: skip
+def cut_off(inventory: Inventory) -> Iterator[Violation]:
+    if inventory.cut_off:
+        yield Violation("a change of the keystore was not finished", path=inventory.cut_off)
+
+
+@lint_rule(
+    "PQS007", Severity.WARNING, "a part of the keystore is missing",
+    why="Without pqsec.json, or without private/ and its ledger, the keystore is checked like any"
+    " other folder. Its profile and the record of issued and revoked certificates are not used."
+    " Issuing, renewing and revoking do not work either.",
+    fix="Restore the missing files from a backup. Robots do not need these files: copy their"
+    " enclaves (cp -rL), or use `pqsec bundle`.",
+)  # fmt: skip
+def lacks(inventory: Inventory) -> Iterator[Violation]:
+    for root, lost in inventory.lost.items():
+        words = f"the keystore lacks {', '.join(lost)}"
+        yield Violation(f"{words}: the rules that need it were not checked", path=root)

@@ -1,0 +1,114 @@
+"""Rules about names that stacks confuse, and subjects of certificates that they cannot match."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pqsec_pki.credentials import CERTIFICATE
+from pqsec_pki.documents import same_subject
+from pqsec_pki.lint.document import PermissionsFile
+from pqsec_pki.lint.permissions._names import CUTS, parsed
+from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.subjects import Inventory
+
+ERROR, WARNING, _ = Severity
+_CYCLONE = Target.CYCLONEDDS
+_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
+
+
+@dataclass(frozen=True, slots=True)
+class _Holder:
+    """A certificate or grant: its name, and the pieces into which Cyclone DDS splits it."""
+
+    name: str
+    pieces: frozenset[tuple[str, str]]
+    path: Path
+    line: int | None = None
+
+
+@lint_rule(
+    "PQS401", ERROR, "a participant may use another participant's permissions",
+    why="Cyclone DDS splits names at each , / and |. It accepts a grant if it contains all pieces"
+    " of the certificate's subject, in any order. CN=/robot was accepted with the permissions of"
+    " CN=/robot/admin and published on its topics. Permissions are not secret: each handshake sends"
+    " them unencrypted.",
+    fix="Rename one of the two, so that each path has a part that the other does not have:"
+    " /robot/driver and /robot/admin.",
+    stacks=(_CYCLONE,),
+    rows=("**security**: identity CN=/robot presenting a document for CN=/robot/admin",
+          "identity CN=/x/a, grant CN=/a/x", "superset (+`,L=Madrid`)"),
+    measured=_CYCLONES,
+)  # fmt: skip
+def escalation(inventory: Inventory) -> Iterator[Violation]:
+    grants = list(_granted(inventory))
+    by_rarest = _by_rarest_piece([*_identities(inventory), *grants])
+    for grant in grants:
+        reported: set[str] = set()
+        for piece in grant.pieces:
+            for other in by_rarest.get(piece, ()):
+                if other.name not in reported and _may_pass(other, grant):
+                    reported.add(other.name)
+                    message = (
+                        f"on Cyclone DDS, {other.name} may use the permissions of {grant.name}"
+                    )
+                    yield Violation(message, grant.line, grant.path)
+
+
+def _may_pass(other: _Holder, grant: _Holder) -> bool:
+    if not other.pieces <= grant.pieces or other.name == grant.name:
+        return False
+    return not same_subject(parsed(other.name), parsed(grant.name))
+
+
+def _identities(inventory: Inventory) -> Iterator[_Holder]:
+    for file in inventory.certificates:
+        for certificate in file.issued:
+            name = certificate.subject_name
+            if pieces := _pieces(name):
+                yield _Holder(name, pieces, file.path)
+
+
+def _granted(inventory: Inventory) -> Iterator[_Holder]:
+    for document in inventory.documents:
+        for grant in document.grants if isinstance(document, PermissionsFile) else ():
+            if pieces := _pieces(grant.subject_name):
+                line = document.line(grant.line)
+                yield _Holder(grant.subject_name, pieces, document.path, line)
+
+
+def _by_rarest_piece(holders: list[_Holder]) -> dict[tuple[str, str], list[_Holder]]:
+    """Each name once, under the piece that the fewest names have, to compare few pairs."""
+    unique = {holder.name: holder for holder in holders}
+    counts = Counter(piece for holder in unique.values() for piece in holder.pieces)
+    found: dict[tuple[str, str], list[_Holder]] = {}
+    for holder in unique.values():
+        rarest = min(holder.pieces, key=lambda piece: (counts[piece], piece))
+        found.setdefault(rarest, []).append(holder)
+    return found
+
+
+def _pieces(name: str) -> frozenset[tuple[str, str]]:
+    values: dict[str, str] = {}
+    for piece in CUTS.split(name):
+        word, _, value = piece.partition("=")
+        if piece:
+            values.setdefault(word, value)
+    return frozenset(values.items())
+
+
+@lint_rule(
+    "PQS402", WARNING, "two participants with the same name",
+    why="Permissions are bound to a name: each of the two may use the permissions of the other.",
+    fix="Give each participant its own subject.",
+)  # fmt: skip
+def same_name(inventory: Inventory) -> Iterator[Violation]:
+    before: dict[bytes, tuple[str, bytes]] = {}
+    for enclave in inventory.enclaves:
+        certificate = enclave.certificate()
+        if certificate is None:
+            continue
+        name, spki = before.setdefault(certificate.subject_der, (enclave.name, certificate.spki))
+        if spki != certificate.spki:
+            message = f"{name} has the same subject {certificate.subject_name} and another key"
+            yield Violation(message, path=enclave.files[CERTIFICATE].path)

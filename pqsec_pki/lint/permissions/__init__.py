@@ -1,0 +1,1 @@
+"""Rules about permissions: grants, their rules and times, and subject names."""

@@ -1,0 +1,231 @@
+"""Rules about permissions that a stack reads differently from the standard.
+
+The decision then depends on the stack. `pqsec explain` shows the decision of each stack.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Rule
+from pqsec_pki.lint.document import Document, PermissionsFile
+from pqsec_pki.lint.documents._shadows import Patterns, Starts, covers_domains, domains_meet
+from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+
+MAX_DOMAIN_SETS = 16
+"""Different sets of domains in one grant that are compared with each other."""
+_WARNING = Severity.WARNING
+_OTHER = {"publish": "subscribe", "subscribe": "publish"}
+_CYCLONE = "Cyclone DDS 0.10.2"
+_INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Entry:
+    """A topic pattern, with its rule, action and criteria."""
+
+    rule: Rule
+    action: str
+    criteria: Criteria
+    topic: str
+
+
+@dataclass(slots=True)
+class _Allowed:
+    """What is allowed, by action and domains."""
+
+    all_of_it: bool
+    """Whether the default allows everything."""
+    starts: dict[tuple[str, object], tuple[DomainSet, Starts]] = field(default_factory=dict)
+
+    def add(self, entry: _Entry) -> None:
+        """Add an entry of an allow_rule."""
+        domains = entry.rule.domains
+        key = (entry.action, domains.parts if len(self.starts) < MAX_DOMAIN_SETS else None)
+        self.starts.setdefault(key, (domains, Starts()))[1].add(entry.topic)
+
+    def may_meet(self, entry: _Entry, action: str) -> bool:
+        """Whether `action` may be allowed for a topic and a domain that `entry` names."""
+        return self.all_of_it or any(
+            starts.may_meet(entry.topic)
+            for (other, parts), (domains, starts) in self.starts.items()
+            if other == action and (parts is None or domains_meet(domains, entry.rule.domains))
+        )
+
+
+def _entries(grant: Grant) -> list[_Entry]:
+    return [
+        _Entry(rule, action, criteria, topic)
+        for rule, action, criteria in _criteria(grant)
+        for topic in criteria.topics
+    ]
+
+
+def _criteria(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
+    for rule in grant.rules:
+        for action in _OTHER:
+            yield from ((rule, action, criteria) for criteria in getattr(rule, action))
+
+
+@lint_rule(
+    "PQS269", _WARNING, "a topic with the name of a builtin topic",
+    why="Cyclone DDS lets every participant of the domain use its builtin topics, such as"
+    " DCPSTopic. Governance and permissions have no effect on them.",
+    fix="Give the topic another name.",
+    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+)  # fmt: skip
+def builtin_name(document: Document) -> Iterator[Violation]:
+    for node in document.all("topic", "topic_expression"):
+        if node.value.startswith("DCPS"):
+            yield document.at(
+                node, f"{node.value[:60]!a}: names that begin with DCPS are builtin topics"
+            )
+
+
+@lint_rule(
+    "PQS270", _WARNING, "a deny_rule that also denies the other action",
+    why="Cyclone DDS first checks whether a participant may have the topic at all. The first rule"
+    " that names the topic decides, for publishing and for subscribing. A participant that may not"
+    " publish a topic cannot subscribe to it either.",
+    fix="Move the allow_rule before the deny_rule.",
+    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+)  # fmt: skip
+def denies_both(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        entries = _entries(grant)
+        decides, denied = _not_allowed_above(entries), _denied(entries)
+        below = _Allowed(all_of_it=grant.default is DefaultAction.ALLOW)
+        for entry in reversed(entries):
+            other = _OTHER[entry.action]
+            if entry.rule.allow:
+                below.add(entry)
+            elif (
+                entry in decides
+                and not _is_covered(entry, denied[other])
+                and below.may_meet(entry, other)
+            ):
+                yield document.at(
+                    entry.criteria.line,
+                    f"Cyclone DDS does not let it {other} {entry.topic!a} either",
+                )
+
+
+def _not_allowed_above(entries: list[_Entry]) -> set[_Entry]:
+    """Entries of deny_rules whose topic no earlier allow_rule is certain to cover."""
+    allowed, found = Patterns[Rule](), set[_Entry]()
+    for entry in entries:
+        if entry.rule.allow:
+            allowed.add(entry.topic, entry.rule)
+        elif not _is_covered(entry, allowed):
+            found.add(entry)
+    return found
+
+
+def _denied(entries: list[_Entry]) -> dict[str, Patterns[Rule]]:
+    found = {action: Patterns[Rule]() for action in _OTHER}
+    for entry in entries:
+        if not entry.rule.allow:
+            found[entry.action].add(entry.topic, entry.rule)
+    return found
+
+
+def _is_covered(entry: _Entry, patterns: Patterns[Rule]) -> bool:
+    marks = patterns.covering(entry.topic)
+    return any(covers_domains(mark.domains, entry.rule.domains) for mark in marks)
+
+
+@lint_rule(
+    "PQS271", _WARNING, "a deny_rule that also applies to other domains",
+    why="Fast DDS ignores the domains in the rules for its own participant. What is denied for one"
+    " domain is denied for all.",
+    fix="If a participant joins several domains, give it separate permissions for each domain, each"
+    " in its own folder.",
+    stacks=(Target.FASTDDS,), measured="Fast DDS 2.9.1",
+)  # fmt: skip
+def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        allowed = {rule.domains.parts: rule.domains for rule in grant.rules if rule.allow}
+        some = list(allowed.values())[:MAX_DOMAIN_SETS]
+        for rule in grant.rules:
+            if not rule.allow and not all(covers_domains(rule.domains, each) for each in some):
+                yield document.at(
+                    rule.line, f"Fast DDS denies this on every domain, not only on {rule.domains}"
+                )
+
+
+@lint_rule(
+    "PQS272", _WARNING, "a deny_rule without partitions",
+    why="A deny_rule without partitions applies to all partitions. In Cyclone DDS it applies only"
+    " to endpoints without a partition. An endpoint in a partition is allowed by the default, or by"
+    " a later allow_rule with partitions. The check of the topic denies it only if no earlier"
+    " allow_rule names the topic and governance controls both reading and writing.",
+    fix="Write default DENY and allow only what is needed. Or name the partitions in the deny_rule"
+    " too; <partition>*</partition> means all.",
+    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+)  # fmt: skip
+def denies_without_partitions(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        below = _Allowed(all_of_it=grant.default is DefaultAction.ALLOW)
+        for entry in reversed(_entries(grant)):
+            if bool(entry.criteria.partitions) is not entry.rule.allow:
+                continue
+            if entry.rule.allow:
+                below.add(entry)
+            elif below.may_meet(entry, entry.action):
+                yield document.at(
+                    entry.criteria.line,
+                    f"Cyclone DDS may not deny {entry.topic!a} to endpoints with a partition",
+                )
+
+
+@lint_rule(
+    "PQS273", _WARNING, "partitions that OpenDDS does not check",
+    why="In OpenDDS, an allow_rule with partitions also applies to an endpoint without a"
+    " partition.",
+    fix="Do not use partitions to separate participants with OpenDDS; use other topics.",
+    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    rows=("allow partition P, endpoint in none",),
+)  # fmt: skip
+def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        for rule, _, criteria in _criteria(grant):
+            if rule.allow and criteria.partitions:
+                yield document.at(
+                    criteria.line, "OpenDDS also allows this to endpoints without a partition"
+                )
+
+
+@lint_rule(
+    "PQS274", _WARNING, "a grant that allows nothing",
+    why="Without an allow_rule and with default DENY, a participant cannot join a domain with join"
+    " access control. With Fast DDS it cannot join any domain.",
+    fix="Add an allow_rule for its domains, or remove the grant.",
+    measured="Cyclone DDS 0.10.2, Fast DDS 2.9.1",
+)  # fmt: skip
+def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        if grant.default is DefaultAction.DENY and not any(rule.allow for rule in grant.rules):
+            yield document.at(
+                grant.line, "the grant has no allow_rule: no participant can join with it"
+            )
+
+
+@lint_rule(
+    "PQS275", _WARNING, "a partition that an endpoint can avoid with wildcards",
+    why="Partitions of endpoints can have wildcards too, and stacks check only their names. floor?"
+    " matches the name floor*, and an endpoint in floor* receives what is sent in floor12. The"
+    " plugin of pqsec and `pqsec explain` check everything that the wildcards can match.",
+    fix="Write full names, or a prefix with one * at the end: these work in all stacks.",
+    stacks=(Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS),
+    measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
+    " OpenDDS by source",
+)  # fmt: skip
+def covers_expressions(document: PermissionsFile) -> Iterator[Violation]:
+    for grant in document.grants:
+        for rule, _, criteria in _criteria(grant):
+            for partition in criteria.partitions if rule.allow else ():
+                if _INNER_WILDCARD.search(partition):
+                    yield document.at(
+                        criteria.line, f"{partition[:60]!a}: stacks allow endpoints whose wildcards"
+                        " match more than this",
+                    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Rules about post-quantum keys and signatures, and how stock stacks handle them."""

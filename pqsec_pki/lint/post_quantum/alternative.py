@@ -1,0 +1,121 @@
+"""Rules about alternative signatures and countersignatures, which pqsec peers require."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import (
+    ALT_KEY,
+    GOVERNANCE,
+    IDENTITY_CA,
+    PERMISSIONS,
+    PERMISSIONS_ALT_CA,
+    PERMISSIONS_CA,
+)
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.lint.certificates._keys import alternative_key_of
+from pqsec_pki.lint.enclaves.files import has_keys_on_robot
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.signed import countersigners, is_by
+from pqsec_pki.lint.subjects import Enclave, Inventory
+
+
+@lint_rule(
+    "PQS603", Severity.ERROR, "the alternative signature is not valid",
+    why="The certificate may be forged. Stock stacks ignore this signature and accept the"
+    " certificate; pqsec peers refuse it.",
+    fix="Renew the participant: `pqsec renew NAME`.",
+)  # fmt: skip
+def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
+    certificate, key = enclave.certificate(), alternative_key_of(enclave.certificate(IDENTITY_CA))
+    if certificate is None or key is None or not _has_signature(certificate):
+        return
+    try:
+        if certificate.alternative:
+            certificate.alternative.verify(key)
+    except PqsecError as error:
+        yield Violation(f"the certificate's alternative signature: {error}")
+
+
+@lint_rule(
+    "PQS604", Severity.ERROR, "the certificate has no alternative key or signature",
+    why="The CA has an alternative key, and pqsec peers require this signature. Without it, an"
+    " attacker who breaks ECDSA could create this certificate.",
+    fix="Renew the participant: `pqsec renew NAME`.",
+)  # fmt: skip
+def no_alternative(enclave: Enclave) -> Iterator[Violation]:
+    certificate = enclave.certificate()
+    if certificate is None or alternative_key_of(enclave.certificate(IDENTITY_CA)) is None:
+        return
+    missing = [
+        name
+        for name, there in (
+            ("key", alternative_key_of(certificate)),
+            ("signature", _has_signature(certificate)),
+        )
+        if not there
+    ]
+    if missing:
+        yield Violation(
+            f"the certificate lacks an alternative {' and '.join(missing)}; its CA has one"
+        )
+
+
+@lint_rule(
+    "PQS605", Severity.ERROR, "a countersignature is missing",
+    why="The permissions CA has a post-quantum countersigner. pqsec peers refuse a document without"
+    " its signature; an attacker may have removed it.",
+    fix="Sign the document again.",
+)  # fmt: skip
+def stripped(inventory: Inventory) -> Iterator[Violation]:
+    for each in inventory.signed_documents:
+        ca, signers = each.alternative_ca, countersigners(each.file)
+        if ca and not any(is_by(signer, ca) for signer in signers):
+            yield Violation(f"lacks the countersignature of {ca.subject_name}", path=each.file.path)
+
+
+@lint_rule(
+    "PQS606", Severity.ERROR, "a countersignature is not valid",
+    why="The post-quantum signature does not match the signature of this document.",
+    fix="Find out who changed the document, and sign it again.",
+)  # fmt: skip
+def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
+    for each in inventory.signed_documents:
+        for problem in each.counter_problems:
+            yield Violation(problem, path=each.file.path)
+
+
+@lint_rule(
+    "PQS607", Severity.ERROR, "the certificate of the countersigner is missing",
+    why="The documents are countersigned, and nobody can check this without the certificate. A"
+    " document without the countersignature would be accepted too.",
+    fix=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
+)  # fmt: skip
+def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
+    file = enclave.files.get(PERMISSIONS_ALT_CA)
+    if enclave.certificate(PERMISSIONS_ALT_CA) or (file and file.unreadable):
+        return
+    files = (enclave.files.get(name) for name in (PERMISSIONS, GOVERNANCE))
+    ca = enclave.certificate(PERMISSIONS_CA)
+    if any(file and countersigners(file, ca) for file in files):
+        yield Violation(f"documents are countersigned, but {PERMISSIONS_ALT_CA} is missing")
+    elif alternative_key_of(enclave.certificate(IDENTITY_CA)):
+        yield Violation(
+            f"the identity CA has an alternative key, but {PERMISSIONS_ALT_CA} is missing"
+        )
+
+
+@lint_rule(
+    "PQS608", Severity.ERROR, "the alternative private key is missing",
+    why="The certificate has an alternative key, and pqsec peers require the participant to sign"
+    " with it.",
+    fix=f"Copy {ALT_KEY} with the other files of the enclave, or issue the participant again.",
+)  # fmt: skip
+def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
+    if has_keys_on_robot(enclave):
+        return
+    if alternative_key_of(enclave.certificate()) and ALT_KEY not in enclave.files:
+        yield Violation(f"{ALT_KEY} is missing, and the certificate has an alternative key")
+
+
+def _has_signature(certificate: Certificate) -> bool:
+    return certificate.alternative is not None and certificate.alternative.signature is not None

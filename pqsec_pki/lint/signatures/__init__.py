@@ -1,0 +1,1 @@
+"""Rules about signed documents: their S/MIME form, and who signed them."""
