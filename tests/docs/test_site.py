@@ -1,0 +1,47 @@
+"""The site has a page for each command and each rule. The gate builds all of it, strictly."""
+
+import re
+
+import click
+import pytest
+
+from docs.site import generated
+from pqsec_pki.lint import RULES
+from tests.docs.rules_page import PAGE
+from tests.docs.test_documents_run import _all_commands
+
+COMMANDS = generated.commands()
+PAGES = generated.command_pages()
+INDEX = f"{generated.COMMANDS}/index.md"
+
+
+def test_every_command_has_a_page_that_the_index_links():
+    assert set(COMMANDS) == set(_all_commands())
+    assert set(PAGES) == {INDEX, *map(generated.command_path, COMMANDS)}
+    linked = re.findall(r"\]\(([\w-]+\.md)\)", PAGES[INDEX])
+    assert sorted(f"{generated.COMMANDS}/{name}" for name in linked) == sorted({*PAGES} - {INDEX})
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_page_of_a_command_has_all_its_options(name):
+    command = COMMANDS[name]
+    page = PAGES[generated.command_path(name)]
+    assert page.startswith(f"# pqsec {name}\n")
+    assert f"```text\npqsec {name} " in page
+    told = {word for line in re.findall(r"(?m)^`(-.*)`$", page) for word in line.split(", ")}
+    shown = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
+    for option in shown:
+        assert {option.opts[-1]} <= {word.split()[0] for word in told}
+
+
+def test_every_rule_has_a_page_that_the_page_of_rules_links():
+    text = PAGE.read_text()
+    pages = generated.rule_pages(text)
+    assert list(pages) == [f"{generated.RULES}/{id_}.md" for id_ in RULES]
+    for rule, page in zip(RULES.values(), pages.values(), strict=True):
+        assert page.startswith(f"# {rule.id}: ")
+        assert "\nTo fix it: " in page
+    index = generated.rule_index(text)
+    assert re.findall(r"(?m)^- \[(PQS[0-9]{3}): ", index) == list(RULES)
+    assert set(re.findall(r"\]\(rules/(PQS[0-9]{3})\.md\)", index)) == set(RULES)
+    assert "To fix it:" not in index
