@@ -117,7 +117,7 @@ def exists(path: Path | str, *, follow: bool = True) -> bool:
     In an inaccessible folder os.path.exists, and Path.exists of newer Pythons, return False.
     """
     try:
-        Path(path).stat(follow_symlinks=follow)
+        os.stat(path, follow_symlinks=follow)  # noqa: PTH116 -- faster, for thousands of files
     except (OSError, ValueError) as error:
         if isinstance(error, OSError) and error.errno in _NOWHERE:
             return False

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there
 from pqsec_pki.domain.steps import Action, Blocked, Step
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Files, Keystore, ParticipantState
+from pqsec_pki.keystore import Files, Keystore, ParticipantState, State
 
 _NEVER = datetime.max.replace(tzinfo=UTC)
 _ELSEWHERE = "has its key elsewhere"
@@ -26,8 +26,6 @@ class Reconciler:
     keystore: Keystore | None = None
     """None if there is none yet."""
     ca_ends: datetime = _NEVER
-    renew_before: timedelta | None = None
-    """None for a third of a certificate's validity."""
     now: datetime = _NEVER
     new_keys: bool = False
     """Whether a request may be for other keys than its participant had."""
@@ -107,15 +105,11 @@ class Reconciler:
         return held.requested and not (self.keystore and self.keystore.has_key(name))
 
     def _why_renew(self, member: Member, held: ParticipantState) -> str:
-        notice = self.renew_before
-        if notice is None:
-            notice = (held.not_after - held.made_at) / 3
-        left = held.not_after - self.now
-        if left > notice or left >= member.validity:
+        if not held.state.calls_for_renewal or held.not_after - self.now >= member.validity:
             return ""
         if self.ca_ends <= held.not_after:
             return ""  # no certificate outlives its CA
-        word = "expired" if held.not_after < self.now else "ends"
+        word = "expired" if held.state is State.EXPIRED else "ends"
         return f"{word} {held.not_after:%Y-%m-%d}"
 
 

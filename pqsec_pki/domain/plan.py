@@ -14,9 +14,9 @@ from pqsec_pki.domain.steps import Action, Blocked, Plan, Step
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import (
     Keystore,
-    KeystoreState,
     Overlap,
-    participant_states,
+    Status,
+    governance_digest,
     signed_governance,
     status,
 )
@@ -41,12 +41,11 @@ def plan(
     if keystore is None:
         return _from_nothing(desired)
     _refuse_another(desired, keystore)
-    actual = participant_states(keystore)
+    actual = status(keystore, now=now, due=desired.renew_before, compare_files=True)
     reconciler = Reconciler(
         profile=keystore.profile,
         keystore=keystore,
         ca_ends=keystore.identity_ca.not_after,
-        renew_before=desired.renew_before,
         now=now,
         new_keys=new_keys,
     )
@@ -84,7 +83,7 @@ def _refuse_another(desired: Desired, keystore: Keystore) -> None:
 class _Planner:
     desired: Desired
     keystore: Keystore
-    actual: KeystoreState
+    actual: Status
     reconciler: Reconciler
     now: datetime
     prune: bool
@@ -95,8 +94,9 @@ class _Planner:
         unchanged = 0
         if why := self._why_sign_governance():
             steps.append(Step(Action.SIGN_GOVERNANCE, "", why))
+        held = {each.name: each for each in self.actual.participants}
         for member in self.desired.members.values():
-            found = list(self.reconciler.of(member, self.actual.participants.get(member.name)))
+            found = list(self.reconciler.of(member, held.get(member.name)))
             steps += [each for each in found if isinstance(each, Step)]
             blocked += [each for each in found if isinstance(each, Blocked)]
             unchanged += not found
@@ -113,7 +113,7 @@ class _Planner:
         return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, self.actual.head)
 
     def _why_sign_governance(self) -> str:
-        config_digest = self.actual.governance_digest
+        config_digest = governance_digest(self.keystore)
         if config_digest is None:
             return "the file is not the one signed last"
         if config_digest == self.desired.governance_digest:
@@ -125,20 +125,19 @@ class _Planner:
     def _others(self) -> tuple[str, ...]:
         """The participants with a valid certificate that are not in the file."""
         return tuple(
-            name
-            for name, held in self.actual.participants.items()
-            if name not in self.desired.members
-            and not (held.revoked or held.issued_by_previous_ca)
-            and held.not_after >= self.now
+            sorted(
+                held.name
+                for held in self.actual.participants
+                if held.name not in self.desired.members
+                and not (held.revoked or held.issued_by_previous_ca)
+                and held.not_after >= self.now
+            )
         )
 
     def _list_steps(self, steps: list[Step]) -> list[Step]:
         """The step that renews the list; renewing and revoking include it."""
         included = any(step.action in {Action.RENEW, Action.REVOKE} for step in steps)
-        if included or not self.keystore.has_revocation_list:
+        crl = self.actual.revocation_list
+        if included or crl is None or not crl.state.calls_for_renewal:
             return []
-        shared = status(self.keystore, (), now=self.now, due=self.desired.renew_before)
-        ends = [term.not_after for term in shared.shared if term.kind == "crl"]
-        return [
-            Step(Action.RENEW_CRL, "", f"ends {end:%Y-%m-%d}") for end in ends if shared.list_is_due
-        ]
+        return [Step(Action.RENEW_CRL, "", f"ends {crl.not_after:%Y-%m-%d}")]

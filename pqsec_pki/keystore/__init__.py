@@ -35,8 +35,9 @@ CAs:
     passphrase    changes the passphrase of the CA keys
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 Questions:
-    status               when certificates, CAs and lists expire
-    participant_states   what each participant has, and whether its files are the issued ones
+    participant_states   the state of each participant, for all commands that ask for it;
+                         `_file_comparison` compares its files with the ledger
+    status               the states of participants, CAs and the revocation list at one time
     auditing             whether the ledger is intact
 """
 
@@ -67,9 +68,8 @@ from pqsec_pki.keystore.participant import (
 )
 from pqsec_pki.keystore.participant_states import (
     Files,
-    KeystoreState,
     ParticipantState,
-    participant_states,
+    State,
 )
 from pqsec_pki.keystore.passphrase import change_passphrase
 from pqsec_pki.keystore.renewing import Renewal, renew
@@ -78,12 +78,13 @@ from pqsec_pki.keystore.rollover import CA_VALIDITY, Rollover, Scope
 from pqsec_pki.keystore.rollover_plan import RolloverPlan, plan_rollover
 from pqsec_pki.keystore.rotating import Rotated, rotate
 from pqsec_pki.keystore.signing import (
+    governance_digest,
     sign_document,
     sign_governance,
     sign_permissions,
     signed_governance,
 )
-from pqsec_pki.keystore.status import ParticipantStatus, SharedStatus, State, Status, status
+from pqsec_pki.keystore.status import SharedStatus, Status, status
 
 __all__ = [
     "CA_VALIDITY",
@@ -96,12 +97,10 @@ __all__ = [
     "Files",
     "Issued",
     "Keystore",
-    "KeystoreState",
     "Line",
     "Overlap",
     "ParticipantSpec",
     "ParticipantState",
-    "ParticipantStatus",
     "Phase",
     "PublicKeys",
     "Renewal",
@@ -121,12 +120,12 @@ __all__ = [
     "check_begin",
     "enclave_files",
     "finish_overlap",
+    "governance_digest",
     "issue",
     "key_hashes",
     "load_certificate",
     "load_participant",
     "load_revocation_list",
-    "participant_states",
     "plan_rollover",
     "regular_name",
     "renew",

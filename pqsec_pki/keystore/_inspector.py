@@ -5,8 +5,9 @@ signature was verified.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Self
 
@@ -21,7 +22,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate, refuse_unknown
-from pqsec_pki.keystore.participant_states import config_digests_in
+from pqsec_pki.keystore.participant_states import ParticipantState, participant_states
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,37 +31,35 @@ class Inspector:
 
     keystore: Keystore
     anchors: TrustAnchors
-    certificates: dict[str, Entry]
-    """Name -> the newest ledger entry."""
-    revoked: frozenset[str]
-    """SHA-256 of certificates."""
-    newest: dict[str, int]
-    """Name -> number of the newest line for its permissions."""
+    participants: dict[str, ParticipantState]
+    """By name."""
     known: dict[str, int]
     """SHA-256 of signed permissions -> number of their line."""
-    config_digests: dict[str, str]
-    """Name -> the config digest in its newest lines."""
     compromised: dict[str, Entry]
     """Hash of a key -> the entry of the certificate that was revoked as compromised."""
 
     @classmethod
-    def of(cls, keystore: Keystore, ledger: Ledger) -> Self:
-        """Read the ledger, while the keystore is locked."""
+    def of(
+        cls,
+        keystore: Keystore,
+        ledger: Ledger,
+        names: Collection[str] | None = None,
+        *,
+        now: datetime,
+    ) -> Self:
+        """Read the ledger, on all participants or on `names`, while the keystore is locked."""
         return cls(
             keystore,
             keystore.issuing_cas,
-            {each.name: each for each in ledger.newest("participant")},
-            frozenset(each.sha256 for each in ledger.of_kind("revocation")),
-            ledger.newest_numbers("permissions"),
+            {each.name: each for each in participant_states(keystore, ledger, names, now=now)},
             ledger.numbers("permissions"),
-            config_digests_in(ledger),
             compromised_keys_in(keystore.root, ledger),
         )
 
     def revoked_of(self, names: Sequence[str]) -> list[str]:
         """Those of `names` whose newest certificate was revoked."""
-        known = filter(None, map(self.certificates.get, names))
-        return [each.name for each in known if each.sha256 in self.revoked]
+        known = filter(None, map(self.participants.get, names))
+        return [each.name for each in known if each.revoked]
 
     def refuse_revoked(self, names: Sequence[str]) -> None:
         """KeystoreError if any of them was revoked."""
@@ -73,9 +72,8 @@ class Inspector:
 
     def issued_by_previous_ca_of(self, names: Sequence[str]) -> list[str]:
         """Those of `names` whose newest certificate was issued by a previous identity CA."""
-        authority = self.keystore.identity_ca.fingerprint
-        known = filter(None, map(self.certificates.get, names))
-        return [each.name for each in known if each.issuer not in {None, authority}]
+        known = filter(None, map(self.participants.get, names))
+        return [each.name for each in known if each.issued_by_previous_ca]
 
     def refuse_previous_ca(self, names: Sequence[str]) -> None:
         """KeystoreError if any of them was issued by a CA that has been replaced."""
@@ -92,7 +90,7 @@ class Inspector:
         refuse_unknown(self.keystore.root, name)
         path = folder / _layout.CERTIFICATE
         found = load_certificate(path)
-        known = self.certificates.get(name)
+        known = self.participants.get(name)
         if known is None:
             raise KeystoreError(
                 f"{path}: the ledger has no certificate for {shown(name)}",
@@ -108,7 +106,7 @@ class Inspector:
         path = folder / _layout.PERMISSIONS
         signed = read(path)
         number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)
-        if number < self.newest.get(name, 1):
+        if number < max(self.participants[name].permissions_line, 1):
             raise _stale(path, name, "permissions")
         return signed
 
@@ -122,8 +120,9 @@ class Inspector:
 
     def config_digest(self, name: str, folder: Path) -> str:
         """The config digest of `name`; empty if its permissions were signed by hand since."""
-        number = self.known.get(hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest())
-        return self.config_digests.get(name, "") if number == self.newest.get(name) else ""
+        state = self.participants[name]
+        signed = hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest()
+        return state.config_digest if signed == state.permissions else ""
 
     def verified(self, signed: bytes) -> bytes:
         """The document in a signed file; VerificationError if the CA did not sign it."""

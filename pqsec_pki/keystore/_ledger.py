@@ -1,10 +1,11 @@
 """The ledger: every certificate, signed document and revocation of this keystore."""
 
+import json
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Any, Self
 
 from pqsec_pki.errors import KeystoreError, PqsecError
 from pqsec_pki.keystore import _layout, _ledger_file, _table
@@ -12,12 +13,25 @@ from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._folder import Folder
 
 _DETAIL = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
-_NEWEST_LINES = (  # beside max(), SQLite takes the other columns from the row that has it
-    "SELECT max(number), name, sha256, at, ifnull(not_after, ''), ifnull(issuer, ''),"  # noqa: S608 -- no outside text
-    f" ifnull(CAST({_DETAIL.format('mark')} AS TEXT), ''),"
-    f" ifnull(CAST({_DETAIL.format('keys')} AS TEXT), ''), count({_DETAIL.format('request')})"
-    " FROM ledger WHERE kind = ? GROUP BY name ORDER BY name"
+_PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row that has it
+    "WITH certified AS (SELECT max(number), name, sha256, at, ifnull(not_after, '') AS not_after,"  # noqa: S608 -- no outside text
+    " ifnull(serial, '') AS serial, ifnull(issuer, '') AS issuer,"
+    f" count({_DETAIL.format('request')}) AS requests,"
+    f" CAST({_DETAIL.format('profile')} AS TEXT) AS profile,"
+    f" CAST({_DETAIL.format('domains')} AS TEXT) AS domains,"
+    f" ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '') AS keys,"
+    f" ifnull(CAST({_DETAIL.format('mark')} AS TEXT), '') AS mark"
+    " FROM ledger WHERE kind = 'participant'{chosen} GROUP BY name),"
+    " signed AS (SELECT max(number) AS number, name, sha256,"
+    f" nullif(CAST({_DETAIL.format('mark')} AS TEXT), '') AS mark"
+    " FROM ledger WHERE kind = 'permissions'{chosen} GROUP BY name)"
+    " SELECT certified.name, certified.sha256, serial, at, not_after, issuer, requests, profile,"
+    " domains, keys, ifnull(signed.mark, certified.mark), ifnull(signed.sha256, ''),"
+    " ifnull(signed.number, 0), EXISTS (SELECT 1 FROM ledger"
+    " WHERE kind = 'revocation' AND sha256 = certified.sha256)"
+    " FROM certified LEFT JOIN signed ON signed.name = certified.name ORDER BY certified.name"
 )
+_CHOSEN = " AND name IN (SELECT value FROM json_each(:names))"
 _REVOKED_FOR = (
     "kind = 'participant' AND sha256 IN (SELECT sha256 FROM ledger"  # noqa: S608 -- see above
     f" WHERE kind IN ('revocation', 'compromise') AND {_DETAIL.format('reason')} = ?)"
@@ -27,20 +41,6 @@ _CERTIFIED = (
     f"SELECT name, sha256, ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
     " FROM ledger WHERE kind = 'participant' AND not_after >= ? ORDER BY number"
 )
-
-
-class Newest(NamedTuple):
-    """The newest line of one kind for one name; missing values are empty."""
-
-    name: str
-    sha256: str
-    at: str
-    not_after: str
-    issuer: str
-    config_digest: str
-    keys: str
-    requests: int
-    """How many of the lines of that kind and name answered certificate requests."""
 
 
 class Ledger:
@@ -107,11 +107,6 @@ class Ledger:
         """The entries of that kind and name, oldest first."""
         return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
 
-    def newest(self, kind: str) -> list[Entry]:
-        """For each name the newest entry of that kind."""
-        newest = "SELECT max(number) FROM ledger WHERE kind = ? GROUP BY name"
-        return self._find(f"number IN ({newest})", kind)
-
     def revoked_for(self, reason: str) -> list[Entry]:
         """The entries of participants whose certificates were revoked for that reason."""
         return self._find(_REVOKED_FOR, reason)
@@ -121,25 +116,23 @@ class Ledger:
         with self._errors():
             yield from self._database.execute(_CERTIFIED, (until,))
 
-    def newest_with_digest(self, kind: str) -> Iterator[Newest]:
-        """The newest line of that kind for each name, sorted by name, as an iterator."""
+    def participants(self, names: Collection[str] | None = None) -> Iterator[tuple[Any, ...]]:
+        """For each participant, or each in `names`, what its newest lines say, sorted by name.
+
+        Name; SHA-256, serial, time, end and issuer of its newest certificate; how many requests
+        were answered; profile, domains, keys and config digest; SHA-256 and line number of the
+        newest permissions; whether the certificate was revoked. Missing texts are empty, profile
+        and domains None.
+        """
+        query = _PARTICIPANTS.replace("{chosen}", "" if names is None else _CHOSEN)
         with self._errors():
-            rows = self._database.execute(_NEWEST_LINES, (kind,))
-            yield from (Newest._make(row[1:]) for row in rows)
+            yield from self._database.execute(query, {"names": json.dumps(list(names or ()))})
 
     def numbers(self, kind: str) -> dict[str, int]:
         """The line numbers of that kind, by SHA-256."""
         with self._errors():
             rows = self._database.execute(
                 "SELECT sha256, number FROM ledger WHERE kind = ?", (kind,)
-            )
-            return dict(rows.fetchall())
-
-    def newest_numbers(self, kind: str) -> dict[str, int]:
-        """The number of the newest line of that kind, by name."""
-        with self._errors():
-            rows = self._database.execute(
-                "SELECT name, max(number) FROM ledger WHERE kind = ? GROUP BY name", (kind,)
             )
             return dict(rows.fetchall())
 

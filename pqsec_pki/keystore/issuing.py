@@ -15,6 +15,7 @@ from pqsec_pki.keystore._transaction import StagedFolder, Transaction
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.compromised import compromised_keys_in, refuse_compromised, refuse_shared
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant_states import participant_states
 
 _SHARED = {
     _layout.GOVERNANCE: f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}",
@@ -40,7 +41,7 @@ class ParticipantSpec:
     keys: PublicKeys | None = None
     """The keys of a verified request; None to make new keys here."""
     config_digest: str = ""
-    """A value of the caller's, kept in the ledger through renewals; see `participant_states`."""
+    """A value of the caller's, kept in the ledger through renewals; see `ParticipantState`."""
 
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -66,7 +67,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
         authorities.refuse_outdated(keystore.root)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
         if not after_revocation:
-            _refuse_revoked(keystore, specs)
+            _refuse_revoked(keystore, specs, now)
         _refuse_keys(keystore, specs, now, compromised=compromised_keys)
         shared = _shared(keystore, authorities)
         folders = [
@@ -194,11 +195,10 @@ def _refuse_keys(
             refuse_shared(ledger, asked, now)
 
 
-def _refuse_revoked(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
+def _refuse_revoked(keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime) -> None:
     with keystore.open_ledger() as ledger:
-        revoked = {each.sha256 for each in ledger.of_kind("revocation")}
-        newest = [ledger.of_name("participant", spec.name)[-1:] for spec in specs if revoked]
-    names = sorted(each.name for [each] in filter(None, newest) if each.sha256 in revoked)
+        states = participant_states(keystore, ledger, [spec.name for spec in specs], now=now)
+        names = [each.name for each in states if each.revoked]
     if names:
         raise KeystoreError(
             f"revoked: {', '.join(names)}",

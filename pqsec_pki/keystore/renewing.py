@@ -23,7 +23,7 @@ from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.compromised import refuse_compromised
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher
-from pqsec_pki.keystore.status import status
+from pqsec_pki.keystore.status import list_status
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def renew(
     issuer = Issuer(keystore, authorities, now)
     with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
-        inspector = Inspector.of(keystore, ledger)
+        inspector = Inspector.of(keystore, ledger, regular, now=now)
         inspector.refuse_revoked(regular)
         inspector.refuse_previous_ca(regular)
         folders = [
@@ -69,7 +69,8 @@ def renew(
         renewed = shared_out(renewer.make, regular, folders)
         for each in renewed:
             transaction.record(*each.entries)
-        if status(keystore, (), now=now, due=terms.due).list_is_due:
+        crl = list_status(keystore, ledger, now=now, due=terms.due)
+        if crl and crl.state.calls_for_renewal:
             publisher = Publisher(keystore, authorities.identity, ledger, now)
             publisher.publish(transaction, [], LIST_VALIDITY)
     return renewed

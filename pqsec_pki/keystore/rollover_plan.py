@@ -61,7 +61,7 @@ def plan_rollover(
         refuse_overlap(keystore, WAIT)
     number = generation(keystore)
     with keystore.open_ledger() as ledger:
-        inspector = Inspector.of(keystore, ledger)
+        inspector = Inspector.of(keystore, ledger, now=now)
         left_out = not_reissued(keystore, terms, inspector, now)
     names = [name for name in keystore.names() if name not in left_out]
     path = keystore.root / _layout.ENCLAVES / _layout.GOVERNANCE

@@ -69,7 +69,7 @@ def rotate(  # noqa: PLR0913 -- the choices are the user's, and by name
         authorities = _authorities(
             keystore, terms, number + 1, kept=kept, successor=successor, now=now
         )
-        inspector = Inspector.of(keystore, ledger)
+        inspector = Inspector.of(keystore, ledger, now=now)
         left_out = not_reissued(keystore, terms, inspector, now)
         governances = {each.sha256: each.details for each in ledger.of_kind("governance")}
         rollover = RolloverTransaction(

@@ -4,7 +4,9 @@ Keys and certificates stay as they are. The new document replaces the old one, a
 line is written, in one change.
 """
 
+import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +14,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.documents import Governance, Kind
+from pqsec_pki.errors import MissingError
 from pqsec_pki.keystore import _journal, _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import document_entry
@@ -35,7 +38,7 @@ def sign_permissions(
     names = [_layout.enclave_name(spec.name) for spec in specs]
     with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
-        inspector = Inspector.of(keystore, ledger)
+        inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [
             transaction.folder(_layout.enclave_folder(name), private=False) for name in names
@@ -101,8 +104,19 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
 
 
 def signed_governance(keystore: Keystore) -> Governance:
-    """The keystore's governance; `participant_states` compares it with the ledger."""
+    """The keystore's governance; `governance_digest` compares it with the ledger."""
     return Governance.from_xml(document_in(keystore.governance))
+
+
+def governance_digest(keystore: Keystore) -> str | None:
+    """The governance's config digest; None if the file is not the newest governance signed."""
+    with keystore.open_ledger() as ledger:
+        newest = ledger.of_name("governance", "")[-1:]
+    with suppress(MissingError):
+        for each in newest:
+            if hashlib.sha256(keystore.governance).hexdigest() == each.sha256:
+                return each.details.get("mark", "")
+    return None
 
 
 @dataclass(frozen=True, slots=True)

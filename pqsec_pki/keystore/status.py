@@ -1,52 +1,21 @@
-"""When certificates, CAs and lists expire, from the ledger: no participant's files are read."""
+"""The state of participants, CAs and the revocation list at one time."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from enum import StrEnum
 
-from pqsec_pki._files import exists
+from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import KeystoreError, meant
 from pqsec_pki.keystore import _layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
+from pqsec_pki.keystore._file_comparison import FileComparison, presence
+from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
-
-
-class State(StrEnum):
-    """The state of a certificate or list, the most urgent first."""
-
-    EXPIRED = "expired"
-    PREVIOUS_CA = "previous-ca"
-    """It was issued by an identity CA that has been replaced."""
-    DUE = "due"
-    VALID = "valid"
-    REVOKED = "revoked"
-    GONE = "gone"
-    """Its folder no longer has a certificate."""
-
-    @property
-    def calls_for_renewal(self) -> bool:
-        """Whether `pqsec renew --due` would renew it."""
-        return self in {State.EXPIRED, State.DUE}
-
+from pqsec_pki.keystore.participant_states import ParticipantState, State, participant_states
 
 _URGENCY = {state: place for place, state in enumerate(State)}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParticipantStatus:
-    """The state of one participant's newest certificate."""
-
-    name: str
-    state: State
-    not_after: datetime
-    serial: str
-    profile: str | None
-    """None if the ledger line is older than this detail."""
-    domains: str | None
-    """The domains that its permissions allowed when it was issued: 0,2-5."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,8 +35,10 @@ class Status:
 
     at: datetime
     shared: tuple[SharedStatus, ...]
-    participants: tuple[ParticipantStatus, ...]
+    participants: tuple[ParticipantState, ...]
     """The most urgent first."""
+    head: str
+    """The ledger's head when it was read."""
 
     def counts(self) -> dict[State, int]:
         """How many participants are in each state."""
@@ -82,9 +53,14 @@ class Status:
         return [each.name for each in self.participants if each.state.calls_for_renewal]
 
     @property
+    def revocation_list(self) -> SharedStatus | None:
+        """The state of the revocation list; None if there is none."""
+        return next((each for each in self.shared if each.kind == "crl"), None)
+
+    @property
     def list_is_due(self) -> bool:
         """Whether there is a revocation list that is to be renewed."""
-        return any(each.kind == "crl" and each.state.calls_for_renewal for each in self.shared)
+        return bool(self.revocation_list and self.revocation_list.state.calls_for_renewal)
 
 
 def status(
@@ -93,45 +69,38 @@ def status(
     *,
     now: datetime,
     due: timedelta | None = None,
+    compare_files: bool = False,
 ) -> Status:
     """The state of all participants, or of `names` only, and of the CAs and the list at `now`.
 
-    A certificate is due if it ends within `due`; if that is None, when less than a third of
-    its validity is left. KeystoreError for a name that is not in the ledger.
+    `due` is as in `State.at`. With `compare_files` the participants' files are compared with
+    the ledger; without, they are only missed if they are gone. KeystoreError for a name that is
+    not in the ledger.
     """
-    authority = keystore.identity_ca.fingerprint
-    with keystore.open_ledger() as ledger:
-        revoked = {each.sha256 for each in ledger.of_kind("revocation")}
-        lists = ledger.of_kind("crl")[-1:] if keystore.has_revocation_list else []
-        participants = ledger.newest("participant")
-    if names is not None:
-        participants = _chosen(participants, names)
-    gone = {each.name for each in participants if _has_no_certificate(keystore, each.name)}
-
-    def status_of(entry: Entry) -> ParticipantStatus:
-        end = entry.ends
-        state = _state(entry.made_at, end, now, due)
-        if entry.issuer not in {None, authority}:
-            state = State.PREVIOUS_CA
-        if entry.sha256 in revoked:
-            state = State.REVOKED
-        if entry.name in gone:
-            state = State.GONE
-        return ParticipantStatus(
-            name=entry.name,
-            state=state,
-            not_after=end,
-            serial=entry.serial or "",
-            profile=entry.details.get("profile"),
-            domains=entry.details.get("domains"),
+    wanted = None if names is None else list(dict.fromkeys(map(_layout.enclave_name, names)))
+    comparison = FileComparison.of(keystore) if compare_files else None
+    compare = comparison.compare if comparison else presence(keystore)
+    with keystore.open_ledger() as ledger, disk_errors(keystore.root):
+        head = ledger.head
+        found = list(
+            participant_states(keystore, ledger, wanted, now=now, due=due, compare=compare)
         )
+        if wanted is not None:
+            _refuse_unknown(ledger, wanted, found)
+        crl = list_status(keystore, ledger, now=now, due=due)
+    if comparison and keystore.to_change:
+        comparison.save()
+    found.sort(key=lambda each: (_URGENCY[each.state], each.not_after, each.name))
+    shared = (*_authorities(keystore, now, due), *filter(None, [crl]))
+    return Status(now, shared, tuple(found), head)
 
-    ordered = sorted(
-        map(status_of, participants),
-        key=lambda each: (_URGENCY[each.state], each.not_after, each.name),
-    )
-    shared = (*_authorities(keystore, now, due), *(_shared(each, now, due) for each in lists))
-    return Status(now, shared, tuple(ordered))
+
+def list_status(
+    keystore: Keystore, ledger: Ledger, *, now: datetime, due: timedelta | None
+) -> SharedStatus | None:
+    """The state of the newest revocation list; None if the keystore has none."""
+    lists = ledger.of_kind("crl")[-1:] if keystore.has_revocation_list else []
+    return next((_shared(each, now, due) for each in lists), None)
 
 
 def _authorities(
@@ -149,29 +118,16 @@ def _authorities(
 
 
 def _shared(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
-    state = _state(entry.made_at, entry.ends, now, due)
+    state = State.at(now, entry.made_at, entry.ends, due)
     return SharedStatus(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
 
 
-def _state(made: datetime, end: datetime, now: datetime, due: timedelta | None) -> State:
-    if now > end:
-        return State.EXPIRED
-    notice = (end - made) / 3 if due is None else due
-    return State.DUE if end - now <= notice else State.VALID
-
-
-def _chosen(participants: list[Entry], names: Iterable[str]) -> list[Entry]:
-    known = {each.name: each for each in participants}
-    wanted = dict.fromkeys(map(_layout.enclave_name, names))
-    unknown = [name for name in wanted if name not in known]
+def _refuse_unknown(ledger: Ledger, wanted: list[str], found: list[ParticipantState]) -> None:
+    names = {each.name for each in found}
+    unknown = [name for name in wanted if name not in names]
     if unknown:
+        known = [row[0] for row in ledger.participants()]
         raise KeystoreError(
             f"the ledger has no participant {', '.join(unknown)}",
             hint=meant(unknown[0], known) or "`pqsec status` lists the participants",
         )
-    return [known[name] for name in wanted]
-
-
-def _has_no_certificate(keystore: Keystore, name: str) -> bool:
-    folder = _layout.enclave_folder(name)
-    return not exists(f"{keystore.root}/{folder}/{_layout.CERTIFICATE}", follow=False)

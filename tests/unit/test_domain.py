@@ -388,7 +388,7 @@ def test_a_line_with_other_details_is_of_no_use(scene, details):
 
 def test_a_damaged_time_in_the_ledger_is_an_error_of_ours(scene):
     alter(scene.root, "UPDATE ledger SET not_after = ? WHERE name = '/r1'", "next year")
-    with pytest.raises(KeystoreError, match="the ledger has next year for a time"):
+    with pytest.raises(KeystoreError, match="line on participant /r1 is damaged"):
         scene.plan()
 
 

@@ -1,0 +1,121 @@
+"""Compares participants' files with the ledger.
+
+Files that were right before are not read again while their inode, size and change time stay
+the same.
+"""
+
+import base64
+import binascii
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from pqsec_pki._files import exists, read
+from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant_states import Compare, Files
+
+_SEEN = "seen.json"
+"""In private/: the files that were right. Without it, all files are read."""
+_MAX_SEEN = 64 << 20
+"""Bytes; 10,000 participants take half a million."""
+
+
+def presence(keystore: Keystore) -> Compare:
+    """Tells only which participants' certificates are gone."""
+    enclaves = f"{keystore.root}/{_layout.ENCLAVES}"
+
+    def compare(name: str, _certificate: str, _permissions: str) -> Files:
+        there = exists(f"{enclaves}{name}/{_layout.CERTIFICATE}", follow=False)
+        return Files.NOT_COMPARED if there else Files.GONE
+
+    return compare
+
+
+class FileComparison:
+    """Compares participants' files with the ledger, and remembers those that are right."""
+
+    def __init__(self, root: Path, seen: dict[str, str]) -> None:
+        self._enclaves = f"{root}/{_layout.ENCLAVES}"
+        self._root = root
+        self._seen = seen
+        self._changed = False
+
+    @classmethod
+    def of(cls, keystore: Keystore) -> "FileComparison":
+        """A comparison that knows the files that were right before."""
+        seen: object = {}
+        with suppress(FileError, ValueError, RecursionError):
+            path = keystore.root / _layout.PRIVATE / _SEEN
+            seen = json.loads(read(path, limit=_MAX_SEEN))
+        return cls(keystore.root, seen if isinstance(seen, dict) else {})
+
+    def compare(self, name: str, certificate: str, permissions: str) -> Files:
+        """Compare `name`'s files with the SHA-256 of its certificate and permissions."""
+        folder = f"{self._enclaves}{name}"
+        try:
+            stamps = [_stamp(f"{folder}/{_layout.CERTIFICATE}")]
+        except (FileNotFoundError, NotADirectoryError):
+            return Files.GONE
+        with suppress(FileNotFoundError):
+            stamps.append(_stamp(f"{folder}/{_layout.PERMISSIONS}"))
+        whole = " ".join((*stamps, certificate, permissions)).encode()
+        seen = hashlib.blake2b(whole, digest_size=12).hexdigest()
+        if self._seen.get(name) == seen:
+            return Files.RIGHT
+        self._changed = True
+        found = _compared(folder, certificate, permissions)
+        if found is Files.RIGHT:
+            self._seen[name] = seen
+        else:
+            self._seen.pop(name, None)
+        return found
+
+    def save(self) -> None:
+        """Save the files that are right, for the next time; errors are ignored."""
+        if not self._changed:
+            return
+        data = json.dumps(self._seen, separators=(",", ":")).encode()
+        with suppress(OSError, PqsecError), Folder.opened(self._root) as root:
+            root.refuse_outsiders()
+            with root.below(_layout.PRIVATE) as private:
+                private.replace(_SEEN, data)
+
+
+def _stamp(path: str) -> str:
+    """A value that changes when the file is changed or replaced."""
+    found = os.lstat(path)
+    return f"{found.st_ino}:{found.st_size}:{found.st_ctime_ns}"
+
+
+def _compared(folder: str, certificate: str, permissions: str) -> Files:
+    if _fingerprint(f"{folder}/{_layout.CERTIFICATE}") != certificate:
+        return Files.OTHER_CERTIFICATE
+    with suppress(FileNotFoundError):
+        if _sha256(f"{folder}/{_layout.PERMISSIONS}") == permissions:
+            return Files.RIGHT
+    return Files.OTHER_PERMISSIONS
+
+
+def _sha256(path: str) -> str:
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _fingerprint(path: str) -> str | None:
+    """SHA-256 of the DER in a PEM file with one certificate; None if it is not base64."""
+    with Path(path).open("rb") as file:
+        lines: Iterator[bytes] = iter(file.read().split(b"\n"))
+    for line in lines:
+        if line.startswith(b"-----BEGIN"):
+            break
+    body = b"".join(line for line in lines if not line.startswith(b"-----END"))
+    try:
+        return hashlib.sha256(base64.b64decode(body)).hexdigest()
+    except binascii.Error:
+        return None
