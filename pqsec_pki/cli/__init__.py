@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import __version__
+from pqsec_pki.cli._help import Group
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._settings import command_options
 from pqsec_pki.errors import FileError, PqsecError, meant, shown
@@ -93,7 +94,7 @@ _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 """Name and mode of each standard stream, by file descriptor number."""
 
 
-class _Lazy(click.Group):
+class _Lazy(Group):
     """A group that imports a command when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:

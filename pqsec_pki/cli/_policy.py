@@ -60,7 +60,16 @@ def add_commands(
 ) -> None:
     """Add the commands that both kinds of documents have: render, read and schema."""
 
-    @group.command()
+    @group.command(
+        examples={
+            "Write the XML": f"pqsec {group.name} render {group.name}.yaml -o {group.name}.xml",
+        },
+        exit_codes={
+            0: "the XML is written",
+            1: "FILE is not valid",
+            3: "a file cannot be read or written",
+        },
+    )
     @click.argument("file", type=_settings.FILE)
     @output_options
     @_settings.command_options
@@ -77,7 +86,16 @@ def add_commands(
         warn(value)
         put(document, output, force=force)
 
-    @group.command()
+    @group.command(
+        examples={
+            "Read a signed document": f"pqsec {group.name} read {group.name}.p7s",
+        },
+        exit_codes={
+            0: "the YAML is written",
+            1: "the document is not valid",
+            3: "a file cannot be read or written",
+        },
+    )
     @click.argument("file", type=_settings.FILE)
     @output_options
     @_settings.command_options
@@ -91,7 +109,17 @@ def add_commands(
             document = to_yaml(from_xml(document_in(data) if is_signed(data) else data))
         put(document, output, force=force)
 
-    @group.command()
+    @group.command(
+        examples={
+            "Write the schema for an editor": (
+                f"pqsec {group.name} schema -o {group.name}.schema.json"
+            ),
+        },
+        exit_codes={
+            0: "the schema is written",
+            3: "the file exists, or cannot be written",
+        },
+    )
     @output_options
     @_settings.command_options
     def schema(output: Path | None, *, force: bool) -> None:

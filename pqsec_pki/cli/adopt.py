@@ -4,14 +4,22 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.check import report_lines, report_value
 from pqsec_pki.keystore import Adopted
 from pqsec_pki.keystore import adopt as adopt_folder
 from pqsec_pki.lint import check
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Adopt a keystore of SROS2, and check it": "pqsec adopt sros2-keystore",
+    },
+    exit_codes={
+        0: "adopted, whatever the check finds",
+        3: "not adopted: the CAs cannot be read, or the folder cannot be written",
+    },
+)
 @click.argument("folder", type=_settings.FOLDER, required=False, metavar="[DIR]")
 @_settings.command_options
 def adopt(folder: Path | None) -> None:

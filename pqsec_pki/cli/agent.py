@@ -3,17 +3,15 @@
 import os
 import signal
 
-import click
-
 from pqsec_pki._files import is_there, read
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import ExistsError, FileError
 from pqsec_pki.plugin import AgentFolder, Status, agent_status, stop_agent
 
 _NOT_RUNNING = "no agent runs: the first participant that uses the plugin starts one"
 
 
-@click.group()
+@_help.group()
 def agent() -> None:
     """Control the agent, which holds the keys for the plugin.
 
@@ -22,7 +20,17 @@ def agent() -> None:
     """
 
 
-@agent.command("status")
+@agent.command(
+    "status",
+    examples={
+        "Show the processes that use the agent": "pqsec agent status",
+    },
+    exit_codes={
+        0: "an agent runs",
+        1: "no agent runs",
+        3: "the agent cannot be asked",
+    },
+)
 @_settings.command_options
 def status() -> int:
     """Show whether the plugin's agent runs, and which processes use it."""
@@ -41,7 +49,16 @@ def status() -> int:
     return 0
 
 
-@agent.command("stop")
+@agent.command(
+    "stop",
+    examples={
+        "Stop the agent": "pqsec agent stop",
+    },
+    exit_codes={
+        0: "stopped, or no agent was running",
+        3: "the agent cannot be asked",
+    },
+)
 @_settings.command_options
 def stop() -> None:
     """Stop the agent.
@@ -54,7 +71,16 @@ def stop() -> None:
     _printing.emit({"stopped": stopped}, ["stopped" if stopped else _NOT_RUNNING])
 
 
-@agent.command("log")
+@agent.command(
+    "log",
+    examples={
+        "Show why the agent refused a process": "pqsec agent log",
+    },
+    exit_codes={
+        0: "the log is printed",
+        3: "there is no log",
+    },
+)
 @_settings.command_options
 def log() -> None:
     """Print which processes the agent refused, and why."""
@@ -66,7 +92,16 @@ def log() -> None:
     _printing.emit({"lines": lines}, lines)
 
 
-@agent.command("run")
+@agent.command(
+    "run",
+    examples={
+        "Run the agent in this terminal, until Ctrl-C": "pqsec agent run",
+    },
+    exit_codes={
+        0: "the agent was stopped",
+        3: "another agent runs, or the socket cannot be created",
+    },
+)
 @_settings.command_options
 def run() -> None:
     """Run the agent in the foreground, for systemd and containers.

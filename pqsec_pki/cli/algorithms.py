@@ -2,8 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 
-import click
-
 from pqsec_pki.algorithms import (
     DEFAULT_PROFILE,
     KEY_AGREEMENTS,
@@ -13,10 +11,19 @@ from pqsec_pki.algorithms import (
     Profile,
     SignatureAlgorithm,
 )
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 
 
-@click.command()
+@_help.command(
+    examples={
+        "List the profiles": "pqsec profiles",
+        "Print them for a program": "pqsec profiles --json",
+    },
+    exit_codes={
+        0: "the profiles are listed",
+        3: "the list cannot be printed",
+    },
+)
 @_settings.command_options
 def profiles() -> None:
     """List the profiles: algorithms that are used together."""
@@ -47,7 +54,16 @@ def _lines(profile: Profile) -> Iterator[str]:
         yield f"  promises              {promise.text}"
 
 
-@click.command()
+@_help.command(
+    examples={
+        "List the algorithms": "pqsec algorithms",
+        "Print them for a program": "pqsec algorithms --json",
+    },
+    exit_codes={
+        0: "the algorithms are listed",
+        3: "the list cannot be printed",
+    },
+)
 @_settings.command_options
 def algorithms() -> None:
     """List the algorithms, their sizes and which stacks run them.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.plan import (
     few,
     file_argument,
@@ -25,7 +25,25 @@ from pqsec_pki.errors import PqsecError, UsageError
 from pqsec_pki.keystore import Authorities, Keystore
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Make the changes of `pqsec plan`, without a question": (
+            "pqsec apply domain.yaml --yes --no-passphrase"
+        ),
+        "Test whether the keystore matches the file": "pqsec apply domain.yaml --check",
+        "Also write bundles for robots that generated their own keys": (
+            "pqsec apply domain.yaml --yes --no-passphrase --bundles bundles"
+        ),
+    },
+    exit_codes={
+        0: "the keystore matches the file",
+        1: (
+            "FILE is not valid, a participant stays blocked, or with --check there are changes to"
+            " make"
+        ),
+        3: "FILE or the keystore cannot be read, or a participant could not be changed",
+    },
+)
 @file_argument
 @click.option(
     "--check", is_flag=True, help="Change nothing; exit with 1 if there are changes to make."

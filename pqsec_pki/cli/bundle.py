@@ -5,13 +5,30 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _bundles, _printing, _settings
+from pqsec_pki.cli import _bundles, _help, _printing, _settings
 from pqsec_pki.enrolment import Bundle, flat_name
 from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore import regular_name
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Write a bundle with keys that only one robot can open": (
+            "pqsec bundle /talker --seal-for bundle.pub.pem"
+        ),
+        "Write a bundle without keys, for a robot that generated its own": (
+            "pqsec bundle /fleet/robot1 -o robot1.bundle --force"
+        ),
+        "Write a bundle for all participants that a file names": (
+            "pqsec bundle --robot names.txt --no-keys -o robot.bundle"
+        ),
+    },
+    exit_codes={
+        0: "the bundle is written",
+        1: "not written: `pqsec install` would refuse it",
+        3: "a participant does not exist, or the keystore or a file cannot be read or written",
+    },
+)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--robot",

@@ -8,7 +8,7 @@ import click
 from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
 from pqsec_pki.cli.rotate import rotate
@@ -17,7 +17,7 @@ from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Keystore, Overlap, renew_list
 
 
-@click.group()
+@_help.group()
 @_settings.command_options
 def ca() -> None:
     """Create, show and change the CAs and the revocation list."""
@@ -36,7 +36,23 @@ profile_option = click.option(
 )
 
 
-@ca.command()
+@ca.command(
+    examples={
+        "Create a keystore for ROS 2 nodes on domain 0": (
+            "pqsec -k my-domain ca init --name Robots --passphrase-file passphrase"
+        ),
+        "Create one with post-quantum keys only, for tests": (
+            "pqsec -k my-test ca init --profile pq --no-passphrase"
+        ),
+    },
+    exit_codes={
+        0: "the keystore is created",
+        3: (
+            "the folder already has a keystore or cannot be written, or the passphrase file cannot"
+            " be read"
+        ),
+    },
+)
 @profile_option
 @click.option("--identity-key", metavar="NAME", help="Choose another kind of identity CA key.")
 @click.option(
@@ -108,7 +124,16 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     _show(keystore)
 
 
-@ca.command()
+@ca.command(
+    examples={
+        "Show the CAs and participants": "pqsec ca show",
+        "Print the options with which a robot trusts exactly these CAs": "pqsec ca show --pins",
+    },
+    exit_codes={
+        0: "the CAs are shown",
+        3: "the keystore cannot be read",
+    },
+)
 @click.option(
     "--pins", is_flag=True, help="Print only the --ca-fingerprint options for `pqsec install`."
 )
@@ -122,7 +147,16 @@ def show(*, pins: bool) -> None:
         _show(keystore)
 
 
-@ca.command()
+@ca.command(
+    examples={
+        "Issue a list that is valid for 90 days": "pqsec ca crl --validity 90d",
+        "Write a copy of the current list": "pqsec ca crl --show -o crl.pem",
+    },
+    exit_codes={
+        0: "the list is issued or shown",
+        3: "there is no list to show, the keystore cannot be changed, or the passphrase is wrong",
+    },
+)
 @click.option("--show", is_flag=True, help="Show the current list, and do not issue a new one.")
 @list_validity_option
 @click.option("-o", "--out", type=_settings.FILE, help="Also write the list to this file, in PEM.")
@@ -160,7 +194,15 @@ def crl(
     _printing.emit(list_value(keystore, found), [list_line(keystore, found)])
 
 
-@ca.command()
+@ca.command(
+    examples={
+        "Finish an interrupted change": "pqsec ca recover",
+    },
+    exit_codes={
+        0: "no change is left to finish",
+        3: "the keystore cannot be read or changed",
+    },
+)
 @_settings.command_options
 def recover() -> None:
     """Finish a change of the keystore that was interrupted.

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     Finding,
@@ -44,7 +44,23 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
         return tuple(map(Target, words))
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Check the keystore": "pqsec check",
+        "Check files of any origin for two stacks": (
+            "pqsec check robots/enclaves/talker --target cyclonedds,fastdds"
+        ),
+        "Explain a rule": "pqsec check --explain PQS231",
+        "Accept one kind of finding, and fail on all other warnings": (
+            "pqsec check --strict --ignore PQS707='the keys are on an encrypted disk'"
+        ),
+    },
+    exit_codes={
+        0: "no errors; with --strict, no warnings either",
+        1: "there are errors; with --strict, also for warnings",
+        3: "incomplete: a file or folder cannot be read",
+    },
+)
 @click.argument("paths", nargs=-1, type=_PATH, metavar="[PATH]...")
 @click.option(
     "--target",

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
@@ -16,7 +16,17 @@ from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 _YEAR = timedelta(days=365)
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Create a domain in pqsec-demo": "pqsec demo",
+        "Create one with post-quantum keys only": "pqsec demo quantum --profile pq",
+    },
+    exit_codes={
+        0: "the domain is created, and the handshake succeeds",
+        1: "the domain is created, but the handshake fails",
+        3: "the folder already has a keystore, or cannot be written",
+    },
+)
 @click.argument("folder", required=False, type=_settings.FOLDER)
 @profile_option
 @_settings.command_options

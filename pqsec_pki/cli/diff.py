@@ -12,7 +12,7 @@ from pqsec_pki.access import SPEC
 from pqsec_pki.access.change import Change, Difference, Sense
 from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli._documents import (
     Loaded,
     document_at,
@@ -39,7 +39,19 @@ class _Part:
     """The participant, if the document is not shared with others; else empty."""
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Compare an edited document with the signed one": (
+            "pqsec diff robots/enclaves/talker/permissions.p7s talker.yaml"
+        ),
+        "Compare two keystores": "pqsec diff robots.old robots",
+    },
+    exit_codes={
+        0: "no change of rights or protection",
+        1: "there are changes, or a document is not valid",
+        3: "a file or keystore cannot be read",
+    },
+)
 @click.argument("old", type=_PATH)
 @click.argument("new", type=_PATH)
 @_settings.command_options

@@ -12,7 +12,7 @@ import click
 from pqsec_pki.access import INTERPRETATIONS, Action, Decision, Question
 from pqsec_pki.access.everywhere import is_known
 from pqsec_pki.access.matrix import Member, topics_named
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli._answers import Answer, DomainsAnswer, answers_by_domain
 from pqsec_pki.cli._documents import (
     PolicyInput,
@@ -29,7 +29,22 @@ from pqsec_pki.errors import MalformedError, UsageError, VerificationError, mean
 _PATTERN = re.compile(r"[*?\[\]]")
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Ask about a ROS 2 topic": "pqsec explain --participant /talker --ros-publish /chatter",
+        "Ask about a DDS topic on one domain, as Fast DDS decides": (
+            "pqsec explain --participant /listener --subscribe rt/chatter --domain 0 --as fastdds"
+        ),
+        "Ask about files, without a keystore": (
+            "pqsec explain --governance governance.yaml --permissions talker.yaml --join"
+        ),
+    },
+    exit_codes={
+        0: "allowed",
+        1: "denied, or a document is not valid or not signed by the CA",
+        3: "a file, the keystore or the participant cannot be read",
+    },
+)
 @click.option("--participant", metavar="NAME", help="Ask about this participant of the keystore.")
 @click.option(
     "--governance",

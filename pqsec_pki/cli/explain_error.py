@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.vendors.messages import Message, Recognised, messages, nearest, recognise
@@ -24,7 +24,19 @@ TITLES = {
 }
 
 
-@click.command("explain-error")
+@_help.command(
+    "explain-error",
+    examples={
+        "Explain an error code of Cyclone DDS": "pqsec explain-error 146",
+        "Explain an error message": "pqsec explain-error 'Subject name is invalid(code: 146)'",
+        "Explain all known messages in a log": "pqsec explain-error - < node.log",
+    },
+    exit_codes={
+        0: "a message is known",
+        1: "no message is known",
+        3: "standard input cannot be read",
+    },
+)
 @click.argument("text", nargs=-1, metavar="TEXT|CODE|-")
 @click.option(
     "--stack", type=click.Choice(list(TITLES)), help="Recognise only messages of this stack."
@@ -36,13 +48,6 @@ def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) ->
 
     TEXT is an error message. CODE is an error code of Cyclone DDS. With -, a whole log is
     read from standard input.
-
-    Examples:
-
-    \b
-    pqsec explain-error 146
-    pqsec explain-error "Subject name is invalid(code: 146)"
-    pqsec explain-error - < node.log
     """
     if as_list:
         if text:

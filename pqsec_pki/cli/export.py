@@ -6,14 +6,27 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError
 from pqsec_pki.vendors import STACKS, Export, Options, stack_named, write
 from pqsec_pki.vendors import export as make_export
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Print the configuration for Cyclone DDS": "pqsec export cyclonedds /talker",
+        "Write the configuration for Fast DDS into a folder": (
+            "pqsec export fastdds /talker -o talker"
+        ),
+        "Write the configuration for ROS 2": "pqsec export ros2 /talker -o ros2-talker",
+    },
+    exit_codes={
+        0: "the configuration is written",
+        1: "the stack would refuse it: not written; with --anyway, written",
+        3: "the keystore, participant or a file cannot be read or written",
+    },
+)
 @click.argument("stack", type=click.Choice([each.name for each in STACKS]), metavar="STACK")
 @click.argument("name")
 @click.option(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _policy, _printing, _settings
+from pqsec_pki.cli import _help, _policy, _printing, _settings
 from pqsec_pki.documents import (
     PRESETS,
     DomainSet,
@@ -16,13 +16,22 @@ from pqsec_pki.documents import (
 )
 
 
-@click.group()
+@_help.group()
 @_settings.command_options
 def governance() -> None:
     """Write and convert governance documents in YAML."""
 
 
-@governance.command()
+@governance.command(
+    examples={
+        "Write a governance for domains 0 to 3": "pqsec governance new --domain 0-3 -o new.yaml",
+        "Print one from another preset": "pqsec governance new --preset authenticated",
+    },
+    exit_codes={
+        0: "the document is written",
+        3: "the file exists, or cannot be written",
+    },
+)
 @click.option(
     "--preset",
     type=click.Choice([preset.name for preset in PRESETS]),
@@ -48,7 +57,15 @@ def new(preset: str, domains: str, output: Path | None, *, force: bool) -> None:
     _policy.put(document, output, force=force)
 
 
-@governance.command()
+@governance.command(
+    examples={
+        "Compare the presets": "pqsec governance presets",
+    },
+    exit_codes={
+        0: "the presets are shown",
+        3: "the list cannot be printed",
+    },
+)
 @_settings.command_options
 def presets() -> None:
     """Show what each preset protects, and what it costs."""

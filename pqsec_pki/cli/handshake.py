@@ -8,7 +8,7 @@ import click
 from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, Profile
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
@@ -31,7 +31,28 @@ _MODE_OPTIONS = {
 """Mode -> options that it accepts."""
 
 
-@click.command("verify-handshake")
+@_help.command(
+    "verify-handshake",
+    examples={
+        "Run the handshake between two participants": "pqsec verify-handshake /talker /listener",
+        "Test whether it succeeds if /listener runs Cyclone DDS": (
+            "pqsec verify-handshake /talker /listener --as cyclonedds"
+        ),
+        "Write every message, byte by byte": (
+            "pqsec verify-handshake /talker /listener --trace trace.txt"
+        ),
+        "Test that forged messages are refused": (
+            "pqsec verify-handshake /talker /listener --attack all"
+        ),
+        "Run all pairs of the keystore": "pqsec verify-handshake --all",
+        "Measure all profiles and key agreements": "pqsec verify-handshake --matrix",
+    },
+    exit_codes={
+        0: "the handshake succeeds; with --attack, all forged messages are refused",
+        1: "a step of the handshake fails; with --attack, a forged message is accepted",
+        3: "the keystore or a participant cannot be read, or FILE cannot be written",
+    },
+)
 @click.argument("names", nargs=-1, metavar="[A B]")
 @click.option("--all", is_flag=True, help="Run all pairs of participants that share a domain.")
 @click.option("--matrix", is_flag=True, help="Measure every profile with every key agreement.")
@@ -84,16 +105,6 @@ def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given:
     and permissions documents are checked, and after the key exchange one encrypted message
     is sent each way. The failing step is printed, and the topics that the two share. A
     handshake also succeeds without a common topic.
-
-    Examples:
-
-    \b
-    pqsec verify-handshake /talker /listener
-    pqsec verify-handshake /talker /listener --as cyclonedds
-    pqsec verify-handshake /talker /listener --trace trace.txt
-    pqsec verify-handshake /talker /listener --attack all
-    pqsec verify-handshake --all
-    pqsec verify-handshake --matrix
     """
     mode = _mode(context, names)
     runs = {"--all": _all, "--matrix": _matrix, "--trace": _trace, "--attack": _attack}

@@ -5,12 +5,22 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import located
 from pqsec_pki.inspection import Description, describe
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Describe a certificate": "pqsec inspect robots/enclaves/talker/cert.pem",
+        "Describe several files": "pqsec inspect robot1.csr robots/enclaves/governance.xml",
+    },
+    exit_codes={
+        0: "described",
+        1: "a document is not valid",
+        3: "a file cannot be read, or its kind is not known",
+    },
+)
 @click.argument(
     "files",
     nargs=-1,

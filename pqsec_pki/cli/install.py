@@ -4,14 +4,30 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
 from pqsec_pki.enrolment import pins_of
 from pqsec_pki.enrolment import rollback as roll_back
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Install the first bundle, and trust exactly these CAs (`pqsec ca show --pins`)": (
+            "pqsec install robot1.bundle --ca-fingerprint identity:SHA256"
+            " --ca-fingerprint permissions:SHA256 --ca-fingerprint countersigner:SHA256"
+        ),
+        "Install it, and trust the CAs in it": "pqsec install robot1.bundle --trust-first",
+    },
+    exit_codes={
+        0: "installed, now or earlier",
+        1: (
+            "refused: the bundle is not valid under the trusted CAs, belongs to no key here, or is"
+            " older"
+        ),
+        3: "the bundle cannot be read, or DIR cannot be written",
+    },
+)
 @click.argument("bundle", type=_settings.FILE)
 @click.option(
     "--ca-fingerprint",
@@ -69,7 +85,16 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Return to the set before the last bundle, which is older": "pqsec rollback --older",
+    },
+    exit_codes={
+        0: "restored",
+        1: "refused: it is older than the newest installed bundle, or from other CAs",
+        3: "nothing to restore, or DIR cannot be written",
+    },
+)
 @click.option("--older", is_flag=True, help="Also restore something older, or from other CAs.")
 @folder_option
 @_settings.command_options

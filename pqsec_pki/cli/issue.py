@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import SealingPublicKey
-from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
+from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
@@ -18,7 +18,22 @@ from pqsec_pki.keystore import issue as issue_participants
 from pqsec_pki.smime import document_in
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Issue a ROS 2 node that publishes one topic": (
+            "pqsec -k robots issue /camera --ros-node /camera --ros-publish /image"
+        ),
+        "Issue every participant of a policy": "pqsec issue --policy permissions.yaml",
+        "Certify a robot's own keys, and write a bundle for it": (
+            "pqsec issue --csr robot2.csr /fleet/robot2 --publish rt/chatter"
+        ),
+    },
+    exit_codes={
+        0: "all participants are issued",
+        1: "no participant is issued: a request, key or document is not valid",
+        3: "no participant is issued: the keystore, a file or the passphrase is missing or wrong",
+    },
+)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--domain", "domains", help="Allow these DDS domains: 0, 0-3 or 0,5. [default: the keystore's]"

@@ -2,7 +2,7 @@
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import Keystore, Line, audit
 
@@ -11,7 +11,17 @@ _SHA256 = 64
 _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Show the ledger": "pqsec log",
+        "Check that nothing was changed or removed": "pqsec log --verify",
+    },
+    exit_codes={
+        0: "shown; with --verify, the ledger is complete",
+        1: "with --verify or --head: the ledger or a file was changed",
+        3: "the keystore cannot be read",
+    },
+)
 @click.option(
     "--verify", is_flag=True, help="Check that no line was changed or removed, and none is missing."
 )

@@ -4,11 +4,22 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.keystore import change_passphrase
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Change the passphrase": (
+            "pqsec ca passphrase --passphrase-file passphrase --new-passphrase-file new-passphrase"
+        ),
+        "Remove it": "pqsec ca passphrase --passphrase-file new-passphrase --no-passphrase",
+    },
+    exit_codes={
+        0: "the passphrase is changed",
+        3: "not changed: the passphrase is wrong, or the keystore or a file cannot be read",
+    },
+)
 @_passphrases.option
 @click.option(
     "--new-passphrase-file",

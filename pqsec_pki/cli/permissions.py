@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _policy, _printing, _settings
+from pqsec_pki.cli import _help, _policy, _printing, _settings
 from pqsec_pki.documents import (
     DomainSet,
     Permissions,
@@ -19,13 +19,24 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import UsageError
 
 
-@click.group()
+@_help.group()
 @_settings.command_options
 def permissions() -> None:
     """Write and convert permissions documents in YAML, and import SROS2 policies."""
 
 
-@permissions.command()
+@permissions.command(
+    examples={
+        "Write permissions for a ROS 2 node": "pqsec permissions new /camera -o camera.yaml",
+        "Write permissions for a DDS program on two domains": (
+            "pqsec permissions new /sensor --dds --domain 0,5 -o sensor.yaml"
+        ),
+    },
+    exit_codes={
+        0: "the document is written",
+        3: "the file exists, or cannot be written",
+    },
+)
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @click.option(
     "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
@@ -59,7 +70,19 @@ def new(  # noqa: PLR0913 -- one for each option, by name
     _policy.put(document, output, force=force)
 
 
-@permissions.command("import")
+@permissions.command(
+    "import",
+    examples={
+        "Convert a policy, and add what Jazzy nodes need": (
+            "pqsec permissions import robot.policy.xml --complete -o robot.yaml"
+        ),
+    },
+    exit_codes={
+        0: "the document is written",
+        1: "POLICY is not valid",
+        3: "POLICY cannot be read, or the file cannot be written",
+    },
+)
 @click.argument("policy", type=_settings.FILE)
 @click.option(
     "--enclave", "wanted", multiple=True, metavar="PATH", help="Import only this enclave."

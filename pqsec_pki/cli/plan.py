@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.domain import Action, Desired, Plan, new_domain, read_domain
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
@@ -28,7 +28,17 @@ new_keys_option = click.option(
 )
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Write a new file to edit": "pqsec plan --init fleet.yaml",
+        "Show the changes": "pqsec plan domain.yaml",
+    },
+    exit_codes={
+        0: "the keystore matches the file",
+        1: "there are changes to make, or FILE is not valid",
+        3: "FILE or the keystore cannot be read",
+    },
+)
 @file_argument
 @click.option("--init", is_flag=True, help="Write a new, commented FILE to edit.")
 @prune_option

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.plugin import build, home, units_folder
 
 DEFAULT_FOLDER = Path(".local/lib/pqsec")
@@ -23,7 +23,7 @@ _START = (
 )
 
 
-@click.group()
+@_help.group()
 def plugin() -> None:
     """Install the security plugin that Cyclone DDS loads.
 
@@ -32,7 +32,19 @@ def plugin() -> None:
     """
 
 
-@plugin.command("install")
+@plugin.command(
+    "install",
+    examples={
+        "Install the plugin in ~/.local/lib/pqsec": "pqsec plugin install",
+        "Replace it, and let systemd start the agent at login": (
+            "pqsec plugin install --force --systemd"
+        ),
+    },
+    exit_codes={
+        0: "installed",
+        3: "it cannot be compiled, its test fails, or a file exists or cannot be written",
+    },
+)
 @click.option(
     "--dir",
     "folder",

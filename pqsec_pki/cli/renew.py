@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
+from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Renewal, State, Status
@@ -16,7 +16,19 @@ _NO_TIME = timedelta()
 """The value of --due without TIME; no duration is zero."""
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Renew everything with less than a third of its life left": "pqsec renew --due",
+        "Renew two participants for half a year, with new keys": (
+            "pqsec renew /talker /listener --validity 26w --rekey"
+        ),
+    },
+    exit_codes={
+        0: "renewed, or nothing was due",
+        1: "not renewed: a document is not valid, or a key was revoked as compromised",
+        3: "not renewed: a participant, the keystore or the passphrase is missing or wrong",
+    },
+)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--due",
@@ -83,7 +95,18 @@ def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
     return [each.name for each in standing.participants if each.state not in skipped]
 
 
-@click.command("needs-renewal")
+@_help.command(
+    "needs-renewal",
+    examples={
+        "Test all participants, for a cron job": "pqsec needs-renewal",
+        "Test whether one expires within 30 days": "pqsec needs-renewal /talker --due 30d",
+    },
+    exit_codes={
+        0: "yes: something is due",
+        1: "no: nothing is due",
+        3: "the keystore or a participant cannot be read",
+    },
+)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option(
     "--due",

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.enrolment import make_sealing_key
 from pqsec_pki.enrolment import request as make_request
@@ -22,7 +22,18 @@ folder_option = click.option(
 )
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Generate keys on the robot": "pqsec request /fleet/robot3",
+        "Use the profile of the keystore": (
+            "pqsec request /fleet/robot4 --profile pq --dir credentials"
+        ),
+    },
+    exit_codes={
+        0: "the request is written",
+        3: "there is a request already, or DIR cannot be written",
+    },
+)
 @click.argument("name")
 @profile_option
 @click.option("--participant-key", metavar="NAME", help="Choose another kind of key.")
@@ -52,7 +63,16 @@ def request(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(value, [f"{made.name}  {made.path}"])
 
 
-@click.command("bundle-key")
+@_help.command(
+    "bundle-key",
+    examples={
+        "Generate the key": "pqsec bundle-key",
+    },
+    exit_codes={
+        0: "the key is written",
+        3: "there is a key already, or DIR cannot be written",
+    },
+)
 @folder_option
 @click.option(
     "--force",

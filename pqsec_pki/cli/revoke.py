@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.certificates import Reason, RevocationList
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.keystore import LIST_VALIDITY, Keystore, Revoked
 from pqsec_pki.keystore import revoke as revoke_subjects
 
@@ -19,7 +19,16 @@ list_validity_option = click.option(
 )
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Revoke a stolen robot": "pqsec revoke /fleet/robot1 --reason keyCompromise",
+        "Issue a list that is valid for 90 days": "pqsec revoke /talker --validity 90d",
+    },
+    exit_codes={
+        0: "revoked, now or earlier",
+        3: "not revoked: a participant, the keystore or the passphrase is missing or wrong",
+    },
+)
 @click.argument("subjects", nargs=-1, required=True, metavar="NAME|SERIAL...")
 @click.option(
     "--reason",

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._overlap import OverlapOptions, Step, count_participants, run
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import CA_VALIDITY, Keystore, Rollover, RolloverPlan, Scope, plan_rollover
@@ -22,7 +22,20 @@ _CAS = {
 }
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Show what a new profile changes and breaks": "pqsec ca rotate --profile pq",
+        "Replace both CAs": "pqsec ca rotate --apply --passphrase-file passphrase",
+        "Begin to replace the identity CA, robot by robot": (
+            "pqsec ca rotate --overlap begin --apply --passphrase-file passphrase"
+        ),
+    },
+    exit_codes={
+        0: "the plan is shown; with --apply, the CAs are replaced",
+        1: "not replaced: a document is not valid",
+        3: "not replaced: the keystore, its state or the passphrase is missing or wrong",
+    },
+)
 @click.option("--plan", is_flag=True, help="Show what would be done and what breaks.  [default]")
 @click.option("--apply", "do", is_flag=True, help="Replace the CAs.")
 @click.option(

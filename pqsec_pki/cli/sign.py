@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki._files import exists, read, refuse_existing
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.documents import (
     Governance,
     Kind,
@@ -41,7 +41,20 @@ def _options(command: _settings.Command) -> _settings.Command:
     return command
 
 
-@click.command("sign-governance")
+@_help.command(
+    "sign-governance",
+    examples={
+        "Sign the governance that you edited": (
+            "pqsec sign-governance robots/enclaves/governance.xml --force"
+        ),
+        "Sign a governance in YAML": "pqsec sign-governance governance.yaml -o signed.p7s",
+    },
+    exit_codes={
+        0: "signed",
+        1: "not signed: FILE is not valid",
+        3: "not signed: FILE, the keystore or the passphrase is missing or wrong",
+    },
+)
 @_options
 @_passphrases.option
 @_settings.command_options
@@ -54,7 +67,20 @@ def sign_governance(file: Path, **choices: Any) -> None:
     _sign(Kind.GOVERNANCE, Governance.from_xml, file, **choices)
 
 
-@click.command("sign-permissions")
+@_help.command(
+    "sign-permissions",
+    examples={
+        "Sign permissions in YAML": "pqsec sign-permissions talker.yaml",
+        "Replace a participant's permissions": (
+            "pqsec sign-permissions talker.yaml -o robots/enclaves/talker/permissions.p7s --force"
+        ),
+    },
+    exit_codes={
+        0: "signed",
+        1: "not signed: FILE is not valid",
+        3: "not signed: FILE, the keystore or the passphrase is missing or wrong",
+    },
+)
 @_options
 @_passphrases.option
 @_settings.command_options

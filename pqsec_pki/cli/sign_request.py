@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _bundles, _passphrases, _printing, _settings
+from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, pins_of, sign
@@ -19,13 +19,24 @@ from pqsec_pki.keystore import ParticipantSpec
 _force = click.option("--force", is_flag=True, help="Replace existing files or participants.")
 
 
-@click.group("sign-request")
+@_help.group("sign-request")
 @_settings.command_options
 def sign_request() -> None:
     """Sign requests with CAs on an offline machine."""
 
 
-@sign_request.command()
+@sign_request.command(
+    examples={
+        "Collect the requests of two robots": (
+            "pqsec sign-request export robot2.csr robot3.csr --publish rt/chatter -o fleet.request"
+        ),
+    },
+    exit_codes={
+        0: "the file is written",
+        1: "a request or the policy is not valid",
+        3: "a file cannot be read or written",
+    },
+)
 @click.argument("requests", nargs=-1, required=True, type=_settings.FILE, metavar="CSR...")
 @click.option(
     "--domain",
@@ -65,7 +76,20 @@ def export(
     _printing.emit(value, [*names, f"{output}  SHA-256 {sha256}"])
 
 
-@sign_request.command("sign")
+@sign_request.command(
+    "sign",
+    examples={
+        "Show what is requested": "pqsec sign-request sign fleet.request --show",
+        "Sign it, if all names are of the fleet": (
+            "pqsec sign-request sign fleet.request -o fleet.answer --allow-name '/fleet/*'"
+        ),
+    },
+    exit_codes={
+        0: "the answer is written; with --show, the request is shown",
+        1: "nothing is issued: FILE, a name or a key is not allowed",
+        3: "FILE, the keystore or the passphrase is missing or wrong",
+    },
+)
 @click.argument("file", type=_settings.FILE)
 @click.option("-o", "--output", type=_settings.FILE, help="Write the answer to this file.")
 @click.option("--sha256", metavar="HASH", help="Refuse FILE if its SHA-256 is different.")
@@ -130,7 +154,19 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
 
 
-@sign_request.command("import")
+@sign_request.command(
+    "import",
+    examples={
+        "Write a bundle for each robot": (
+            "pqsec sign-request import fleet.answer --request fleet.request --bundles bundles"
+        ),
+    },
+    exit_codes={
+        0: "all bundles are written",
+        1: "no bundle is written: the answer is not valid",
+        3: "a file cannot be read or written",
+    },
+)
 @click.argument("answer", type=_settings.FILE)
 @click.option(
     "--request",

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import is_there, read, write
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore, State, Status
 from pqsec_pki.keystore import status as status_of
@@ -23,7 +23,17 @@ _ROLES = {
 _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Show all participants": "pqsec status",
+        "Mark what expires within 30 days": "pqsec status --due 30d",
+        "Write metrics for Prometheus": "pqsec status --prometheus pqsec.prom",
+    },
+    exit_codes={
+        0: "the state is shown",
+        3: "the keystore cannot be read, or the metrics cannot be written",
+    },
+)
 @click.option(
     "--due",
     type=_settings.Duration(),

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
@@ -32,7 +32,24 @@ TIMEOUT = 10.0
 _PAIR = 2
 
 
-@click.command("try")
+@_help.command(
+    "try",
+    examples={
+        "Run two participants in Cyclone DDS": "pqsec try cyclonedds /talker /listener",
+        "Run them with pqsec's plugin, for post-quantum keys": (
+            "pqsec try cyclonedds --plugin /talker /listener"
+        ),
+        "Run them in Fast DDS on one topic": (
+            "pqsec try fastdds /talker /listener --topic rt/chatter"
+        ),
+        "Check what a ROS 2 node needs": "pqsec try ros2 --dry-run /talker",
+    },
+    exit_codes={
+        0: "the sample arrived, and only there; with --dry-run, the node would run",
+        1: "no: the reasons are printed",
+        3: "the stack, the keystore or a participant is missing, or a program cannot be compiled",
+    },
+)
 @click.argument("stack", type=click.Choice([*STACKS, ROS2]), metavar="STACK")
 @click.argument("names", nargs=-1, metavar="A B")
 @click.option("--topic", help="Send on this DDS topic. [default: a topic that both may use]")
@@ -82,14 +99,6 @@ def try_(stack: str, names: tuple[str, ...], *, dry_run: bool, **given: Any) -> 
     not receive it. With --plugin they use pqsec's plugin, for post-quantum keys, with an
     agent of their own. ROS 2 is not run: ros2 needs --dry-run, and accepts any number of
     participants.
-
-    Examples:
-
-    \b
-    pqsec try cyclonedds /talker /listener
-    pqsec try cyclonedds --plugin /talker /listener
-    pqsec try fastdds /talker /listener --topic rt/chatter
-    pqsec try ros2 --dry-run /talker
     """
     if dry_run is not (stack == ROS2):
         raise UsageError(

@@ -6,13 +6,24 @@ from typing import Any
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.documents import validate as validate_xml
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.smime import document_in, is_signed
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Check two documents": (
+            "pqsec validate robots/enclaves/governance.xml robots/enclaves/talker/permissions.p7s"
+        ),
+    },
+    exit_codes={
+        0: "all documents are valid",
+        1: "a document is not valid",
+        3: "a file cannot be read",
+    },
+)
 @click.argument(
     "files",
     nargs=-1,

@@ -7,7 +7,7 @@ import click
 
 from pqsec_pki._files import is_there, read
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.credentials import (
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
@@ -19,7 +19,19 @@ from pqsec_pki.errors import PqsecError, VerificationError, located
 from pqsec_pki.smime import Require, Verified
 
 
-@click.command()
+@_help.command(
+    examples={
+        "Check a document of the keystore": "pqsec verify robots/enclaves/talker/permissions.p7s",
+        "Check it with the CA certificate alone, and demand both signatures": (
+            "pqsec verify permissions.p7s --ca robots/public/permissions_ca.cert.pem --require both"
+        ),
+    },
+    exit_codes={
+        0: "the CA signed the document",
+        1: "the signature is not valid, or one is missing",
+        3: "a file or the keystore cannot be read",
+    },
+)
 @click.argument("file", type=_settings.FILE)
 @click.option(
     "--ca",

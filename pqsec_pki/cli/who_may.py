@@ -18,7 +18,7 @@ from pqsec_pki.access.everywhere import (
     who_may_anywhere,
 )
 from pqsec_pki.access.matrix import Row, topics_named
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.cli._fleet import Fleet, fleet_of
 from pqsec_pki.documents import DomainSet, ros
@@ -60,7 +60,19 @@ class _Question:
         return list(found)
 
 
-@click.command("who-may")
+@_help.command(
+    "who-may",
+    examples={
+        "Show all topics of the keystore": "pqsec who-may",
+        "Show who may use a ROS 2 topic": "pqsec who-may --ros-topic /chatter",
+        "Draw a graph": "pqsec who-may --format dot",
+    },
+    exit_codes={
+        0: "the table is printed",
+        1: "a CA or document is not valid",
+        3: "the keystore or a file cannot be read",
+    },
+)
 @click.argument("paths", nargs=-1, type=_PATH, metavar="[PATH]...")
 @click.option(
     "--topic",

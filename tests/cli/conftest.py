@@ -5,6 +5,7 @@
 the test's own folder, without a terminal.
 """
 
+import itertools
 import json
 import os
 import shlex
@@ -18,10 +19,12 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.cli import main
+from pqsec_pki.cli import pqsec as PQSEC  # noqa: N812 -- a fixture has that name
 from pqsec_pki.cli._printing import JSON_VERSION
 
 NAMES = [profile.name for profile in PROFILES]
@@ -81,6 +84,15 @@ def clean_environment(**extra: str) -> dict[str, str]:
     return {k: v for k, v in os.environ.items() if not k.startswith(dropped)} | extra
 
 
+def command_of(words: list[str]) -> click.Command:
+    """The command that these words run: a group where no command of it is named."""
+    command: click.Command = PQSEC
+    for before, word in itertools.pairwise(["", *words]):
+        if isinstance(command, click.Group) and before not in {"-k", "--keystore"}:
+            command = command.get_command(click.Context(command), word) or command
+    return command
+
+
 @pytest.fixture(scope="session")
 def run_in() -> Run:
     """run_in(folder, "ca show", ...) runs the command there, in this process."""
@@ -106,7 +118,14 @@ def run_in() -> Run:
             finally:
                 signal.signal(signal.SIGPIPE, before)
                 os.umask(mask)
-            return Result(end.value.code, out.getvalue().decode(), err.getvalue().decode())
+            code = end.value.code
+            command = command_of(shlex.split(line))
+            assert code in getattr(command, "exit_codes", {0, 1, 2, 3}), (
+                line,
+                code,
+                "not in --help",
+            )
+            return Result(code, out.getvalue().decode(), err.getvalue().decode())
 
     return run
 

@@ -52,6 +52,8 @@ def texts(path: Path) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "option":
             passed |= {id(each) for each in ast.walk(node)}
+        if isinstance(node, ast.keyword) and node.arg == "examples":
+            passed |= {id(each) for each in ast.walk(node)}
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             passed.add(id(node.value))  # a docstring
         if isinstance(node, ast.JoinedStr):
