@@ -12,7 +12,8 @@ folder per file; an example's other files are in its folder. In a block, a line
 A command without output below it may print what it likes. At a command that runs something
 of OTHERS which is not there, the rest of the document is skipped, and it is said why. The
 blocks marked ```sh set things up (they install packages), or are for other machines, and are
-not run here.
+not run here. The ```python blocks of a document are one program, and `# prints: ` in it starts
+a line that it prints.
 """
 
 import doctest
@@ -29,6 +30,7 @@ import pytest
 
 import pqsec_pki
 from pqsec_pki.cli import COMMANDS, GROUPS, pqsec
+from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.fastdds import find_compiler
 
@@ -113,6 +115,7 @@ class Session:
         self._environment = kept | {
             "PATH": f"{programs}:{os.environ['PATH']}",
             "PYTHONPATH": str(checkout),
+            "XDG_CACHE_HOME": str(folder / "cache"),
         }
 
     def run(self, command: str) -> tuple[int, str]:
@@ -157,6 +160,10 @@ def said_here(lines: list[str]) -> list[str]:
 
 OTHERS = {
     "pqsec plugin install": ("a C compiler", "apt-get install gcc libc6-dev"),
+    "pqsec try cyclonedds": (
+        "Cyclone DDS with its headers",
+        "apt-get install gcc libc6-dev cyclonedds-dev cyclonedds-tools",
+    ),
     "openssl": ("openssl", "apt-get install openssl"),
     "ddsperf": ("cyclonedds-tools", "apt-get install cyclonedds-tools"),
     "g++": ("g++ with Fast DDS's headers", "apt-get install g++ libfastrtps-dev"),
@@ -172,6 +179,11 @@ def others_in(text: str) -> list[str]:
 def _found(program: str) -> str | None:
     if program == "g++":
         return find_compiler()
+    if program == "pqsec try cyclonedds":
+        try:
+            return str(find("cyclonedds"))
+        except MissingStackError:
+            return None
     return shutil.which("cc" if program == "pqsec plugin install" else program)
 
 
@@ -219,14 +231,25 @@ def test_the_readme_sets_things_up_in_two_lines_that_come_first():
     assert text.index(TEST) < text.index("```console")
 
 
-def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
-    (_, lines), *others = blocks(README, "python")
-    assert not others
-    assert len([line for line in lines if line.strip()]) <= 25
+@pytest.mark.parametrize(
+    "path",
+    [path for path in DOCUMENTS if blocks(path, "python")],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
+def test_the_python_of_a_document_runs_and_prints_what_it_says(path, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    exec(compile("\n".join(lines), str(README), "exec"), {})  # noqa: S102 -- it is ours
-    (said, *_) = re.findall(r"(?m)^# prints: (.*)$", "\n".join(lines))
-    assert said in capsys.readouterr().out
+    program, names = [line for _, lines in blocks(path, "python") for line in lines], {}
+    exec(compile("\n".join(program), str(path), "exec"), names)  # noqa: S102 -- it is ours
+    printed = iter(capsys.readouterr().out.splitlines())
+    said = [line.removeprefix("# prints: ") for line in program if line.startswith("# prints: ")]
+    assert said
+    for line in said:  # in this order; a line may go on
+        assert any(each.startswith(line) for each in printed), line
+
+
+def test_the_python_of_the_readme_is_short():
+    ((_, lines),) = blocks(README, "python")
+    assert len([line for line in lines if line.strip()]) <= 25
 
 
 def _all_commands() -> list[str]:
