@@ -21,7 +21,8 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import DataHolder, adjusted_guid, participant_data
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.plugin import AgentFolder, agent_status
 from pqsec_pki.plugin.authentication import NO_TOKEN
 from pqsec_pki.plugin.control import Client

@@ -14,7 +14,8 @@ from tempfile import TemporaryDirectory
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet, validate
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.smime import document_in
 

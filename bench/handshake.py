@@ -30,7 +30,8 @@ from tries import Spent
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.handshake import Identity, adjusted_guid
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 BLOCKS = 20
 CHECKOUT = Path(__file__).parents[1]

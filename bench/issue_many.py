@@ -71,7 +71,8 @@ def show(  # noqa: PLR0913 -- the columns
 def measure(name: str, count: int, folder: Path) -> dict[str, float]:
     from pqsec_pki.algorithms import profile_named
     from pqsec_pki.documents import DomainSet
-    from pqsec_pki.keystore import Keystore, ParticipantSpec, issue, renew
+    from pqsec_pki.keystore import Keystore
+    from pqsec_pki.lifecycle import ParticipantSpec, issue, renew
 
     now, year = datetime.now(UTC), timedelta(days=365)
     domains = DomainSet.of(0)

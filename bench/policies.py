@@ -21,7 +21,8 @@ from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.access.matrix import Member, topics_named, who_may
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import Criteria, DomainSet, Governance, Grant, Permissions, Rule, ros
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 SIZES = (1_250, 2_500, 5_000, 10_000)
 MEMBERS = (125, 250, 500, 1_000)

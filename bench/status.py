@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import DEFAULT_PROFILE
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Entry, Keystore, _journal
+from pqsec_pki.keystore import Entry, Keystore, change
 
 TARGET = 0.5
 FLOOR = """
@@ -58,7 +58,7 @@ def populate(root: Path, count: int) -> None:
         now=now,
     )
     issuer = keystore.identity_ca.fingerprint
-    with _journal.change(root) as draft:
+    with change(root) as draft:
         draft.entries += (
             Entry(
                 at=now.isoformat(timespec="seconds"),

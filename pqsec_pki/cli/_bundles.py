@@ -12,7 +12,7 @@ from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.cli import _settings
 from pqsec_pki.enrolment import Bundle, flat_name, save, seal, validate_csrs
 from pqsec_pki.errors import UsageError, located
-from pqsec_pki.keystore import ParticipantSpec, PublicKeys
+from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
 
 folder_option = click.option(
     "--bundles",

@@ -10,10 +10,8 @@ from click.core import ParameterSource
 
 from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import (
-    Keystore,
-    Overlap,
-    Phase,
+from pqsec_pki.keystore import Keystore, Overlap, Phase
+from pqsec_pki.lifecycle import (
     Rollover,
     begin_overlap,
     cancel_overlap,

@@ -10,7 +10,7 @@ import click
 from pqsec_pki.cli import _policy, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import ParticipantSpec
+from pqsec_pki.lifecycle import ParticipantSpec
 
 _ROS = {
     "ros_node": ros.node_minimum,

@@ -13,7 +13,7 @@ from pqsec_pki._assets import asset
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import DomainSet, Grant, lasting, permissions_from_yaml, sros2
 from pqsec_pki.errors import UsageError, located
-from pqsec_pki.keystore import ParticipantSpec
+from pqsec_pki.lifecycle import ParticipantSpec
 from pqsec_pki.smime import document_in, is_signed
 
 

@@ -6,8 +6,8 @@ import click
 
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.check import report_lines, report_value
-from pqsec_pki.keystore import Adopted
-from pqsec_pki.keystore import adopt as adopt_folder
+from pqsec_pki.lifecycle import Adopted
+from pqsec_pki.lifecycle import adopt as adopt_folder
 from pqsec_pki.lint import check
 
 

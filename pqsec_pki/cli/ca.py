@@ -14,7 +14,8 @@ from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Keystore, Overlap, renew_list
+from pqsec_pki.keystore import Keystore, Overlap
+from pqsec_pki.lifecycle import renew_list
 
 
 @_help.group()

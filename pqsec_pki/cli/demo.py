@@ -10,7 +10,8 @@ from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 
 _YEAR = timedelta(days=365)

@@ -13,8 +13,9 @@ from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.enrolment import Bundle
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Issued, Keystore, ParticipantSpec
-from pqsec_pki.keystore import issue as issue_participants
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import Issued, ParticipantSpec
+from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
-from pqsec_pki.keystore import change_passphrase
+from pqsec_pki.lifecycle import change_passphrase
 
 
 @_help.command(

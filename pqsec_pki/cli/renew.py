@@ -8,9 +8,10 @@ import click
 from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import Renewal, State, Status
-from pqsec_pki.keystore import renew as renew_participants
+from pqsec_pki.keystore import State, Status
 from pqsec_pki.keystore import status as status_of
+from pqsec_pki.lifecycle import Renewal
+from pqsec_pki.lifecycle import renew as renew_participants
 
 _NO_TIME = timedelta()
 """The value of --due without TIME; no duration is zero."""

@@ -7,8 +7,9 @@ import click
 
 from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
-from pqsec_pki.keystore import LIST_VALIDITY, Keystore, Revoked
-from pqsec_pki.keystore import revoke as revoke_subjects
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked
+from pqsec_pki.lifecycle import revoke as revoke_subjects
 
 list_validity_option = click.option(
     "--validity",

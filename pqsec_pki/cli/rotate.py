@@ -11,8 +11,9 @@ from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._overlap import OverlapOptions, Step, count_participants, run
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import CA_VALIDITY, Keystore, Rollover, RolloverPlan, Scope, plan_rollover
-from pqsec_pki.keystore import rotate as rotate_keystore
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import CA_VALIDITY, Rollover, RolloverPlan, Scope, plan_rollover
+from pqsec_pki.lifecycle import rotate as rotate_keystore
 from pqsec_pki.vendors.rollover import TRUST
 
 _CAS = {

@@ -17,7 +17,7 @@ from pqsec_pki.documents import (
     permissions_from_yaml,
 )
 from pqsec_pki.errors import FileError, InvalidDocumentError, MalformedError, located
-from pqsec_pki.keystore import sign_document
+from pqsec_pki.lifecycle import sign_document
 from pqsec_pki.problems import Problem
 
 

@@ -14,7 +14,7 @@ from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, pins_of, sign
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import UsageError, VerificationError, located
-from pqsec_pki.keystore import ParticipantSpec
+from pqsec_pki.lifecycle import ParticipantSpec
 
 _force = click.option("--force", is_flag=True, help="Replace existing files or participants.")
 

@@ -22,9 +22,8 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import (
-    Authorities,
-    Keystore,
+from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.lifecycle import (
     Renewal,
     issue,
     renew,

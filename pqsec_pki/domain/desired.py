@@ -22,7 +22,7 @@ from pqsec_pki.documents.parts_yaml import (
 )
 from pqsec_pki.domain._placeholders import filled, own_values
 from pqsec_pki.errors import located
-from pqsec_pki.keystore import ParticipantSpec
+from pqsec_pki.lifecycle import ParticipantSpec
 
 EDITION = 1
 """The version of the meaning of roles. It is increased when the same text gives other rules,

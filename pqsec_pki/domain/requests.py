@@ -11,7 +11,8 @@ from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.enrolment import validate_csrs
 from pqsec_pki.errors import FileError, KeystoreError, PqsecError, VerificationError, located
-from pqsec_pki.keystore import ParticipantSpec, PublicKeys, key_hashes
+from pqsec_pki.keystore import key_hashes
+from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
 
 MAX_FILE = 1 << 20
 """Bytes; a request with the largest keys has 20 kB."""

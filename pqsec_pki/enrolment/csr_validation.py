@@ -6,7 +6,8 @@ from pathlib import PurePosixPath
 from pqsec_pki.algorithms import Profile, SignatureAlgorithm
 from pqsec_pki.certificates import CertificateRequest, common_name
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
-from pqsec_pki.keystore import PublicKeys, regular_name
+from pqsec_pki.keystore import regular_name
+from pqsec_pki.lifecycle import PublicKeys
 
 NAMELESS = "its subject is not the CN of a participant alone, as in CN=/fleet/robot1"
 

@@ -32,7 +32,8 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import Authorities, Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
 MAX_UNPACKED = 256 << 20

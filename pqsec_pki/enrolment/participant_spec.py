@@ -7,7 +7,8 @@ from typing import Any
 from pqsec_pki.certificates import common_name
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.enrolment.bundle import flat_name
-from pqsec_pki.keystore import ParticipantSpec, regular_name
+from pqsec_pki.keystore import regular_name
+from pqsec_pki.lifecycle import ParticipantSpec
 
 
 def spec_value(spec: ParticipantSpec) -> dict[str, Any]:

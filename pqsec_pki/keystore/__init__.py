@@ -1,9 +1,10 @@
 """The keystore: the folder with the CAs, the enclaves and the documents of a domain.
 
-The only room that knows file paths. SROS2's tools and ROS 2 can use the folder as it is.
+The only room that knows file paths. SROS2's tools and ROS 2 can use the folder as it is. It
+reads the folder and commits changes to it; `lifecycle` has the operations that make changes.
 
 Its content:
-    _layout       where each file is
+    layout        where each file is
     _settings     reads and writes pqsec.json
     participant   the files of one participant, and their content
     authorities   the CAs with their private keys
@@ -21,48 +22,40 @@ Changes:
     _journal      commits a change wholly or not at all
     _moves        what a committed change still has to do
     _shredding    overwrites private keys that are removed
-Participants and documents:
-    issuing       issues new participants; `_issuer` makes their files
-    renewing      renews participants; `_inspector` finds the newest files of each
-    signing       signs governance and permissions again
-    revoking      revokes certificates and issues revocation lists
-    compromised   finds keys that were revoked as compromised
-CAs:
-    rotating      replaces CAs; `rollover` has the options, `rollover_plan` the preview,
-                  `_rollover_transaction` the steps
-    overlapping   replaces the identity CA while the old one is still trusted; `overlap` reads
-                  the phase
-    passphrase    changes the passphrase of the CA keys
-    adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 Questions:
     participant_states   the state of each participant, for all commands that ask for it;
                          `_file_comparison` compares its files with the ledger
-    status               the states of participants, CAs and the revocation list at one time
+    status               the states of participants, CAs, revocation list and governance
+    overlap              whether two identity CAs are trusted, and which of them issues
+    compromised          finds keys that were revoked as compromised
     auditing             whether the ledger is intact
 """
 
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry, Line
-from pqsec_pki.keystore._issuer import Issued, PublicKeys
-from pqsec_pki.keystore._layout import SETTINGS
-from pqsec_pki.keystore._layout import enclave_name as regular_name
-from pqsec_pki.keystore.adopting import Adopted, adopt
+from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
+from pqsec_pki.keystore._journal import change
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._settings import settings_file
+from pqsec_pki.keystore._transaction import StagedFolder, Transaction
 from pqsec_pki.keystore.auditing import audit
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.compromised import key_hashes
-from pqsec_pki.keystore.issuing import ParticipantSpec, issue
+from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
+from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import Overlap, Phase
-from pqsec_pki.keystore.overlapping import (
-    BegunOverlap,
-    begin_overlap,
-    cancel_overlap,
-    check_begin,
-    finish_overlap,
-    switch_overlap,
+from pqsec_pki.keystore.layout import SETTINGS
+from pqsec_pki.keystore.layout import enclave_name as regular_name
+from pqsec_pki.keystore.overlap import (
+    WAIT,
+    Overlap,
+    Phase,
+    refuse_overlap,
+    trust_entry,
+    trust_file,
 )
 from pqsec_pki.keystore.participant import (
     enclave_files,
     load_certificate,
+    load_first_certificate,
     load_participant,
     load_revocation_list,
 )
@@ -70,72 +63,57 @@ from pqsec_pki.keystore.participant_states import (
     Files,
     ParticipantState,
     State,
+    participant_states,
 )
-from pqsec_pki.keystore.passphrase import change_passphrase
-from pqsec_pki.keystore.renewing import Renewal, renew
-from pqsec_pki.keystore.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
-from pqsec_pki.keystore.rollover import CA_VALIDITY, Rollover, Scope
-from pqsec_pki.keystore.rollover_plan import RolloverPlan, plan_rollover
-from pqsec_pki.keystore.rotating import Rotated, rotate
-from pqsec_pki.keystore.signing import (
+from pqsec_pki.keystore.status import (
+    SharedStatus,
+    Status,
     governance_digest,
-    sign_document,
-    sign_governance,
-    sign_permissions,
+    list_status,
     signed_governance,
+    status,
 )
-from pqsec_pki.keystore.status import SharedStatus, Status, status
 
 __all__ = [
-    "CA_VALIDITY",
-    "LIST_VALIDITY",
     "SETTINGS",
-    "Adopted",
+    "WAIT",
     "Authorities",
-    "BegunOverlap",
     "Entry",
     "Files",
-    "Issued",
     "Keystore",
+    "Ledger",
     "Line",
     "Overlap",
-    "ParticipantSpec",
     "ParticipantState",
     "Phase",
-    "PublicKeys",
-    "Renewal",
-    "Revoked",
-    "Rollover",
-    "RolloverPlan",
-    "Rotated",
-    "Scope",
     "SharedStatus",
+    "StagedFolder",
     "State",
     "Status",
-    "adopt",
+    "Transaction",
     "audit",
-    "begin_overlap",
-    "cancel_overlap",
-    "change_passphrase",
-    "check_begin",
+    "certificate_entry",
+    "change",
+    "check_pair",
+    "compromised_keys_in",
+    "document_entry",
     "enclave_files",
-    "finish_overlap",
     "governance_digest",
-    "issue",
     "key_hashes",
+    "layout",
+    "list_entry",
+    "list_status",
+    "load_ca_key",
     "load_certificate",
+    "load_first_certificate",
     "load_participant",
     "load_revocation_list",
-    "plan_rollover",
+    "participant_states",
+    "refuse_overlap",
     "regular_name",
-    "renew",
-    "renew_list",
-    "revoke",
-    "rotate",
-    "sign_document",
-    "sign_governance",
-    "sign_permissions",
+    "settings_file",
     "signed_governance",
     "status",
-    "switch_overlap",
+    "trust_entry",
+    "trust_file",
 ]

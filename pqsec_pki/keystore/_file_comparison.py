@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pqsec_pki._files import exists, read
 from pqsec_pki.errors import FileError, PqsecError
-from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant_states import Compare, Files
@@ -28,10 +28,10 @@ _MAX_SEEN = 64 << 20
 
 def presence(keystore: Keystore) -> Compare:
     """Tells only which participants' certificates are gone."""
-    enclaves = f"{keystore.root}/{_layout.ENCLAVES}"
+    enclaves = f"{keystore.root}/{layout.ENCLAVES}"
 
     def compare(name: str, _certificate: str, _permissions: str) -> Files:
-        there = exists(f"{enclaves}{name}/{_layout.CERTIFICATE}", follow=False)
+        there = exists(f"{enclaves}{name}/{layout.CERTIFICATE}", follow=False)
         return Files.NOT_COMPARED if there else Files.GONE
 
     return compare
@@ -41,7 +41,7 @@ class FileComparison:
     """Compares participants' files with the ledger, and remembers those that are right."""
 
     def __init__(self, root: Path, seen: dict[str, str]) -> None:
-        self._enclaves = f"{root}/{_layout.ENCLAVES}"
+        self._enclaves = f"{root}/{layout.ENCLAVES}"
         self._root = root
         self._seen = seen
         self._changed = False
@@ -51,7 +51,7 @@ class FileComparison:
         """A comparison that knows the files that were right before."""
         seen: object = {}
         with suppress(FileError, ValueError, RecursionError):
-            path = keystore.root / _layout.PRIVATE / _SEEN
+            path = keystore.root / layout.PRIVATE / _SEEN
             seen = json.loads(read(path, limit=_MAX_SEEN))
         return cls(keystore.root, seen if isinstance(seen, dict) else {})
 
@@ -59,11 +59,11 @@ class FileComparison:
         """Compare `name`'s files with the SHA-256 of its certificate and permissions."""
         folder = f"{self._enclaves}{name}"
         try:
-            stamps = [_stamp(f"{folder}/{_layout.CERTIFICATE}")]
+            stamps = [_stamp(f"{folder}/{layout.CERTIFICATE}")]
         except (FileNotFoundError, NotADirectoryError):
             return Files.GONE
         with suppress(FileNotFoundError):
-            stamps.append(_stamp(f"{folder}/{_layout.PERMISSIONS}"))
+            stamps.append(_stamp(f"{folder}/{layout.PERMISSIONS}"))
         whole = " ".join((*stamps, certificate, permissions)).encode()
         seen = hashlib.blake2b(whole, digest_size=12).hexdigest()
         if self._seen.get(name) == seen:
@@ -83,7 +83,7 @@ class FileComparison:
         data = json.dumps(self._seen, separators=(",", ":")).encode()
         with suppress(OSError, PqsecError), Folder.opened(self._root) as root:
             root.refuse_outsiders()
-            with root.below(_layout.PRIVATE) as private:
+            with root.below(layout.PRIVATE) as private:
                 private.replace(_SEEN, data)
 
 
@@ -94,10 +94,10 @@ def _stamp(path: str) -> str:
 
 
 def _compared(folder: str, certificate: str, permissions: str) -> Files:
-    if _fingerprint(f"{folder}/{_layout.CERTIFICATE}") != certificate:
+    if _fingerprint(f"{folder}/{layout.CERTIFICATE}") != certificate:
         return Files.OTHER_CERTIFICATE
     with suppress(FileNotFoundError):
-        if _sha256(f"{folder}/{_layout.PERMISSIONS}") == permissions:
+        if _sha256(f"{folder}/{layout.PERMISSIONS}") == permissions:
             return Files.RIGHT
     return Files.OTHER_PERMISSIONS
 

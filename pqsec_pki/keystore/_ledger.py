@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from pqsec_pki.errors import KeystoreError, PqsecError
-from pqsec_pki.keystore import _layout, _ledger_file, _table
+from pqsec_pki.keystore import _ledger_file, _table, layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._folder import Folder
 
@@ -48,7 +48,7 @@ class Ledger:
 
     def __init__(self, private: Folder, *, begin: bool = False) -> None:
         """Read it from the folder `private`; KeystoreError if it is missing, unless `begin`."""
-        self._path, self._begin = f"{private.path}/{_layout.LEDGER}", begin
+        self._path, self._begin = f"{private.path}/{layout.LEDGER}", begin
         self._database = sqlite3.connect(":memory:", isolation_level=None)
         try:
             with self._errors("not a ledger: "):
@@ -201,7 +201,7 @@ def add(private: Folder, entries: Iterable[Entry], beside: Folder, *, begin: boo
     May be repeated. KeystoreError if there is no ledger, unless `begin`.
     """
     _ledger_file.check(private)
-    if begin or private.kind(_layout.LEDGER) is not None:  # the log of a lost ledger is kept
+    if begin or private.kind(layout.LEDGER) is not None:  # the log of a lost ledger is kept
         _ledger_file.settle(private, beside)
     with Ledger(private, begin=begin) as ledger:
         data = ledger.added(entries)

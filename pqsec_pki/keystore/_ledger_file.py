@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pqsec_pki._files import PRIVATE_MODE, create
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._folder import Folder, refuse_outsiders, should_be
 
 MAX_SIZE = 512 << 20
@@ -34,20 +34,20 @@ def load(private: Folder) -> bytes | None:
 
     It includes lines that an earlier version left in the write-ahead log.
     """
-    data = _read(private, _layout.LEDGER)
+    data = _read(private, layout.LEDGER)
     if data is None:
         return None
-    if _read(private, _layout.LEDGER + _ROLLBACK):
+    if _read(private, layout.LEDGER + _ROLLBACK):
         # SQLite would use it as a rollback journal, and delete files that it names.
         raise KeystoreError(
-            f"{private.path}/{_layout.LEDGER}: another program was stopped while changing it",
-            hint=f"restore it from a backup, and remove {_layout.LEDGER}{_ROLLBACK}",
+            f"{private.path}/{layout.LEDGER}: another program was stopped while changing it",
+            hint=f"restore it from a backup, and remove {layout.LEDGER}{_ROLLBACK}",
         )
-    if wal := _read(private, _layout.LEDGER + _WAL):
+    if wal := _read(private, layout.LEDGER + _WAL):
         try:
             data = _merged(data, wal)
         except sqlite3.Error as error:
-            path = f"{private.path}/{_layout.LEDGER}"
+            path = f"{private.path}/{layout.LEDGER}"
             raise KeystoreError(f"{path}: not a ledger: {error}") from error
     if data[_VERSIONS] == _USES_WAL:
         data = data[: _VERSIONS.start] + _USES_NONE + data[_VERSIONS.stop :]
@@ -58,17 +58,17 @@ def check(private: Folder) -> None:
     """KeystoreError or PermissionError if the ledger could not be replaced."""
     private.refuse_outsiders()
     with suppress(FileNotFoundError):
-        found = os.lstat(_layout.LEDGER, dir_fd=private.handle)
-        refuse_outsiders(found, f"{private.path}/{_layout.LEDGER}")
+        found = os.lstat(layout.LEDGER, dir_fd=private.handle)
+        refuse_outsiders(found, f"{private.path}/{layout.LEDGER}")
     if not os.access(".", os.W_OK, dir_fd=private.handle):
-        raise PermissionError(13, "Permission denied", f"{private.path}/{_layout.LEDGER}")
+        raise PermissionError(13, "Permission denied", f"{private.path}/{layout.LEDGER}")
 
 
 def save(private: Folder, data: bytes, beside: Folder) -> None:
     """Replace the database by `data`, with one rename of a synced file in the folder `beside`."""
     with suppress(FileNotFoundError):
-        os.unlink(_layout.LEDGER, dir_fd=beside.handle)  # left by an interrupted attempt
-    create(_layout.LEDGER, data, mode=_mode(private), sync=True, folder=beside.handle)
+        os.unlink(layout.LEDGER, dir_fd=beside.handle)  # left by an interrupted attempt
+    create(layout.LEDGER, data, mode=_mode(private), sync=True, folder=beside.handle)
     _replace(beside, private)
 
 
@@ -77,7 +77,7 @@ def settle(private: Folder, beside: Folder) -> None:
 
     If it is interrupted, it may be repeated: the same pages are merged again.
     """
-    there = [each for each in _BESIDE if private.kind(_layout.LEDGER + each) is not None]
+    there = [each for each in _BESIDE if private.kind(layout.LEDGER + each) is not None]
     if not there:
         return
     data = load(private)
@@ -85,18 +85,18 @@ def settle(private: Folder, beside: Folder) -> None:
         save(private, data, beside)
         os.fsync(private.handle)
     for each in there:
-        os.unlink(_layout.LEDGER + each, dir_fd=private.handle)
+        os.unlink(layout.LEDGER + each, dir_fd=private.handle)
 
 
 def _replace(beside: Folder, private: Folder) -> None:
-    name = _layout.LEDGER
+    name = layout.LEDGER
     os.replace(name, name, src_dir_fd=beside.handle, dst_dir_fd=private.handle)
 
 
 def _mode(private: Folder) -> int:
     """The mode for the new file: it keeps read permissions that the user gave to others."""
     try:
-        found = os.lstat(_layout.LEDGER, dir_fd=private.handle)
+        found = os.lstat(layout.LEDGER, dir_fd=private.handle)
     except FileNotFoundError:
         return PRIVATE_MODE
     return PRIVATE_MODE | found.st_mode & 0o044
@@ -125,9 +125,9 @@ def _read(private: Folder, name: str) -> bytes | None:
 def _merged(data: bytes, wal: bytes) -> bytes:
     """The database with the pages of its write-ahead log; SQLite works in a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="pqsec-") as folder:
-        path = Path(folder, _layout.LEDGER)
+        path = Path(folder, layout.LEDGER)
         path.write_bytes(data)
-        path.with_name(_layout.LEDGER + _WAL).write_bytes(wal)
+        path.with_name(layout.LEDGER + _WAL).write_bytes(wal)
         with closing(sqlite3.connect(path)) as database:
             database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
         return path.read_bytes()

@@ -17,7 +17,7 @@ from operator import attrgetter
 
 from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _layout, _ledger, _shredding
+from pqsec_pki.keystore import _ledger, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._transaction import Transaction, refuse_detours
@@ -98,7 +98,7 @@ def finish(root: Folder) -> None:
         for place in moves.removed:
             _remove(root, place)
         if moves.entries:
-            with root.below(_layout.PRIVATE) as private:
+            with root.below(layout.PRIVATE) as private:
                 _ledger.add(private, moves.entries, journal, begin=moves.begins_ledger)
         sync_filesystem(root.handle)
         _shredding.shred(journal)
@@ -126,7 +126,7 @@ def _merge(journal: Folder, number: str, above: Folder, name: str) -> None:
         if mode != goal.mode:  # never wider than before: the user may have restricted it
             os.fchmod(goal.handle, mode)
         # The certificate comes last: it makes the folder a participant.
-        for each in sorted(staged.names, key=lambda name: (name == _layout.CERTIFICATE, name)):
+        for each in sorted(staged.names, key=lambda name: (name == layout.CERTIFICATE, name)):
             os.replace(each, each, src_dir_fd=staged.handle, dst_dir_fd=goal.handle)
     os.rmdir(number, dir_fd=journal.handle)
 

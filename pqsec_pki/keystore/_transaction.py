@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
 from pqsec_pki._owners import user
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _layout, _ledger, _shredding
+from pqsec_pki.keystore import _ledger, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
 
@@ -110,7 +110,7 @@ class Transaction:
         """
         if not self.entries:
             # A keystore has a ledger; a keystore that is being adopted has none.
-            self.begins_ledger = self.root.kind(_layout.SETTINGS) is None
+            self.begins_ledger = self.root.kind(layout.SETTINGS) is None
             _check_ledger(self.root, begin=self.begins_ledger)
         operator = user(os.getuid())
         self.entries += [replace(entry, operator=operator) for entry in entries]
@@ -132,7 +132,7 @@ class Transaction:
 
 def _check_ledger(root: Folder, *, begin: bool) -> None:
     """Check before the commit that the ledger is in place and can be written."""
-    with suppress(FileNotFoundError), root.below(_layout.PRIVATE) as private:
+    with suppress(FileNotFoundError), root.below(layout.PRIVATE) as private:
         _ledger.check(private, begin=begin)
 
 

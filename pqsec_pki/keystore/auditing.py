@@ -7,7 +7,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import FileError, PqsecError, VerificationError, located
-from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import START, Entry, Line, problems
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import trusted_last
@@ -64,16 +64,16 @@ def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
 
 def _issued(keystore: Keystore) -> Iterator[tuple[Path, str, str | None]]:
     """The path of each file, and the kind and name of its line; None if any name is right."""
-    public, enclaves = keystore.root / _layout.PUBLIC, keystore.root / _layout.ENCLAVES
-    yield public / _layout.IDENTITY_CA, "identity-ca", None
-    yield public / _layout.PERMISSIONS_CA, "permissions-ca", None
-    yield public / _layout.PERMISSIONS_ALT_CA, "permissions-ca", None
-    yield public / _layout.CA_LIST, "crl", None
-    yield enclaves / _layout.GOVERNANCE, "governance", None
+    public, enclaves = keystore.root / layout.PUBLIC, keystore.root / layout.ENCLAVES
+    yield public / layout.IDENTITY_CA, "identity-ca", None
+    yield public / layout.PERMISSIONS_CA, "permissions-ca", None
+    yield public / layout.PERMISSIONS_ALT_CA, "permissions-ca", None
+    yield public / layout.CA_LIST, "crl", None
+    yield enclaves / layout.GOVERNANCE, "governance", None
     for name in keystore.names():
-        folder = keystore.root / _layout.enclave_folder(name)
-        yield folder / _layout.CERTIFICATE, "participant", name
-        yield folder / _layout.PERMISSIONS, "permissions", None
+        folder = keystore.root / layout.enclave_folder(name)
+        yield folder / layout.CERTIFICATE, "participant", name
+        yield folder / layout.PERMISSIONS, "permissions", None
 
 
 def _is_file(line: Entry, path: Path) -> bool:
@@ -85,7 +85,7 @@ def _hashes(path: Path) -> list[str]:
 
     All certificates of a file count: Fast DDS trusts every certificate in a CA's file.
     """
-    if path.name.endswith(_layout.CERTIFICATE):
+    if path.name.endswith(layout.CERTIFICATE):
         with located(path):
             return [each.fingerprint for each in Certificate.all_from_pem(read(path))]
     return [hashlib.sha256(read(path)).hexdigest()]

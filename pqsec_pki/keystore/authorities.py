@@ -23,7 +23,7 @@ from pqsec_pki.errors import (
     PassphraseError,
     located,
 )
-from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore._transaction import StagedFolder
@@ -109,7 +109,7 @@ class Authorities:
         `trusted` is another identity CA that participants trust; it is added to the file.
         """
         for name, certificate in _certificates(self):
-            second = trusted.pem if trusted and name == _layout.IDENTITY_CA else b""
+            second = trusted.pem if trusted and name == layout.IDENTITY_CA else b""
             public.public(name, certificate.pem + second)
         self.write_keys(private, passphrase)
 
@@ -128,7 +128,7 @@ class Authorities:
         Call it while the keystore is locked.
         """
         for name, certificate in _certificates(self):
-            if load_first_certificate(root / _layout.PUBLIC / name).der != certificate.der:
+            if load_first_certificate(root / layout.PUBLIC / name).der != certificate.der:
                 raise KeystoreError(
                     f"{certificate.subject_name} has been replaced by another CA meanwhile",
                     hint="run the command again",
@@ -137,7 +137,7 @@ class Authorities:
     def entries(self, now: datetime) -> Iterator[Entry]:
         """The CAs' entries for the ledger."""
         for name, certificate in _certificates(self):
-            kind = "identity-ca" if name == _layout.IDENTITY_CA else "permissions-ca"
+            kind = "identity-ca" if name == layout.IDENTITY_CA else "permissions-ca"
             yield certificate_entry(kind, certificate.subject_name, certificate, now)
 
 
@@ -147,25 +147,25 @@ def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authoritie
     KeystoreError if a file is missing or a key does not fit its certificate,
     PassphraseError if the keys are encrypted and `passphrase` is missing or wrong.
     """
-    names = [_layout.IDENTITY_KEY, _layout.PERMISSIONS_KEY]
+    names = [layout.IDENTITY_KEY, layout.PERMISSIONS_KEY]
     if profile.alternative_key:
-        names += [_layout.IDENTITY_ALT_KEY, _layout.PERMISSIONS_ALT_KEY]
+        names += [layout.IDENTITY_ALT_KEY, layout.PERMISSIONS_ALT_KEY]
     with ThreadPoolExecutor() as pool:
-        loaded = pool.map(lambda n: load_ca_key(root / _layout.PRIVATE / n, passphrase), names)
+        loaded = pool.map(lambda n: load_ca_key(root / layout.PRIVATE / n, passphrase), names)
         keys = dict(zip(names, loaded, strict=True))
-    public = root / _layout.PUBLIC
-    counter_key = keys.get(_layout.PERMISSIONS_ALT_KEY)
+    public = root / layout.PUBLIC
+    counter_key = keys.get(layout.PERMISSIONS_ALT_KEY)
     authorities = Authorities(
         identity=Authority(
-            load_first_certificate(public / _layout.IDENTITY_CA),
-            keys[_layout.IDENTITY_KEY],
-            keys.get(_layout.IDENTITY_ALT_KEY),
+            load_first_certificate(public / layout.IDENTITY_CA),
+            keys[layout.IDENTITY_KEY],
+            keys.get(layout.IDENTITY_ALT_KEY),
         ),
         permissions=Authority(
-            load_first_certificate(public / _layout.PERMISSIONS_CA), keys[_layout.PERMISSIONS_KEY]
+            load_first_certificate(public / layout.PERMISSIONS_CA), keys[layout.PERMISSIONS_KEY]
         ),
         countersigner=Authority(
-            load_first_certificate(public / _layout.PERMISSIONS_ALT_CA), counter_key
+            load_first_certificate(public / layout.PERMISSIONS_ALT_CA), counter_key
         )
         if counter_key
         else None,
@@ -176,19 +176,19 @@ def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authoritie
 
 
 def _certificates(authorities: Authorities) -> Iterator[tuple[str, Certificate]]:
-    yield _layout.IDENTITY_CA, authorities.identity.certificate
-    yield _layout.PERMISSIONS_CA, authorities.permissions.certificate
+    yield layout.IDENTITY_CA, authorities.identity.certificate
+    yield layout.PERMISSIONS_CA, authorities.permissions.certificate
     if authorities.countersigner:
-        yield _layout.PERMISSIONS_ALT_CA, authorities.countersigner.certificate
+        yield layout.PERMISSIONS_ALT_CA, authorities.countersigner.certificate
 
 
 def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
-    yield _layout.IDENTITY_KEY, authorities.identity.key
-    yield _layout.PERMISSIONS_KEY, authorities.permissions.key
+    yield layout.IDENTITY_KEY, authorities.identity.key
+    yield layout.PERMISSIONS_KEY, authorities.permissions.key
     if authorities.identity.alternative_key:
-        yield _layout.IDENTITY_ALT_KEY, authorities.identity.alternative_key
+        yield layout.IDENTITY_ALT_KEY, authorities.identity.alternative_key
     if authorities.countersigner:
-        yield _layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
+        yield layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
 
 
 def read_ca_key(path: Path) -> bytes:

@@ -13,7 +13,7 @@ from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import ExistsError, KeystoreError
-from pqsec_pki.keystore import _journal, _layout, _settings
+from pqsec_pki.keystore import _journal, _settings, layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._folder import Folder
@@ -60,14 +60,14 @@ class Keystore:
         signed = authorities.sign(governance, now=now)
         with _journal.change(root) as transaction:
             cls.refuse_occupied(root)
-            public = transaction.folder(_layout.PUBLIC, private=False)
-            private = transaction.folder(_layout.PRIVATE, private=True)
+            public = transaction.folder(layout.PUBLIC, private=False)
+            private = transaction.folder(layout.PRIVATE, private=True)
             authorities.write(public, private, passphrase)
-            enclaves = transaction.folder(_layout.ENCLAVES, private=False)
-            enclaves.public(_layout.GOVERNANCE_XML, governance)
-            enclaves.public(_layout.GOVERNANCE, signed)
+            enclaves = transaction.folder(layout.ENCLAVES, private=False)
+            enclaves.public(layout.GOVERNANCE_XML, governance)
+            enclaves.public(layout.GOVERNANCE, signed)
             settings = transaction.folder(".", private=False)
-            settings.public(_layout.SETTINGS, _settings.settings_file(profile, domains))
+            settings.public(layout.SETTINGS, _settings.settings_file(profile, domains))
             transaction.record(
                 *authorities.entries(now), document_entry("governance", "", signed, now)
             )
@@ -85,15 +85,15 @@ class Keystore:
             _journal.recover(root)
         else:
             _journal.refuse_interrupted(root)
-        path = root / _layout.SETTINGS
+        path = root / layout.SETTINGS
         with disk_errors(path):
             there = path.is_file()
         if not there:
             hint = "make one with `pqsec ca init`, or name another with -k"
             if _parts_in(root):
-                hint = f"restore {_layout.SETTINGS} from a backup, or `pqsec adopt {root}`"
+                hint = f"restore {layout.SETTINGS} from a backup, or `pqsec adopt {root}`"
             raise KeystoreError(
-                f"{root} is not a pqsec keystore: it has no {_layout.SETTINGS}", hint=hint
+                f"{root} is not a pqsec keystore: it has no {layout.SETTINGS}", hint=hint
             )
         if to_change:
             _journal.check(root)
@@ -122,12 +122,12 @@ class Keystore:
     @property
     def identity_ca(self) -> Certificate:
         """The identity CA's certificate."""
-        return load_first_certificate(self.root / _layout.PUBLIC / _layout.IDENTITY_CA)
+        return load_first_certificate(self.root / layout.PUBLIC / layout.IDENTITY_CA)
 
     @property
     def permissions_ca_path(self) -> Path:
         """The path of the permissions CA's certificate."""
-        return self.root / _layout.PUBLIC / _layout.PERMISSIONS_CA
+        return self.root / layout.PUBLIC / layout.PERMISSIONS_CA
 
     @property
     def permissions_ca(self) -> Certificate:
@@ -137,7 +137,7 @@ class Keystore:
     @property
     def countersigner(self) -> Certificate | None:
         """The certificate of the permissions CA's countersigner, if the profile has one."""
-        path = self.root / _layout.PUBLIC / _layout.PERMISSIONS_ALT_CA
+        path = self.root / layout.PUBLIC / layout.PERMISSIONS_ALT_CA
         return load_first_certificate(path) if exists(path) else None
 
     @property
@@ -146,7 +146,7 @@ class Keystore:
 
         MalformedError for an invalid file of the CAs.
         """
-        public = self.root / _layout.PUBLIC
+        public = self.root / layout.PUBLIC
         there = [each for each in CA_FILES if each in NEEDED or exists(public / each)]
         anchors = TrustAnchors.of({each: read(public / each) for each in there}, folder=str(public))
         return replace(anchors, revocation_list=self.revocation_list)
@@ -163,7 +163,7 @@ class Keystore:
     @property
     def governance(self) -> bytes:
         """The signed governance document."""
-        return read(self.root / _layout.ENCLAVES / _layout.GOVERNANCE)
+        return read(self.root / layout.ENCLAVES / layout.GOVERNANCE)
 
     @property
     def revocation_list(self) -> RevocationList | None:
@@ -178,7 +178,7 @@ class Keystore:
     @property
     def revocation_list_path(self) -> Path:
         """The path of the revocation list; each enclave links to it as crl.pem."""
-        return self.root / _layout.PUBLIC / _layout.CA_LIST
+        return self.root / layout.PUBLIC / layout.CA_LIST
 
     @contextmanager
     def hold(self) -> Iterator[None]:
@@ -202,33 +202,33 @@ class Keystore:
     @property
     def is_locked(self) -> bool:
         """Whether at least one CA key is encrypted; in an adopted keystore it may be only one."""
-        keys = (_layout.IDENTITY_KEY, _layout.PERMISSIONS_KEY)
-        return any(is_encrypted(read_ca_key(self.root / _layout.PRIVATE / each)) for each in keys)
+        keys = (layout.IDENTITY_KEY, layout.PERMISSIONS_KEY)
+        return any(is_encrypted(read_ca_key(self.root / layout.PRIVATE / each)) for each in keys)
 
     def names(self) -> list[str]:
         """The participants' names, sorted; FileError if a folder cannot be read."""
-        return _layout.names_in(self.root)
+        return layout.names_in(self.root)
 
     def incomplete(self) -> list[str]:
         """The enclaves with files but no certificate, sorted; FileError as from `names`."""
-        return _layout.incomplete_in(self.root)
+        return layout.incomplete_in(self.root)
 
     def has(self, name: str) -> bool:
         """Whether there is any file of a participant called `name`."""
-        return _layout.is_there(self.root, _layout.enclave_name(name))
+        return layout.is_there(self.root, layout.enclave_name(name))
 
     def has_key(self, name: str) -> bool:
         """Whether the private key of the participant called `name` is in the keystore."""
-        folder = _layout.enclave_folder(_layout.enclave_name(name))
-        return exists(f"{self.root}/{folder}/{_layout.KEY}", follow=False)
+        folder = layout.enclave_folder(layout.enclave_name(name))
+        return exists(f"{self.root}/{folder}/{layout.KEY}", follow=False)
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`, or it has no certificate."""
-        refuse_unknown(self.root, _layout.enclave_name(name))
+        refuse_unknown(self.root, layout.enclave_name(name))
 
     def participant(self, name: str, passphrase: bytes | None = None) -> Credentials:
         """The participant called `name`; KeystoreError if there is none."""
-        return load_participant(self.root, _layout.enclave_name(name), passphrase)
+        return load_participant(self.root, layout.enclave_name(name), passphrase)
 
     def ledger(self) -> list[Entry]:
         """Everything that was ever issued, signed or revoked here, oldest first."""
@@ -242,15 +242,15 @@ class Keystore:
     def open_ledger(self) -> Ledger:
         """The ledger, for this package's modules."""
         with (
-            disk_errors(self.root / _layout.PRIVATE),
+            disk_errors(self.root / layout.PRIVATE),
             Folder.opened(self.root) as root,
-            root.below(_layout.PRIVATE) as private,
+            root.below(layout.PRIVATE) as private,
         ):
             return Ledger(private)
 
 
 def _parts_in(root: Path) -> list[str]:
     """The parts of a keystore in the folder `root`; `ca init` refuses to overwrite them."""
-    parts = (_layout.SETTINGS, _layout.PRIVATE, _layout.PUBLIC, _layout.ENCLAVES)
+    parts = (layout.SETTINGS, layout.PRIVATE, layout.PUBLIC, layout.ENCLAVES)
     with disk_errors(root):
         return [name for name in parts if (root / name).exists()]

@@ -15,7 +15,7 @@ from typing import Self
 from pqsec_pki._files import read
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import KeystoreError, located
-from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore.keystore import Keystore
 
@@ -56,7 +56,7 @@ class Overlap:
         has ended: then only the first certificate counts. Errors as of `load_first_certificate`,
         and KeystoreError for a damaged ledger.
         """
-        path = keystore.root / _layout.PUBLIC / _layout.IDENTITY_CA
+        path = keystore.root / layout.PUBLIC / layout.IDENTITY_CA
         with located(path):
             data = read(path)
             found = Certificate.all_from_pem(data)

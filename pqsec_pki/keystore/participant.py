@@ -8,7 +8,7 @@ from pqsec_pki._files import disk_errors, exists, read, read_within
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_certificate, only_list
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
-from pqsec_pki.keystore import _layout
+from pqsec_pki.keystore import layout
 from pqsec_pki.problems import Code
 
 
@@ -18,8 +18,8 @@ def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> 
     KeystoreError if there is none or a file is missing, MalformedError for a file that
     cannot be read, PassphraseError for an encrypted key without `passphrase`.
     """
-    folder = root / _layout.enclave_folder(name)
-    files = _files(root, name, (*NEEDED, _layout.KEY))
+    folder = root / layout.enclave_folder(name)
+    files = _files(root, name, (*NEEDED, layout.KEY))
     return Credentials.of(name, files, passphrase, folder=folder)
 
 
@@ -35,7 +35,7 @@ def enclave_files(root: Path, name: str) -> dict[str, bytes]:
 
 def _files(root: Path, name: str, needed: tuple[str, ...]) -> dict[str, bytes]:
     refuse_unknown(root, name)
-    folder = root / _layout.enclave_folder(name)
+    folder = root / layout.enclave_folder(name)
     with disk_errors(folder):
         there = [each for each in FILES if exists(folder / each)]
         _refuse_incomplete(folder, name, there, needed)
@@ -44,19 +44,19 @@ def _files(root: Path, name: str, needed: tuple[str, ...]) -> dict[str, bytes]:
 
 def refuse_unknown(root: Path, name: str) -> None:
     """KeystoreError if the keystore at `root` has no certificate of a participant `name`."""
-    folder = root / _layout.enclave_folder(name)
-    if exists(folder / _layout.CERTIFICATE, follow=False):
+    folder = root / layout.enclave_folder(name)
+    if exists(folder / layout.CERTIFICATE, follow=False):
         return
-    if _layout.is_there(root, name):
+    if layout.is_there(root, name):
         raise KeystoreError(
-            f"{folder} lacks {_layout.CERTIFICATE}",
+            f"{folder} lacks {layout.CERTIFICATE}",
             code=Code.FILE_MISSING,
             hint=f"restore it from a backup; or issue it again, with new keys and permissions:"
             f" pqsec issue {name} --force ...",
         )
     suggestion = ""
     with suppress(FileError):  # the name is missing whatever the other folders are
-        suggestion = meant(name, _layout.names_in(root))
+        suggestion = meant(name, layout.names_in(root))
     hint = f"issue it with `pqsec issue {name}`; `pqsec ca show` lists the participants"
     raise KeystoreError(
         f"there is no participant {name} in {root}",
@@ -88,16 +88,16 @@ def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[
     """
     links = {each for each in FILES if (folder / each).is_symlink()}
     missing = [each for each in FILES if each not in there and each in {*needed, *links}]
-    if missing == [_layout.KEY] and exists(folder / _layout.REQUEST):
+    if missing == [layout.KEY] and exists(folder / layout.REQUEST):
         raise KeystoreError(
-            f"{folder} lacks {_layout.KEY}: its keys are on its robot",
+            f"{folder} lacks {layout.KEY}: its keys are on its robot",
             hint="`pqsec check` and `pqsec explain` work without its keys",
             code=Code.FILE_MISSING,
         )
     if missing:
         lost = [_target(folder / each) for each in missing if each in links]
         hint = f"restore {', '.join(lost)}, which all participants share" if lost else None
-        if _layout.PERMISSIONS in missing:
+        if layout.PERMISSIONS in missing:
             hint = hint or f"restore it, or issue it again: pqsec issue {name} --force ..."
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}", hint=hint, code=Code.FILE_MISSING

@@ -1,12 +1,15 @@
-"""The state of participants, CAs and the revocation list at one time."""
+"""The state of participants, CAs, the revocation list and the governance."""
 
+import hashlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from pqsec_pki._files import disk_errors
-from pqsec_pki.errors import KeystoreError, meant
-from pqsec_pki.keystore import _layout
+from pqsec_pki.documents import Governance
+from pqsec_pki.errors import KeystoreError, MissingError, meant
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore._file_comparison import FileComparison, presence
@@ -14,6 +17,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant_states import ParticipantState, State, participant_states
+from pqsec_pki.smime import document_in
 
 _URGENCY = {state: place for place, state in enumerate(State)}
 
@@ -77,7 +81,7 @@ def status(
     the ledger; without, they are only missed if they are gone. KeystoreError for a name that is
     not in the ledger.
     """
-    wanted = None if names is None else list(dict.fromkeys(map(_layout.enclave_name, names)))
+    wanted = None if names is None else list(dict.fromkeys(map(layout.enclave_name, names)))
     comparison = FileComparison.of(keystore) if compare_files else None
     compare = comparison.compare if comparison else presence(keystore)
     with keystore.open_ledger() as ledger, disk_errors(keystore.root):
@@ -101,6 +105,22 @@ def list_status(
     """The state of the newest revocation list; None if the keystore has none."""
     lists = ledger.of_kind("crl")[-1:] if keystore.has_revocation_list else []
     return next((_shared(each, now, due) for each in lists), None)
+
+
+def signed_governance(keystore: Keystore) -> Governance:
+    """The keystore's governance; `governance_digest` compares it with the ledger."""
+    return Governance.from_xml(document_in(keystore.governance))
+
+
+def governance_digest(keystore: Keystore) -> str | None:
+    """The governance's config digest; None if the file is not the newest governance signed."""
+    with keystore.open_ledger() as ledger:
+        newest = ledger.of_name("governance", "")[-1:]
+    with suppress(MissingError):
+        for each in newest:
+            if hashlib.sha256(keystore.governance).hexdigest() == each.sha256:
+                return each.details.get("mark", "")
+    return None
 
 
 def _authorities(

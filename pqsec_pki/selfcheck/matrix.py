@@ -15,7 +15,8 @@ from typing import Any
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, KeyAgreement, Profile
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, VerificationError
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.selfcheck.report import HANDSHAKE, Report
 

@@ -18,7 +18,8 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.cli.conftest import NAMES, PARTICIPANTS
 from tests.cli.test_verify import stripped
 

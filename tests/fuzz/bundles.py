@@ -20,7 +20,8 @@ from pqsec_pki.certificates import certificate_request
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import Bundle, SignRequest, accept, install, open_sealed, seal, sign
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Keystore, ParticipantSpec, revoke
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, revoke
 from tests.fuzz import mutation
 from tests.unit.keystores import DAY, NOW, made
 

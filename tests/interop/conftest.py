@@ -20,7 +20,8 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES, Family, Profile, profile_named
 from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
-from pqsec_pki.keystore import Authorities, Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.interop.cyclone import find_plugins
 from tests.interop.fastdds import build, find_compiler
 from tests.interop.fastdds_meeting import Both, meeting

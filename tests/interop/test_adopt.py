@@ -3,7 +3,8 @@
 import pytest
 
 from pqsec_pki.documents import Governance, Grant, Permissions
-from pqsec_pki.keystore import Rollover, adopt, audit, renew, revoke, rotate
+from pqsec_pki.keystore import audit
+from pqsec_pki.lifecycle import Rollover, adopt, renew, revoke, rotate
 from tests.interop.conftest import DOMAINS, TOPIC
 from tests.interop.either import STACKS, meet, participants_of
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors import Options, export, stack_named, write
 from tests.interop.conftest import LAB_PROFILES

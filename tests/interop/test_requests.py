@@ -8,7 +8,7 @@ import pytest
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.enrolment import Bundle, install, request, validate_csrs
-from pqsec_pki.keystore import ParticipantSpec, issue
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR, Lab
 
 pytestmark = pytest.mark.interop

@@ -11,7 +11,7 @@ from functools import cache, partial
 import pytest
 
 from pqsec_pki.certificates import Reason
-from pqsec_pki.keystore import renew_list, revoke
+from pqsec_pki.lifecycle import renew_list, revoke
 from tests.interop.conftest import LAB_PROFILES, ML_DSA_ONLY, STOCK, Lab
 from tests.interop.cyclone import RefusedError
 from tests.interop.cyclone import participant as cyclone_participant

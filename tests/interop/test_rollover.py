@@ -17,8 +17,8 @@ from tempfile import mkdtemp
 
 import pytest
 
-from pqsec_pki.keystore import (
-    Keystore,
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import (
     Rollover,
     Scope,
     begin_overlap,

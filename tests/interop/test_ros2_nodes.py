@@ -10,7 +10,7 @@ import pytest
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import permissions_to_yaml, ros, sros2
-from pqsec_pki.keystore import revoke
+from pqsec_pki.lifecycle import revoke
 from pqsec_pki.trial import unique_text
 from pqsec_pki.vendors.enclave import SIX
 from pqsec_pki.vendors.messages import recognise

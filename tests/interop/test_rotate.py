@@ -12,7 +12,7 @@ from itertools import pairwise
 import pytest
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.keystore import Rollover, Scope, renew_list, rotate
+from pqsec_pki.lifecycle import Rollover, Scope, renew_list, rotate
 from tests.interop.conftest import LAB_PROFILES, Lab
 from tests.interop.cyclone import RefusedError
 from tests.interop.either import STACKS, meet, participants_of

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.algorithms import load_private_key, private_key_pem
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import MACHINE, STACKS, MissingStackError, built, find
 from tests.docs.tables import Document
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, YEAR

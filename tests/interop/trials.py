@@ -18,7 +18,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.certificates import Certificate, RevokedCertificate, revocation_list
 from pqsec_pki.documents import Governance, Preset, ProtectionKind, preset_named
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import (
     Act,
     Installation,

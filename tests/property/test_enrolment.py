@@ -23,7 +23,7 @@ from pqsec_pki.enrolment import (
     verify_bundle,
 )
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import ParticipantSpec
+from pqsec_pki.lifecycle import ParticipantSpec
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 

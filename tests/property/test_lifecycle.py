@@ -10,17 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import (
-    ParticipantSpec,
-    Renewal,
-    State,
-    audit,
-    issue,
-    renew,
-    renew_list,
-    revoke,
-    status,
-)
+from pqsec_pki.keystore import State, audit, status
+from pqsec_pki.lifecycle import ParticipantSpec, Renewal, issue, renew, renew_list, revoke
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from tests.unit.keystores import DAY, NOW, made
 

@@ -5,7 +5,7 @@ from datetime import timedelta
 
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import Bundle, request, validate_csrs
-from pqsec_pki.keystore import ParticipantSpec, issue
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.unit.killing import NOW, YEAR
 
 ROBOT = "/fleet/robot1"

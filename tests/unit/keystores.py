@@ -5,7 +5,8 @@ from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, ParticipantSpec, _journal, issue
+from pqsec_pki.keystore import Keystore, change
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -38,7 +39,7 @@ def add(keystore, *, now=NOW, **names):
 
 def enter(keystore, entries):
     """Lines into the ledger as they are: by who may write it."""
-    with _journal.change(keystore.root) as draft:
+    with change(keystore.root) as draft:
         draft.entries += entries
 
 

@@ -24,7 +24,8 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
-from pqsec_pki.keystore import Keystore, ParticipantSpec, audit, issue
+from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.smime import Require, verify
 from tests.longer import LONG
 

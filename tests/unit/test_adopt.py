@@ -19,18 +19,16 @@ from pqsec_pki.errors import (
     UnknownAlgorithmError,
     VerificationError,
 )
-from pqsec_pki.keystore import (
-    Keystore,
+from pqsec_pki.keystore import Keystore, audit, status
+from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Rollover,
     adopt,
-    audit,
     issue,
     plan_rollover,
     renew,
     revoke,
     rotate,
-    status,
 )
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake

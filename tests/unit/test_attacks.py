@@ -17,7 +17,8 @@ from pqsec_pki.attacks.run import attempted, run_attacks
 from pqsec_pki.attacks.table import ATTACKS, attack_named
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, stack_named
 from pqsec_pki.selfcheck.handshake_check import HandshakeCheck

@@ -11,16 +11,8 @@ from pqsec_pki.certificates import Reason, certificate_request
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import SignRequest, sign, validate_csrs
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.keystore import (
-    ParticipantSpec,
-    PublicKeys,
-    Renewal,
-    audit,
-    issue,
-    key_hashes,
-    renew,
-    revoke,
-)
+from pqsec_pki.keystore import audit, key_hashes
+from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys, Renewal, issue, renew, revoke
 from tests.interop.der import Der
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR

@@ -14,12 +14,11 @@ from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
 from pqsec_pki.domain import Action, Plan, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.domain.apply import BATCH
 from pqsec_pki.errors import InvalidDocumentError, KeystoreError
-from pqsec_pki.keystore import (
-    Keystore,
+from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Rollover,
     Scope,
-    audit,
     begin_overlap,
     cancel_overlap,
     issue,

@@ -12,7 +12,8 @@ from datetime import UTC, datetime
 import pytest
 
 from pqsec_pki.domain import Action, apply, create_keystore, read_domain
-from pqsec_pki.keystore import audit, revoke
+from pqsec_pki.keystore import audit
+from pqsec_pki.lifecycle import revoke
 from tests.unit.domains import DAY, FILE, NOW, Scene
 from tests.unit.killing import at_once, check_no_halves, check_whole, copies, drafts
 

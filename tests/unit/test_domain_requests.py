@@ -10,7 +10,8 @@ from pqsec_pki.certificates import Reason, certificate_request
 from pqsec_pki.domain import Action, Plan, create_keystore, read_domain
 from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
 from pqsec_pki.errors import ExistsError, InvalidDocumentError, KeystoreError, VerificationError
-from pqsec_pki.keystore import Rollover, audit, renew, revoke, rotate, status
+from pqsec_pki.keystore import audit, status
+from pqsec_pki.lifecycle import Rollover, renew, revoke, rotate
 from tests.unit.domains import DAY, NOW, Scene
 
 FILE = """

@@ -47,16 +47,8 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import (
-    Authorities,
-    Keystore,
-    ParticipantSpec,
-    Renewal,
-    audit,
-    issue,
-    renew,
-    revoke,
-)
+from pqsec_pki.keystore import Authorities, Keystore, audit
+from pqsec_pki.lifecycle import ParticipantSpec, Renewal, issue, renew, revoke
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import InterruptedChangeError, KeystoreError, PqsecError
-from pqsec_pki.keystore import Keystore, change_passphrase, revoke
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import change_passphrase, revoke
 from tests.unit.killing import CALLS, NOW, fork, issue_to
 
 NOBODY = 65534

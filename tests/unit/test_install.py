@@ -27,12 +27,11 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import (
-    Keystore,
+from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.lifecycle import (
     Renewal,
     Rollover,
     Scope,
-    audit,
     begin_overlap,
     renew,
     renew_list,

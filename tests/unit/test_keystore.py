@@ -25,17 +25,8 @@ from pqsec_pki.errors import (
     PqsecError,
     UsageError,
 )
-from pqsec_pki.keystore import (
-    Keystore,
-    ParticipantSpec,
-    _lock,
-    adopt,
-    audit,
-    issue,
-    load_certificate,
-    revoke,
-    sign_document,
-)
+from pqsec_pki.keystore import Keystore, _lock, audit, load_certificate
+from pqsec_pki.lifecycle import ParticipantSpec, adopt, issue, revoke, sign_document
 from pqsec_pki.smime import Require, verify
 from tests.unit.killing import fork
 

@@ -14,9 +14,10 @@ import pytest
 
 from pqsec_pki import _owners
 from pqsec_pki.errors import FileError, KeystoreError, VerificationError
-from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, renew, revoke, status
+from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, status
 from pqsec_pki.keystore._chain import START
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.lifecycle import renew, revoke
 from tests.unit.keystores import DAY, NOW, add, enter, made
 from tests.unit.killing import at_once
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Keystore, Renewal, audit, renew, renew_list, revoke
-from pqsec_pki.keystore.renewing import Renewer
+from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.lifecycle import Renewal, renew, renew_list, revoke
+from pqsec_pki.lifecycle.renewing import Renewer
 from tests.unit.killing import (
     NOW,
     at_once,

@@ -21,7 +21,8 @@ from pqsec_pki.enrolment import (
 )
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.errors import ExistsError, MalformedError, PqsecError, VerificationError
-from pqsec_pki.keystore import ParticipantSpec, audit, revoke
+from pqsec_pki.keystore import audit
+from pqsec_pki.lifecycle import ParticipantSpec, revoke
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 

@@ -7,13 +7,10 @@ import pytest
 from pqsec_pki.algorithms import is_encrypted, load_private_key
 from pqsec_pki.certificates import Certificate, verify_chain
 from pqsec_pki.errors import KeystoreError, PassphraseError, UsageError, VerificationError
-from pqsec_pki.keystore import (
-    Keystore,
-    Overlap,
-    Phase,
+from pqsec_pki.keystore import Keystore, Overlap, Phase, audit, status
+from pqsec_pki.lifecycle import (
     Rollover,
     Scope,
-    audit,
     begin_overlap,
     cancel_overlap,
     change_passphrase,
@@ -23,7 +20,6 @@ from pqsec_pki.keystore import (
     renew_list,
     revoke,
     rotate,
-    status,
     switch_overlap,
 )
 from tests.unit.keystores import DAY, NOW, TWO, add, made

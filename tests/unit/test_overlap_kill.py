@@ -7,12 +7,10 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.algorithms import load_private_key
-from pqsec_pki.keystore import (
-    Keystore,
-    Overlap,
+from pqsec_pki.keystore import Keystore, Overlap, audit
+from pqsec_pki.lifecycle import (
     Rollover,
     Scope,
-    audit,
     begin_overlap,
     cancel_overlap,
     finish_overlap,

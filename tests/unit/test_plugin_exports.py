@@ -11,7 +11,8 @@ from lxml import etree
 from pqsec_pki.algorithms import PROFILES, load_private_key, private_key_pem, profile_named
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import FileError, UsageError, VerificationError
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.lint import RULES, Finding
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.vendors import Options, export, stack_named

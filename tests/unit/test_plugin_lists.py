@@ -8,7 +8,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.keystore import renew_list
+from pqsec_pki.lifecycle import renew_list
 from pqsec_pki.plugin.lists import NewestLists
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.plugin_wire import RefusedError, Shim, shaken, side

@@ -3,7 +3,7 @@
 import pytest
 
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import revoke
+from pqsec_pki.lifecycle import revoke
 from pqsec_pki.plugin.property_names import understood
 from tests.unit.keystores import NOW, TWO, made
 from tests.unit.plugin_wire import RefusedError, Shim, new_guid, properties, shaken, side

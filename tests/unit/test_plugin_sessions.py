@@ -8,7 +8,7 @@ import pytest
 
 from pqsec_pki.certificates import Authority
 from pqsec_pki.handshake import participant_data
-from pqsec_pki.keystore import revoke
+from pqsec_pki.lifecycle import revoke
 from pqsec_pki.plugin import handles, notes, peer_table
 from pqsec_pki.plugin.authentication import NO_TOKEN, Result
 from pqsec_pki.plugin.notes import Notes

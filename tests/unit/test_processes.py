@@ -184,7 +184,8 @@ FLEET = """
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue, renew
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew
 now = datetime(2026, 11, 21, 12, tzinfo=UTC)
 keystore = Keystore.open(Path(sys.argv[1]))
 names = [f"/fleet/robot{n}" for n in range(50)]

@@ -17,17 +17,8 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import (
-    ParticipantSpec,
-    Renewal,
-    audit,
-    issue,
-    load_certificate,
-    renew,
-    renew_list,
-    sign_document,
-    status,
-)
+from pqsec_pki.keystore import audit, load_certificate, status
+from pqsec_pki.lifecycle import ParticipantSpec, Renewal, issue, renew, renew_list, sign_document
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import verify
 from tests.unit.keystores import DAY, NOW, enter, made

@@ -8,16 +8,8 @@ import pytest
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.certificates import Reason
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import (
-    LIST_VALIDITY,
-    Keystore,
-    ParticipantSpec,
-    audit,
-    issue,
-    renew,
-    renew_list,
-    revoke,
-)
+from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.lifecycle import LIST_VALIDITY, ParticipantSpec, issue, renew, renew_list, revoke
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from tests.unit.keystores import DAY, NOW, add, made
 

@@ -3,6 +3,8 @@
 import ast
 import importlib
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,19 +26,25 @@ MAY_IMPORT: dict[str, set[str]] = {
     "handshake": {"algorithms", "certificates"},
     "credentials": {"algorithms", "certificates", "smime", "documents", "access"},
     "keystore": {"algorithms", "certificates", "smime", "documents", "credentials"},
+    "lifecycle": {
+        *("algorithms", "certificates", "smime", "documents", "credentials", "keystore"),
+    },
     "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
-    "domain": {"enrolment", "keystore", "documents", "access", "certificates", "algorithms"},
+    "domain": {
+        *("enrolment", "lifecycle", "keystore", "documents", "access", "certificates"),
+        "algorithms",
+    },
     "inspection": {"documents", "smime", "certificates", "algorithms"},
     "plugin": {"handshake", "access", "documents", "smime", "certificates", "algorithms"},
     "selfcheck": {
         *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
-        "keystore",
+        *("keystore", "lifecycle"),
     },
 }
 MAY_IMPORT["lint"] = {
     *("algorithms", "certificates", "smime", "documents", "access", "handshake", "keystore")
 }
-MAY_IMPORT["enrolment"] = MAY_IMPORT["keystore"] | {"keystore"}
+MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle"}
 MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
 for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "attacks"):
@@ -172,8 +180,14 @@ def test_a_room_says_what_it_is_and_what_it_offers(room):
     assert [name for name in module.__all__ if not hasattr(module, name)] == []
 
 
-def test_the_keystore_lists_its_modules():
-    text = importlib.import_module("pqsec_pki.keystore").__doc__ or ""
-    listed = re.findall(r"^ {4}(\w+) {2,}|`(\w+)`", text, re.MULTILINE)
-    modules = {path.stem for path in (ROOT / "keystore").glob("*.py")} - {"__init__"}
+@pytest.mark.parametrize("room", ["keystore", "lifecycle"])
+def test_a_room_lists_its_modules(room):
+    text = importlib.import_module(f"pqsec_pki.{room}").__doc__ or ""
+    listed = re.findall(r"^ {4}(\w+) {2,}|`(_\w+|rollover|rollover_plan)`", text, re.MULTILINE)
+    modules = {path.stem for path in (ROOT / room).glob("*.py")} - {"__init__"}
     assert {first or second for first, second in listed} == modules
+
+
+def test_reading_a_keystore_loads_no_operations():
+    code = "import sys, pqsec_pki.keystore; sys.exit('pqsec_pki.lifecycle' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, env={"PYTHONPATH": str(ROOT.parent)})

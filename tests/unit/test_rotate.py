@@ -19,14 +19,12 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import (
-    Keystore,
+from pqsec_pki.keystore import Keystore, audit, governance_digest, status
+from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
     Rollover,
     Scope,
-    audit,
-    governance_digest,
     issue,
     plan_rollover,
     renew,
@@ -34,7 +32,6 @@ from pqsec_pki.keystore import (
     rotate,
     sign_document,
     sign_governance,
-    status,
 )
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake

@@ -10,8 +10,9 @@ from pqsec_pki.algorithms import SIGNATURES, private_key_pem, profile_named
 from pqsec_pki.certificates import Authority
 from pqsec_pki.credentials import _signed_documents as signed
 from pqsec_pki.documents import DomainSet, Governance, Permissions
-from pqsec_pki.keystore import Keystore, ParticipantSpec, issue
-from pqsec_pki.keystore.issuing import permissions_for
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.lifecycle.issuing import permissions_for
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import Signer, sign

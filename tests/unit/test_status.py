@@ -6,7 +6,8 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import ParticipantSpec, State, issue, renew, renew_list, revoke, status
+from pqsec_pki.keystore import State, status
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, renew_list, revoke
 from tests.unit.keystores import DAY, NOW, made
 
 

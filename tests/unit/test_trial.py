@@ -12,7 +12,7 @@ import pytest
 
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, UsageError
-from pqsec_pki.keystore import ParticipantSpec, issue
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import (
     Act,
     BuildError,

@@ -10,7 +10,7 @@ import pytest
 
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.certificates import Reason
-from pqsec_pki.keystore import revoke
+from pqsec_pki.lifecycle import revoke
 from tests.interop.conftest import LAB_PROFILES, STOCK, YEAR, Lab
 from tests.interop.cyclone import RefusedError, participant
 from tests.interop.plugin.couple import DOMAIN, couple

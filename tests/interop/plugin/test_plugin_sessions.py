@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.certificates import Reason
-from pqsec_pki.keystore import renew_list, revoke
+from pqsec_pki.lifecycle import renew_list, revoke
 from pqsec_pki.plugin import agent_status, stop_agent
 from pqsec_pki.plugin.build import SOURCES
 from pqsec_pki.trial import MissingStackError, find

@@ -9,20 +9,25 @@ from pqsec_pki._processes import shared_out
 from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._issuer import Issued, Issuer, PublicKeys
-from pqsec_pki.keystore._transaction import StagedFolder, Transaction
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.compromised import compromised_keys_in, refuse_compromised, refuse_shared
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.participant_states import participant_states
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    StagedFolder,
+    Transaction,
+    change,
+    compromised_keys_in,
+    layout,
+    participant_states,
+)
+from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
+from pqsec_pki.lifecycle._key_checks import refuse_compromised, refuse_shared
 
 _SHARED = {
-    _layout.GOVERNANCE: f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}",
-    _layout.IDENTITY_CA: f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
-    _layout.PERMISSIONS_CA: f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
+    layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}",
+    layout.IDENTITY_CA: f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
+    layout.PERMISSIONS_CA: f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}",
 }
-_SHARED_ALT = {_layout.PERMISSIONS_ALT_CA: f"{_layout.PUBLIC}/{_layout.PERMISSIONS_ALT_CA}"}
+_SHARED_ALT = {layout.PERMISSIONS_ALT_CA: f"{layout.PUBLIC}/{layout.PERMISSIONS_ALT_CA}"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +68,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     """
     specs = _checked(keystore, specs, force=force)
     issuer = Issuer(keystore, authorities, now)
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
         if not after_revocation:
@@ -71,7 +76,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
         _refuse_keys(keystore, specs, now, compromised=compromised_keys)
         shared = _shared(keystore, authorities)
         folders = [
-            transaction.folder(_layout.enclave_folder(spec.name), private=True) for spec in specs
+            transaction.folder(layout.enclave_folder(spec.name), private=True) for spec in specs
         ]
         for spec in specs:
             _clear(transaction, spec)
@@ -89,8 +94,8 @@ def _make(
         spec.name, keys.key, alternative=keys.alternative, now=issuer.now, validity=spec.validity
     )
     if keys.csr:
-        folder.public(_layout.REQUEST, keys.csr)
-    for link, target in _layout.shared_links(spec.name, shared).items():
+        folder.public(layout.REQUEST, keys.csr)
+    for link, target in layout.shared_links(spec.name, shared).items():
         folder.link(link, target)
     permissions = permissions_for(spec, certificate)
     asked = end_of(issuer.now, spec.validity)
@@ -107,11 +112,11 @@ def _make(
 
 def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
     """Remove files of the participant's previous keys: they do not belong to the new ones."""
-    folder = _layout.enclave_folder(spec.name)
+    folder = layout.enclave_folder(spec.name)
     if spec.keys is None:
-        transaction.remove(f"{folder}/{_layout.REQUEST}")
+        transaction.remove(f"{folder}/{layout.REQUEST}")
         return
-    for key in _layout.KEYS:
+    for key in layout.KEYS:
         transaction.shred(f"{folder}/{key}")
         transaction.remove(f"{folder}/{key}")
 
@@ -119,7 +124,7 @@ def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
 def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
     """The shared files that all enclaves link to."""
     shared = _SHARED | (_SHARED_ALT if authorities.countersigner else {})
-    return shared | (_layout.LIST_TARGET if keystore.has_revocation_list else {})
+    return shared | (layout.LIST_TARGET if keystore.has_revocation_list else {})
 
 
 def permissions_for(spec: ParticipantSpec, certificate: Certificate) -> Permissions:
@@ -163,7 +168,7 @@ def _checked(
     """The specs with normalized names; errors as of `issue`."""
     regular: dict[str, ParticipantSpec] = {}
     for spec in specs:
-        name = _layout.enclave_name(spec.name)
+        name = layout.enclave_name(spec.name)
         common_name(name)  # refuses what no certificate can carry
         if name in regular:
             raise UsageError(f"{name} is given twice")

@@ -15,15 +15,11 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import BACKDATE, Certificate, end_of
 from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore._issuer import Issued, Issuer, PublicKeys
-from pqsec_pki.keystore._transaction import StagedFolder
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.compromised import refuse_compromised
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher
-from pqsec_pki.keystore.status import list_status
+from pqsec_pki.keystore import Authorities, Keystore, StagedFolder, change, layout, list_status
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
+from pqsec_pki.lifecycle._key_checks import refuse_compromised
+from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +51,15 @@ def renew(
     not exist, was revoked, or has files that are not its newest; VerificationError for
     permissions that the CA did not sign.
     """
-    regular = list(dict.fromkeys(map(_layout.enclave_name, names)))
+    regular = list(dict.fromkeys(map(layout.enclave_name, names)))
     issuer = Issuer(keystore, authorities, now)
-    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, regular, now=now)
         inspector.refuse_revoked(regular)
         inspector.refuse_previous_ca(regular)
         folders = [
-            transaction.folder(_layout.enclave_folder(name), private=False) for name in regular
+            transaction.folder(layout.enclave_folder(name), private=False) for name in regular
         ]
         renewer = Renewer(issuer, inspector, terms)
         renewed = shared_out(renewer.make, regular, folders)
@@ -87,11 +83,11 @@ class Renewer:
     def make(self, name: str, folder: StagedFolder) -> Issued:
         """Stage certificate, permissions and, if new, the keys into `folder`."""
         keystore, now = self.issuer.keystore, self.issuer.now
-        there = keystore.root / _layout.enclave_folder(name)
+        there = keystore.root / layout.enclave_folder(name)
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
             allowed = self.inspector.permissions(name, there)
-            rekey = self._rekey(name, (there / _layout.KEY).exists())
+            rekey = self._rekey(name, (there / layout.KEY).exists())
             keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
         validity = self.terms.validity or _length(old)
         certificate = self.issuer.authorities.identity.issue(

@@ -9,11 +9,9 @@ from pqsec_pki._files import read
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.errors import located
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import WAIT, refuse_overlap
-from pqsec_pki.keystore.rollover import (
+from pqsec_pki.keystore import WAIT, Keystore, layout, refuse_overlap
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle.rollover import (
     Rollover,
     Scope,
     check_scope,
@@ -64,7 +62,7 @@ def plan_rollover(
         inspector = Inspector.of(keystore, ledger, now=now)
         left_out = not_reissued(keystore, terms, inspector, now)
     names = [name for name in keystore.names() if name not in left_out]
-    path = keystore.root / _layout.ENCLAVES / _layout.GOVERNANCE
+    path = keystore.root / layout.ENCLAVES / layout.GOVERNANCE
     with located(path):
         inspector.verified(read(path))
     new_keys = shared_out(partial(gets_keys, keystore, terms, inspector), names)
@@ -79,6 +77,6 @@ def plan_rollover(
         rekeyed=rekeyed,
         left_out=left_out,
         new_list=terms.scope is not Scope.PERMISSIONS and keystore.has_revocation_list,
-        archive=keystore.root / _layout.GENERATIONS / str(number),
+        archive=keystore.root / layout.GENERATIONS / str(number),
         destroy=terms.destroy,
     )

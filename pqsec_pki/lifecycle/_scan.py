@@ -14,12 +14,17 @@ from pqsec_pki.certificates import Certificate, Reason, RevocationList
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance, Permissions
 from pqsec_pki.errors import KeystoreError, PassphraseError, PqsecError, VerificationError
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
-from pqsec_pki.keystore._issuer import domains_of
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.participant import load_certificate, load_revocation_list
+from pqsec_pki.keystore import (
+    Entry,
+    Keystore,
+    certificate_entry,
+    document_entry,
+    layout,
+    list_entry,
+    load_certificate,
+    load_revocation_list,
+)
+from pqsec_pki.lifecycle._issuer import domains_of
 
 
 @dataclass(slots=True, kw_only=True)
@@ -67,14 +72,14 @@ class KeystoreScan:
         self._authority("permissions-ca", self.permissions_ca)
         if self.anchors.countersigner:
             self._authority("permissions-ca", self.anchors.countersigner)
-        with self._reported(f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}") as path:
+        with self._reported(f"{layout.ENCLAVES}/{layout.GOVERNANCE}") as path:
             governance = Governance.from_xml(self._document("governance", "", path))
             self.domains = governance.domain_rules[0].domains
         names = self.keystore.names()
         for name in names:
             self._participant(name)
-        for folder, here in walk(self.keystore.root / _layout.ENCLAVES):
-            path = folder / _layout.CERTIFICATE
+        for folder, here in walk(self.keystore.root / layout.ENCLAVES):
+            path = folder / layout.CERTIFICATE
             if path.name in here and not exists(path):
                 place = str(path.relative_to(self.keystore.root))
                 self.refused[place] = f"a link to {path.readlink()}, which is not there"
@@ -83,22 +88,22 @@ class KeystoreScan:
     def _check_ca_files(self) -> None:
         """Report further certificates in a CA's file, and CA keys that are missing or wrong."""
         for role, ca in (("identity", self.identity_ca), ("permissions", self.permissions_ca)):
-            with self._reported(f"{_layout.PUBLIC}/{role}_ca.cert.pem") as path:
+            with self._reported(f"{layout.PUBLIC}/{role}_ca.cert.pem") as path:
                 count = len(Certificate.all_from_pem(read(path)))
                 if count > 1:
                     raise KeystoreError(f"{count} certificates: the first one is the CA")
-            with self._reported(f"{_layout.PRIVATE}/{role}_ca.key.pem") as path:
+            with self._reported(f"{layout.PRIVATE}/{role}_ca.key.pem") as path:
                 _check_key(path, ca)
 
     def _authority(self, kind: str, ca: Certificate) -> None:
         self.entries.append(certificate_entry(kind, ca.subject_name, ca, self.now))
 
     def _participant(self, name: str) -> None:
-        folder, details = _layout.enclave_folder(name), {"profile": self.keystore.profile.name}
-        with self._reported(f"{folder}/{_layout.CERTIFICATE}") as path:
+        folder, details = layout.enclave_folder(name), {"profile": self.keystore.profile.name}
+        with self._reported(f"{folder}/{layout.CERTIFICATE}") as path:
             certificate = self._certificate(name, path)
             self.participants[certificate.serial_number] = name
-            with self._reported(f"{folder}/{_layout.PERMISSIONS}") as signed:
+            with self._reported(f"{folder}/{layout.PERMISSIONS}") as signed:
                 permissions = Permissions.from_xml(self._document("permissions", name, signed))
                 details["domains"] = domains_of(permissions, certificate.subject_name)
             what = ("participant", name, certificate, self.now)
@@ -106,7 +111,7 @@ class KeystoreScan:
 
     def _certificate(self, name: str, path: Path) -> Certificate:
         """The certificate at `path`, issued by the identity CA with a unique serial number."""
-        _layout.enclave_name(name)
+        layout.enclave_name(name)
         certificate, ca = load_certificate(path), self.identity_ca
         begin = max(certificate.not_before, ca.not_before)  # it may have expired
         problems = list(self.anchors.identity_problems(certificate, begin))
@@ -127,7 +132,7 @@ class KeystoreScan:
     def _find_list(self, names: list[str]) -> None:
         """Find the newest list. It stays valid: the CA's next list includes its revocations."""
         lists: dict[Path, RevocationList] = {}
-        for place in (f"{_layout.enclave_folder(name)}/{_layout.LIST}" for name in names):
+        for place in (f"{layout.enclave_folder(name)}/{layout.LIST}" for name in names):
             if os.path.lexists(self.keystore.root / place):
                 with self._reported(place) as path:
                     found = load_revocation_list(path)

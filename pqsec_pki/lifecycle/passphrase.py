@@ -3,10 +3,7 @@
 from pathlib import Path
 
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import Overlap, Phase
+from pqsec_pki.keystore import Authorities, Keystore, Overlap, Phase, change, layout
 
 
 def change_passphrase(
@@ -18,7 +15,7 @@ def change_passphrase(
     key that is a link, because its target would not change, and during an overlap before the
     switch.
     """
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
         overlap = Overlap.of(keystore)
         if overlap and overlap.phase is Phase.BEGUN:
@@ -26,14 +23,14 @@ def change_passphrase(
                 "the identity CA that will issue next would keep the old passphrase",
                 hint=overlap.next_step,
             )
-        folder = transaction.folder(_layout.PRIVATE, private=True)
+        folder = transaction.folder(layout.PRIVATE, private=True)
         authorities.write_keys(folder, passphrase)
-        paths = [keystore.root / _layout.PRIVATE / name for name in folder.names]
+        paths = [keystore.root / layout.PRIVATE / name for name in folder.names]
         for path in paths:
             if path.is_symlink():
                 raise KeystoreError(
                     f"{path} is a link: the key that it leads to would not change",
                     hint="replace the link with the key itself",
                 )
-            transaction.shred(f"{_layout.PRIVATE}/{path.name}")
+            transaction.shred(f"{layout.PRIVATE}/{path.name}")
     return paths

@@ -10,11 +10,9 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import BACKDATE, Certificate
 from pqsec_pki.documents import Permissions
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore.compromised import KEYS, keys_detail
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.renewing import keys_fit
+from pqsec_pki.keystore import Keystore, key_hashes, layout
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle.renewing import keys_fit
 from pqsec_pki.smime import document_in
 
 CA_VALIDITY = timedelta(days=3650)
@@ -55,7 +53,7 @@ def check_scope(keystore: Keystore, terms: Rollover) -> None:
 
 def generation(keystore: Keystore) -> int:
     """The generation of the keystore's CAs, counted from 1."""
-    folder = keystore.root / _layout.GENERATIONS
+    folder = keystore.root / layout.GENERATIONS
     with disk_errors(folder):
         found = list(folder.iterdir()) if exists(folder) else []
     return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
@@ -75,9 +73,9 @@ def not_reissued(
     others = [name for name in names if name not in revoked]
 
     def reason(name: str) -> str:
-        folder = keystore.root / _layout.enclave_folder(name)
+        folder = keystore.root / layout.enclave_folder(name)
         certificate = inspector.certificate(name, folder)
-        has_key = (folder / _layout.KEY).exists()
+        has_key = (folder / layout.KEY).exists()
         if name in issued_by_previous_ca:
             return "it was not reissued before: its CA has been replaced"
         if not (has_key or keys_fit(certificate, terms.profile)):
@@ -104,8 +102,8 @@ def _ended(signed: bytes, certificate: Certificate, now: datetime) -> datetime |
 
 def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: str) -> bool:
     """Whether that participant, which is reissued, gets new keys."""
-    folder = keystore.root / _layout.enclave_folder(name)
-    if not (folder / _layout.KEY).exists():  # its key was made elsewhere, and fits
+    folder = keystore.root / layout.enclave_folder(name)
+    if not (folder / layout.KEY).exists():  # its key was made elsewhere, and fits
         return False
     certificate = inspector.certificate(name, folder)
     fits = keys_fit(certificate, terms.profile)
@@ -114,5 +112,5 @@ def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: s
 
 def _is_compromised(inspector: Inspector, certificate: Certificate) -> bool:
     """Whether a certificate with the same key was revoked as compromised."""
-    hashes = keys_detail(certificate).get(KEYS, "").split()
+    hashes = key_hashes(certificate.public_key, certificate.alternative_key).split()
     return any(each in inspector.compromised for each in hashes)

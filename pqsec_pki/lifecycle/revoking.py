@@ -16,14 +16,17 @@ from pqsec_pki.certificates import (
     revocation_list,
 )
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._entries import list_entry
-from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import refuse_overlap
+from pqsec_pki.keystore import (
+    Authorities,
+    Entry,
+    Keystore,
+    Ledger,
+    Transaction,
+    change,
+    layout,
+    list_entry,
+    refuse_overlap,
+)
 
 COMPROMISE = "compromise"
 """The kind of ledger lines that change the reason of an earlier revocation to keyCompromise."""
@@ -64,7 +67,7 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     reason; only the reason keyCompromise may be added later. KeystoreError for a subject that
     is not in the ledger or has expired.
     """
-    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         chosen = {
             each.sha256: each
@@ -93,7 +96,7 @@ def renew_list(
     validity: timedelta = LIST_VALIDITY,
 ) -> RevocationList:
     """Issue a new list with the same revocations and a later nextUpdate."""
-    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         publisher = Publisher(keystore, authorities.identity, ledger, now)
         return publisher.publish(transaction, [], validity)
@@ -133,7 +136,7 @@ class Publisher:
             now=self.now,
             validity=validity,
         )
-        transaction.folder(_layout.PUBLIC, private=False).public(_layout.CA_LIST, made.pem)
+        transaction.folder(layout.PUBLIC, private=False).public(layout.CA_LIST, made.pem)
         transaction.record(*new, list_entry(made, made.pem, self.identity.certificate, self.now))
         return made
 
@@ -194,7 +197,7 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
 
 def _name(subject: str) -> str:
     try:
-        return _layout.enclave_name(subject)
+        return layout.enclave_name(subject)
     except UsageError:
         return subject
 
@@ -238,8 +241,8 @@ def _revoked(entry: Entry) -> RevokedCertificate:
 def _missing_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
     """The place and the target of each missing link to the list."""
     for name in keystore.names():
-        [(link, target)] = _layout.shared_links(name, _layout.LIST_TARGET).items()
-        place = f"{_layout.enclave_folder(name)}/{link}"
+        [(link, target)] = layout.shared_links(name, layout.LIST_TARGET).items()
+        place = f"{layout.enclave_folder(name)}/{link}"
         there = keystore.root / place
         if not (there.is_symlink() and str(there.readlink()) == target):
             yield place, target

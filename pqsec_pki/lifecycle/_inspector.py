@@ -16,13 +16,16 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import Permissions
 from pqsec_pki.errors import KeystoreError, located, shown
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.compromised import compromised_keys_in
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.participant import load_certificate, refuse_unknown
-from pqsec_pki.keystore.participant_states import ParticipantState, participant_states
+from pqsec_pki.keystore import (
+    Entry,
+    Keystore,
+    Ledger,
+    ParticipantState,
+    compromised_keys_in,
+    layout,
+    load_certificate,
+    participant_states,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +90,8 @@ class Inspector:
 
     def certificate(self, name: str, folder: Path) -> Certificate:
         """The newest certificate of `name`; KeystoreError if `folder` has another one."""
-        refuse_unknown(self.keystore.root, name)
-        path = folder / _layout.CERTIFICATE
+        self.keystore.refuse_unknown(name)
+        path = folder / layout.CERTIFICATE
         found = load_certificate(path)
         known = self.participants.get(name)
         if known is None:
@@ -103,7 +106,7 @@ class Inspector:
 
     def signed_permissions(self, name: str, folder: Path) -> bytes:
         """The newest signed permissions of `name`; KeystoreError if `folder` has others."""
-        path = folder / _layout.PERMISSIONS
+        path = folder / layout.PERMISSIONS
         signed = read(path)
         number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)
         if number < max(self.participants[name].permissions_line, 1):
@@ -113,15 +116,15 @@ class Inspector:
     def permissions(self, name: str, folder: Path) -> Permissions:
         """The newest permissions of `name`, with verified signatures."""
         signed = self.signed_permissions(name, folder)
-        with located(folder / _layout.PERMISSIONS):
+        with located(folder / layout.PERMISSIONS):
             document = self.verified(signed)
-            self._refuse_edited(folder / _layout.PERMISSIONS_XML, document)
+            self._refuse_edited(folder / layout.PERMISSIONS_XML, document)
             return Permissions.from_xml(document)
 
     def config_digest(self, name: str, folder: Path) -> str:
         """The config digest of `name`; empty if its permissions were signed by hand since."""
         state = self.participants[name]
-        signed = hashlib.sha256(read(folder / _layout.PERMISSIONS)).hexdigest()
+        signed = hashlib.sha256(read(folder / layout.PERMISSIONS)).hexdigest()
         return state.config_digest if signed == state.permissions else ""
 
     def verified(self, signed: bytes) -> bytes:

@@ -11,14 +11,20 @@ from pathlib import Path
 
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore._issuer import Issued
-from pqsec_pki.keystore._rollover_transaction import RolloverTransaction
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import WAIT, Overlap, Phase, refuse_overlap
-from pqsec_pki.keystore.rollover import (
+from pqsec_pki.keystore import (
+    WAIT,
+    Authorities,
+    Keystore,
+    Overlap,
+    Phase,
+    change,
+    layout,
+    refuse_overlap,
+)
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import Issued
+from pqsec_pki.lifecycle._rollover_transaction import RolloverTransaction
+from pqsec_pki.lifecycle.rollover import (
     Rollover,
     Scope,
     check_scope,
@@ -63,7 +69,7 @@ def rotate(  # noqa: PLR0913 -- the choices are the user's, and by name
     """
     check_scope(keystore, terms)
     new = replace(keystore, profile=terms.profile)
-    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         _check_overlap(keystore, successor)
         number = generation(keystore)
         authorities = _authorities(
@@ -83,7 +89,7 @@ def rotate(  # noqa: PLR0913 -- the choices are the user's, and by name
     return Rotated(
         keystore=new,
         generation=number + 1,
-        archive=keystore.root / _layout.GENERATIONS / str(number),
+        archive=keystore.root / layout.GENERATIONS / str(number),
         issued=issued,
         left_out=left_out,
         new_list=new_list,

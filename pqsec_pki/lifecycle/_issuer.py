@@ -9,12 +9,15 @@ from typing import NamedTuple
 from pqsec_pki.algorithms import PublicKey, private_key_pem
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Permissions
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._entries import certificate_entry, document_entry
-from pqsec_pki.keystore._transaction import StagedFolder
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore import (
+    Authorities,
+    Entry,
+    Keystore,
+    StagedFolder,
+    certificate_entry,
+    document_entry,
+    layout,
+)
 
 
 class PublicKeys(NamedTuple):
@@ -58,7 +61,7 @@ class Issuer:
         profile = self.keystore.profile
         first = profile.participant_key.generate()
         second = profile.alternative_key.generate() if profile.alternative_key else None
-        for name, key in ((_layout.KEY, first), (_layout.ALT_KEY, second)):
+        for name, key in ((layout.KEY, first), (layout.ALT_KEY, second)):
             if key:
                 folder.private(name, private_key_pem(key))
         return PublicKeys(first.public_key, second.public_key if second else None)
@@ -81,12 +84,12 @@ class Issuer:
         extra = {"mark": config_digest, "request": request or ""}
         document = permissions.to_xml()
         signed = self.authorities.sign(document, now=self.now)
-        folder.public(_layout.CERTIFICATE, certificate.pem)
-        folder.public(_layout.PERMISSIONS_XML, document)
-        folder.public(_layout.PERMISSIONS, signed)
+        folder.public(layout.CERTIFICATE, certificate.pem)
+        folder.public(layout.PERMISSIONS_XML, document)
+        folder.public(layout.PERMISSIONS, signed)
         return Issued(
             name=name,
-            folder=self.keystore.root / _layout.enclave_folder(name),
+            folder=self.keystore.root / layout.enclave_folder(name),
             serial=f"{certificate.serial_number:x}",
             not_after=certificate.not_after,
             shortened=certificate.not_after < asked,

@@ -22,18 +22,22 @@ from pqsec_pki.errors import (
     UsageError,
     located,
 )
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._scan import KeystoreScan
-from pqsec_pki.keystore._settings import settings_file
-from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.participant import load_certificate, load_first_certificate
+from pqsec_pki.keystore import (
+    Keystore,
+    Transaction,
+    change,
+    layout,
+    load_certificate,
+    load_first_certificate,
+    settings_file,
+)
+from pqsec_pki.lifecycle._scan import KeystoreScan
 
-_FOLDERS = (_layout.PUBLIC, _layout.PRIVATE, _layout.ENCLAVES)
+_FOLDERS = (layout.PUBLIC, layout.PRIVATE, layout.ENCLAVES)
 _NEEDED = (
-    f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
-    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
-    f"{_layout.ENCLAVES}/{_layout.GOVERNANCE}",
+    f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
+    f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}",
+    f"{layout.ENCLAVES}/{layout.GOVERNANCE}",
 )
 
 
@@ -59,7 +63,7 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
     ledger.
     """
     _refuse_unfit(root)
-    with _journal.change(root) as transaction:
+    with change(root) as transaction:
         _refuse_unfit(root)
         profile = _profile(root)
         keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
@@ -79,20 +83,20 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
 def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> None:
     root = keystore.root
     settings = transaction.folder(".", private=False)
-    settings.public(_layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
-    if not (root / _layout.PRIVATE).exists():
-        transaction.folder(_layout.PRIVATE, private=True)
-    public = transaction.folder(_layout.PUBLIC, private=False)
+    settings.public(layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
+    if not (root / layout.PRIVATE).exists():
+        transaction.folder(layout.PRIVATE, private=True)
+    public = transaction.folder(layout.PUBLIC, private=False)
     if scan.list_file and not keystore.has_revocation_list:
-        public.public(_layout.CA_LIST, read(scan.list_file))
-    for staged, there in ((settings, root), (public, root / _layout.PUBLIC)):
+        public.public(layout.CA_LIST, read(scan.list_file))
+    for staged, there in ((settings, root), (public, root / layout.PUBLIC)):
         staged.set_mode(there.stat().st_mode & 0o777)  # keep the folder's mode
     transaction.record(*scan.entries)
 
 
 def _refuse_unfit(root: Path) -> None:
     with disk_errors(root):
-        if os.path.lexists(root / _layout.SETTINGS):
+        if os.path.lexists(root / layout.SETTINGS):
             raise ExistsError(f"{root} is a pqsec keystore already")
         missing = [name for name in _NEEDED if not (root / name).is_file()]
         links = [root / name for name in _FOLDERS if (root / name).is_symlink()]
@@ -113,18 +117,18 @@ def _profile(root: Path) -> Profile | None:
 
     MalformedError, with a hint, for a CA that is not a certificate in PEM.
     """
-    public = root / _layout.PUBLIC
+    public = root / layout.PUBLIC
     try:
-        identity = load_first_certificate(public / _layout.IDENTITY_CA)
-        permissions = load_first_certificate(public / _layout.PERMISSIONS_CA)
+        identity = load_first_certificate(public / layout.IDENTITY_CA)
+        permissions = load_first_certificate(public / layout.PERMISSIONS_CA)
     except MalformedError as error:
         error.hint = error.hint or "`openssl x509 -inform DER` converts DER to PEM"
         raise
     participant = _first_participant(root) or identity
     second = identity.alternative_key
     kinds: dict[str, str | None] = {
-        "identity_key": _kind(identity, public / _layout.IDENTITY_CA),
-        "permissions_key": _kind(permissions, public / _layout.PERMISSIONS_CA),
+        "identity_key": _kind(identity, public / layout.IDENTITY_CA),
+        "permissions_key": _kind(permissions, public / layout.PERMISSIONS_CA),
         "participant_key": participant.public_key.algorithm.name,
         "alternative_key": second.algorithm.name if second else None,
     }
@@ -145,9 +149,9 @@ def _nearest_first(ca: Certificate) -> list[Profile]:
 
 def _first_participant(root: Path) -> Certificate | None:
     """The first participant certificate that can be read; faulty ones are reported later."""
-    for name in _layout.names_in(root):
+    for name in layout.names_in(root):
         with suppress(PqsecError):
-            found = load_certificate(root / _layout.enclave_folder(name) / _layout.CERTIFICATE)
+            found = load_certificate(root / layout.enclave_folder(name) / layout.CERTIFICATE)
             if found.public_key.algorithm.name:  # raises for an unknown algorithm
                 return found
     return None

@@ -10,34 +10,39 @@ from pqsec_pki._files import read
 from pqsec_pki._processes import shared_out
 from pqsec_pki.certificates import Authority
 from pqsec_pki.errors import KeystoreError, located
-from pqsec_pki.keystore import _layout
-from pqsec_pki.keystore._entries import document_entry
-from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore._issuer import Issued, Issuer
-from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore._settings import settings_file
-from pqsec_pki.keystore._transaction import StagedFolder, Transaction
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import Overlap, Phase, trust_entry
-from pqsec_pki.keystore.renewing import Renewal, Renewer
-from pqsec_pki.keystore.revoking import LIST_VALIDITY, Publisher
-from pqsec_pki.keystore.rollover import Rollover, Scope, gets_keys
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    Ledger,
+    Overlap,
+    Phase,
+    StagedFolder,
+    Transaction,
+    document_entry,
+    layout,
+    settings_file,
+    trust_entry,
+)
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import Issued, Issuer
+from pqsec_pki.lifecycle.renewing import Renewal, Renewer
+from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
+from pqsec_pki.lifecycle.rollover import Rollover, Scope, gets_keys
 
 _IDENTITY = (
-    f"{_layout.PUBLIC}/{_layout.IDENTITY_CA}",
-    f"{_layout.PUBLIC}/{_layout.CA_LIST}",
-    f"{_layout.PRIVATE}/{_layout.IDENTITY_KEY}",
-    f"{_layout.PRIVATE}/{_layout.IDENTITY_ALT_KEY}",
+    f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
+    f"{layout.PUBLIC}/{layout.CA_LIST}",
+    f"{layout.PRIVATE}/{layout.IDENTITY_KEY}",
+    f"{layout.PRIVATE}/{layout.IDENTITY_ALT_KEY}",
 )
 _PERMISSIONS = (
-    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_CA}",
-    f"{_layout.PUBLIC}/{_layout.PERMISSIONS_ALT_CA}",
-    f"{_layout.PRIVATE}/{_layout.PERMISSIONS_KEY}",
-    f"{_layout.PRIVATE}/{_layout.PERMISSIONS_ALT_KEY}",
+    f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}",
+    f"{layout.PUBLIC}/{layout.PERMISSIONS_ALT_CA}",
+    f"{layout.PRIVATE}/{layout.PERMISSIONS_KEY}",
+    f"{layout.PRIVATE}/{layout.PERMISSIONS_ALT_KEY}",
 )
 # SROS2's one CA, to which the names above are links.
-_SROS2 = (f"{_layout.PUBLIC}/ca.cert.pem", f"{_layout.PRIVATE}/ca.key.pem")
+_SROS2 = (f"{layout.PUBLIC}/ca.cert.pem", f"{layout.PRIVATE}/ca.key.pem")
 _PLACES = {
     Scope.BOTH: (*_IDENTITY, *_PERMISSIONS, *_SROS2),
     Scope.IDENTITY: _IDENTITY,
@@ -64,10 +69,10 @@ class RolloverTransaction:
 
     def archive(self, number: int) -> None:
         """Copy the replaced files to generation `number`; destroy private keys if wanted."""
-        folder = self.transaction.folder(f"{_layout.GENERATIONS}/{number}", private=True)
+        folder = self.transaction.folder(f"{layout.GENERATIONS}/{number}", private=True)
         for place in self._replaced_files():
             path = self.old.root / place
-            if not place.startswith(_layout.PRIVATE):
+            if not place.startswith(layout.PRIVATE):
                 folder.public(path.name, read(path))
             elif not self.terms.destroy:
                 folder.private(path.name, read(path))
@@ -78,18 +83,18 @@ class RolloverTransaction:
 
     def write_authorities(self, passphrase: bytes | None) -> None:
         """Write the new CAs and the settings; remove files of the old CAs without a successor."""
-        public = self.transaction.folder(_layout.PUBLIC, private=False)
-        private = self.transaction.folder(_layout.PRIVATE, private=True)
+        public = self.transaction.folder(layout.PUBLIC, private=False)
+        private = self.transaction.folder(layout.PRIVATE, private=True)
         trusted = self.old.identity_ca if self.successor else None
         self.authorities.write(public, private, passphrase, trusted=trusted)
-        for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):  # now stored under its final name
-            self.transaction.remove(f"{_layout.PRIVATE}/{key}")
-        written = {_layout.CA_LIST, *public.names, *private.names}
+        for key in (layout.NEXT_KEY, layout.NEXT_ALT_KEY):  # now stored under its final name
+            self.transaction.remove(f"{layout.PRIVATE}/{key}")
+        written = {layout.CA_LIST, *public.names, *private.names}
         for place in self._replaced_files():
             if Path(place).name not in written:
                 self.transaction.remove(place)
         settings = self.transaction.folder(".", private=False)
-        settings.public(_layout.SETTINGS, settings_file(self.new.profile, self.new.domains))
+        settings.public(layout.SETTINGS, settings_file(self.new.profile, self.new.domains))
         self.transaction.record(*self.authorities.entries(self.now))
         if self.successor:
             overlap = Overlap(Phase.SWITCHED, self.successor.certificate, self.old.identity_ca)
@@ -97,8 +102,8 @@ class RolloverTransaction:
 
     def sign_governance(self) -> None:
         """Sign the governance of the old permissions CA with the new one."""
-        enclaves = self.transaction.folder(_layout.ENCLAVES, private=False)
-        self._sign(self.old.root / _layout.ENCLAVES / _layout.GOVERNANCE, enclaves, "")
+        enclaves = self.transaction.folder(layout.ENCLAVES, private=False)
+        self._sign(self.old.root / layout.ENCLAVES / layout.GOVERNANCE, enclaves, "")
 
     def reissue(self, names: Sequence[str]) -> list[Issued]:
         """Reissue every participant in `names`; add missing links, remove files it needs no more.
@@ -106,12 +111,12 @@ class RolloverTransaction:
         VerificationError for documents that the old permissions CA did not sign.
         """
         folders = [
-            self.transaction.folder(_layout.enclave_folder(name), private=False) for name in names
+            self.transaction.folder(layout.enclave_folder(name), private=False) for name in names
         ]
         issued = shared_out(self._make, names, folders)
         for each, folder in zip(issued, folders, strict=True):
             self.transaction.record(*each.entries)
-            governance = self._enclave(each.name) / _layout.GOVERNANCE
+            governance = self._enclave(each.name) / layout.GOVERNANCE
             if governance.exists() and not governance.is_symlink():  # its own copy, when adopted
                 self._sign(governance, folder, each.name)
             self._tidy(each.name, folder)
@@ -129,7 +134,7 @@ class RolloverTransaction:
         return [place for place in _PLACES[self.terms.scope] if (self.old.root / place).exists()]
 
     def _enclave(self, name: str) -> Path:
-        return self.old.root / _layout.enclave_folder(name)
+        return self.old.root / layout.enclave_folder(name)
 
     def _make(self, name: str, folder: StagedFolder) -> Issued:
         issuer = Issuer(self.new, self.authorities, self.now)
@@ -141,7 +146,7 @@ class RolloverTransaction:
         with located(path):
             document = self.inspector.verified(old)
         signed = self.authorities.sign(document, now=self.now)
-        folder.public(_layout.GOVERNANCE, signed)
+        folder.public(layout.GOVERNANCE, signed)
         details = self.governances.get(hashlib.sha256(old).hexdigest(), {})
         self.transaction.record(
             replace(document_entry("governance", name, signed, self.now), details=details)
@@ -149,15 +154,15 @@ class RolloverTransaction:
 
     def _tidy(self, name: str, staged: StagedFolder) -> None:
         """Add missing links, and remove files of keys that the profile does not have."""
-        folder = _layout.enclave_folder(name)
-        shared = _layout.CA_TARGETS | (_layout.LIST_TARGET if self.old.has_revocation_list else {})
+        folder = layout.enclave_folder(name)
+        shared = layout.CA_TARGETS | (layout.LIST_TARGET if self.old.has_revocation_list else {})
         if self.authorities.countersigner:
-            shared |= _layout.ALT_TARGET
+            shared |= layout.ALT_TARGET
         else:
-            self.transaction.remove(f"{folder}/{_layout.PERMISSIONS_ALT_CA}")
+            self.transaction.remove(f"{folder}/{layout.PERMISSIONS_ALT_CA}")
         if not self.new.profile.alternative_key:
-            self.transaction.remove(f"{folder}/{_layout.ALT_KEY}")
-        for link, target in _layout.shared_links(name, shared).items():
+            self.transaction.remove(f"{folder}/{layout.ALT_KEY}")
+        for link, target in layout.shared_links(name, shared).items():
             there = self.old.root / folder / link
             if not (there.is_symlink() and str(there.readlink()) == target):
                 staged.link(link, target)  # replaces the file of an adopted enclave

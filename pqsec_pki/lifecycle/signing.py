@@ -4,9 +4,7 @@ Keys and certificates stay as they are. The new document replaces the old one, a
 line is written, in one change.
 """
 
-import hashlib
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -14,16 +12,17 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.documents import Governance, Kind
-from pqsec_pki.errors import MissingError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._entries import document_entry
-from pqsec_pki.keystore._inspector import Inspector
-from pqsec_pki.keystore._transaction import StagedFolder
-from pqsec_pki.keystore.authorities import Authorities
-from pqsec_pki.keystore.issuing import ParticipantSpec, permissions_for
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.smime import document_in
+from pqsec_pki.keystore import (
+    Authorities,
+    Entry,
+    Keystore,
+    StagedFolder,
+    change,
+    document_entry,
+    layout,
+)
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
 
 
 def sign_permissions(
@@ -35,14 +34,12 @@ def sign_permissions(
     KeystoreError for a participant that does not exist, was revoked, or whose certificate
     is not its newest.
     """
-    names = [_layout.enclave_name(spec.name) for spec in specs]
-    with _journal.change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    names = [layout.enclave_name(spec.name) for spec in specs]
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
-        folders = [
-            transaction.folder(_layout.enclave_folder(name), private=False) for name in names
-        ]
+        folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
         signer = _Signer(keystore, authorities, inspector, now)
         transaction.record(*shared_out(signer.sign_permissions, names, specs, folders))
 
@@ -61,11 +58,11 @@ def sign_governance(
     """
     document = governance.to_xml()
     signed = authorities.sign(document, now=now)
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
-        enclaves = transaction.folder(_layout.ENCLAVES, private=False)
-        enclaves.public(_layout.GOVERNANCE_XML, document)
-        enclaves.public(_layout.GOVERNANCE, signed)
+        enclaves = transaction.folder(layout.ENCLAVES, private=False)
+        enclaves.public(layout.GOVERNANCE_XML, document)
+        enclaves.public(layout.GOVERNANCE, signed)
         transaction.record(
             _with_digest(document_entry("governance", "", signed, now), config_digest)
         )
@@ -88,10 +85,10 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     ExistsError if `goal` exists, unless `force`; then nothing is entered.
     """
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
         transaction.record(document_entry(kind.value, str(goal), signed, now))
-        place = _layout.document_folder(keystore.root, kind.value, goal)
+        place = layout.document_folder(keystore.root, kind.value, goal)
         if place is None:
             write(goal, signed, force=force)
         else:
@@ -103,22 +100,6 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     return signed
 
 
-def signed_governance(keystore: Keystore) -> Governance:
-    """The keystore's governance; `governance_digest` compares it with the ledger."""
-    return Governance.from_xml(document_in(keystore.governance))
-
-
-def governance_digest(keystore: Keystore) -> str | None:
-    """The governance's config digest; None if the file is not the newest governance signed."""
-    with keystore.open_ledger() as ledger:
-        newest = ledger.of_name("governance", "")[-1:]
-    with suppress(MissingError):
-        for each in newest:
-            if hashlib.sha256(keystore.governance).hexdigest() == each.sha256:
-                return each.details.get("mark", "")
-    return None
-
-
 @dataclass(frozen=True, slots=True)
 class _Signer:
     keystore: Keystore
@@ -127,13 +108,13 @@ class _Signer:
     now: datetime
 
     def sign_permissions(self, name: str, spec: ParticipantSpec, folder: StagedFolder) -> Entry:
-        there = self.keystore.root / _layout.enclave_folder(name)
+        there = self.keystore.root / layout.enclave_folder(name)
         with disk_errors(there):
             certificate = self.inspector.certificate(name, there)
         document = permissions_for(spec, certificate).to_xml()
         signed = self.authorities.sign(document, now=self.now)
-        folder.public(_layout.PERMISSIONS_XML, document)
-        folder.public(_layout.PERMISSIONS, signed)
+        folder.public(layout.PERMISSIONS_XML, document)
+        folder.public(layout.PERMISSIONS, signed)
         return _with_digest(
             document_entry("permissions", name, signed, self.now), spec.config_digest
         )

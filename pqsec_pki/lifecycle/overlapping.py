@@ -14,14 +14,23 @@ from datetime import datetime
 from pqsec_pki.algorithms import private_key_pem
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import _journal, _layout
-from pqsec_pki.keystore._entries import certificate_entry
-from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import Overlap, Phase, refuse_overlap, trust_entry, trust_file
-from pqsec_pki.keystore.rollover import Rollover, Scope, check_scope, generation
-from pqsec_pki.keystore.rotating import Rotated, new_authorities, rotate
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    Overlap,
+    Phase,
+    Transaction,
+    certificate_entry,
+    change,
+    check_pair,
+    layout,
+    load_ca_key,
+    refuse_overlap,
+    trust_entry,
+    trust_file,
+)
+from pqsec_pki.lifecycle.rollover import Rollover, Scope, check_scope, generation
+from pqsec_pki.lifecycle.rotating import Rotated, new_authorities, rotate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,16 +56,16 @@ def begin_overlap(
 
     Its key is encrypted under `passphrase`. Errors as of `check_begin`.
     """
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         kept.refuse_outdated(keystore.root)
         check_begin(keystore, terms, now)
         number = generation(keystore) + 1
         new = _new_identity(keystore, terms, number, now)
         overlap = Overlap(Phase.BEGUN, kept.identity.certificate, new.certificate)
-        private = transaction.folder(_layout.PRIVATE, private=True)
-        private.private(_layout.NEXT_KEY, private_key_pem(new.key, passphrase))
+        private = transaction.folder(layout.PRIVATE, private=True)
+        private.private(layout.NEXT_KEY, private_key_pem(new.key, passphrase))
         if new.alternative_key:
-            private.private(_layout.NEXT_ALT_KEY, private_key_pem(new.alternative_key, passphrase))
+            private.private(layout.NEXT_ALT_KEY, private_key_pem(new.alternative_key, passphrase))
         dropped = _drop_list(keystore, transaction)
         _link_all(keystore, transaction)
         transaction.record(
@@ -90,7 +99,7 @@ def finish_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
 
     KeystoreError if the new CA does not issue yet. No CA key is needed.
     """
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         overlap = Overlap.that_is(keystore, Phase.SWITCHED)
         _trust(transaction, overlap.issuing)
         transaction.record(trust_entry(overlap, now, end="finished"))
@@ -102,13 +111,13 @@ def cancel_overlap(keystore: Keystore, *, now: datetime) -> Overlap:
 
     Its key is overwritten with zeros. KeystoreError if the new CA issues already.
     """
-    with _journal.change(keystore.root) as transaction:
+    with change(keystore.root) as transaction:
         overlap = Overlap.that_is(keystore, Phase.BEGUN)
         _trust(transaction, overlap.issuing)
         transaction.record(trust_entry(overlap, now, end="cancelled"))
-        for key in (_layout.NEXT_KEY, _layout.NEXT_ALT_KEY):
-            transaction.shred(f"{_layout.PRIVATE}/{key}")
-            transaction.remove(f"{_layout.PRIVATE}/{key}")
+        for key in (layout.NEXT_KEY, layout.NEXT_ALT_KEY):
+            transaction.shred(f"{layout.PRIVATE}/{key}")
+            transaction.remove(f"{layout.PRIVATE}/{key}")
     return overlap
 
 
@@ -157,16 +166,16 @@ def _revoked(keystore: Keystore, now: datetime) -> set[int]:
 
 def _trust(transaction: Transaction, *authorities: Certificate) -> None:
     """Stage the file of trusted identity CAs; the first one issues."""
-    public = transaction.folder(_layout.PUBLIC, private=False)
-    public.public(_layout.IDENTITY_CA, trust_file(authorities))
+    public = transaction.folder(layout.PUBLIC, private=False)
+    public.public(layout.IDENTITY_CA, trust_file(authorities))
 
 
 def _link_all(keystore: Keystore, transaction: Transaction) -> None:
     """Link to that file in enclaves that have their own copy, as adopted ones may."""
-    shared = {_layout.IDENTITY_CA: _layout.CA_TARGETS[_layout.IDENTITY_CA]}
+    shared = {layout.IDENTITY_CA: layout.CA_TARGETS[layout.IDENTITY_CA]}
     for name in keystore.names():
-        folder = _layout.enclave_folder(name)
-        [(link, target)] = _layout.shared_links(name, shared).items()
+        folder = layout.enclave_folder(name)
+        [(link, target)] = layout.shared_links(name, shared).items()
         there = keystore.root / folder / link
         if not (there.is_symlink() and str(there.readlink()) == target):
             transaction.folder(folder, private=False).link(link, target)
@@ -179,20 +188,20 @@ def _drop_list(keystore: Keystore, transaction: Transaction) -> bool:
     """
     if not keystore.has_revocation_list:
         return False
-    transaction.remove(f"{_layout.PUBLIC}/{_layout.CA_LIST}")
+    transaction.remove(f"{layout.PUBLIC}/{layout.CA_LIST}")
     for name in keystore.names():
-        transaction.remove(f"{_layout.enclave_folder(name)}/{_layout.LIST}")
+        transaction.remove(f"{layout.enclave_folder(name)}/{layout.LIST}")
     return True
 
 
 def _next_authority(
     keystore: Keystore, certificate: Certificate, passphrase: bytes | None
 ) -> Authority:
-    private, second = keystore.root / _layout.PRIVATE, certificate.alternative_key
+    private, second = keystore.root / layout.PRIVATE, certificate.alternative_key
     authority = Authority(
         certificate,
-        load_ca_key(private / _layout.NEXT_KEY, passphrase),
-        load_ca_key(private / _layout.NEXT_ALT_KEY, passphrase) if second else None,
+        load_ca_key(private / layout.NEXT_KEY, passphrase),
+        load_ca_key(private / layout.NEXT_ALT_KEY, passphrase) if second else None,
     )
     check_pair(authority)
     return authority

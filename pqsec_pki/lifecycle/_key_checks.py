@@ -1,0 +1,50 @@
+"""Refuses keys that were revoked as compromised, and keys of other participants."""
+
+from collections.abc import Iterable, Mapping
+from datetime import datetime
+
+from pqsec_pki.algorithms import PublicKey
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.keystore import Entry, Ledger, key_hashes
+
+
+def refuse_compromised(
+    compromised: Mapping[str, Entry], name: str, keys: Iterable[PublicKey | None]
+) -> None:
+    """VerificationError if any of the keys for `name` is compromised."""
+    for each in key_hashes(*keys).split():
+        if line := compromised.get(each):
+            raise VerificationError(
+                f"{name}: its key was revoked as compromised, with serial {line.serial} of"
+                f" {line.name}",
+                hint="others may have this key and could impersonate it: make a new key, with"
+                " --rekey here or `pqsec request` on the robot",
+            )
+
+
+def refuse_shared(
+    ledger: Ledger, asked: Mapping[str, Iterable[PublicKey | None]], now: datetime
+) -> None:
+    """VerificationError if a key in `asked` is in a valid certificate of another participant.
+
+    This happens after a robot's disk was copied: then each robot can impersonate the other.
+    Earlier certificates count too: they are valid until they are revoked or expire.
+    """
+    holders: dict[str, str] = {}
+    for name, keys in asked.items():
+        for each in key_hashes(*keys).split():
+            _refuse_second(name, holders.setdefault(each, name))
+    revoked = {each.sha256 for each in ledger.of_kind("revocation")}
+    for other, sha256, certified in ledger.certified(now.isoformat()):
+        asking = next((holders[each] for each in certified.split() if each in holders), other)
+        if sha256 not in revoked:
+            _refuse_second(asking, other)
+
+
+def _refuse_second(name: str, holder: str) -> None:
+    if name != holder:
+        raise VerificationError(
+            f"{name}: its key is that of {holder}",
+            hint="make a key of its own with `pqsec request`; if it is the same robot under"
+            " another name, revoke the old name first",
+        )
