@@ -23,14 +23,15 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 
 
-MANY_TIMES = {"property", "fuzz"}
-"""Folders whose tests run the same code over and over. So do those that kill at every call."""
+NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e"}
+"""Folders whose tests run the same code over and over, or processes of their own. So do those that
+kill at every call."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Their coverage is not measured: that takes as long again, and other tests run it all."""
     for item in items:
-        if item.path.parent.name in MANY_TIMES or item.path.stem.endswith("_kill"):
+        if item.path.parent.name in NOT_MEASURED or item.path.stem.endswith("_kill"):
             item.add_marker(pytest.mark.no_cover)
 
 

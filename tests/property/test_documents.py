@@ -26,6 +26,7 @@ from pqsec_pki.documents import (
     validate,
 )
 from pqsec_pki.errors import PqsecError, UsageError
+from tests.longer import examples
 
 TEXT = st.text(
     st.characters(exclude_categories=["Cs", "Cc"], exclude_characters="\ufffe\uffff")
@@ -143,7 +144,7 @@ def test_any_bytes_are_read_or_refused(read, data):
 
 
 @pytest.mark.parametrize("read", READERS)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     document=st.sampled_from(DOCUMENTS),
     edits=st.lists(
@@ -174,7 +175,7 @@ INSTANTS = st.from_regex(
 )
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(number=NUMBERS, before=INSTANTS, after=INSTANTS)
 def test_any_number_and_time_is_read_or_refused(number, before, after):
     document = DOCUMENTS[0].replace(b"<id>0<", f"<id>{number}<".encode())

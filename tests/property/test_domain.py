@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pqsec_pki.domain import Action, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore, audit
+from tests.longer import examples
 from tests.unit.domains import DAY, NOW
 
 NAMES = [f"/r{number}" for number in range(4)]
@@ -140,7 +141,7 @@ def edited(text, edits):
     return text.encode(errors="surrogatepass")
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(300), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(EDITS, EDITS)
 def test_whatever_stands_in_the_files_nothing_but_our_errors_comes_out(edits, list_edits):
     with tempfile.TemporaryDirectory() as folder:

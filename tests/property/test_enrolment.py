@@ -24,6 +24,7 @@ from pqsec_pki.enrolment import (
 )
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lifecycle import ParticipantSpec
+from tests.longer import examples
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 
@@ -32,7 +33,9 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
     pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
 ]
-hostile = settings(deadline=None, max_examples=200, suppress_health_check=list(HealthCheck))
+hostile = settings(
+    deadline=None, max_examples=examples(200), suppress_health_check=list(HealthCheck)
+)
 PROFILE = profile_named("transition")
 KEY = SealingPrivateKey.generate()
 

@@ -31,12 +31,15 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.smime import Require, Signer, document_in, is_signed, sign, verify
+from tests.longer import examples
 
 NOW = datetime(2026, 11, 21, tzinfo=UTC)
 YEAR = timedelta(days=365)
 PASSPHRASE = b"horse"
 
-hostile = settings(deadline=None, max_examples=250, suppress_health_check=list(HealthCheck))
+hostile = settings(
+    deadline=None, max_examples=examples(250), suppress_health_check=list(HealthCheck)
+)
 # cryptography warns of what it will refuse some day (NULL parameters, odd names).
 pytestmark = [
     pytest.mark.slow,

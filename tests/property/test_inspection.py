@@ -23,6 +23,7 @@ from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.inspection import describe
 from pqsec_pki.smime import Signer, sign
+from tests.longer import examples
 from tests.unit.test_requests import crl, request, with_alternative
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -136,7 +137,7 @@ def test_any_bytes_are_told_or_refused(data):
     told(pem("CERTIFICATE", data))
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=examples(600), deadline=None)
 @given(place=st.integers(0, 8), edits=EDITS)
 def test_a_damaged_file_is_told_or_refused(place, edits):
     damaged = edited(public_files()[place], edits)
@@ -145,7 +146,7 @@ def test_a_damaged_file_is_told_or_refused(place, edits):
 
 
 @pytest.mark.parametrize("name", ROWS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(place=st.integers(0, 6), edits=EDITS)
 def test_no_damage_makes_a_private_key_speak(name, place, edits):
     files = private_files(name)

@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pqsec_pki.lint import Finding, Target, check
+from tests.longer import examples
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab
 from tests.unit.test_lint_x509 import crl
@@ -39,7 +40,7 @@ def garbled(data, cuts, *, inside):
 
 
 @settings(
-    max_examples=60,
+    max_examples=examples(60),
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -17,6 +17,7 @@ from pqsec_pki.documents import (
     permissions_to_yaml,
 )
 from pqsec_pki.errors import InvalidDocumentError, UsageError
+from tests.longer import examples
 from tests.property.test_documents import GOVERNANCES, permissions
 from tests.unit.test_yaml import read_governance, read_permissions
 
@@ -42,7 +43,7 @@ def test_a_governance_written_as_yaml_is_read_as_equal_values(value):
     assert read_governance(governance_to_yaml(value)) == value
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(permissions(ANY_TEXT))
 def test_permissions_written_as_yaml_are_read_as_equal_values(value):
     assert read_permissions(permissions_to_yaml(value)) == value
@@ -83,7 +84,7 @@ EDITS = st.tuples(
 
 
 @pytest.mark.parametrize("read", READERS)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(document=st.sampled_from(DOCUMENTS), edits=st.lists(EDITS, min_size=1, max_size=3))
 def test_a_damaged_document_is_read_or_refused(read, document, edits):
     for place, length, put in edits:
@@ -108,7 +109,7 @@ TREES = st.recursive(
 
 
 @pytest.mark.parametrize("read", READERS)
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(tree=TREES)
 def test_any_structure_is_read_or_refused(read, tree):
     from pqsec_pki.documents._yaml import dump  # noqa: PLC0415 - the room's own, for any tree

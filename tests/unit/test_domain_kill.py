@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 BEFORE = NOW - 60 * DAY
 NOT_MET = {Action.CREATE_CAS, Action.RENEW_CRL}
 """Of the actions, at the start below."""
-EVERY = 9
+EVERY = 13
 """Of how many calls one is killed: what they belong to has its own sweeps."""
 SMALL_BATCHES = """
 from pqsec_pki.cli import main

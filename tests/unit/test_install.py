@@ -41,7 +41,7 @@ from pqsec_pki.lifecycle import (
 from pqsec_pki.problems import Code
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import made
-from tests.unit.killing import NOW, fails_with, survives
+from tests.unit.killing import NOW, disturbed_calls, fails_with, survives
 
 pytestmark = pytest.mark.slow
 
@@ -569,12 +569,12 @@ def test_a_sealed_bundle_needs_the_robots_key(keystore, place):
 # Whatever happens
 
 
-def at_every_call(original, place, work, look, *, ends=survives):
-    """Do `work` in copies of `original`, which end at its 1st, 2nd, ... call; `look` at each.
+def at_calls(original, place, work, look, *, ends=survives, every=5):  # noqa: PLR0913
+    """Do `work` in copies of `original`, which end at one of `every` calls; `look` at each.
 
-    The number of calls that `work` makes.
+    How many calls `work` makes, at least.
     """
-    for calls in range(1, 1000):
+    for calls in disturbed_calls(every):
         goal = place / f"copy{calls}"
         shutil.copytree(original, goal, symlinks=True)
         done = ends(calls, lambda goal=goal: work(goal))
@@ -598,7 +598,7 @@ def test_killed_at_any_instant_the_first_bundle_is_there_or_nothing_is(robot, bu
         }
         assert not list((goal / "requests").iterdir())
 
-    assert at_every_call(robot, place, put, look) > 25
+    assert at_calls(robot, place, put, look) > 25
 
 
 def test_killed_at_any_instant_the_old_set_is_there_or_the_new_one(robot, bundles, place):
@@ -615,7 +615,7 @@ def test_killed_at_any_instant_the_old_set_is_there_or_the_new_one(robot, bundle
         newest = max(int(each.name) for each in (goal / "sets").iterdir())
         assert {each.name for each in (goal / "sets").iterdir()} == {"1", str(newest)}
 
-    at_every_call(robot, place, lambda goal: put(goal, "2"), look)
+    at_calls(robot, place, lambda goal: put(goal, "2"), look, every=1)
     assert seen == {old, new}
 
 
@@ -634,14 +634,14 @@ def test_killed_at_any_instant_a_rollback_is_done_or_not_begun(robot, bundles, p
     put(robot)
     put(robot, "2")
     back = partial(rollback, older=True)
-    at_every_call(robot, place, back, ends_well(bundles))
+    at_calls(robot, place, back, ends_well(bundles))
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
 def test_a_disk_that_refuses_leaves_what_was_there(robot, bundles, place, code):
     put(robot)
     refused = partial(fails_with, code)
-    at_every_call(*(robot, place, lambda goal: put(goal, "2"), ends_well(bundles)), ends=refused)
+    at_calls(*(robot, place, lambda goal: put(goal, "2"), ends_well(bundles)), ends=refused)
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -660,7 +660,7 @@ def test_killed_at_any_instant_a_request_is_whole_or_absent(place, force):
         request(ROBOT, profile, goal, force=True)
         assert {each.name for each in goal.iterdir()} == {"requests"}
 
-    at_every_call(before, place, lambda goal: request(ROBOT, profile, goal, force=force), look)
+    at_calls(before, place, lambda goal: request(ROBOT, profile, goal, force=force), look)
 
 
 def test_killed_at_any_instant_a_sealing_key_leaves_no_half(place):
@@ -671,7 +671,7 @@ def test_killed_at_any_instant_a_sealing_key_leaves_no_half(place):
         assert private.public_key.pem == (goal / "bundle.pub.pem").read_bytes()
 
     (place / "before").mkdir()
-    at_every_call(place / "before", place, make_sealing_key, look)
+    at_calls(place / "before", place, make_sealing_key, look)
 
 
 def test_killed_at_any_instant_a_sealing_key_can_be_made_again_without_force(place):
@@ -684,7 +684,7 @@ def test_killed_at_any_instant_a_sealing_key_can_be_made_again_without_force(pla
             make_sealing_key(goal)
 
     (place / "before").mkdir()
-    at_every_call(place / "before", place, make_sealing_key, look)
+    at_calls(place / "before", place, make_sealing_key, look)
 
 
 def test_killed_at_any_instant_a_request_is_answered_or_the_old_keys_are_there(place):
@@ -706,7 +706,7 @@ def test_killed_at_any_instant_a_request_is_answered_or_the_old_keys_are_there(p
         audit(keystore)
         seen.add(answer)
 
-    at_every_call(prepared.root, place, lambda goal: answered(Keystore.open(goal), asked), look)
+    at_calls(prepared.root, place, lambda goal: answered(Keystore.open(goal), asked), look)
     assert seen == {True, False}
 
 

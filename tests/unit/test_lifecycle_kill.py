@@ -71,18 +71,18 @@ class Scene:
 
     work: Callable[[Path], object]
     before: Callable[[Path], object] = lambda _: None
-    every: int = 9
+    every: int = 25
     """Of how many calls one is killed."""
 
 
 SCENES = {
-    "renewed with new keys": Scene(lambda root: renew_in(root, *BOTH), every=4),
+    "renewed with new keys": Scene(lambda root: renew_in(root, *BOTH), every=13),
     "renewed with old keys": Scene(lambda root: renew_in(root, *BOTH, rekey=False)),
     "the first revocation": Scene(lambda root: revoke_in(root, "/talker")),
     "another revocation": Scene(
         lambda root: revoke_in(root, "/talker"),
         lambda root: revoke_in(root, "/fleet/robot1"),
-        every=4,
+        every=13,
     ),
     "a new list": Scene(renew_list_in, lambda root: revoke_in(root, "/talker")),
     "issued beside a list": Scene(lambda root: issue_to(root, "/new"), renew_list_in),
@@ -115,7 +115,7 @@ def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, name):
     scene, original = SCENES[name], prepared(BOTH)
     old = state_of(Keystore.open(original, to_change=True))
-    for root, done in copies(place, original, scene.work, fails, every=9):
+    for root, done in copies(place, original, scene.work, fails, every=25):
         found = state_of(Keystore.open(root, to_change=True))
         assert found != old or not done
         scene.work(root)

@@ -72,10 +72,10 @@ def empty_list(root: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "name", "every"),
     [
-        ((), "begin", 9),
-        (("begin",), "cancel", 9),
-        (("begin",), "switch", 5),
-        (("begin", "switch"), "finish", 9),
+        ((), "begin", 25),
+        (("begin",), "cancel", 25),
+        (("begin",), "switch", 13),
+        (("begin", "switch"), "finish", 25),
     ],
 )
 def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, name, every):

@@ -14,6 +14,7 @@ from lxml import etree
 from pqsec_pki.credentials import TrustAnchors, only_certificate
 from pqsec_pki.documents import Governance, Kind, Permissions, validate
 from pqsec_pki.errors import InvalidDocumentError, VerificationError
+from tests.longer import examples
 
 CORPUS = Path(__file__).parent / "corpus"
 ENTRIES = json.loads((CORPUS / "MANIFEST.json").read_text())
@@ -231,7 +232,7 @@ STEPS = st.tuples(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(seed=st.sampled_from(SEEDS), steps=st.lists(STEPS, min_size=1, max_size=4))
 def test_several_changes_to_a_document_get_the_verdict_of_the_omg_schema(seed, steps):
     document = mutant(seed, *steps)
