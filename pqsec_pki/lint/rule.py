@@ -16,7 +16,7 @@ A rule is a function that finds violations, decorated with what a reader should 
 The class of its argument is the rule's scope: the function is called for every subject of that
 class (see `file`, `document` and `subjects`) and of its subclasses. `bad` and `good` are a short
 example: a piece of XML, a suppression file, or commands. rules.md is generated from the
-texts. `table` finds all modules here.
+texts, and `tests/cli/test_rule_examples.py` tries each example. `table` finds all modules here.
 """
 
 from collections.abc import Callable, Iterable
@@ -121,8 +121,8 @@ def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
     *,
     why: str,
     fix: str,
-    bad: str = "",
-    good: str = "",
+    bad: str,
+    good: str,
     stacks: Iterable[Target] = (),
     rows: Iterable[str] = (),
     measured: str = "",

@@ -33,6 +33,14 @@ _UNDERSTOOD = {
     " certificates of version 1.",
     fix="Create the CA with basicConstraints=critical,CA:TRUE.",
     rows=("CA without any extension",), measured=_ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext basicConstraints=critical,CA:FALSE
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext basicConstraints=critical,CA:TRUE
+    """,
 )  # fmt: skip
 def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role.issues and _lacks_mark(file.first):
@@ -44,6 +52,14 @@ def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
     why="Stacks accept it. pqsec and strict implementations of RFC 5280 refuse it.",
     fix="Create the CA with basicConstraints=critical,CA:TRUE.",
     measured="taken by " + _ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext basicConstraints=critical,CA:FALSE
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext basicConstraints=critical,CA:TRUE
+    """,
 )  # fmt: skip
 def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role is Role.PERMISSIONS_CA and _lacks_mark(file.first):
@@ -56,6 +72,14 @@ def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
     " participants.",
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
     rows=("CA KU without keyCertSign",), measured=_ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext keyUsage=critical,cRLSign
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext keyUsage=critical,cRLSign,keyCertSign
+    """,
 )  # fmt: skip
 def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)
@@ -70,6 +94,14 @@ def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
     stacks=(Target.FASTDDS,),
     rows=("KU digitalSignature only",), measured="Fast DDS 3.1.2, 3.6.2",
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext keyUsage=critical,digitalSignature
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext keyUsage=critical,digitalSignature,keyCertSign
+    """,
 )  # fmt: skip
 def permissions_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)
@@ -88,6 +120,14 @@ def permissions_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("KU keyCertSign+cRLSign only (no digitalSignature)",), measured=_OLD,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext keyUsage=critical,keyCertSign
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext keyUsage=critical,keyCertSign,digitalSignature
+    """,
 )  # fmt: skip
 def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
     usage, role = _usage(file), file.role
@@ -105,6 +145,11 @@ def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
     fix="Create the CA without extendedKeyUsage.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("EKU serverAuth",), measured=_OLD,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext extendedKeyUsage=serverAuth
+    """,
+    good="$ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem",
 )  # fmt: skip
 def for_another_purpose(file: CertificateFile) -> Iterator[Violation]:
     purposes = extension(file.first, x509.ExtendedKeyUsage) if file.first else None
@@ -119,6 +164,13 @@ def for_another_purpose(file: CertificateFile) -> Iterator[Violation]:
     " and every stack does. OpenSSL also refuses critical key identifiers (2.5.29.14 and .35).",
     fix="Issue the certificate without the extension, or mark the extension as not critical.",
     rows=("leaf: unknown critical extension",), measured=_ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext 1.2.3.4=critical,ASN1:NULL
+    """,
+    good="""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem -addext 1.2.3.4=ASN1:NULL
+    """,
 )  # fmt: skip
 def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
     for oid in sorted(_critical(file) - _UNDERSTOOD - _ALTERNATIVE):
@@ -132,6 +184,16 @@ def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
     fix="Issue the certificate with pqsec, which never marks them as critical; some other tools"
     " do.",
     rows=("alt extensions marked critical",), measured=_ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext "2.5.29.72=critical,DER:$(openssl pkey -in key.pem -pubout -outform DER |
+            xxd -p -c0)"
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext "2.5.29.72=DER:$(openssl pkey -in key.pem -pubout -outform DER |
+            xxd -p -c0)"
+    """,
 )  # fmt: skip
 def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
     if _critical(file) & _ALTERNATIVE:
@@ -143,6 +205,11 @@ def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
     why="Stacks accept it. Its key could issue certificates that other programs trust.",
     fix="Issue the certificate with basicConstraints=critical,CA:FALSE.",
     measured="taken by " + _ALL,
+    bad="$ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem",
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext basicConstraints=critical,CA:FALSE
+    """,
 )  # fmt: skip
 def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role is Role.PARTICIPANT and is_ca(file.first):
@@ -154,6 +221,14 @@ def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
     why="Participants sign the handshake. Stacks do not check keyUsage; pqsec does.",
     fix="Issue the certificate with keyUsage=critical,digitalSignature.",
     measured="taken by " + _ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext keyUsage=critical,keyAgreement
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext keyUsage=critical,digitalSignature
+    """,
 )  # fmt: skip
 def participant_may_not_sign(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)

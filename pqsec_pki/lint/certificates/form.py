@@ -16,6 +16,8 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     "PQS130", Severity.ERROR, "a certificate cannot be read",
     why="No stack can use it, and the certificate that should be here is missing.",
     fix="Issue the certificate again.",
+    bad="$ head -n 3 k/enclaves/talker/cert.pem > cert.pem",
+    good="$ cp k/enclaves/talker/cert.pem cert.pem",
 )  # fmt: skip
 def unreadable(file: CertificateFile) -> Iterator[Violation]:
     for reason in file.reasons:
@@ -34,6 +36,10 @@ def unreadable(file: CertificateFile) -> Iterator[Violation]:
         "two CAs in file, right one second", "…, CA file = root+intermediate",
     ),
     measured=_ALL,
+    bad="""
+        $ cat k/public/identity_ca.cert.pem k/public/permissions_ca.cert.pem > identity_ca.cert.pem
+    """,
+    good="$ cp k/public/identity_ca.cert.pem identity_ca.cert.pem",
 )  # fmt: skip
 def several(file: CertificateFile) -> Iterator[Violation]:
     if len(file.certificates) > 1:
@@ -52,6 +58,11 @@ def several(file: CertificateFile) -> Iterator[Violation]:
         "signer intermediate, CA file = intermediate", "…, CA file = intermediate+root",
     ),
     measured=_ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=Intermediate -out identity_ca.cert.pem \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+    """,
+    good="$ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem",
 )  # fmt: skip
 def intermediate(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
@@ -73,6 +84,11 @@ def intermediate(file: CertificateFile) -> Iterator[Violation]:
     fix="Issue the certificate with subjectKeyIdentifier, and with authorityKeyIdentifier if a CA"
     " issues it.",
     measured="taken by " + _ALL,
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext subjectKeyIdentifier=none
+    """,
+    good="$ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem",
 )  # fmt: skip
 def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None:
@@ -91,6 +107,11 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
     " (d)). OpenSSL's strict check (-x509_strict) refuses it; other stacks were not measured.",
     fix="Create the CA with basicConstraints=critical,CA:TRUE, which makes it version 3.",
     measured="taken by OpenSSL 3.0, 3.5; Cyclone DDS 0.10.2",
+    bad="""
+        $ openssl req -new -key key.pem -subj /CN=CA -out ca.csr
+        $ openssl x509 -req -in ca.csr -signkey key.pem -out identity_ca.cert.pem
+    """,
+    good="$ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem",
 )  # fmt: skip
 def version_1_ca(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role is not Role.PARTICIPANT and file.first.version == 1:

@@ -48,6 +48,12 @@ _BROKEN = {
         "identity CA RSA-4096, leaf P-256",
     ),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
+    bad="""
+        $ openssl req -x509 -newkey rsa:3072 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+    """,
+    good="""
+        $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+    """,
 )  # fmt: skip
 def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
     certificate, role = file.first, file.role
@@ -70,6 +76,10 @@ def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
         "permissions CA Ed25519 (CMS by OpenSSL 3.5)",
     ),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="$ openssl req -x509 -newkey ed25519 -noenc -keyout key.pem -subj /CN=talker -out cert.pem",
+    good="""
+        $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+    """,
 )  # fmt: skip
 def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None:
@@ -86,6 +96,14 @@ def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     fix="Create the key with ecdsa-p256.",
     rows=("leaf brainpoolP256r1 / secp256k1 (wrongly let in)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="""
+        $ openssl ecparam -genkey -noout -name secp256k1 -out key.pem
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
+    """,
+    good="""
+        $ openssl ecparam -genkey -noout -name prime256v1 -out key.pem
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
+    """,
 )  # fmt: skip
 def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
     if file.first and (kind := key_kind(file.first)) in _LET_IN:
@@ -100,6 +118,8 @@ def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
     stacks=(Target.FASTDDS,),
     rows=("certs signed ecdsa-with-SHA384 or SHA512", "certs signed RSASSA-PSS"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="$ openssl req -x509 -key key.pem -sha384 -subj /CN=talker -out cert.pem",
+    good="$ openssl req -x509 -key key.pem -sha256 -subj /CN=talker -out cert.pem",
 )  # fmt: skip
 def signed_otherwise(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
@@ -113,6 +133,8 @@ def signed_otherwise(file: CertificateFile) -> Iterator[Violation]:
     why="An attacker can create two certificates with the same SHA-1 or MD5 digest. Your CA signs"
     " one, and its signature is valid for the other one too.",
     fix="Issue the certificate again with SHA-256.",
+    bad="$ openssl req -x509 -key key.pem -sha1 -subj /CN=talker -out cert.pem",
+    good="$ openssl req -x509 -key key.pem -sha256 -subj /CN=talker -out cert.pem",
 )  # fmt: skip
 def broken_hash(file: CertificateFile) -> Iterator[Violation]:
     name = _BROKEN.get(file.first.signature_algorithm) if file.first else None
@@ -124,6 +146,12 @@ def broken_hash(file: CertificateFile) -> Iterator[Violation]:
     "PQS106", Severity.ERROR, "a weak key",
     why="RSA keys below 2048 bits and curves below 256 bits have been broken or can be broken.",
     fix="Create the key with ecdsa-p256, or with rsa-2048 at least.",
+    bad="""
+        $ openssl req -x509 -newkey rsa:1024 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+    """,
+    good="""
+        $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+    """,
 )  # fmt: skip
 def weak_key(file: CertificateFile) -> Iterator[Violation]:
     kind = key_kind(file.first) if file.first else ""
@@ -139,6 +167,8 @@ def weak_key(file: CertificateFile) -> Iterator[Violation]:
     fix="Issue the certificate with a common name, such as CN=/fleet/robot1.",
     rows=("cert with empty subject",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="$ openssl req -x509 -key key.pem -subj / -out cert.pem",
+    good="$ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem",
 )  # fmt: skip
 def empty_subject(file: CertificateFile) -> Iterator[Violation]:
     if file.first and not file.first.subject_name:
@@ -152,6 +182,8 @@ def empty_subject(file: CertificateFile) -> Iterator[Violation]:
     stacks=(Target.ROS2,), only_when_asked=True,
     rows=("wrong / missing password",),
     measured="source of rmw_dds_common (security.cpp)",
+    bad="$ openssl pkcs8 -topk8 -passout pass:secret -in k/enclaves/talker/key.pem -out key.pem",
+    good="$ openssl pkcs8 -topk8 -nocrypt -in k/enclaves/talker/key.pem -out key.pem",
 )  # fmt: skip
 def encrypted_for_ros(file: File) -> Iterator[Violation]:
     if file.is_private_key and file.path.name in KEYS and is_encrypted(file.data):

@@ -19,6 +19,11 @@ NEW_LIST = "Issue a new revocation list (`pqsec ca crl`), and copy it to all par
     "PQS140", Severity.ERROR, "a revocation list cannot be read",
     why="A stack that is configured with this list refuses to start.",
     fix=NEW_LIST,
+    bad="""
+        $ pqsec -k k ca crl
+        $ head -n 3 k/public/identity_ca.crl.pem > crl.pem
+    """,
+    good="$ cp k/public/identity_ca.crl.pem crl.pem",
 )  # fmt: skip
 def unreadable(file: File) -> Iterator[Violation]:
     if reason := file.revocation_list[1]:
@@ -29,6 +34,14 @@ def unreadable(file: File) -> Iterator[Violation]:
     "PQS141", Severity.ERROR, "a revocation list has expired",
     why="After nextUpdate, stacks refuse every participant, revoked or not.",
     fix=NEW_LIST, rows=(_BAD_LIST,), measured=_ALL,
+    bad="""
+        $ pqsec -k k ca crl --validity 30d --out crl.pem
+        # 40 days later
+    """,
+    good="""
+        $ pqsec -k k ca crl --validity 60d --out crl.pem --force
+        # 40 days later
+    """,
 )  # fmt: skip
 def expired(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
@@ -40,6 +53,14 @@ def expired(file: File) -> Iterator[Violation]:
     "PQS148", Severity.WARNING, "a revocation list expires soon",
     why="After nextUpdate, stacks refuse every participant, revoked or not.",
     fix=NEW_LIST,
+    bad="""
+        $ pqsec -k k ca crl --validity 60d --out crl.pem
+        # 50 days later
+    """,
+    good="""
+        $ pqsec -k k ca crl --out crl.pem --force
+        # 50 days later
+    """,
 )  # fmt: skip
 def ends_soon(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
@@ -53,6 +74,14 @@ def ends_soon(file: File) -> Iterator[Violation]:
     why="Before thisUpdate, stacks refuse every participant.",
     fix="Correct the clock, or issue a new revocation list.",
     measured="`openssl verify -crl_check` 3.0.19 and 3.5: 'CRL is not yet valid'",
+    bad="""
+        $ pqsec -k k ca crl --out crl.pem
+        # 2 days earlier
+    """,
+    good="""
+        $ pqsec -k k ca crl --show
+        # 20 hours earlier
+    """,
 )  # fmt: skip
 def not_yet(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
@@ -67,6 +96,11 @@ def not_yet(file: File) -> Iterator[Violation]:
     why="RFC 5280 5.1.2.5 requires it. Without it, an old list is accepted forever. An attacker who"
     " holds back the new list keeps a revoked participant in the domain.",
     fix="Issue revocation lists with a nextUpdate.",
+    bad="""
+        $ cp elsewhere/endless.crl.pem crl.pem
+        $ openssl crl -in crl.pem -noout -nextupdate
+    """,
+    good="$ pqsec -k k ca crl --out crl.pem --force",
 )  # fmt: skip
 def endless(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
@@ -84,6 +118,11 @@ def endless(file: File) -> Iterator[Violation]:
         "CRL in permissions CA file revoking it (ignored)",
     ),
     measured=_ALL,
+    bad="""
+        $ pqsec -k k ca crl
+        $ cat k/public/identity_ca.cert.pem k/public/identity_ca.crl.pem > identity_ca.cert.pem
+    """,
+    good="$ cp k/public/identity_ca.cert.pem identity_ca.cert.pem",
 )  # fmt: skip
 def misplaced(file: File) -> Iterator[Violation]:
     if file.is_revocation_list and "CERTIFICATE" in file.labels:

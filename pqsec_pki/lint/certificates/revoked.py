@@ -18,6 +18,12 @@ _BAD_LIST = "CRL expired / wrong CA / bad signature"
     why="If another CA signed the list, or the signature is invalid, stacks refuse every"
     " participant.",
     fix=NEW_LIST, rows=(_BAD_LIST,), measured=_ALL,
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ pqsec -k other ca init --no-passphrase
+        $ pqsec -k other ca crl --out robot/crl.pem
+    """,
+    good="$ pqsec -k k ca crl --out robot/crl.pem --force",
 )  # fmt: skip
 def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     ca = enclave.certificate(IDENTITY_CA)
@@ -38,6 +44,16 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     why="The participant does not start, and its peers refuse it.",
     fix="Issue the participant again with a new key.",
     rows=("own cert revoked", "peer b revoked, CRL at a"), measured=_ALL,
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ pqsec -k k revoke /talker
+        $ cp k/public/identity_ca.crl.pem robot/crl.pem
+    """,
+    good="""
+        $ pqsec -k k issue --force --after-revocation --publish chatter /talker
+        $ rm -r robot
+        $ cp -rL k/enclaves/talker robot
+    """,
 )  # fmt: skip
 def own(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore is None:
@@ -49,6 +65,8 @@ def own(inventory: Inventory) -> Iterator[Violation]:
     why="Peers refuse the participant, as intended. Its files are of no use, and somebody else may"
     " have its private key.",
     fix="Delete its enclave. To allow it again, run `pqsec issue` with --force --after-revocation.",
+    bad="$ pqsec -k k revoke /listener",
+    good="$ rm -r k/enclaves/listener",
 )  # fmt: skip
 def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore:
@@ -62,6 +80,11 @@ def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     fix="Issue certificates with a short validity, or replace the identity CA.",
     stacks=(Target.OPENDDS,), only_when_asked=True,
     measured="OpenDDS 3.13.3, and the plugins of 3.34: a revoked sender was heard",
+    bad="$ pqsec -k k revoke /listener",
+    good="""
+        $ rm -r k/enclaves/listener
+        $ rm k/enclaves/talker/crl.pem
+    """,
 )  # fmt: skip
 def opendds_reads_none(enclave: Enclave) -> Iterator[Violation]:
     for file, _ in enclave.revocation_lists:

@@ -16,6 +16,14 @@ _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
     " grant.",
     fix="Issue the certificate with one of them. CN alone works with every stack.",
     rows=("two OUs",), measured=f"{_CYCLONES}, Fast DDS 3.1.2, 3.6.2",
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker/OU=Lab/OU=Robots -out cert.pem \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker/OU=Lab -out cert.pem \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+    """,
 )  # fmt: skip
 def certificate_repeats(file: CertificateFile) -> Iterator[Violation]:
     for certificate in file.issued:
@@ -28,6 +36,14 @@ def certificate_repeats(file: CertificateFile) -> Iterator[Violation]:
     why="No stack finds a grant for a subject such as CN=x+OU=y.",
     fix="Issue the certificate with separate parts, or with CN alone.",
     rows=("multi-valued RDN",), measured="all six stacks",
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker+OU=Lab -out cert.pem \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+    """,
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker/OU=Lab -out cert.pem \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+    """,
 )  # fmt: skip
 def certificate_joins(file: CertificateFile) -> Iterator[Violation]:
     for certificate in file.issued:

@@ -17,6 +17,14 @@ SOON = timedelta(days=30)
     fix="For a participant, run `pqsec renew NAME`. For a CA, run `pqsec ca rotate`.",
     rows=("leaf expired / not yet valid; CA expired", "permissions CA expired"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="""
+        $ openssl req -x509 -key key.pem -days 30 -subj /CN=talker -out cert.pem
+        # 40 days later
+    """,
+    good="""
+        $ openssl req -x509 -key key.pem -days 365 -subj /CN=talker -out cert.pem
+        # 40 days later
+    """,
 )  # fmt: skip
 def expired(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.now > file.first.not_after:
@@ -28,6 +36,14 @@ def expired(file: CertificateFile) -> Iterator[Violation]:
     "PQS111", Severity.WARNING, "a certificate expires soon",
     why="From that day on, a participant that starts or restarts is refused.",
     fix="Before that day, run `pqsec renew NAME` for a participant, or `pqsec ca rotate` for a CA.",
+    bad="""
+        $ openssl req -x509 -key key.pem -days 60 -subj /CN=talker -out cert.pem
+        # 50 days later
+    """,
+    good="""
+        $ openssl req -x509 -key key.pem -days 365 -subj /CN=talker -out cert.pem
+        # 50 days later
+    """,
 )  # fmt: skip
 def expires_soon(file: CertificateFile) -> Iterator[Violation]:
     if file.first and is_near(file.now, file.first.not_before, file.first.not_after):
@@ -41,6 +57,16 @@ def expires_soon(file: CertificateFile) -> Iterator[Violation]:
     fix="Correct the clock, or issue the certificate again. pqsec sets the start one day back.",
     rows=("leaf expired / not yet valid; CA expired",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=camera -out cert.pem \
+          -addext basicConstraints=critical,CA:FALSE
+        # 12 hours earlier
+    """,
+    good="""
+        $ pqsec -k k issue --publish image /camera
+        $ cp k/enclaves/camera/cert.pem cert.pem
+        # 12 hours earlier
+    """,
 )  # fmt: skip
 def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.now < file.first.not_before:
@@ -56,6 +82,8 @@ def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
     stacks=(Target.FASTDDS,),
     rows=("cert notAfter 9999 (or 2500)",),
     measured="Fast DDS 3.6.2",
+    bad="$ openssl req -x509 -key key.pem -days 100000 -subj /CN=talker -out cert.pem",
+    good="$ openssl req -x509 -key key.pem -days 365 -subj /CN=talker -out cert.pem",
 )  # fmt: skip
 def ends_too_late(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.first.not_after.year > LAST_YEAR:

@@ -26,6 +26,16 @@ def _number(node: Node | None) -> int | None:
     fix=f"Add <max>, at most {MAX_DOMAIN}.",
     rows=("id_range with only `<min>0` on domain 16",),
     measured=f"{_CYCLONES}, Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="""
+        <domains>
+          <id_range><min>0</min></id_range>
+        </domains>
+    """,
+    good="""
+        <domains>
+          <id_range><min>0</min><max>9</max></id_range>
+        </domains>
+    """,
 )  # fmt: skip
 def open_range(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
@@ -38,6 +48,16 @@ def open_range(document: Document) -> Iterator[Violation]:
     why="Cyclone DDS does not read it as all domains up to <max>.",
     fix="Add <min>0</min>.",
     stacks=(_CYCLONE,), rows=("id_range with only `<max>`",), measured=_CYCLONES,
+    bad="""
+        <domains>
+          <id_range><max>9</max></id_range>
+        </domains>
+    """,
+    good="""
+        <domains>
+          <id_range><min>0</min><max>9</max></id_range>
+        </domains>
+    """,
 )  # fmt: skip
 def range_without_start(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
@@ -50,6 +70,8 @@ def range_without_start(document: Document) -> Iterator[Violation]:
     why="Cyclone DDS refuses the whole document, because RTPS has no ports for such a domain.",
     fix=f"Use domains from 0 to {MAX_DOMAIN}.",
     stacks=(_CYCLONE,), rows=("domain id/max 231, 232",), measured=_CYCLONES,
+    bad="<domains><id>231</id></domains>",
+    good="<domains><id>230</id></domains>",
 )  # fmt: skip
 def domain_too_high(document: Document) -> Iterator[Violation]:
     for node in document.all("id", "min", "max"):
@@ -64,6 +86,16 @@ def domain_too_high(document: Document) -> Iterator[Violation]:
     "PQS234", ERROR, "an empty range of domains",
     why="<min> is greater than <max>: the rule applies to no domain.",
     fix="Swap <min> and <max>.",
+    bad="""
+        <domains>
+          <id_range><min>9</min><max>0</max></id_range>
+        </domains>
+    """,
+    good="""
+        <domains>
+          <id_range><min>0</min><max>9</max></id_range>
+        </domains>
+    """,
 )  # fmt: skip
 def empty_range(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):

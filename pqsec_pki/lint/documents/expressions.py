@@ -24,6 +24,11 @@ _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
     why="{a,b} works in a shell, but not in fnmatch. No stack reads it as alternatives.",
     fix="Write one topic for each alternative.",
     rows=("brace `{T,U}` in topic",), measured="all six stacks",
+    bad="<topic>rt/{chatter,cmd}</topic>",
+    good="""
+        <topic>rt/chatter</topic>
+        <topic>rt/cmd</topic>
+    """,
 )  # fmt: skip
 def braces(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -36,6 +41,8 @@ def braces(document: Document) -> Iterator[Violation]:
     why="Cyclone DDS and OpenDDS do not read [^a] as 'any character except a'. Fast DDS does.",
     fix="Write [!a], which all stacks read in this way.",
     stacks=(_CYCLONE, _OPENDDS), rows=("`[^A-C]`",), measured=f"{_CYCLONES}; OpenDDS by source",
+    bad="<topic>rt/[^a]*</topic>",
+    good="<topic>rt/[!a]*</topic>",
 )  # fmt: skip
 def caret(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -50,6 +57,8 @@ def caret(document: Document) -> Iterator[Violation]:
     " participant of the domain can choose such a name.",
     fix="Replace the stars with names, in several topics if necessary.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2; the C library, and so Fast DDS, is quick",
+    bad="<topic>*a*b*c*d*e*</topic>",
+    good="<topic>a*b*e</topic>",
 )  # fmt: skip
 def many_stars(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -64,6 +73,8 @@ def many_stars(document: Document) -> Iterator[Violation]:
     " Fast DDS it is an ordinary character.",
     fix="Write the pattern without a backslash: [*] matches a star in all stacks.",
     measured="Cyclone DDS 0.10.2, Fast DDS 2.9.1; OpenDDS by source",
+    bad=r"<topic>rt/\*</topic>",
+    good="<topic>rt/[*]</topic>",
 )  # fmt: skip
 def backslash(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -80,6 +91,8 @@ def backslash(document: Document) -> Iterator[Violation]:
     " bracket that is not closed matches nothing.",
     fix="List the characters, or write ranges: [0-9a-f].",
     stacks=(_CYCLONE, _OPENDDS), measured="Cyclone DDS 0.10.2",
+    bad="<topic>rt/[a-]</topic>",
+    good="<topic>rt/[a]</topic>",
 )  # fmt: skip
 def odd_bracket(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -93,6 +106,11 @@ def odd_bracket(document: Document) -> Iterator[Violation]:
     " for names with a ], which ROS 2 and IDL do not have.",
     fix="Nothing needs to be done, or write a pattern for each name.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2", only_when_asked=True,
+    bad="<topic>rt/arm[12]</topic>",
+    good="""
+        <topic>rt/arm1</topic>
+        <topic>rt/arm2</topic>
+    """,
 )  # fmt: skip
 def closing_bracket(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -106,6 +124,11 @@ def closing_bracket(document: Document) -> Iterator[Violation]:
     " aab.",
     fix="Put the star at the end of the pattern.",
     stacks=(_OPENDDS,), measured="ACE 7.0.8, which OpenDDS calls", only_when_asked=True,
+    bad="<topic>rt/*/state</topic>",
+    good="""
+        <topic>rt/arm/state</topic>
+        <topic>rt/leg/state</topic>
+    """,
 )  # fmt: skip
 def star_inside(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
@@ -120,6 +143,8 @@ def star_inside(document: Document) -> Iterator[Violation]:
     fix="Close the bracket, or list the topics.",
     stacks=(_OPENDDS,), only_when_asked=True,
     measured="ACE 6.2.1, which OpenDDS 3.13.3 calls, under AddressSanitizer",
+    bad="<topic>rt/[ab</topic>",
+    good="<topic>rt/[ab]</topic>",
 )  # fmt: skip
 def open_bracket(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):

@@ -1,11 +1,15 @@
 """Rules about the form of the XML: stacks have their own parsers and do not use the schema."""
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import pairwise
 from typing import Any
 
 from pqsec_pki.lint.document import Document, GovernanceFile
-from pqsec_pki.lint.documents._elements import CHILDREN, NEW, SCHEMA_ATTRIBUTES
+from pqsec_pki.lint.documents.xml_elements import (
+    newer_element,
+    out_of_order,
+    unknown_attribute,
+    unknown_element,
+)
 from pqsec_pki.lint.documents.xml_values import (
     lower_case,
     missing_element,
@@ -33,6 +37,8 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     fix="Write it again with `pqsec governance render` or `pqsec permissions render`. Then sign it"
     " with `pqsec sign-governance` or `pqsec sign-permissions`.",
     rows=("PEM or DER p7 instead of S/MIME",), measured=_ALL_SIX,
+    bad="<default>DENY</defalt>",
+    good="<default>DENY</default>",
 )  # fmt: skip
 def cannot_be_read(document: Document) -> Iterator[Violation]:
     is_told = document.file.is_signed and document.xml is None  # by PQS331 and PQS333
@@ -46,6 +52,8 @@ def cannot_be_read(document: Document) -> Iterator[Violation]:
     " document means the same to all stacks.",
     fix="Correct what the message names. `pqsec validate` lists the errors that remain.",
     rows=("missing liveliness element",), measured=_ALL_SIX,
+    bad="<rtps_protection_kind>SIGNED</rtps_protection_kind>",
+    good="<rtps_protection_kind>SIGN</rtps_protection_kind>",
 )  # fmt: skip
 def breaks_schema(document: Document) -> Iterator[Violation]:
     if not document.problems or type(document) is Document:
@@ -66,6 +74,16 @@ def breaks_schema(document: Document) -> Iterator[Violation]:
     " upper case.",
     fix="Name the elements as in the standard, and remove xmlns=... from the root element.",
     rows=("default xmlns", "upper-case tags"), measured=_ALL_SIX,
+    bad="""
+        <dds xmlns="urn:example">
+          ...
+        </dds>
+    """,
+    good="""
+        <dds>
+          ...
+        </dds>
+    """,
 )  # fmt: skip
 def neither(document: Document) -> Iterator[Violation]:
     if type(document) is not Document or document.root is None:
@@ -87,6 +105,8 @@ def neither(document: Document) -> Iterator[Violation]:
     why="Cyclone DDS refuses a document with a byte order mark.",
     fix="Save it as UTF-8 without BOM.",
     stacks=(_CYCLONE,), rows=("UTF-8 BOM in XML",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
+    bad=r"$ printf '\xef\xbb\xbf' | cat - k/enclaves/governance.xml > governance.xml",
+    good="$ cp k/enclaves/governance.xml governance.xml",
 )  # fmt: skip
 def byte_order_mark(document: Document) -> Iterator[Violation]:
     if document.tree and document.tree.byte_order_mark:
@@ -99,30 +119,12 @@ def byte_order_mark(document: Document) -> Iterator[Violation]:
     " tested.",
     fix='Save it as UTF-8, and declare it: <?xml version="1.0" encoding="UTF-8"?>.',
     measured="read in source, not run",
+    bad="$ sed s/UTF-8/ISO-8859-1/ k/enclaves/governance.xml > governance.xml",
+    good="$ cp k/enclaves/governance.xml governance.xml",
 )  # fmt: skip
 def not_utf8(document: Document) -> Iterator[Violation]:
     if document.tree and document.tree.encoding not in {"UTF-8", "UTF8", "US-ASCII", "ASCII"}:
         yield document.at(1, f"is in {document.tree.encoding[:20]}; stacks require UTF-8")
-
-
-@lint_rule(
-    "PQS206", ERROR, "an attribute that stacks do not support",
-    why="Cyclone DDS refuses a document with an attribute that it does not support. It supports the"
-    " xsi attributes of the root element and the name of a grant.",
-    fix="Remove the attribute.",
-    stacks=(_CYCLONE,), rows=("xsi:schemaLocation, or any other root attribute",),
-    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
-)  # fmt: skip
-def unknown_attribute(document: Document) -> Iterator[Violation]:
-    for node in document.root.walk() if document.root else ():
-        known = SCHEMA_ATTRIBUTES if node is document.root else set()
-        known = {"name"} if node.tag == "grant" else known
-        for name, _ in node.attributes:
-            if name not in known:
-                short = name.rpartition("}")[2][:40]
-                yield document.at(
-                    node, f"Cyclone DDS refuses the attribute {short!a} of a document"
-                )
 
 
 @lint_rule(
@@ -131,6 +133,18 @@ def unknown_attribute(document: Document) -> Iterator[Violation]:
     fix="Move the comment into <domain_access_rules>, or above the root element.",
     stacks=(_FAST,), rows=("comment directly before `</dds>` in governance",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="""
+        <dds>
+          ...
+          <!-- end -->
+        </dds>
+    """,
+    good="""
+        <dds>
+          <!-- start -->
+          ...
+        </dds>
+    """,
 )  # fmt: skip
 def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
     for comment in document.tree.comments if document.tree else ():
@@ -139,62 +153,13 @@ def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
 
 
 @lint_rule(
-    "PQS208", ERROR, "elements out of order",
-    why="Fast DDS requires the order of the schema and refuses any other order.",
-    fix="Put the elements in the order of the schema; `pqsec ... render` writes this order.",
-    stacks=(_FAST,),
-    rows=(
-        "governance elements out of XSD order",
-        "permissions elements out of XSD order (default/validity/domains)",
-    ),
-    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2 refuse; Cyclone DDS takes it",
-)  # fmt: skip
-def out_of_order(document: Document) -> Iterator[Violation]:
-    for parent in document.all(*CHILDREN):
-        steps = {tag: n for n, step in enumerate(CHILDREN[parent.tag]) for tag in step}
-        known = [child for child in parent.children if child.tag in steps]
-        for one, other in pairwise(known):
-            if steps[one.tag] > steps[other.tag]:
-                yield document.at(other, f"<{other.tag}> must be before <{one.tag}>")
-                break
-
-
-@lint_rule(
-    "PQS209", ERROR, "an element that stacks do not support",
-    why="Every stack refuses the whole document, whether the element is a vendor's extension or a"
-    " typing error.",
-    fix="Remove the element, or spell it as in the schema.",
-    rows=("unknown/vendor element",), measured=_ALL_SIX,
-)  # fmt: skip
-def unknown_element(document: Document) -> Iterator[Violation]:
-    for parent in document.all(*CHILDREN):
-        known = {tag for step in CHILDREN[parent.tag] for tag in step}
-        for child in parent.children:
-            if child.tag not in known | NEW:
-                yield document.at(child, f"<{child.tag[:40]}> is not allowed in <{parent.tag}>")
-
-
-@lint_rule(
-    "PQS210", ERROR, "an element of DDS-Security 1.2",
-    why="All six stacks measured implement DDS-Security 1.1 and refuse the whole document. RTI"
-    " Connext 7.5 and later accept it.",
-    fix="Remove the element, or use such a document only for participants with RTI Connext.",
-    rows=("1.2 `enable_key_revision` / `rtps_psk_protection_kind` / allowed algorithms",),
-    measured=_ALL_SIX,
-)  # fmt: skip
-def newer_element(document: Document) -> Iterator[Violation]:
-    for node in document.all(*sorted(NEW)):
-        yield document.at(
-            node, f"<{node.tag}> is from DDS-Security 1.2, and stacks of 1.1 refuse it"
-        )
-
-
-@lint_rule(
     "PQS220", WARNING, "the meaning of a document was not checked",
     why="The document does not match its schema. A stack that accepts it may read it in any way."
     " The rules about protection and permissions need a valid document.",
     fix="Fix the other findings of this document, and check again.",
     rows=("booleans TRUE/FALSE, 1/0",),
+    bad="<default>deny</default>",
+    good="<default>DENY</default>",
 )  # fmt: skip
 def not_understood(document: Document) -> Iterator[Violation]:
     if document.problems and type(document) is not Document:

@@ -17,6 +17,8 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     " differ for other values.",
     fix="Write true or false.",
     rows=("booleans TRUE/FALSE, 1/0",), measured=_ALL_SIX,
+    bad="<enable_join_access_control>TRUE</enable_join_access_control>",
+    good="<enable_join_access_control>true</enable_join_access_control>",
 )  # fmt: skip
 def odd_boolean(document: Document) -> Iterator[Violation]:
     for node in document.all(*BOOLEANS):
@@ -32,6 +34,8 @@ def odd_boolean(document: Document) -> Iterator[Violation]:
     stacks=(_FAST,),
     rows=("` true `, ` ENCRYPT `, spaces around topic",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS trims",
+    bad="<topic> rt/chatter </topic>",
+    good="<topic>rt/chatter</topic>",
 )  # fmt: skip
 def spaces(document: Document) -> Iterator[Violation]:
     for node in document.all(*BOOLEANS, *KINDS, *NAMES, "default", "id", "min", "max"):
@@ -45,6 +49,8 @@ def spaces(document: Document) -> Iterator[Violation]:
     " <default> as DENY; Fast DDS refuses both.",
     fix="Write the value in capitals.",
     rows=("`encrypt` lower case", "`<default>` missing or lower case"), measured=_ALL_SIX,
+    bad="<default>deny</default>",
+    good="<default>DENY</default>",
 )  # fmt: skip
 def lower_case(document: Document) -> Iterator[Violation]:
     for node in document.all(*KINDS, "default"):
@@ -57,6 +63,8 @@ def lower_case(document: Document) -> Iterator[Violation]:
     why="data_protection_kind can be NONE, SIGN or ENCRYPT. Every stack refuses other values.",
     fix="Set the origin authentication in metadata_protection_kind.",
     rows=("data_protection_kind …_WITH_ORIGIN_AUTHENTICATION",), measured=_ALL_SIX,
+    bad="<data_protection_kind>ENCRYPT_WITH_ORIGIN_AUTHENTICATION</data_protection_kind>",
+    good="<data_protection_kind>ENCRYPT</data_protection_kind>",
 )  # fmt: skip
 def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
     for node in document.all("data_protection_kind"):
@@ -73,6 +81,16 @@ def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
     fix='Add a name: <grant name="/talker">.',
     stacks=(_FAST, _OPENDDS),
     rows=("no grant name",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS takes it",
+    bad="""
+        <grant>
+          ...
+        </grant>
+    """,
+    good="""
+        <grant name="talker">
+          ...
+        </grant>
+    """,
 )  # fmt: skip
 def nameless_grant(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("grant"):
@@ -87,6 +105,8 @@ def nameless_grant(document: PermissionsFile) -> Iterator[Violation]:
     stacks=(_FAST,),
     rows=("`<default>` missing or lower case",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS by source",
+    bad="<!-- no <default> -->",
+    good="<default>DENY</default>",
 )  # fmt: skip
 def no_default(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("grant"):
@@ -100,6 +120,17 @@ def no_default(document: PermissionsFile) -> Iterator[Violation]:
     fix="Start the rule with <domains>, with at least one <id> or <id_range>.",
     rows=("rule without `<domains>`",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1 crash; Fast DDS refuses",
+    bad="""
+        <allow_rule>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </allow_rule>
+    """,
+    good="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </allow_rule>
+    """,
 )  # fmt: skip
 def no_domains(document: Document) -> Iterator[Violation]:
     for node in document.all("allow_rule", "deny_rule", "domain_rule"):
@@ -115,6 +146,8 @@ def no_domains(document: Document) -> Iterator[Violation]:
     fix="Write the topic, or * for all topics.",
     rows=("empty `<topic_expression/>`", "empty `<topic/>`"),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 2.9.1, 3.1.2 crash; 3.6.2 refuses",
+    bad="<topic></topic>",
+    good="<topic>rt/chatter</topic>",
 )  # fmt: skip
 def empty_expression(document: Document) -> Iterator[Violation]:
     for node in document.all("topic_expression", "topic"):
@@ -128,6 +161,17 @@ def empty_expression(document: Document) -> Iterator[Violation]:
     " templates of SROS2 lack enable_liveliness_protection.",
     fix="Add the element in its place.",
     rows=("missing liveliness element",), measured=_ALL_SIX,
+    bad="""
+        <validity>
+          <not_before>2026-05-01T00:00:00Z</not_before>
+        </validity>
+    """,
+    good="""
+        <validity>
+          <not_before>2026-05-01T00:00:00Z</not_before>
+          <not_after>2027-06-01T00:00:00Z</not_after>
+        </validity>
+    """,
 )  # fmt: skip
 def missing_element(document: Document) -> Iterator[Violation]:
     for node in document.all(*NEEDED):

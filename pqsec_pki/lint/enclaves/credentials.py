@@ -19,6 +19,8 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     why="ROS 2 selects the enclave by its folder, and peers identify the participant by its"
     " certificate. Logs and permissions then use different names.",
     fix="Issue a certificate with the enclave's path as its common name (CN=/fleet/robot1).",
+    bad="$ mv k/enclaves/talker k/enclaves/speaker",
+    good="$ mv k/enclaves/speaker k/enclaves/talker",
 )  # fmt: skip
 def different_names(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
@@ -35,6 +37,8 @@ def different_names(enclave: Enclave) -> Iterator[Violation]:
     " finalize digest context (code: 200)'.",
     fix="Replace the key with the one of this certificate, or issue the participant again.",
     rows=("key does not match cert",), measured=_ALL,
+    bad="$ cp k/enclaves/listener/key.pem k/enclaves/talker",
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def other_key(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
@@ -50,6 +54,8 @@ def other_key(enclave: Enclave) -> Iterator[Violation]:
     "PQS305", Severity.ERROR, "the private key cannot be read",
     why="No stack starts with it.",
     fix="Restore the key, or issue the participant again.",
+    bad="$ head -n 2 k/enclaves/listener/key.pem > k/enclaves/talker/key.pem",
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
     for name in (KEY, ALT_KEY):
@@ -67,6 +73,12 @@ def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
         "identity_ca=root, cert.pem=leaf+intermediate",
     ),
     measured=_ALL,
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ pqsec -k other ca init --no-passphrase
+        $ cp other/public/identity_ca.cert.pem robot
+    """,
+    good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
 def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
@@ -84,6 +96,12 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     " stacks use, then does not find the CA: 'unable to get local issuer certificate'.",
     fix="Issue the participant again with this CA, or restore the CA's certificate that issued it.",
     measured="`openssl verify` 3.0.19 and 3.5",
+    bad=r"""
+        $ cp -rL k/enclaves/talker robot
+        $ openssl req -x509 -key k/private/identity_ca.key.pem -subj '/CN=Identity CA' -days 3650 \
+          -out robot/identity_ca.cert.pem
+    """,
+    good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
 def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
@@ -105,6 +123,15 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     fix="Issue the participant with a self-signed CA.",
     stacks=(Target.CYCLONEDDS, Target.OPENDDS),
     rows=("identity_ca=root+int, cert=leaf",), measured=_ALL + "; OpenDDS by source",
+    bad=r"""
+        $ cp -rL k/enclaves/talker robot
+        $ openssl req -x509 -key key.pem -subj /CN=Middle -out middle.pem \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+        $ openssl req -x509 -key robot/key.pem -subj '/CN=\/talker' -out robot/cert.pem \
+          -CA middle.pem -CAkey key.pem
+        $ cat k/public/identity_ca.cert.pem middle.pem > robot/identity_ca.cert.pem
+    """,
+    good="$ cp k/enclaves/talker/cert.pem k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
 def below_an_intermediate(enclave: Enclave) -> Iterator[Violation]:
     if found := _intermediate(enclave):
@@ -117,6 +144,14 @@ def below_an_intermediate(enclave: Enclave) -> Iterator[Violation]:
     "PQS307", Severity.WARNING, "the certificate ends after its CA",
     why="When the CA expires, the participant is refused, before its own certificate expires.",
     fix="Issue the certificate with a shorter validity. pqsec limits the validity itself.",
+    bad=r"""
+        $ pqsec -k c ca init --no-passphrase --profile classical
+        $ pqsec -k c issue --publish chatter /talker
+        $ openssl x509 -in c/public/identity_ca.cert.pem -signkey c/private/identity_ca.key.pem \
+          -days 90 -out c/public/identity_ca.new.pem
+        $ mv c/public/identity_ca.new.pem c/public/identity_ca.cert.pem
+    """,
+    good="$ pqsec -k c issue --force --publish chatter /talker",
 )  # fmt: skip
 def outlives_ca(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)

@@ -12,6 +12,11 @@ from pqsec_pki.lint.subjects import SIX, Enclave
     why="Every stack needs all six files. ROS 2 only reports that security files were not found.",
     fix="Issue the participant again, or copy the missing files.",
     measured="source of rmw_dds_common (security.cpp)",
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ rm robot/key.pem
+    """,
+    good="$ cp k/enclaves/talker/key.pem robot",
 )  # fmt: skip
 def incomplete(enclave: Enclave) -> Iterator[Violation]:
     there = {*enclave.files, *enclave.lost}
@@ -24,6 +29,11 @@ def incomplete(enclave: Enclave) -> Iterator[Violation]:
     "PQS302", Severity.ERROR, "a broken link",
     why="A copy of an enclave without the files behind its links contains only broken links.",
     fix="Follow the links when you copy (cp -rL, rsync -L), or restore the shared files.",
+    bad="$ cp -r k/enclaves/talker robot",
+    good="""
+        $ rm -r robot
+        $ cp -rL k/enclaves/talker robot
+    """,
 )  # fmt: skip
 def lost(enclave: Enclave) -> Iterator[Violation]:
     for name in sorted(enclave.lost):
@@ -37,6 +47,11 @@ def lost(enclave: Enclave) -> Iterator[Violation]:
     " against it.",
     fix="Replace the file (`openssl x509 -inform DER` converts DER to PEM), or issue the"
     " participant again.",
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ openssl x509 -in k/enclaves/talker/cert.pem -outform DER -out robot/cert.pem
+    """,
+    good="$ openssl x509 -in k/enclaves/talker/cert.pem -outform PEM -out robot/cert.pem",
 )  # fmt: skip
 def misnamed(enclave: Enclave) -> Iterator[Violation]:
     for name, file in enclave.files.items():

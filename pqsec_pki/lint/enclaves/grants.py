@@ -17,6 +17,8 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     " to start.",
     fix="Write the subject as `pqsec inspect cert.pem` prints it, and sign the permissions again.",
     rows=("subset `CN=x` only", "superset (+`,L=Madrid`)"), measured=_ALL,
+    bad="$ cp k/enclaves/listener/permissions.* k/enclaves/talker",
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def no_grant(enclave: Enclave) -> Iterator[Violation]:
     document, certificate = enclave.permissions(), enclave.certificate()
@@ -29,6 +31,14 @@ def no_grant(enclave: Enclave) -> Iterator[Violation]:
     why="Governance has no rule for the domains of the permissions, and permissions have no rule"
     " for the domains of the governance. The participant cannot join any domain.",
     fix="Name the same domains in both documents.",
+    bad="""
+        $ sed -i 's,<id>0</id>,<id>5</id>,' k/enclaves/talker/permissions.xml
+        $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml
+    """,
+    good="""
+        $ sed -i 's,<id>5</id>,<id>0</id>,' k/enclaves/talker/permissions.xml
+        $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml
+    """,
 )  # fmt: skip
 def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
     governance, permissions = enclave.governance(), enclave.permissions()

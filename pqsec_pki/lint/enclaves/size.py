@@ -74,6 +74,16 @@ class Size:
         "PQ blob after final boundary / in header / in preamble / XML comment",
     ),
     measured="Fast DDS 3.1.2; the other versions by source",
+    bad="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase --profile transition
+        $ pqsec -k k issue --publish chatter /talker
+    """,
+    good="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase --profile classical
+        $ pqsec -k k issue --publish chatter /talker
+    """,
 )  # fmt: skip
 def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     for size in _sizes(inventory, None):
@@ -89,6 +99,8 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     stacks=(Target.FASTDDS,),
     rows=("leaf padded +48…128 KB", "permissions document 512 KB"),
     measured="Fast DDS 2.9.1, 3.1.2",
+    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..1500})",
+    good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def over_datagram(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
@@ -102,6 +114,8 @@ def over_datagram(inventory: Inventory) -> Iterator[Violation]:
     " and sent again a second later. With 40 fragments and 1 % loss, every third message is lost.",
     fix=f"{_SMALLER}, or raise General/FragmentSize and MaxMessageSize in Cyclone DDS.",
     measured="fragments counted at Cyclone DDS's default of 1344 bytes",
+    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..1000})",
+    good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def many_fragments(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):
@@ -115,6 +129,8 @@ def many_fragments(inventory: Inventory) -> Iterator[Violation]:
     " differ: Cyclone DDS and Fast DDS (3.6.2) accepted 512 KB.",
     measured="the limit is pqsec's own",
     fix=f"{_SMALLER}.",
+    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..6000})",
+    good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
     for size in _largest(inventory):

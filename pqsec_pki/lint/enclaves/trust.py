@@ -65,6 +65,11 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
     " `install` refuse them. Stock stacks may be less strict.",
     fix="Restore the files that were issued. Or run `pqsec issue` with --force and all rights of"
     " the participant.",
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ cat k/public/identity_ca.cert.pem >> robot/identity_ca.cert.pem
+    """,
+    good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
 def cannot_be_trusted(enclave: Enclave) -> Iterator[Violation]:
     for problem in _problems(enclave):

@@ -23,6 +23,8 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     why="Stacks refuse the participant of this grant.",
     fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
     rows=("expired / future",), measured=_ALL,
+    bad="<not_after>2026-01-31T00:00:00Z</not_after>",
+    good="<not_after>2027-06-01T00:00:00Z</not_after>",
 )  # fmt: skip
 def expired(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -34,6 +36,8 @@ def expired(document: PermissionsFile) -> Iterator[Violation]:
     "PQS321", Severity.WARNING, "a grant expires soon",
     why="From that time on the participant is refused, even if its certificate is still valid.",
     fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
+    bad="<not_after>2026-06-15T00:00:00Z</not_after>",
+    good="<not_after>2027-06-01T00:00:00Z</not_after>",
 )  # fmt: skip
 def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -46,6 +50,8 @@ def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
     why="Stacks refuse the participant of this grant until that time.",
     fix="Correct the clock, or sign permissions with an earlier not_before.",
     rows=("expired / future",), measured=_ALL,
+    bad="<not_before>2026-06-02T00:00:00Z</not_before>",
+    good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip
 def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -60,6 +66,8 @@ def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     fix="Set not_before one day back, as pqsec does.",
     stacks=(Target.FASTDDS,),
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
+    bad="<not_before>2026-05-31T23:00:00Z</not_before>",
+    good="<not_before>2026-05-30T23:00:00Z</not_before>",
 )  # fmt: skip
 def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -75,6 +83,8 @@ def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
     fix="Set not_after one day earlier than needed.",
     stacks=(Target.FASTDDS,),
     rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
+    bad="<not_after>2026-05-31T23:00:00Z</not_after>",
+    good="<not_after>2026-05-30T23:00:00Z</not_after>",
 )  # fmt: skip
 def lingers(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -87,6 +97,12 @@ def lingers(document: PermissionsFile) -> Iterator[Violation]:
     "PQS325", Severity.WARNING, "the permissions expire before the certificate",
     why="From that time on the participant is refused, although its certificate is still valid.",
     fix="Set the same end for both, as `pqsec issue` does.",
+    bad=r"""
+        $ sed -i "s/\(<not_after>\)[^<]*/\1$(date -ud '100 days' +%FT%TZ)/" \
+          k/enclaves/talker/permissions.xml
+        $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml
+    """,
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def end_first(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
@@ -103,6 +119,12 @@ def end_first(enclave: Enclave) -> Iterator[Violation]:
     why="They are also valid for the next certificate with the same name, even if it should have"
     " other rights.",
     fix="Set the same end for both, as `pqsec issue` does.",
+    bad=r"""
+        $ sed -i "s/\(<not_after>\)[^<]*/\1$(date -ud '700 days' +%FT%TZ)/" \
+          k/enclaves/talker/permissions.xml
+        $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml
+    """,
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def end_last(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
@@ -119,6 +141,13 @@ def end_last(enclave: Enclave) -> Iterator[Violation]:
     "certificate and permissions are never valid at the same time",
     why="One expires before the other becomes valid.",
     fix="Renew the participant: `pqsec renew NAME`.",
+    bad=r"""
+        $ sed -i "s/\(<not_before>\)[^<]*/\1$(date -ud '600 days' +%FT%TZ)/;
+            s/\(<not_after>\)[^<]*/\1$(date -ud '700 days' +%FT%TZ)/" \
+          k/enclaves/talker/permissions.xml
+        $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml
+    """,
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def never_together(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)

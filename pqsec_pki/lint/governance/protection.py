@@ -27,6 +27,16 @@ def _is_open(topic: TopicRule) -> bool:
     why="Every program on the network can join the domain and use all topics whose rule has no"
     " access control.",
     fix="Set allow_unauthenticated_participants to false when all participants are secured.",
+    bad="""
+        <allow_unauthenticated_participants>true</allow_unauthenticated_participants>
+
+        <rtps_protection_kind>NONE</rtps_protection_kind>
+    """,
+    good="""
+        <allow_unauthenticated_participants>false</allow_unauthenticated_participants>
+
+        <rtps_protection_kind>SIGN</rtps_protection_kind>
+    """,
 )  # fmt: skip
 def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
@@ -43,6 +53,16 @@ def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
     fix="Set rtps_protection_kind to NONE, or allow_unauthenticated_participants to false.",
     stacks=(Target.FASTDDS,), rows=("allow_unauthenticated=true with rtps_protection≠NONE",),
     measured="Fast DDS 3.1.2 and 3.6.2 refuse, 2.9.1 and Cyclone DDS take it",
+    bad="""
+        <allow_unauthenticated_participants>true</allow_unauthenticated_participants>
+
+        <rtps_protection_kind>SIGN</rtps_protection_kind>
+    """,
+    good="""
+        <allow_unauthenticated_participants>true</allow_unauthenticated_participants>
+
+        <rtps_protection_kind>NONE</rtps_protection_kind>
+    """,
 )  # fmt: skip
 def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
@@ -57,6 +77,8 @@ def unauthenticated_and_protected(document: GovernanceFile) -> Iterator[Violatio
     "PQS223", WARNING, "every authenticated participant may join",
     why="Without join access control, the permissions are not checked when a participant joins.",
     fix="Set enable_join_access_control to true.",
+    bad="<enable_join_access_control>false</enable_join_access_control>",
+    good="<enable_join_access_control>true</enable_join_access_control>",
 )  # fmt: skip
 def no_join_control(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
@@ -69,6 +91,18 @@ def no_join_control(document: GovernanceFile) -> Iterator[Violation]:
     why="Neither the data nor the messages around it are protected. Every program on the network"
     " can read, forge and change them.",
     fix="Set metadata_protection_kind or data_protection_kind to ENCRYPT.",
+    bad="""
+        <rtps_protection_kind>NONE</rtps_protection_kind>
+
+        <metadata_protection_kind>NONE</metadata_protection_kind>
+        <data_protection_kind>NONE</data_protection_kind>
+    """,
+    good="""
+        <rtps_protection_kind>NONE</rtps_protection_kind>
+
+        <metadata_protection_kind>NONE</metadata_protection_kind>
+        <data_protection_kind>ENCRYPT</data_protection_kind>
+    """,
 )  # fmt: skip
 def clear_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule, topic in _topics(document):
@@ -83,6 +117,14 @@ def clear_topic(document: GovernanceFile) -> Iterator[Violation]:
     why="Nobody can forge the data, but every program on the network can read it. This may be"
     " intended.",
     fix="To encrypt the topics, set data_protection_kind (or metadata_protection_kind) to ENCRYPT.",
+    bad="""
+        <metadata_protection_kind>SIGN</metadata_protection_kind>
+        <data_protection_kind>SIGN</data_protection_kind>
+    """,
+    good="""
+        <metadata_protection_kind>SIGN</metadata_protection_kind>
+        <data_protection_kind>ENCRYPT</data_protection_kind>
+    """,
 )  # fmt: skip
 def readable_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule, topic in _topics(document):
@@ -100,6 +142,8 @@ def readable_topic(document: GovernanceFile) -> Iterator[Violation]:
     why="Without read or write access control, every participant in the domain may read or write"
     " the topic. The permissions are not checked for it.",
     fix="Set enable_read_access_control and enable_write_access_control to true.",
+    bad="<enable_read_access_control>false</enable_read_access_control>",
+    good="<enable_read_access_control>true</enable_read_access_control>",
 )  # fmt: skip
 def no_topic_control(document: GovernanceFile) -> Iterator[Violation]:
     for _, topic in _topics(document):

@@ -17,6 +17,26 @@ MAX_COMPARED = 64
     why="The first topic rule that matches decides. An earlier rule matches every topic that this"
     " rule matches.",
     fix="Put the narrower rule first.",
+    bad="""
+        <topic_rule>
+          <topic_expression>*</topic_expression>
+          ...
+        </topic_rule>
+        <topic_rule>
+          <topic_expression>rt/chatter</topic_expression>
+          ...
+        </topic_rule>
+    """,
+    good="""
+        <topic_rule>
+          <topic_expression>rt/chatter</topic_expression>
+          ...
+        </topic_rule>
+        <topic_rule>
+          <topic_expression>*</topic_expression>
+          ...
+        </topic_rule>
+    """,
 )  # fmt: skip
 def shadowed_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
@@ -36,6 +56,30 @@ def shadowed_topic(document: GovernanceFile) -> Iterator[Violation]:
     why="The first domain rule that matches decides. An earlier rule matches all domains of this"
     " rule.",
     fix="Remove the domains from one of the two rules.",
+    bad="""
+        <domain_rule>
+          <domains>
+            <id_range><min>0</min><max>9</max></id_range>
+          </domains>
+          ...
+        </domain_rule>
+        <domain_rule>
+          <domains><id>5</id></domains>
+          ...
+        </domain_rule>
+    """,
+    good="""
+        <domain_rule>
+          <domains><id>5</id></domains>
+          ...
+        </domain_rule>
+        <domain_rule>
+          <domains>
+            <id_range><min>0</min><max>9</max></id_range>
+          </domains>
+          ...
+        </domain_rule>
+    """,
 )  # fmt: skip
 def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
     rules = document.domain_rules
@@ -49,6 +93,8 @@ def shadowed_domains(document: GovernanceFile) -> Iterator[Violation]:
     why="Stacks refuse to create endpoints of a topic that no topic rule matches.",
     fix="Add a last topic rule for *, with the strictest protection.",
     measured="read in Cyclone DDS's and Fast DDS's source",
+    bad="<topic_expression>rt/*</topic_expression>",
+    good="<topic_expression>*</topic_expression>",
 )  # fmt: skip
 def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
@@ -64,6 +110,24 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
     fix="For OpenDDS, add a first topic rule for a name that is not used, with"
     " enable_read_access_control false. It opens no other topic.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    bad="""
+        <topic_rule>
+          <topic_expression>*</topic_expression>
+          ...
+        </topic_rule>
+    """,
+    good="""
+        <topic_rule>
+          <topic_expression>not/used</topic_expression>
+          ...
+          <enable_read_access_control>false</enable_read_access_control>
+          ...
+        </topic_rule>
+        <topic_rule>
+          <topic_expression>*</topic_expression>
+          ...
+        </topic_rule>
+    """,
 )  # fmt: skip
 def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
@@ -81,6 +145,30 @@ def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
     fix="For OpenDDS, change the expression of the open rule so that it does not match the"
     " protected topics.",
     stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    bad="""
+        <topic_rule>
+          <topic_expression>rt/cmd</topic_expression>
+          ...
+        </topic_rule>
+        <topic_rule>
+          <topic_expression>rt/*</topic_expression>
+          ...
+          <enable_read_access_control>false</enable_read_access_control>
+          ...
+        </topic_rule>
+    """,
+    good="""
+        <topic_rule>
+          <topic_expression>rt/cmd</topic_expression>
+          ...
+        </topic_rule>
+        <topic_rule>
+          <topic_expression>rt/state*</topic_expression>
+          ...
+          <enable_read_access_control>false</enable_read_access_control>
+          ...
+        </topic_rule>
+    """,
 )  # fmt: skip
 def opened_below(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:

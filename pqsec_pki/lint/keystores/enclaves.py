@@ -21,6 +21,12 @@ from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
     why="Participants that protect a domain or topic differently cannot communicate, and no stack"
     " reports why.",
     fix="Use the same governance.p7s for all enclaves: link it, as pqsec and SROS2 do.",
+    bad="""
+        $ sed 's/>SIGN</>ENCRYPT</' k/enclaves/governance.xml > k/enclaves/strict.xml
+        $ pqsec -k k sign-governance k/enclaves/strict.xml
+        $ ln -sf ../strict.p7s k/enclaves/talker/governance.p7s
+    """,
+    good="$ ln -sf ../governance.p7s k/enclaves/talker/governance.p7s",
 )  # fmt: skip
 def different_governance(inventory: Inventory) -> Iterator[Violation]:
     def text(enclave: Enclave) -> Hashable:
@@ -37,6 +43,12 @@ def different_governance(inventory: Inventory) -> Iterator[Violation]:
     why="Participants that trust different CAs refuse each other.",
     fix="Use the same CA certificates for all enclaves, unless the domains are meant to be"
     " separate.",
+    bad="""
+        $ pqsec -k other ca init --no-passphrase
+        $ cp other/public/permissions_ca.cert.pem k/public/other_ca.cert.pem
+        $ ln -sf ../../public/other_ca.cert.pem k/enclaves/talker/permissions_ca.cert.pem
+    """,
+    good="$ ln -sf ../../public/permissions_ca.cert.pem k/enclaves/talker/permissions_ca.cert.pem",
 )  # fmt: skip
 def different_cas(inventory: Inventory) -> Iterator[Violation]:
     for name in (IDENTITY_CA, PERMISSIONS_CA):
@@ -57,6 +69,11 @@ def different_cas(inventory: Inventory) -> Iterator[Violation]:
     fix="Create two CAs with `pqsec ca rotate`. For a keystore of SROS2, run `pqsec adopt` first.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ cp robot/identity_ca.cert.pem robot/permissions_ca.cert.pem
+    """,
+    good="$ cp k/public/permissions_ca.cert.pem robot",
 )  # fmt: skip
 def shared_ca(inventory: Inventory) -> Iterator[Violation]:
     signers = {ca.spki for ca in _cas(inventory, PERMISSIONS_CA, Role.PERMISSIONS_CA).values()}
@@ -74,6 +91,11 @@ def shared_ca(inventory: Inventory) -> Iterator[Violation]:
     " later.",
     fix="Copy the latest crl.pem to all participants and restart them: stacks read it when they"
     " start.",
+    bad="""
+        $ pqsec -k k revoke /listener
+        $ rm k/enclaves/talker/crl.pem
+    """,
+    good="$ ln -s ../../public/identity_ca.crl.pem k/enclaves/talker/crl.pem",
 )  # fmt: skip
 def old_list(inventory: Inventory) -> Iterator[Violation]:
     newest: dict[Path, tuple[datetime, Enclave]] = {}
@@ -95,6 +117,8 @@ def old_list(inventory: Inventory) -> Iterator[Violation]:
     why="An attacker who gets into one robot has the key of both, and you cannot revoke only one of"
     " them. This happens when an enclave folder is copied to a second robot.",
     fix="Issue each participant with its own key: `pqsec issue NAME`.",
+    bad="$ cp -r k/enclaves/talker k/enclaves/second",
+    good="$ pqsec -k k issue --force --publish chatter /second",
 )  # fmt: skip
 def shared_key(inventory: Inventory) -> Iterator[Violation]:
     first: dict[bytes, Enclave] = {}
@@ -111,6 +135,11 @@ def shared_key(inventory: Inventory) -> Iterator[Violation]:
     why="Revocation lists identify certificates by serial number: a list that revokes one revokes"
     " the other too. RFC 5280 4.1.2.2 requires a unique number for each certificate of a CA.",
     fix="Issue one of them again, and let the CA choose the number (no -set_serial).",
+    bad="""
+        $ openssl req -x509 -key key.pem -subj /CN=Lab -set_serial 7 -out one.cert.pem
+        $ openssl req -x509 -key key.pem -subj /CN=Lab -set_serial 7 -out two.cert.pem
+    """,
+    good="$ openssl req -x509 -key key.pem -subj /CN=Lab -out two.cert.pem",
 )  # fmt: skip
 def same_serial(inventory: Inventory) -> Iterator[Violation]:
     first: dict[tuple[bytes, int], CertificateFile] = {}

@@ -21,6 +21,8 @@ PRIVATE, _PUBLIC = "private", "public"
     why="A program that reads the key can act as the participant or the CA. sros2 0.13 writes keys"
     " with mode 0644.",
     fix="Run `chmod 600` on it. If the machine has other users, issue again with a new key.",
+    bad="$ chmod 644 k/enclaves/talker/key.pem",
+    good="$ chmod 600 k/enclaves/talker/key.pem",
 )  # fmt: skip
 def readable_key(file: File) -> Iterator[Violation]:
     if file.is_private_key and file.permission_bits & _OTHERS:
@@ -31,6 +33,8 @@ def readable_key(file: File) -> Iterator[Violation]:
     "PQS702", Severity.WARNING, "others can open the folder of the CA keys",
     why="If one key in it is written with the wrong mode, everybody can read it.",
     fix="Run `chmod 700` on it.",
+    bad="$ chmod 755 k/private",
+    good="$ chmod 700 k/private",
 )  # fmt: skip
 def open_private_folder(inventory: Inventory) -> Iterator[Violation]:
     for folder, mode in inventory.folders.items():
@@ -45,6 +49,8 @@ def open_private_folder(inventory: Inventory) -> Iterator[Violation]:
     why="Enclaves are copied to robots. An attacker who gets into one robot can issue certificates"
     " and permissions for all.",
     fix="Remove the key. If the enclave has been copied anywhere, replace the CAs.",
+    bad="$ cp k/private/identity_ca.key.pem k/enclaves/talker",
+    good="$ rm k/enclaves/talker/identity_ca.key.pem",
 )  # fmt: skip
 def ca_key_in_enclave(inventory: Inventory) -> Iterator[Violation]:
     owners = _ca_keys(inventory)
@@ -62,6 +68,8 @@ def ca_key_in_enclave(inventory: Inventory) -> Iterator[Violation]:
     "PQS704", Severity.ERROR, "a private key is in a public place",
     why="Files in public/, and files with a certificate, are easily given to others.",
     fix="Remove the key. If anybody else has the file, issue again with a new key.",
+    bad="$ cp k/enclaves/talker/key.pem k/public/talker.key.pem",
+    good="$ rm k/public/talker.key.pem",
 )  # fmt: skip
 def public_key_place(file: File) -> Iterator[Violation]:
     if not file.is_private_key:
@@ -76,6 +84,8 @@ def public_key_place(file: File) -> Iterator[Violation]:
     "PQS705", Severity.ERROR, "everybody can change a file or folder",
     why="Any program on the machine can replace the file, or the CAs that it trusts.",
     fix="Run `chmod o-w` on it, and compare it with a copy that nobody else could change.",
+    bad="$ chmod 666 k/enclaves/talker/cert.pem",
+    good="$ chmod 644 k/enclaves/talker/cert.pem",
 )  # fmt: skip
 def world_writable(inventory: Inventory) -> Iterator[Violation]:
     for file in inventory.files:
@@ -92,6 +102,8 @@ def world_writable(inventory: Inventory) -> Iterator[Violation]:
     "PQS706", Severity.WARNING, "a copy of a private key was left behind",
     why="It stays when the key is replaced. It is copied to robots and stored in backups.",
     fix="Delete it (shred FILE).",
+    bad="$ cp k/enclaves/talker/key.pem k/enclaves/talker/key.pem.bak",
+    good="$ shred -u k/enclaves/talker/key.pem.bak",
 )  # fmt: skip
 def left_behind(file: File) -> Iterator[Violation]:
     if file.is_private_key and not _KEY_NAME.fullmatch(file.path.name):
@@ -104,6 +116,16 @@ def left_behind(file: File) -> Iterator[Violation]:
     " permissions for your domain.",
     fix="Encrypt it: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000 (3.5 or later for ML-DSA"
     " keys). `pqsec ca init` asks for a passphrase, except with --no-passphrase.",
+    bad="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase
+    """,
+    good="""
+        $ rm -r k
+        $ mkdir home
+        $ echo 'correct horse battery staple' > home/passphrase
+        $ pqsec -k k ca init --passphrase-file home/passphrase
+    """,
 )  # fmt: skip
 def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
     owners = _ca_keys(inventory)
@@ -123,6 +145,11 @@ def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
     " With the encryption that pqsec writes, it is 600000 rounds of HMAC-SHA-256.",
     fix="Encrypt it again: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000.",
     rows=("traditional PEM, encrypted or not",),
+    bad="$ openssl ec -aes256 -passout pass:secret -in k/enclaves/talker/key.pem -out key.pem",
+    good=r"""
+        $ openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000 -passout pass:secret \
+          -in k/enclaves/talker/key.pem -out key.pem
+    """,
 )  # fmt: skip
 def weakly_encrypted(file: File) -> Iterator[Violation]:
     if file.is_private_key and b"Proc-Type: 4,ENCRYPTED" in file.data:

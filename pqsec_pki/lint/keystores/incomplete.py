@@ -14,6 +14,8 @@ UNREAD = "PQS001"
     why="A file that cannot be read is not checked and may be wrong. The check is then incomplete."
     " The exception is a keystore's private/, which others are not meant to read.",
     fix="Run the check as the owner of the files, or do not include the file.",
+    bad="$ truncate -s 100M k/governance-old.xml",
+    good="$ rm k/governance-old.xml",
 )  # fmt: skip
 def unreadable(file: File) -> Iterator[Violation]:
     if file.unreadable:
@@ -25,6 +27,11 @@ def unreadable(file: File) -> Iterator[Violation]:
     why="A command was killed while it moved files into place, so the keystore is in an"
     " intermediate state. The check changes nothing and does not finish the change.",
     fix="Run `pqsec ca recover` on the keystore to finish the change, and check again.",
+    bad="""
+        $ mkdir k/.journal
+        $ echo '{"targets": [], "entries": []}' > k/.journal/moves.json
+    """,
+    good="$ pqsec -k k ca recover",
 )  # fmt: skip
 def cut_off(inventory: Inventory) -> Iterator[Violation]:
     if inventory.cut_off:
@@ -38,6 +45,11 @@ def cut_off(inventory: Inventory) -> Iterator[Violation]:
     " Issuing, renewing and revoking do not work either.",
     fix="Restore the missing files from a backup. Robots do not need these files: copy their"
     " enclaves (cp -rL), or use `pqsec bundle`.",
+    bad="""
+        $ mkdir backup
+        $ mv k/pqsec.json backup
+    """,
+    good="$ mv backup/pqsec.json k",
 )  # fmt: skip
 def lacks(inventory: Inventory) -> Iterator[Violation]:
     for root, lost in inventory.lost.items():

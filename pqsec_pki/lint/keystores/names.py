@@ -39,6 +39,11 @@ class _Holder:
     rows=("**security**: identity CN=/robot presenting a document for CN=/robot/admin",
           "identity CN=/x/a, grant CN=/a/x", "superset (+`,L=Madrid`)"),
     measured=_CYCLONES,
+    bad="$ pqsec -k k issue --publish chatter /talker/admin",
+    good="""
+        $ rm -r k/enclaves/talker/admin
+        $ pqsec -k k issue --publish chatter /admin
+    """,
 )  # fmt: skip
 def escalation(inventory: Inventory) -> Iterator[Violation]:
     grants = list(_granted(inventory))
@@ -101,6 +106,16 @@ def _pieces(name: str) -> frozenset[tuple[str, str]]:
     "PQS402", WARNING, "two participants with the same name",
     why="Permissions are bound to a name: each of the two may use the permissions of the other.",
     fix="Give each participant its own subject.",
+    bad="""
+        $ mkdir robots
+        $ cp -rL k/enclaves/talker robots/one
+        $ pqsec -k k issue --force --publish chatter /talker
+        $ cp -rL k/enclaves/talker robots/two
+    """,
+    good="""
+        $ rm -r robots/two
+        $ cp -rL k/enclaves/listener robots/two
+    """,
 )  # fmt: skip
 def same_name(inventory: Inventory) -> Iterator[Violation]:
     before: dict[bytes, tuple[str, bytes]] = {}

@@ -11,6 +11,15 @@ from pqsec_pki.lint.suppress import SuppressionFile
     why="Without a reason, a later reader cannot tell whether the finding is still accepted. The"
     " suppression is not applied.",
     fix="Add `reason:` to the entry: who decided, and why it is safe.",
+    bad="""
+        ignore:
+          - rule: PQS707
+    """,
+    good="""
+        ignore:
+          - rule: PQS707
+            reason: a test keystore on an encrypted disk
+    """,
 )  # fmt: skip
 def without_reason(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries:
@@ -22,6 +31,18 @@ def without_reason(file: SuppressionFile) -> Iterator[Violation]:
     "PQS003", Severity.WARNING, "a suppression has expired",
     why="The date in `until:` has passed. The suppression is no longer applied.",
     fix="Fix the finding that it suppressed, or decide again and set a later date.",
+    bad="""
+        ignore:
+          - rule: PQS707
+            reason: a test keystore on an encrypted disk
+            until: 2026-01-31
+    """,
+    good="""
+        ignore:
+          - rule: PQS707
+            reason: a test keystore on an encrypted disk
+            until: 2099-12-31
+    """,
 )  # fmt: skip
 def run_out(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries:
@@ -33,6 +54,12 @@ def run_out(file: SuppressionFile) -> Iterator[Violation]:
     "PQS004", Severity.WARNING, "a suppression is unused",
     why="No finding matches it. It would hide the problem if it came back.",
     fix="Remove the entry.",
+    bad="""
+        ignore:
+          - rule: PQS224
+            reason: domain 3 is a test bench
+    """,
+    good="ignore: []",
 )  # fmt: skip
 def unused(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries if file.is_complete else ():
@@ -45,6 +72,16 @@ def unused(file: SuppressionFile) -> Iterator[Violation]:
     "PQS005", Severity.ERROR, "a suppression is invalid",
     why="The entry does not suppress what it was meant to suppress, or it suppresses another rule.",
     fix="Write entries with rule and reason, and optionally path and until.",
+    bad="""
+        ignore:
+          - rule: PQS9999
+            reason: a test keystore on an encrypted disk
+    """,
+    good="""
+        ignore:
+          - rule: PQS707
+            reason: a test keystore on an encrypted disk
+    """,
 )  # fmt: skip
 def not_understood(file: SuppressionFile) -> Iterator[Violation]:
     yield from file.broken

@@ -1,11 +1,11 @@
-"""Subject names for rules: parsed, split as Cyclone DDS splits them, shown in messages."""
+"""Subject names and criteria of grants: parsed, split as Cyclone DDS splits them, shown."""
 
 import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 
-from pqsec_pki.documents import Grant, Subject, parse_subject
+from pqsec_pki.documents import Criteria, Grant, Rule, Subject, parse_subject
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.document import PermissionsFile
 
@@ -41,3 +41,10 @@ def shown(grant: Grant) -> str:
     """The grant's subject name, printable, for a message."""
     name = grant.subject_name[:80]
     return name if name.isprintable() else ascii(name)
+
+
+def criteria_of(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
+    """(rule, publish or subscribe, criteria) for all that stacks check; they ignore relay."""
+    for rule in grant.rules:
+        for action in ("publish", "subscribe"):
+            yield from ((rule, action, criteria) for criteria in getattr(rule, action))

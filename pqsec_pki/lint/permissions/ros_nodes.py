@@ -20,6 +20,19 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
     fix="Allow its topics, or create the permissions with `pqsec permissions import --complete`.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
+    bad="""
+        <topics>
+          <topic>ros_discovery_info</topic>
+          <topic>rr/talker/get_parametersReply</topic>
+        </topics>
+    """,
+    good="""
+        <topics>
+          <topic>ros_discovery_info</topic>
+          <topic>rr/talker/get_parametersReply</topic>
+          <topic>rr/talker/get_type_descriptionReply</topic>
+        </topics>
+    """,
 )  # fmt: skip
 def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -47,6 +60,15 @@ def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
     fix=f"Allow the participant to publish and to subscribe to {ros.DISCOVERY}.",
     stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
+    bad="<publish><topics><topic>rt/chatter</topic></topics></publish>",
+    good="""
+        <publish>
+          <topics>
+            <topic>rt/chatter</topic>
+            <topic>ros_discovery_info</topic>
+          </topics>
+        </publish>
+    """,
 )  # fmt: skip
 def no_ros_discovery(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:

@@ -18,6 +18,26 @@ MAX_DOMAIN_SETS = 16
     " denies, so it is allowed. Measured in all stacks.",
     fix="Move the deny_rule before the allow_rule.",
     rows=("allow(*) then deny(T)", "deny(T) then allow(*)"), measured="all six stacks",
+    bad="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/*</topic></topics></publish>
+        </allow_rule>
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/cmd</topic></topics></publish>
+        </deny_rule>
+    """,
+    good="""
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/cmd</topic></topics></publish>
+        </deny_rule>
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/*</topic></topics></publish>
+        </allow_rule>
+    """,
 )  # fmt: skip
 def late_deny(document: PermissionsFile) -> Iterator[Violation]:
     for line, action, topic, rule, earlier in _shadowed(document):
@@ -34,6 +54,26 @@ def late_deny(document: PermissionsFile) -> Iterator[Violation]:
     " allows.",
     fix="Move the allow_rule before the deny_rule, or remove it.",
     rows=("deny(T) then allow(*)",), measured="all six stacks",
+    bad="""
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/*</topic></topics></publish>
+        </deny_rule>
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </allow_rule>
+    """,
+    good="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </allow_rule>
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/*</topic></topics></publish>
+        </deny_rule>
+    """,
 )  # fmt: skip
 def late_allow(document: PermissionsFile) -> Iterator[Violation]:
     for line, action, topic, rule, earlier in _shadowed(document):

@@ -3,13 +3,13 @@
 The decision then depends on the stack. `pqsec explain` shows the decision of each stack.
 """
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Rule
 from pqsec_pki.lint.document import Document, PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns, Starts, covers_domains, domains_meet
+from pqsec_pki.lint.permissions._names import criteria_of
 from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
 
 MAX_DOMAIN_SETS = 16
@@ -17,7 +17,6 @@ MAX_DOMAIN_SETS = 16
 _WARNING = Severity.WARNING
 _OTHER = {"publish": "subscribe", "subscribe": "publish"}
 _CYCLONE = "Cyclone DDS 0.10.2"
-_INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,15 +55,9 @@ class _Allowed:
 def _entries(grant: Grant) -> list[_Entry]:
     return [
         _Entry(rule, action, criteria, topic)
-        for rule, action, criteria in _criteria(grant)
+        for rule, action, criteria in criteria_of(grant)
         for topic in criteria.topics
     ]
-
-
-def _criteria(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
-    for rule in grant.rules:
-        for action in _OTHER:
-            yield from ((rule, action, criteria) for criteria in getattr(rule, action))
 
 
 @lint_rule(
@@ -73,6 +66,8 @@ def _criteria(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
     " DCPSTopic. Governance and permissions have no effect on them.",
     fix="Give the topic another name.",
     stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+    bad="<topic>DCPSTopic</topic>",
+    good="<topic>rt/chatter</topic>",
 )  # fmt: skip
 def builtin_name(document: Document) -> Iterator[Violation]:
     for node in document.all("topic", "topic_expression"):
@@ -89,6 +84,26 @@ def builtin_name(document: Document) -> Iterator[Violation]:
     " publish a topic cannot subscribe to it either.",
     fix="Move the allow_rule before the deny_rule.",
     stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+    bad="""
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </deny_rule>
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <subscribe><topics><topic>rt/chatter</topic></topics></subscribe>
+        </allow_rule>
+    """,
+    good="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <subscribe><topics><topic>rt/chatter</topic></topics></subscribe>
+        </allow_rule>
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </deny_rule>
+    """,
 )  # fmt: skip
 def denies_both(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -141,6 +156,22 @@ def _is_covered(entry: _Entry, patterns: Patterns[Rule]) -> bool:
     fix="If a participant joins several domains, give it separate permissions for each domain, each"
     " in its own folder.",
     stacks=(Target.FASTDDS,), measured="Fast DDS 2.9.1",
+    bad="""
+        <deny_rule>
+          <domains><id>1</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </deny_rule>
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </allow_rule>
+    """,
+    good="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/chatter</topic></topics></publish>
+        </allow_rule>
+    """,
 )  # fmt: skip
 def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -162,6 +193,36 @@ def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
     fix="Write default DENY and allow only what is needed. Or name the partitions in the deny_rule"
     " too; <partition>*</partition> means all.",
     stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+    bad="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <subscribe><topics><topic>rt/*</topic></topics></subscribe>
+        </allow_rule>
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>rt/cmd</topic></topics></publish>
+        </deny_rule>
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish>
+            <topics><topic>rt/*</topic></topics>
+            <partitions><partition>*</partition></partitions>
+          </publish>
+        </allow_rule>
+    """,
+    good="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <subscribe><topics><topic>rt/*</topic></topics></subscribe>
+        </allow_rule>
+        <allow_rule>
+          <domains><id>0</id></domains>
+          <publish>
+            <topics><topic>rt/chatter</topic></topics>
+            <partitions><partition>*</partition></partitions>
+          </publish>
+        </allow_rule>
+    """,
 )  # fmt: skip
 def denies_without_partitions(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -179,28 +240,22 @@ def denies_without_partitions(document: PermissionsFile) -> Iterator[Violation]:
 
 
 @lint_rule(
-    "PQS273", _WARNING, "partitions that OpenDDS does not check",
-    why="In OpenDDS, an allow_rule with partitions also applies to an endpoint without a"
-    " partition.",
-    fix="Do not use partitions to separate participants with OpenDDS; use other topics.",
-    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
-    rows=("allow partition P, endpoint in none",),
-)  # fmt: skip
-def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
-    for grant in document.grants:
-        for rule, _, criteria in _criteria(grant):
-            if rule.allow and criteria.partitions:
-                yield document.at(
-                    criteria.line, "OpenDDS also allows this to endpoints without a partition"
-                )
-
-
-@lint_rule(
     "PQS274", _WARNING, "a grant that allows nothing",
     why="Without an allow_rule and with default DENY, a participant cannot join a domain with join"
     " access control. With Fast DDS it cannot join any domain.",
     fix="Add an allow_rule for its domains, or remove the grant.",
     measured="Cyclone DDS 0.10.2, Fast DDS 2.9.1",
+    bad="""
+        <deny_rule>
+          <domains><id>0</id></domains>
+          <publish><topics><topic>*</topic></topics></publish>
+        </deny_rule>
+    """,
+    good="""
+        <allow_rule>
+          <domains><id>0</id></domains>
+        </allow_rule>
+    """,
 )  # fmt: skip
 def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -208,24 +263,3 @@ def allows_nothing(document: PermissionsFile) -> Iterator[Violation]:
             yield document.at(
                 grant.line, "the grant has no allow_rule: no participant can join with it"
             )
-
-
-@lint_rule(
-    "PQS275", _WARNING, "a partition that an endpoint can avoid with wildcards",
-    why="Partitions of endpoints can have wildcards too, and stacks check only their names. floor?"
-    " matches the name floor*, and an endpoint in floor* receives what is sent in floor12. The"
-    " plugin of pqsec and `pqsec explain` check everything that the wildcards can match.",
-    fix="Write full names, or a prefix with one * at the end: these work in all stacks.",
-    stacks=(Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS),
-    measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
-    " OpenDDS by source",
-)  # fmt: skip
-def covers_expressions(document: PermissionsFile) -> Iterator[Violation]:
-    for grant in document.grants:
-        for rule, _, criteria in _criteria(grant):
-            for partition in criteria.partitions if rule.allow else ():
-                if _INNER_WILDCARD.search(partition):
-                    yield document.at(
-                        criteria.line, f"{partition[:60]!a}: stacks allow endpoints whose wildcards"
-                        " match more than this",
-                    )  # fmt: skip

@@ -34,6 +34,8 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./ -]*")
           "emailAddress/serialNumber as dotted OID (`rfc4514_string()` default)",
           "emailAddress/serialNumber by OpenSSL short name"),
     measured="all six stacks",
+    bad="<subject_name>cn=/talker</subject_name>",
+    good="<subject_name>CN=/talker</subject_name>",
 )  # fmt: skip
 def unknown_word(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
@@ -52,6 +54,8 @@ def unknown_word(document: PermissionsFile) -> Iterator[Violation]:
     stacks=(_CYCLONE, _OPENDDS),
     rows=("UTF-8 value written raw", "… both as two grants"),
     measured=f"{_CYCLONES}; OpenDDS 3.34, its access control run",
+    bad="<subject_name>CN=café</subject_name>",
+    good="<subject_name>CN=coffee</subject_name>",
 )  # fmt: skip
 def written_raw(document: PermissionsFile) -> Iterator[Violation]:
     for grant in _spelled_once(document):
@@ -69,6 +73,8 @@ def written_raw(document: PermissionsFile) -> Iterator[Violation]:
     fix="Issue the certificate without commas and quotes.",
     stacks=(_OPENDDS,), rows=('value with `,` `=` `+` `"` `#`, `&#124;`, `&`',),
     measured="OpenDDS, its SubjectName.cpp compiled and run", only_when_asked=True,
+    bad=r"<subject_name>O=Acme\, Inc,CN=/talker</subject_name>",
+    good="<subject_name>O=Acme Inc,CN=/talker</subject_name>",
 )  # fmt: skip
 def comma_in_value(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
@@ -80,6 +86,10 @@ def comma_in_value(document: PermissionsFile) -> Iterator[Violation]:
     "PQS422", WARNING, "a common name that is too long",
     why=f"X.509 allows {MAX_COMMON_NAME} characters at most: no certificate can contain this name.",
     fix="Shorten the name.",
+    bad="""
+        <subject_name>CN=/building-12/second-floor/loading-bay/charging-station/robot-1/front</subject_name>
+    """,
+    good="<subject_name>CN=/building-12/loading-bay/robot-1/front</subject_name>",
 )  # fmt: skip
 def long_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
@@ -96,6 +106,8 @@ def long_name(document: PermissionsFile) -> Iterator[Violation]:
     " spaces were tested in all stacks. Cyclone DDS splits a name at |.",
     fix="Use only these characters.",
     rows=('value with `,` `=` `+` `"` `#`, `&#124;`, `&`',), measured="all six stacks",
+    bad="<subject_name>CN=/robot;1</subject_name>",
+    good="<subject_name>CN=/robot_1</subject_name>",
 )  # fmt: skip
 def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
@@ -113,6 +125,8 @@ def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
     fix="Add a second grant with the letters themselves, or use only ASCII.",
     stacks=(_FAST,), rows=(r"UTF-8 value written `\C3\A9`", "… both as two grants"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad=r"<subject_name>CN=caf\C3\A9</subject_name>",
+    good="<subject_name>CN=coffee</subject_name>",
 )  # fmt: skip
 def written_as_octets(document: PermissionsFile) -> Iterator[Violation]:
     for grant in _spelled_once(document):

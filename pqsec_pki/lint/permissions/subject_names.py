@@ -18,6 +18,8 @@ _SPACED = re.compile(r"\s=|(?<!\\)=\s|(?<!\\),\s|\s,")
     "PQS411", ERROR, "a subject_name is not a subject name",
     why="No certificate has this subject, so no participant can use the grant.",
     fix="Copy the name from `pqsec inspect cert.pem`: CN=/talker.",
+    bad="<subject_name>talker</subject_name>",
+    good="<subject_name>CN=/talker</subject_name>",
 )  # fmt: skip
 def no_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
@@ -32,6 +34,12 @@ def no_name(document: PermissionsFile) -> Iterator[Violation]:
     fix="Write it directly between the tags, on one line.",
     stacks=(_FAST,), rows=("newlines/indent around the text",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="""
+        <subject_name>
+          CN=/talker
+        </subject_name>
+    """,
+    good="<subject_name>CN=/talker</subject_name>",
 )  # fmt: skip
 def padded_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
@@ -47,6 +55,8 @@ def padded_name(document: PermissionsFile) -> Iterator[Violation]:
     stacks=(_CYCLONE,),
     rows=("`CN=x, O=Lab, C=ES`", "`C = ES, O = Lab, CN = x` (openssl default print)"),
     measured="Cyclone DDS 0.10.2, 0.10.5",
+    bad="<subject_name>CN=/talker, O=Lab</subject_name>",
+    good="<subject_name>CN=/talker,O=Lab</subject_name>",
 )  # fmt: skip
 def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, _, _ in named(document):
@@ -59,6 +69,8 @@ def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
     why="Fast DDS does not accept /C=ES/O=Lab/CN=x.",
     fix="Write CN=x,O=Lab,C=ES.",
     stacks=(_FAST,), rows=("`/C=ES/O=Lab/CN=x`",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="<subject_name>/CN=talker</subject_name>",
+    good="<subject_name>CN=talker</subject_name>",
 )  # fmt: skip
 def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
     for grant, _, _ in named(document):
@@ -74,6 +86,8 @@ def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
     stacks=(_FAST,), rows=("`C=ES,O=Lab,CN=x` (DER order; what OpenDDS needs)",
                            "two grants, one per order"),
     measured="Fast DDS 2.9.1",
+    bad="<subject_name>C=ES,O=Lab,CN=/talker</subject_name>",
+    good="<subject_name>CN=/talker,O=Lab,C=ES</subject_name>",
 )  # fmt: skip
 def certificate_order(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, reversed_too in named(document):
@@ -88,6 +102,8 @@ def certificate_order(document: PermissionsFile) -> Iterator[Violation]:
     fix="Add a second grant with the order of the certificate's subject (CN last).",
     stacks=(_OPENDDS,), rows=("`CN=x,O=Lab,C=ES` (RFC 2253 = reversed, no spaces)",),
     measured="OpenDDS, its SubjectName.cpp compiled and run", only_when_asked=True,
+    bad="<subject_name>CN=/talker,O=Lab,C=ES</subject_name>",
+    good="<subject_name>C=ES,O=Lab,CN=/talker</subject_name>",
 )  # fmt: skip
 def reversed_order(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, reversed_too in named(document):
@@ -101,6 +117,8 @@ def reversed_order(document: PermissionsFile) -> Iterator[Violation]:
     " grant.",
     fix="Issue the certificate with one of them.",
     rows=("two OUs",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 3.1.2, 3.6.2",
+    bad="<subject_name>CN=/talker,OU=Lab,OU=Robots</subject_name>",
+    good="<subject_name>CN=/talker,OU=Lab</subject_name>",
 )  # fmt: skip
 def repeated_part(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
@@ -113,6 +131,8 @@ def repeated_part(document: PermissionsFile) -> Iterator[Violation]:
     why="No stack matches CN=x+OU=y.",
     fix="Issue the certificate with separate parts, or with CN alone.",
     rows=("multi-valued RDN",), measured="all six stacks",
+    bad="<subject_name>CN=/talker+OU=Lab</subject_name>",
+    good="<subject_name>CN=/talker,OU=Lab</subject_name>",
 )  # fmt: skip
 def joined_parts(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):
@@ -126,6 +146,8 @@ def joined_parts(document: PermissionsFile) -> Iterator[Violation]:
     f" piece, such as CN=/a//b, or with more than {MAX_PIECES} pieces.",
     fix="Choose a name without double slashes, or with a shorter path.",
     stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2",
+    bad="<subject_name>CN=/fleet//robot1</subject_name>",
+    good="<subject_name>CN=/fleet/robot1</subject_name>",
 )  # fmt: skip
 def unmatched_pieces(document: PermissionsFile) -> Iterator[Violation]:
     for grant, name, _ in named(document):

@@ -20,6 +20,18 @@ _INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\
     why="It ends before it starts.",
     fix="Set not_before to a time before not_after.",
     rows=("expired / future",), measured="all six stacks",
+    bad="""
+        <validity>
+          <not_before>2027-06-01T00:00:00Z</not_before>
+          <not_after>2026-05-01T00:00:00Z</not_after>
+        </validity>
+    """,
+    good="""
+        <validity>
+          <not_before>2026-05-01T00:00:00Z</not_before>
+          <not_after>2027-06-01T00:00:00Z</not_after>
+        </validity>
+    """,
 )  # fmt: skip
 def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
@@ -34,6 +46,8 @@ def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
     fix=f"Set the end before {LAST_YEAR + 1}; one or two years ahead is better.",
     stacks=(_CYCLONE,), rows=("not_after year ≥ 2262 (9999, 2300)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
+    bad="<not_after>2300-01-01T00:00:00Z</not_after>",
+    good="<not_after>2027-06-01T00:00:00Z</not_after>",
 )  # fmt: skip
 def too_late(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
@@ -49,6 +63,8 @@ def too_late(document: PermissionsFile) -> Iterator[Violation]:
     fix="Write the time as 2030-01-31T00:00:00Z.",
     rows=("garbage not_before (silently accepted!)", "date only", "`2026-01-01 00:00:00`"),
     measured="all six stacks",
+    bad="<not_before>2026-05-01</not_before>",
+    good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip
 def no_time(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
@@ -64,6 +80,8 @@ def no_time(document: PermissionsFile) -> Iterator[Violation]:
     why="The standard reads it as UTC. Fast DDS reads every time as local time of the robot.",
     fix="End the time with Z, and leave one day of margin at both ends.",
     rows=("no zone / `Z` / `+00:00` / `.000` / surrounding spaces",), measured="all six stacks",
+    bad="<not_before>2026-05-01T00:00:00</not_before>",
+    good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip
 def no_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
@@ -80,6 +98,8 @@ def no_zone(document: PermissionsFile) -> Iterator[Violation]:
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",
           "TZ=America/Los_Angeles, not_after expired 1 h ago Z"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    bad="<not_before>2026-05-01T02:00:00+02:00</not_before>",
+    good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip
 def other_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):

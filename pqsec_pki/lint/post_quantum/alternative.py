@@ -24,6 +24,8 @@ from pqsec_pki.lint.subjects import Enclave, Inventory
     why="The certificate may be forged. Stock stacks ignore this signature and accept the"
     " certificate; pqsec peers refuse it.",
     fix="Renew the participant: `pqsec renew NAME`.",
+    bad="$ cp elsewhere/forged.cert.pem k/enclaves/talker/cert.pem",
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
     certificate, key = enclave.certificate(), alternative_key_of(enclave.certificate(IDENTITY_CA))
@@ -41,6 +43,12 @@ def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
     why="The CA has an alternative key, and pqsec peers require this signature. Without it, an"
     " attacker who breaks ECDSA could create this certificate.",
     fix="Renew the participant: `pqsec renew NAME`.",
+    bad=r"""
+        $ openssl req -x509 -key k/enclaves/talker/key.pem -subj '/CN=\/talker' -days 365 \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem \
+          -addext basicConstraints=critical,CA:FALSE -out k/enclaves/talker/cert.pem
+    """,
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def no_alternative(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
@@ -65,6 +73,12 @@ def no_alternative(enclave: Enclave) -> Iterator[Violation]:
     why="The permissions CA has a post-quantum countersigner. pqsec peers refuse a document without"
     " its signature; an attacker may have removed it.",
     fix="Sign the document again.",
+    bad=r"""
+        $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out k/enclaves/talker/permissions.p7s
+    """,
+    good="$ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml",
 )  # fmt: skip
 def stripped(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
@@ -77,6 +91,8 @@ def stripped(inventory: Inventory) -> Iterator[Violation]:
     "PQS606", Severity.ERROR, "a countersignature is not valid",
     why="The post-quantum signature does not match the signature of this document.",
     fix="Find out who changed the document, and sign it again.",
+    bad="$ cp elsewhere/forged.p7s k/enclaves/talker/permissions.p7s",
+    good="$ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml",
 )  # fmt: skip
 def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
@@ -89,6 +105,11 @@ def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     why="The documents are countersigned, and nobody can check this without the certificate. A"
     " document without the countersignature would be accepted too.",
     fix=f"Link public/{PERMISSIONS_ALT_CA} into the enclave, as `pqsec issue` does.",
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ rm robot/permissions_ca.alt.cert.pem
+    """,
+    good="$ cp k/public/permissions_ca.alt.cert.pem robot",
 )  # fmt: skip
 def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
     file = enclave.files.get(PERMISSIONS_ALT_CA)
@@ -109,6 +130,11 @@ def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
     why="The certificate has an alternative key, and pqsec peers require the participant to sign"
     " with it.",
     fix=f"Copy {ALT_KEY} with the other files of the enclave, or issue the participant again.",
+    bad="""
+        $ cp -rL k/enclaves/talker robot
+        $ rm robot/alt.key.pem
+    """,
+    good="$ cp k/enclaves/talker/alt.key.pem robot",
 )  # fmt: skip
 def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
     if has_keys_on_robot(enclave):

@@ -23,6 +23,14 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     stacks=STOCK, only_when_asked=True,
     rows=("identity all ML-DSA-65", "ML-DSA CA, EC leaf", "EC CA, ML-DSA leaf"),
     measured=_ALL + "; OpenDDS by source",
+    bad="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase --profile pq
+    """,
+    good="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase --profile transition
+    """,
 )  # fmt: skip
 def identity_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
@@ -40,6 +48,14 @@ def identity_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     stacks=STOCK, only_when_asked=True,
     rows=("governance/permissions CMS-signed ML-DSA-65",),
     measured=_ALL + "; OpenDDS by source",
+    bad="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase --profile pq
+    """,
+    good="""
+        $ rm -r k
+        $ pqsec -k k ca init --no-passphrase --profile transition
+    """,
 )  # fmt: skip
 def documents_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
@@ -53,6 +69,12 @@ def documents_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
     "PQS609", Severity.WARNING, "a key is weaker than the profile requires",
     why="The profile of a keystore sets the security level for all its keys.",
     fix="Issue the participant again, or create the keystore again with the profile that you want.",
+    bad=r"""
+        $ openssl req -x509 -key k/enclaves/talker/key.pem -subj '/CN=\/talker' -days 365 \
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem \
+          -addext basicConstraints=critical,CA:FALSE -out k/enclaves/talker/cert.pem
+    """,
+    good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def below_profile(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore is None:
@@ -81,6 +103,15 @@ def below_profile(inventory: Inventory) -> Iterator[Violation]:
     " decrypt later). This is not reported for a keystore created with `--profile classical`.",
     fix="For data that is still sensitive in ten years, use profile transition. It works with stock"
     " stacks, and between pqsec peers the key agreement is hybrid.",
+    bad="""
+        $ pqsec -k c ca init --no-passphrase --profile classical
+        $ pqsec -k c issue --publish chatter /talker
+        $ cp -rL c/enclaves/talker robot
+    """,
+    good="""
+        $ rm -r robot
+        $ cp -rL k/enclaves/talker robot
+    """,
 )  # fmt: skip
 def classical_only(inventory: Inventory) -> Iterator[Violation]:
     certificates = [each.first for each in inventory.certificates if each.first]

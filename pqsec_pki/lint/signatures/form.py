@@ -24,6 +24,10 @@ _SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
     " encloses the text (without OpenSSL's -nodetach, or DetachedSignature).",
     fix=_SIGN,
     rows=("PEM or DER p7 instead of S/MIME", "no DetachedSignature (opaque)"), measured=_ALL,
+    bad="$ cp k/enclaves/talker/permissions.xml permissions.p7s",
+    good="""
+        $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml -o permissions.p7s
+    """,
 )  # fmt: skip
 def not_smime(file: File) -> Iterator[Violation]:
     if file.is_signed or file.unreadable or not _SIGNED_NAME.fullmatch(file.path.name):
@@ -42,6 +46,15 @@ def not_smime(file: File) -> Iterator[Violation]:
         "inner `text/xml` or `application/xml`", "inner Content-Type absent",
     ),
     measured=_ALL,
+    bad=r"""
+        $ openssl smime -sign -in k/enclaves/talker/permissions.xml -out permissions.p7s \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem
+    """,
+    good=r"""
+        $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def not_text(file: File) -> Iterator[Violation]:
     if file.listed and file.signed_text[0] is None and not file.is_ambiguous:
@@ -53,6 +66,8 @@ def not_text(file: File) -> Iterator[Violation]:
     why="OpenSSL reads the blank line as the end of the header, and finds no content type.",
     fix="Remove the blank line; the signature does not cover it.",
     rows=("blank first line",), measured=_ALL,
+    bad="$ (echo; cat k/enclaves/talker/permissions.p7s) > permissions.p7s",
+    good="$ sed -i 1d permissions.p7s",
 )  # fmt: skip
 def blank_first(file: File) -> Iterator[Violation]:
     if file.is_signed and _BLANK_FIRST.match(file.data):
@@ -63,6 +78,8 @@ def blank_first(file: File) -> Iterator[Violation]:
     "PQS333", Severity.ERROR, "a signed document is broken",
     why="No stack can read it.",
     fix=_SIGN,
+    bad="$ head -c 2000 k/enclaves/talker/permissions.p7s > permissions.p7s",
+    good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
 def broken(file: File) -> Iterator[Violation]:
     if file.is_signed and not file.is_ambiguous and (reason := file.signature_trouble):
@@ -74,6 +91,16 @@ def broken(file: File) -> Iterator[Violation]:
     why="Stacks read PKCS #7 1.5, which identifies signers only by issuer and serial number.",
     fix="Sign without -keyid.",
     rows=("SignerInfo by key id (`cms -keyid`)",), measured=_ALL,
+    bad=r"""
+        $ openssl cms -sign -text -keyid -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
+    good=r"""
+        $ openssl cms -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def by_key_identifier(file: File) -> Iterator[Violation]:
     signers = file.signers
@@ -91,6 +118,17 @@ def by_key_identifier(file: File) -> Iterator[Violation]:
         "two SignerInfos EC + EC, same CA",
     ),
     measured=_ALL,
+    bad=r"""
+        $ openssl cms -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -signer k/public/identity_ca.cert.pem -inkey k/private/identity_ca.key.pem \
+          -out permissions.p7s
+    """,
+    good=r"""
+        $ openssl cms -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def not_one_signer(file: File) -> Iterator[Violation]:
     listed = file.listed
@@ -103,6 +141,16 @@ def not_one_signer(file: File) -> Iterator[Violation]:
     why="An attacker who gets one document signed can create a second one with the same SHA-1 or"
     " MD5 digest. The signature is valid for both. Stacks accept it; pqsec peers refuse it.",
     fix=_SIGN,
+    bad=r"""
+        $ openssl smime -sign -text -md sha1 -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
+    good=r"""
+        $ openssl smime -sign -text -md sha256 -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def broken_digest(file: File) -> Iterator[Violation]:
     for digest in broken_digests(file):
@@ -116,6 +164,8 @@ def broken_digest(file: File) -> Iterator[Violation]:
     " documents with valid signatures, one for a human reader and one for the stacks. pqsec refuses"
     " such a file from any signer.",
     fix="Find out who created the file, ask the signer for the document, and sign it again.",
+    bad="$ cp elsewhere/ambiguous.p7s permissions.p7s",
+    good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
 def ambiguous(file: File) -> Iterator[Violation]:
     if file.is_signed and file.is_ambiguous and not _BLANK_FIRST.match(file.data):
@@ -128,6 +178,8 @@ def ambiguous(file: File) -> Iterator[Violation]:
     " additional headers, additional certificates, or another boundary. pqsec does not copy these"
     " parts: it installs and exports only what it verified.",
     fix="Nothing needs to be done. Signing again with pqsec writes its own form.",
+    bad=r"$ sed 's/$/\r/' k/enclaves/talker/permissions.p7s > permissions.p7s",
+    good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
 def not_canonical(file: File) -> Iterator[Violation]:
     readable = file.is_signed and file.signed_text[0] is not None

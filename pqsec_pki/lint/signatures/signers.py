@@ -18,6 +18,17 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     fix="Sign without -nocerts, or run `pqsec sign-permissions --embed-certificate`.",
     stacks=(Target.CYCLONEDDS, Target.FASTDDS),
     rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
+    bad=r"""
+        $ cp k/public/permissions_ca.cert.pem .
+        $ openssl smime -sign -text -nocerts -in k/enclaves/talker/permissions.xml \
+          -signer permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
+    good=r"""
+        $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def without_certificate(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
@@ -34,6 +45,17 @@ def without_certificate(inventory: Inventory) -> Iterator[Violation]:
     " was changed.",
     fix="Sign it without -noattr, with SHA-256 and an ecdsa-p256 or RSA key, or with pqsec.",
     measured="`NoAttributes` is taken by " + _ALL,
+    bad=r"""
+        $ cp k/public/permissions_ca.cert.pem .
+        $ openssl smime -sign -text -noattr -in k/enclaves/talker/permissions.xml \
+          -signer permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
+    good=r"""
+        $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def cannot_be_checked(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
@@ -49,6 +71,17 @@ def cannot_be_checked(inventory: Inventory) -> Iterator[Violation]:
     fix="Sign with the permissions CA itself.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
     measured=_ALL,
+    bad=r"""
+        $ cp k/public/permissions_ca.cert.pem .
+        $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/identity_ca.cert.pem -inkey k/private/identity_ca.key.pem \
+          -out permissions.p7s
+    """,
+    good=r"""
+        $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
+          -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
+          -out permissions.p7s
+    """,
 )  # fmt: skip
 def of_another_signer(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
@@ -63,6 +96,11 @@ def of_another_signer(inventory: Inventory) -> Iterator[Violation]:
     " stack refuses it.",
     fix="Find out who changed the document, and sign it again.",
     rows=("tampered",), measured=_ALL,
+    bad="""
+        $ cp k/public/permissions_ca.cert.pem .
+        $ sed s/chatter/secret/ k/enclaves/talker/permissions.p7s > permissions.p7s
+    """,
+    good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
 def does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
@@ -74,6 +112,8 @@ def does_not_hold(inventory: Inventory) -> Iterator[Violation]:
     "PQS342", Severity.WARNING, "the XML file differs from the signed document",
     why="Stacks read the signed document. A reader of the XML file next to it is misled.",
     fix="Sign the XML file again, or remove it.",
+    bad="$ sed -i s/chatter/secret/ k/enclaves/talker/permissions.xml",
+    good="$ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml",
 )  # fmt: skip
 def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
     files = {file.path: file for file in inventory.files}
