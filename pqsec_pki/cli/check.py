@@ -193,9 +193,15 @@ def _explain(rule: Rule) -> None:
         "only_when_asked": rule.only_when_asked,
     }
     lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
-    lines += [f"To fix it: {rule.fix}"]
-    lines += [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
-    lines += [f"Known from: {rule.measured}"] if rule.measured else []
+    lines += ["Found here:", "", *_indented(rule.bad), "", f"To fix it: {rule.fix}", ""]
+    lines += _indented(rule.good)
+    more = [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
+    more += [f"Known from: {rule.measured}"] if rule.measured else []
     if rule.only_when_asked:
-        lines.append(f"Checked only with --target {' or '.join(sorted(rule.stacks))}")
+        more.append(f"Checked only with --target {' or '.join(sorted(rule.stacks))}")
+    lines += ["", *more] if more else []
     _printing.emit(value, lines)
+
+
+def _indented(example: str) -> list[str]:
+    return [f"    {line}".rstrip() for line in example.splitlines()]

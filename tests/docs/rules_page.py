@@ -30,22 +30,26 @@ FAMILIES = {
 }
 HEAD = """# Rules
 
-What [`pqsec check`](commands.md#what-check-reports) looks for. This page is made of the rules
-themselves by `tests/docs/rules_page.py`; `pqsec check --explain ID` prints one of them.
+What [`pqsec check`](commands.md#what-check-reports) looks for. `tests/docs/rules_page.py`
+generates this page from the rules; `pqsec check --explain ID` prints one of them.
 
-An **error** does not work on some stack, or is a hole. A **warning** is a risk. What is **info**
-may be meant. A rule that names stacks is left out where `--target` names none of them; one that
-is *asked only with* a target complains of what is right for other stacks.
+An **error** fails on some stack, or is a security hole. A **warning** is a risk. An **info** may be
+intended. With `--target`, a rule that names stacks runs only if one of them is a target. A rule
+that is *checked only with* a target reports what is correct for other stacks.
 
-Versions in "Known from" were run; what was only read in a stack's source says so."""
+Versions in "Known from" were run; sources that were only read are named as such.
+
+Each rule has an example that the tests run. In XML, `...` stands for the other elements of a
+document. Commands run beside a keystore `k` with the participants /talker and /listener, and the
+folder `elsewhere` has files that other programs made."""
 ACCEPTED = """## What stacks accept
 
-Two processes met, secured, with files in which one thing was different. A: they met, and a sample
-arrived. R: they did not. X: a process crashed. The last column has the rules that tell of it, or
-why there is none."""
-READ = """## What stacks do otherwise
+Two processes of one stack met with security, and one thing in their files was different. A: they
+communicated. R: they did not. X: a process crashed. The last column has the rules that report it,
+or the reason why no rule does."""
+READ = """## How stacks differ
 
-Than the standard, or than each other: measured through their plugins (Cyclone DDS, Fast DDS), or
+From the standard, or from each other: measured through their plugins (Cyclone DDS, Fast DDS), or
 read in their source (OpenDDS)."""
 
 
@@ -54,7 +58,7 @@ def page() -> str:
     parts = [HEAD]
     for digit, rules in groupby(RULES.values(), lambda rule: rule.id[3]):
         title, what = FAMILIES[digit]
-        parts += [f"## {title}", f"{digit}xx: {what}.", *map(_section, rules)]
+        parts += [f"## {title}", f"{digit}xx: {what}.", *map(rule_page, rules)]
     parts += [ACCEPTED, _accepted(), READ, _read()]
     return "\n\n".join(parts) + "\n"
 
@@ -69,17 +73,31 @@ def is_refused(row: dict[str, str]) -> bool:
     return bool(set(row["verdicts"]) & set("RX"))
 
 
-def _section(rule: Rule) -> str:
+def rule_page(rule: Rule) -> str:
+    """The section of one rule, in Markdown: severity, reason, example, and fix."""
     stacks = ", ".join(sorted(rule.stacks)) or "all stacks"
-    asked = f", asked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
+    asked = f", checked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
     kind = f"**{Severity(rule.severity)}**, {stacks}{asked if rule.only_when_asked else ''}."
     known = [f"Known from: {_plain(rule.measured)}."] if rule.measured else []
-    texts = [f"{kind} {_plain(rule.why)}", f"To fix it: {_plain(rule.fix)}", *known]
-    return "\n\n".join([f"### {rule.id}: {_plain(rule.title)}", *map(_wrapped, texts)])
+    parts = [
+        f"### {rule.id}: {_plain(rule.title)}",
+        _wrapped(f"{kind} {_plain(rule.why)}"),
+        "Found here:",
+        _block(rule.bad),
+        _wrapped(f"To fix it: {_plain(rule.fix)}"),
+        _block(rule.good),
+        *map(_wrapped, known),
+    ]
+    return "\n\n".join(parts)
+
+
+def _block(example: str) -> str:
+    language = {"<": "xml", "$": "sh"}.get(example[0], "yaml")
+    return f"```{language}\n{example}\n```"
 
 
 def _accepted() -> str:
-    lines = [_row(("Variant", *STACKS, "Told by")), _row(["---"] * (len(STACKS) + 2))]
+    lines = [_row(("Variant", *STACKS, "Rules")), _row(["---"] * (len(STACKS) + 2))]
     for group, rows in groupby(MEASURED, lambda row: row["group"]):
         lines.append(_row((f"**{group}**", *[""] * (len(STACKS) + 1))))
         for row in rows:
@@ -89,7 +107,7 @@ def _accepted() -> str:
 
 
 def _read() -> str:
-    lines = [_row(("Stack", "What it does", "Told by")), _row(["---"] * 3)]
+    lines = [_row(("Stack", "What it does", "Rules")), _row(["---"] * 3)]
     return "\n".join([*lines, *map(_habit, HABITS)])
 
 
