@@ -8,17 +8,23 @@ import os
 import signal
 import sys
 import warnings
+from contextlib import suppress
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pqsec_pki import __version__
+from pqsec_pki.cli._completion import VARIABLE
 from pqsec_pki.cli._help import Group
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._settings import command_options
 from pqsec_pki.errors import FileError, PqsecError, meant, shown
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 __all__ = ["main", "pqsec"]
 
@@ -114,10 +120,22 @@ class _Lazy(Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """As click does it, with similar names in the error for an unknown command."""
-        if args[0] not in COMMANDS and not args[0].startswith("-"):
+        unknown = args[0] not in COMMANDS and not args[0].startswith("-")
+        if unknown and not ctx.resilient_parsing:
             instead = meant(args[0], COMMANDS).replace("did", " Did", 1)
             ctx.fail(f"No such command {shown(args[0])!r}.{instead}")
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> "list[CompletionItem[Any]]":
+        """The commands and options that begin so, without importing any command."""
+        from click.shell_completion import CompletionItem  # noqa: PLC0415 -- for a shell alone
+
+        commands = [
+            CompletionItem(name, help=text)
+            for name, (_, text) in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         del ctx
@@ -151,6 +169,10 @@ def main() -> None:
         sys.stdout, io.TextIOWrapper
     ):  # a path may have characters that the terminal cannot show
         sys.stdout.reconfigure(errors="backslashreplace")
+    if os.environ.get(VARIABLE):
+        with suppress(PqsecError, click.ClickException, OSError):  # they would be in the prompt
+            pqsec.main(prog_name="pqsec", standalone_mode=False)
+        sys.exit(1)
     try:
         _refuse_removed_folder()
         result = pqsec.main(prog_name="pqsec", standalone_mode=False)

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import click
 
-from pqsec_pki.cli import _policy, _settings
+from pqsec_pki.cli import _completion, _policy, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lifecycle import ParticipantSpec
@@ -23,19 +23,32 @@ _ROS = {
 
 _OPTIONS = (
     click.option(
-        "--publish", multiple=True, metavar="TOPIC", help="Allow to publish this DDS topic."
+        "--publish",
+        multiple=True,
+        metavar="TOPIC",
+        help="Allow to publish this DDS topic.",
+        shell_complete=_completion.topics,
     ),
     click.option(
-        "--subscribe", multiple=True, metavar="TOPIC", help="Allow to subscribe to this DDS topic."
+        "--subscribe",
+        multiple=True,
+        metavar="TOPIC",
+        help="Allow to subscribe to this DDS topic.",
+        shell_complete=_completion.topics,
     ),
     click.option(
-        "--ros-publish", multiple=True, metavar="TOPIC", help="Allow to publish this ROS 2 topic."
+        "--ros-publish",
+        multiple=True,
+        metavar="TOPIC",
+        help="Allow to publish this ROS 2 topic.",
+        shell_complete=_completion.ros_topics,
     ),
     click.option(
         "--ros-subscribe",
         multiple=True,
         metavar="TOPIC",
         help="Allow to subscribe to this ROS 2 topic.",
+        shell_complete=_completion.ros_topics,
     ),
     click.option(
         "--ros-service", multiple=True, metavar="NAME", help="Allow to serve this ROS 2 service."

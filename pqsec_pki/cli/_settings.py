@@ -42,9 +42,9 @@ class Settings:
     json: bool = False
 
 
-def settings() -> Settings:
-    """The settings of the current command."""
-    return click.get_current_context().find_root().ensure_object(Settings)
+def settings(context: click.Context | None = None) -> Settings:
+    """The settings of the current command, or of that of `context`."""
+    return (context or click.get_current_context()).find_root().ensure_object(Settings)
 
 
 def command_options(command: Command) -> Command:
@@ -73,9 +73,9 @@ def command_options(command: Command) -> Command:
     return keystore(as_json(command))
 
 
-def keystore_path() -> Path:
+def keystore_path(context: click.Context | None = None) -> Path:
     """The path of the keystore. UsageError if none is named."""
-    named = settings().keystore
+    named = settings(context).keystore
     if named:
         return named
     for variable in KEYSTORE_VARIABLES:

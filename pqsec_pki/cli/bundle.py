@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _bundles, _help, _printing, _settings
+from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
 from pqsec_pki.enrolment import Bundle, flat_name
 from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore import regular_name
@@ -29,7 +29,7 @@ from pqsec_pki.keystore import regular_name
         3: "a participant does not exist, or the keystore or a file cannot be read or written",
     },
 )
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
 @click.option(
     "--robot",
     type=_settings.FILE,

@@ -8,7 +8,7 @@ import click
 from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
 from pqsec_pki.cli.rotate import rotate
@@ -55,13 +55,36 @@ profile_option = click.option(
     },
 )
 @profile_option
-@click.option("--identity-key", metavar="NAME", help="Choose another kind of identity CA key.")
 @click.option(
-    "--permissions-key", metavar="NAME", help="Choose another kind of permissions CA key."
+    "--identity-key",
+    metavar="NAME",
+    help="Choose another kind of identity CA key.",
+    shell_complete=_completion.signatures,
 )
-@click.option("--participant-key", metavar="NAME", help="Choose another kind of participant key.")
-@click.option("--alt-key", metavar="NAME", help="Choose another kind of alternative key.")
-@click.option("--kem", metavar="NAME", help="Choose another key agreement.")
+@click.option(
+    "--permissions-key",
+    metavar="NAME",
+    help="Choose another kind of permissions CA key.",
+    shell_complete=_completion.signatures,
+)
+@click.option(
+    "--participant-key",
+    metavar="NAME",
+    help="Choose another kind of participant key.",
+    shell_complete=_completion.signatures,
+)
+@click.option(
+    "--alt-key",
+    metavar="NAME",
+    help="Choose another kind of alternative key.",
+    shell_complete=_completion.signatures,
+)
+@click.option(
+    "--kem",
+    metavar="NAME",
+    help="Choose another key agreement.",
+    shell_complete=_completion.key_agreements,
+)
 @click.option("--name", default="", help="Start the names of the CAs with this.")
 @click.option(
     "--validity",

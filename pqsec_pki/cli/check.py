@@ -7,9 +7,10 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
+    RULES,
     Finding,
     Report,
     Rule,
@@ -69,11 +70,15 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     default=(),
     metavar="STACK,...",
     help=f"Report only findings for these stacks: {', '.join(Target)}.",
+    shell_complete=_completion.among(Target),
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
 @click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
 @click.option(
-    "--explain", metavar="ID", help="Explain one rule: why it exists, and how to fix a finding."
+    "--explain",
+    metavar="ID",
+    help="Explain one rule: why it exists, and how to fix a finding.",
+    shell_complete=_completion.among(RULES),
 )
 @click.option(
     "--ignore",

@@ -12,7 +12,7 @@ import click
 from pqsec_pki.access import INTERPRETATIONS, Action, Decision, Question
 from pqsec_pki.access.everywhere import is_known
 from pqsec_pki.access.matrix import Member, topics_named
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._answers import Answer, DomainsAnswer, answers_by_domain
 from pqsec_pki.cli._documents import (
     PolicyInput,
@@ -45,7 +45,12 @@ _PATTERN = re.compile(r"[*?\[\]]")
         3: "a file, the keystore or the participant cannot be read",
     },
 )
-@click.option("--participant", metavar="NAME", help="Ask about this participant of the keystore.")
+@click.option(
+    "--participant",
+    metavar="NAME",
+    help="Ask about this participant of the keystore.",
+    shell_complete=_completion.participants,
+)
 @click.option(
     "--governance",
     type=_settings.FILE,
@@ -66,14 +71,35 @@ _PATTERN = re.compile(r"[*?\[\]]")
     type=_settings.FILE,
     help="Without a keystore: check that this CA signed both documents.",
 )
-@click.option("--publish", metavar="TOPIC", help="Ask whether it may publish this DDS topic.")
 @click.option(
-    "--subscribe", metavar="TOPIC", help="Ask whether it may subscribe to this DDS topic."
+    "--publish",
+    metavar="TOPIC",
+    help="Ask whether it may publish this DDS topic.",
+    shell_complete=_completion.topics,
 )
-@click.option("--relay", metavar="TOPIC", help="Ask whether it may relay this DDS topic.")
-@click.option("--ros-publish", metavar="TOPIC", help="Ask whether it may publish this ROS 2 topic.")
 @click.option(
-    "--ros-subscribe", metavar="TOPIC", help="Ask whether it may subscribe to this ROS 2 topic."
+    "--subscribe",
+    metavar="TOPIC",
+    help="Ask whether it may subscribe to this DDS topic.",
+    shell_complete=_completion.topics,
+)
+@click.option(
+    "--relay",
+    metavar="TOPIC",
+    help="Ask whether it may relay this DDS topic.",
+    shell_complete=_completion.topics,
+)
+@click.option(
+    "--ros-publish",
+    metavar="TOPIC",
+    help="Ask whether it may publish this ROS 2 topic.",
+    shell_complete=_completion.ros_topics,
+)
+@click.option(
+    "--ros-subscribe",
+    metavar="TOPIC",
+    help="Ask whether it may subscribe to this ROS 2 topic.",
+    shell_complete=_completion.ros_topics,
 )
 @click.option("--join", is_flag=True, help="Ask whether it may join the domain.")
 @click.option("--domain", type=click.IntRange(0), help="Ask about this DDS domain.  [default: all]")

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError
 from pqsec_pki.vendors import STACKS, Export, Options, stack_named, write
@@ -28,7 +28,7 @@ from pqsec_pki.vendors import export as make_export
     },
 )
 @click.argument("stack", type=click.Choice([each.name for each in STACKS]), metavar="STACK")
-@click.argument("name")
+@click.argument("name", shell_complete=_completion.participants)
 @click.option(
     "-o",
     "--output",

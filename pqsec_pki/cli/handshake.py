@@ -8,11 +8,19 @@ import click
 from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, Profile
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck import PQSEC, HandshakeParty, HandshakeSetup, Report, Stack, stack_named
+from pqsec_pki.selfcheck import (
+    PQSEC,
+    STACKS,
+    HandshakeParty,
+    HandshakeSetup,
+    Report,
+    Stack,
+    stack_named,
+)
 from pqsec_pki.selfcheck.shared_domains import JoinableDomains, meet_on
 
 MATRIX_ROUNDS = 5
@@ -53,7 +61,7 @@ _MODE_OPTIONS = {
         3: "the keystore or a participant cannot be read, or FILE cannot be written",
     },
 )
-@click.argument("names", nargs=-1, metavar="[A B]")
+@click.argument("names", nargs=-1, metavar="[A B]", shell_complete=_completion.participants)
 @click.option("--all", is_flag=True, help="Run all pairs of participants that share a domain.")
 @click.option("--matrix", is_flag=True, help="Measure every profile with every key agreement.")
 @click.option(
@@ -63,9 +71,17 @@ _MODE_OPTIONS = {
     help="Write every message, decoded and byte for byte, to FILE (- is stdout).",
 )
 @click.option(
-    "--attack", metavar="NAME|all", help="Attack the handshake, and check that both refuse."
+    "--attack",
+    metavar="NAME|all",
+    help="Attack the handshake, and check that both refuse.",
+    shell_complete=_completion.attacks,
 )
-@click.option("--kem", metavar="NAME", help="Use another key agreement than the profile's.")
+@click.option(
+    "--kem",
+    metavar="NAME",
+    help="Use another key agreement than the profile's.",
+    shell_complete=_completion.key_agreements,
+)
 @click.option(
     "--domain",
     type=click.IntRange(0, 230),
@@ -77,6 +93,7 @@ _MODE_OPTIONS = {
     metavar="STACK",
     multiple=True,
     help="Let B behave like this DDS stack; given twice, A and then B. With --all, in both orders.",
+    shell_complete=_completion.among(each.name for each in STACKS),
 )
 @click.option(
     "--jobs",

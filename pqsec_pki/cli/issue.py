@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import SealingPublicKey
-from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
@@ -35,7 +35,7 @@ from pqsec_pki.smime import document_in
         3: "no participant is issued: the keystore, a file or the passphrase is missing or wrong",
     },
 )
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
 @click.option(
     "--domain", "domains", help="Allow these DDS domains: 0, 0-3 or 0,5. [default: the keystore's]"
 )

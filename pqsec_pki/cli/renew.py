@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import State, Status
@@ -30,7 +30,7 @@ _NO_TIME = timedelta()
         3: "not renewed: a participant, the keystore or the passphrase is missing or wrong",
     },
 )
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
 @click.option(
     "--due",
     type=_settings.Duration(),
@@ -108,7 +108,7 @@ def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
         3: "the keystore or a participant cannot be read",
     },
 )
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
 @click.option(
     "--due",
     type=_settings.Duration(),

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.enrolment import make_sealing_key
 from pqsec_pki.enrolment import request as make_request
@@ -36,8 +36,18 @@ folder_option = click.option(
 )
 @click.argument("name")
 @profile_option
-@click.option("--participant-key", metavar="NAME", help="Choose another kind of key.")
-@click.option("--alt-key", metavar="NAME", help="Choose another kind of alternative key.")
+@click.option(
+    "--participant-key",
+    metavar="NAME",
+    help="Choose another kind of key.",
+    shell_complete=_completion.signatures,
+)
+@click.option(
+    "--alt-key",
+    metavar="NAME",
+    help="Choose another kind of alternative key.",
+    shell_complete=_completion.signatures,
+)
 @folder_option
 @click.option("--force", is_flag=True, help="Replace an existing request for NAME, and its keys.")
 @_settings.command_options

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.certificates import Reason, RevocationList
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked
 from pqsec_pki.lifecycle import revoke as revoke_subjects
@@ -30,7 +30,13 @@ list_validity_option = click.option(
         3: "not revoked: a participant, the keystore or the passphrase is missing or wrong",
     },
 )
-@click.argument("subjects", nargs=-1, required=True, metavar="NAME|SERIAL...")
+@click.argument(
+    "subjects",
+    nargs=-1,
+    required=True,
+    metavar="NAME|SERIAL...",
+    shell_complete=_completion.participants,
+)
 @click.option(
     "--reason",
     type=click.Choice([reason.value for reason in Reason], case_sensitive=False),

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
@@ -51,8 +51,12 @@ _PAIR = 2
     },
 )
 @click.argument("stack", type=click.Choice([*STACKS, ROS2]), metavar="STACK")
-@click.argument("names", nargs=-1, metavar="A B")
-@click.option("--topic", help="Send on this DDS topic. [default: a topic that both may use]")
+@click.argument("names", nargs=-1, metavar="A B", shell_complete=_completion.participants)
+@click.option(
+    "--topic",
+    help="Send on this DDS topic. [default: a topic that both may use]",
+    shell_complete=_completion.topics,
+)
 @click.option(
     "--domain",
     type=click.IntRange(0, 230),
@@ -84,6 +88,7 @@ _PAIR = 2
     multiple=True,
     metavar="NAME",
     help="With --plugin: run this participant with Cyclone DDS's own plugin.",
+    shell_complete=_completion.participants,
 )
 @click.option("--anyway", is_flag=True, help="Run also what the stack is known to refuse.")
 @click.option(

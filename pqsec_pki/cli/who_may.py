@@ -18,7 +18,7 @@ from pqsec_pki.access.everywhere import (
     who_may_anywhere,
 )
 from pqsec_pki.access.matrix import Row, topics_named
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._documents import plain
 from pqsec_pki.cli._fleet import Fleet, fleet_of
 from pqsec_pki.documents import DomainSet, ros
@@ -79,9 +79,14 @@ class _Question:
     "topics",
     multiple=True,
     help="Show only this DDS topic, or the topics that this pattern matches.",
+    shell_complete=_completion.topics,
 )
 @click.option(
-    "--ros-topic", "ros_topics", multiple=True, help="Show only this ROS 2 topic or pattern."
+    "--ros-topic",
+    "ros_topics",
+    multiple=True,
+    help="Show only this ROS 2 topic or pattern.",
+    shell_complete=_completion.ros_topics,
 )
 @click.option(
     "--domain", "domains", help="Show these DDS domains: 0, or 0-3, or 0,5.  [default: all]"
