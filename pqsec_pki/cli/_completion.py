@@ -98,7 +98,7 @@ def _keystore(context: click.Context) -> "Keystore":
 
 def _topics(context: click.Context) -> Iterator[str]:
     from pqsec_pki.access.matrix import Member, topics_named  # noqa: PLC0415 -- lxml, too
-    from pqsec_pki.cli._documents import own_permissions, shared_governance  # noqa: PLC0415
+    from pqsec_pki.policy import own_permissions, shared_governance  # noqa: PLC0415
 
     keystore, now = _keystore(context), _settings.now()
     one = context.params.get("participant")

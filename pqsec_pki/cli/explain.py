@@ -9,22 +9,24 @@ from typing import Any
 
 import click
 
-from pqsec_pki.access import INTERPRETATIONS, Action, Decision, Question
+from pqsec_pki.access import INTERPRETATIONS, Action, Question
 from pqsec_pki.access.everywhere import is_known
 from pqsec_pki.access.matrix import Member, topics_named
 from pqsec_pki.cli import _completion, _help, _printing, _settings
-from pqsec_pki.cli._answers import Answer, DomainsAnswer, answers_by_domain
-from pqsec_pki.cli._documents import (
+from pqsec_pki.cli._printing import printable
+from pqsec_pki.documents import parse_subject, ros
+from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
+from pqsec_pki.policy import (
+    Answer,
+    DomainsAnswer,
     PolicyInput,
+    answers_by_domain,
     governance_in,
     only_subject,
     permissions_in,
-    plain,
     policy_input_of,
     signed_by,
 )
-from pqsec_pki.documents import parse_subject, ros
-from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
 
 _PATTERN = re.compile(r"[*?\[\]]")
 
@@ -177,7 +179,7 @@ def _policy_input_in_files(asked: dict[str, Any], now: datetime) -> PolicyInput:
     for each in (governance, permissions):
         if each.signed and not each.verified:
             _printing.note(
-                f"{plain(str(each.path))}: the signature was not checked: use --permissions-ca"
+                f"{printable(str(each.path))}: the signature was not checked: use --permissions-ca"
             )
     subject = _subject(asked["subject"]) if asked["subject"] else only_subject(permissions)
     return PolicyInput(who=subject, subject=subject, governance=governance, permissions=permissions)
@@ -209,9 +211,9 @@ def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
     if action is Action.JOIN:
         return action, None
     if _PATTERN.search(name):
-        instead = f"--{'ros-' if prefix else ''}topic {shlex.quote(plain(name))}"
+        instead = f"--{'ros-' if prefix else ''}topic {shlex.quote(printable(name))}"
         raise UsageError(
-            f"{plain(name)} is a pattern, and explain needs the name of one topic",
+            f"{printable(name)} is a pattern, and explain needs the name of one topic",
             hint=f"`pqsec who-may {instead}` lists the topics that match it",
         )
     return action, ros.topic(name) if prefix else name
@@ -237,7 +239,9 @@ def _note_similar_topic(policy_input: PolicyInput, action: Action, topic: str) -
     if action is not Action.RELAY and (instead := _ros_topic(topic)):
         _printing.note(f"{topic} is the ROS 2 name of {instead}: ask with --ros-{action} {topic}")
     elif instead := meant(topic, named):
-        _printing.note(f"no rule of {plain(policy_input.who)} names {plain(topic)}; {instead}")
+        _printing.note(
+            f"no rule of {printable(policy_input.who)} names {printable(topic)}; {instead}"
+        )
 
 
 def _ros_topic(name: str) -> str:
@@ -262,53 +266,19 @@ def _print_answers(policy_input: PolicyInput, found: list[DomainsAnswer]) -> Non
         "data_tags": list(map("=".join, question.data_tags)),
         "at": question.now.isoformat(),
         "verified": policy_input.governance.verified and policy_input.permissions.verified,
-        **_finding_json(policy_input, found[0]),
-        "elsewhere": [_finding_json(policy_input, each) for each in found[1:]],
+        **found[0].to_json(policy_input),
+        "elsewhere": [each.to_json(policy_input) for each in found[1:]],
     }
     _printing.emit(value, [line for each in found for line in _lines(policy_input, each)])
 
 
-def _finding_json(policy_input: PolicyInput, finding: DomainsAnswer) -> dict[str, Any]:
-    answer = finding.answer
-    return {
-        "domain": finding.question.domain,
-        "domains": str(finding.domains),
-        **_as_json(policy_input, answer),
-        "protection": _protection(answer.decision),
-        "others": [
-            _as_json(policy_input, other) | {"differs": other.differs(answer)}
-            for other in finding.others
-        ],
-    }
-
-
-def _as_json(policy_input: PolicyInput, answer: Answer) -> dict[str, Any]:
-    place = policy_input.place(answer.decision)
-    return {
-        "as": answer.interpretation.name,
-        "allowed": answer.decision.allowed,
-        "reason": answer.decision.reason,
-        "file": str(place[0]) if place else None,
-        "line": place[1] if place else None,
-        "criteria_line": policy_input.criteria_line(answer.decision),
-        "own_stack": answer.own,
-        "peers": answer.peers,
-        "hazard": answer.hazard or None,
-    }
-
-
-def _protection(decision: Decision) -> list[str]:
-    return list(decision.protection.words) if decision.protection and decision.allowed else []
-
-
 def _lines(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]:
     question, answer, others = finding.question, finding.answer, finding.others
-    what = "join" if question.topic is None else f"{question.action} {plain(question.topic)}"
-    title = f"{plain(policy_input.who)}: {what}, {finding.where}"
+    what = "join" if question.topic is None else f"{question.action} {printable(question.topic)}"
+    title = f"{printable(policy_input.who)}: {what}, {finding.where}"
     yield f"{answer.word.upper():<4}  {title}, by {answer.interpretation.title}"
     yield from _why(policy_input, answer, "      ")
-    words = _protection(answer.decision)
-    for number, word in enumerate(words):
+    for number, word in enumerate(answer.protection):
         yield f"{'' if number else '      protected':<17} {word}"
     if others:
         yield from _compared(policy_input, answer, others)
@@ -330,8 +300,8 @@ def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -
 
 def _why(policy_input: PolicyInput, answer: Answer, indent: str) -> Iterator[str]:
     disagreement = f"; {answer.disagreement}" if answer.disagreement else ""
-    yield f"{indent}{plain(answer.decision.reason)}{disagreement}"
+    yield f"{indent}{printable(answer.decision.reason)}{disagreement}"
     if place := policy_input.place(answer.decision):
         criteria = policy_input.criteria_line(answer.decision)
         topics = f" (its topics from line {criteria})" if criteria else ""
-        yield f"{indent}{plain(str(place[0]))}:{place[1]}{topics}"
+        yield f"{indent}{printable(str(place[0]))}:{place[1]}{topics}"

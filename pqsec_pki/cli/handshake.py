@@ -9,7 +9,6 @@ from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, Profile
 from pqsec_pki.cli import _completion, _help, _printing, _settings
-from pqsec_pki.cli._documents import plain
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck import (
@@ -295,4 +294,4 @@ def _topic_lines(report: Report) -> Iterator[str]:
 
 def _shortened(names: Sequence[str]) -> str:
     more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
-    return ", ".join(map(plain, names[:_MAX_LISTED])) + more
+    return ", ".join(map(_printing.printable, names[:_MAX_LISTED])) + more

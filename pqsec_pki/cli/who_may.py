@@ -19,10 +19,10 @@ from pqsec_pki.access.everywhere import (
 )
 from pqsec_pki.access.matrix import Row, topics_named
 from pqsec_pki.cli import _completion, _help, _printing, _settings
-from pqsec_pki.cli._documents import plain
-from pqsec_pki.cli._fleet import Fleet, fleet_of
+from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError, meant
+from pqsec_pki.policy import Fleet, fleet_in, fleet_of
 
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 _MOST = 6
@@ -129,20 +129,32 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     now = _settings.now()
     where = None if domains is None else DomainSet.parse(domains)
     interpretation = interpretation_named(stack)
-    fleet = fleet_of(paths, governance, now, interpretation)
+    fleet = _fleet(paths, governance, now, interpretation)
+    for text in fleet.notes:
+        _printing.note(text)
     for name, reason in fleet.refused.items():
-        _printing.note(f"{plain(name)} is left out: {plain(reason)}")
+        _printing.note(f"{printable(name)} is left out: {printable(reason)}")
     wanted = (*topics, *map(_ros_topic, ros_topics))
     if "" in wanted:
         raise UsageError("the topic is empty")
     near = _unknown(fleet, wanted)
     for topic, instead in near.items():
-        _printing.note(f"no rule names {plain(topic)}{'; ' if instead else ''}{instead}")
+        _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
     rows = _rows(fleet, wanted, _Question(where, now, interpretation))
     form = "json" if _settings.settings().json else form
     _settings.settings().json = form == "json"
     value = _as_json(fleet, rows, where, stack) | {"unknown_topics": near}
     _printing.emit(value, _FORMS[form](rows, len(fleet.members)))
+
+
+def _fleet(
+    paths: tuple[Path, ...], governance: Path | None, now: datetime, interpretation: Interpretation
+) -> Fleet:
+    if paths:
+        return fleet_of(paths, governance, now, interpretation)
+    if governance:
+        raise UsageError("--governance is for files: a keystore has its own governance")
+    return fleet_in(_settings.open_keystore(), now, interpretation)
 
 
 def _rows(fleet: Fleet, wanted: tuple[str, ...], question: _Question) -> list[Placed]:
@@ -200,7 +212,7 @@ def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
         if len(names) == count > _MOST:
             return f"all {count}"
         more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
-        return ", ".join(map(plain, names[:_MOST])) + more or "-"
+        return ", ".join(map(printable, names[:_MOST])) + more or "-"
 
     headers = ("topic", "domain", "may publish", "may subscribe")
     cells = (
@@ -212,8 +224,9 @@ def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
 
 def _topic(row: Row) -> str:
     if not row.is_pattern:
-        return plain(row.topic)
-    return f"{plain(row.topic)} (asked: {plain(row.asked) if row.asked else 'no topic was found'})"
+        return printable(row.topic)
+    asked = printable(row.asked) if row.asked else "no topic was found"
+    return f"{printable(row.topic)} (asked: {asked})"
 
 
 def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:
@@ -223,7 +236,9 @@ def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:
     yield "| Topic | Domain | May publish | May subscribe |"
     yield "|---|---|---|---|"
     for each in rows:
-        who = (", ".join(map(plain, them)) for them in (each.row.publishers, each.row.subscribers))
+        who = (
+            ", ".join(map(printable, them)) for them in (each.row.publishers, each.row.subscribers)
+        )
         yield f"| {' | '.join(map(cell, (_topic(each.row), str(each.domains), *who)))} |"
 
 
@@ -234,7 +249,7 @@ def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
     yield "digraph who_may {"
     yield "  rankdir=LR;"
     for name, node in nodes.items():
-        yield f"  {node} [label={_label(plain(name))}];"
+        yield f"  {node} [label={_label(printable(name))}];"
     for number, each in enumerate(rows):
         label = _label(f"{_topic(each.row)} (domain {each.domains})")
         yield f"  t{number} [shape=box, label={label}];"

@@ -14,7 +14,6 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
-from pqsec_pki.cli._documents import policy_input_of
 from pqsec_pki.credentials import (
     CERTIFICATE,
     FILES,
@@ -32,6 +31,7 @@ from pqsec_pki.enrolment import Bundle, install
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Authorities, Keystore, enclave_files
 from pqsec_pki.lint import check
+from pqsec_pki.policy import policy_input_of
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import Signer, document_in, sign

@@ -45,6 +45,7 @@ MAY_IMPORT["lint"] = {
     *("algorithms", "certificates", "smime", "documents", "access", "handshake", "keystore")
 }
 MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle"}
+MAY_IMPORT["policy"] = {"keystore", "access"} | MAY_IMPORT["keystore"]
 MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
 for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "attacks"):

@@ -16,8 +16,8 @@ from pqsec_pki.access import (
     interpretation_named,
 )
 from pqsec_pki.access.everywhere import domain_set, domains_named
-from pqsec_pki.cli._documents import PolicyInput
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
+from pqsec_pki.policy.participants import PolicyInput
 
 _MAX_UTC_OFFSET = timedelta(hours=14)
 """The largest difference between a local time and UTC."""
@@ -48,6 +48,27 @@ class Answer:
         if self.own:
             return "its own stack would allow it, its peers refuse"
         return "its peers would accept it, its own stack refuses"
+
+    @property
+    def protection(self) -> tuple[str, ...]:
+        """What the governance requires for it, in words; empty if it is denied."""
+        protection = self.decision.protection
+        return tuple(protection.words) if protection and self.decision.allowed else ()
+
+    def to_json(self, policy_input: PolicyInput) -> dict[str, object]:
+        """With the place of the rule that decided."""
+        place = policy_input.place(self.decision)
+        return {
+            "as": self.interpretation.name,
+            "allowed": self.decision.allowed,
+            "reason": self.decision.reason,
+            "file": str(place[0]) if place else None,
+            "line": place[1] if place else None,
+            "criteria_line": policy_input.criteria_line(self.decision),
+            "own_stack": self.own,
+            "peers": self.peers,
+            "hazard": self.hazard or None,
+        }
 
     def differs(self, other: "Answer") -> bool:
         """Whether only one of the two allows it."""
@@ -105,6 +126,19 @@ class DomainsAnswer:
         parts = self.domains.parts
         one = len(parts) == 1 and isinstance(parts[0], int)
         return f"domain{'' if one else 's'} {self.domains}"
+
+    def to_json(self, policy_input: PolicyInput) -> dict[str, object]:
+        """The answer, and those of the other interpretations."""
+        return {
+            "domain": self.question.domain,
+            "domains": str(self.domains),
+            **self.answer.to_json(policy_input),
+            "protection": list(self.answer.protection),
+            "others": [
+                other.to_json(policy_input) | {"differs": other.differs(self.answer)}
+                for other in self.others
+            ],
+        }
 
     def merge_key(self, policy_input: PolicyInput) -> object:
         """A key: equal where the same parts of the documents decide, by each interpretation."""

@@ -11,17 +11,6 @@ from pathlib import Path
 from pqsec_pki._files import exists, is_folder, walk
 from pqsec_pki.access import Action, Interpretation, Question
 from pqsec_pki.access.matrix import Member
-from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.cli._documents import (
-    Document,
-    anchors_of,
-    document_at,
-    governance_in,
-    identity_of,
-    own_governance,
-    own_permissions,
-    shared_governance,
-)
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
 from pqsec_pki.errors import (
     FileError,
@@ -33,6 +22,14 @@ from pqsec_pki.errors import (
     located,
 )
 from pqsec_pki.keystore import SETTINGS, Keystore
+from pqsec_pki.policy.loading import Document, document_at, governance_in
+from pqsec_pki.policy.participants import (
+    anchors_of,
+    identity_of,
+    own_governance,
+    own_permissions,
+    shared_governance,
+)
 from pqsec_pki.problems import Code, Problem
 
 _SIGNED_FIRST = (".p7s", ".xml", ".yaml", ".yml")
@@ -46,26 +43,26 @@ class Fleet:
     members: list[Member]
     refused: dict[str, str]
     """Participants or files that are left out, and why: no stack would accept the documents."""
+    notes: tuple[str, ...] = ()
+    """What was assumed, or not checked."""
 
 
 def fleet_of(
     paths: tuple[Path, ...], governance: Path | None, now: datetime, reading: Interpretation
 ) -> Fleet:
-    """From a keystore, files, or folders of files; without paths, from the user's keystore.
-
-    Participants of a keystore without a grant by `reading` are left out.
+    """From one keystore, or from files and folders of files.
 
     UsageError if the governance is ambiguous, FileError if there are no permissions.
     """
-    root = paths[0] if paths else _settings.keystore_path()
-    if not paths or (len(paths) == 1 and exists(root / SETTINGS)):
+    if len(paths) == 1 and exists(paths[0] / SETTINGS):
         if governance:
             raise UsageError("--governance is for files: a keystore has its own governance")
-        return _in_keystore(Keystore.open(root), now, reading)
+        return fleet_in(Keystore.open(paths[0]), now, reading)
     return _in_files(paths, governance, now)
 
 
-def _in_keystore(keystore: Keystore, now: datetime, reading: Interpretation) -> Fleet:
+def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Fleet:
+    """The participants of a keystore; those without a grant by `reading` are left out."""
     anchors = anchors_of(keystore, now)
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
@@ -96,6 +93,7 @@ def _refuse_ungranted(
 
 
 def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> Fleet:
+    notes = list[str]()
     documents, refused = _documents(paths, now)
     found = [(each.path, each.value) for each in documents if isinstance(each.value, Permissions)]
     if not found:
@@ -111,14 +109,14 @@ def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> 
             "there is more than one governance document", hint="choose one: --governance FILE"
         )
     if not governing:
-        _printing.note(
+        notes.append(
             "there is no governance document: everything is assumed to be access-controlled"
         )
         governing = [Governance.protected(DomainSet(parts=(DomainRange(first=0),)))]
     if any(each.signed for each in documents):
-        _printing.note("the signatures of the documents were not checked")
+        notes.append("the signatures of the documents were not checked")
     members = list(_members(found, refused))
-    return Fleet(governing[0], members, refused)
+    return Fleet(governing[0], members, refused, tuple(notes))
 
 
 def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], dict[str, str]]:

@@ -1,0 +1,47 @@
+"""Questions to policies: explain, who-may and diff, answered from a keystore or from files.
+
+    loading        a document from a file, with its lines
+    participants   a participant's verified documents, from its keystore
+    answers        the answer of each stack to one access question, on each domain
+    fleet          the participants of a keystore, or of permissions documents
+    differences    the rights that a change of documents or keystores grants and removes
+
+The decisions are made in the room `access`; here are the documents that they are made by.
+"""
+
+from pqsec_pki.policy.answers import Answer, DomainsAnswer, answers_by_domain
+from pqsec_pki.policy.differences import DocumentDifference, differences_between
+from pqsec_pki.policy.fleet import Fleet, fleet_in, fleet_of
+from pqsec_pki.policy.loading import (
+    Loaded,
+    governance_in,
+    only_subject,
+    permissions_in,
+    signed_by,
+)
+from pqsec_pki.policy.participants import (
+    PolicyInput,
+    own_permissions,
+    policy_input_of,
+    shared_governance,
+)
+
+__all__ = [
+    "Answer",
+    "DocumentDifference",
+    "DomainsAnswer",
+    "Fleet",
+    "Loaded",
+    "PolicyInput",
+    "answers_by_domain",
+    "differences_between",
+    "fleet_in",
+    "fleet_of",
+    "governance_in",
+    "only_subject",
+    "own_permissions",
+    "permissions_in",
+    "policy_input_of",
+    "shared_governance",
+    "signed_by",
+]

@@ -1,0 +1,130 @@
+"""Governance and permissions from files with their lines: XML, signed or not, and YAML."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Generic, TypeAlias, TypeVar
+
+from pqsec_pki._files import read
+from pqsec_pki.credentials import TrustAnchors, only_certificate
+from pqsec_pki.documents import (
+    Governance,
+    Kind,
+    Permissions,
+    governance_from_yaml,
+    permissions_from_yaml,
+    validate,
+)
+from pqsec_pki.errors import UsageError, VerificationError, located
+from pqsec_pki.problems import Code
+from pqsec_pki.smime import Verified, document_in, is_signed, lines_before_document
+
+Value = TypeVar("Value", Governance, Permissions)
+Check: TypeAlias = Callable[[bytes], Verified]
+"""Takes an S/MIME file, returns the signed content. VerificationError for a bad signature."""
+
+_YAML_SUFFIXES = (".yaml", ".yml")
+_GRANTS = re.compile(rb"(?m)^[ \t]*+\{?[ \t]*+[\"']?grants[\"']?\s*+:")
+"""Permissions in YAML have this key, governance does not. Possessive: linear on blank lines."""
+_XML = re.compile(rb"(?:\xef\xbb\xbf)?\s*<|\xff\xfe|\xfe\xff")
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded(Generic[Value]):
+    """A document and where it was read."""
+
+    path: Path
+    value: Value
+    signed: bool
+    verified: bool
+    before: int
+    """Lines in the file before the document."""
+
+    def line(self, line: int | None) -> int | None:
+        """The line in the file for a line of the document."""
+        return None if line is None else line + self.before
+
+
+Document: TypeAlias = Loaded[Governance] | Loaded[Permissions]
+
+
+def signed_by(path: Path, now: datetime) -> Check:
+    """A check that the permissions CA with the certificate at `path` signed a document."""
+    ca = only_certificate(read(path), str(path))
+    return partial(TrustAnchors(identity_cas=(), permissions_ca=ca).verified, now=now)
+
+
+def governance_in(path: Path, check: Check | None = None) -> Loaded[Governance]:
+    """The governance document at `path`: XML, signed or not, or YAML."""
+    return _governance(path, read(path), check)
+
+
+def permissions_in(path: Path, now: datetime, check: Check | None = None) -> Loaded[Permissions]:
+    """The permissions document at `path`; durations such as `1y` in YAML count from `now`."""
+    return _permissions(path, read(path), now, check)
+
+
+def document_at(path: Path, now: datetime) -> Document:
+    """A document of either kind. Reads `path` once, because it may be a pipe."""
+    data = read(path)
+    with located(path):
+        if _is_yaml(path, data):
+            kind = Kind.PERMISSIONS if _GRANTS.search(data) else Kind.GOVERNANCE
+        else:
+            kind = validate(document_in(data) if is_signed(data) else data)
+    if kind is Kind.GOVERNANCE:
+        return _governance(path, data)
+    return _permissions(path, data, now)
+
+
+def kind_of(document: Document) -> Kind:
+    """Governance or permissions."""
+    return Kind.GOVERNANCE if isinstance(document.value, Governance) else Kind.PERMISSIONS
+
+
+def only_subject(permissions: Loaded[Permissions]) -> str:
+    """The subject of all grants. UsageError if there are several subjects."""
+    subjects = {grant.subject_name for grant in permissions.value.grants}
+    if len(subjects) > 1:
+        raise UsageError(
+            f"{permissions.path} has grants for {len(subjects)} subjects",
+            hint="choose one: --subject " + repr(min(subjects)),
+        )
+    return subjects.pop()
+
+
+def _governance(path: Path, data: bytes, check: Check | None = None) -> Loaded[Governance]:
+    return _loaded(path, data, check, Governance.from_xml, governance_from_yaml)
+
+
+def _permissions(
+    path: Path, data: bytes, now: datetime, check: Check | None = None
+) -> Loaded[Permissions]:
+    from_yaml = partial(permissions_from_yaml, now=now)
+    return _loaded(path, data, check, Permissions.from_xml, from_yaml)
+
+
+def _loaded(
+    path: Path,
+    data: bytes,
+    check: Check | None,
+    from_xml: Callable[[bytes], Value],
+    from_yaml: Callable[[bytes], Value],
+) -> Loaded[Value]:
+    with located(path):
+        if is_signed(data):
+            xml = check(data).document if check else document_in(data)
+            verified = check is not None
+            return Loaded(path, from_xml(xml), True, verified, lines_before_document(data))  # noqa: FBT003 -- field
+        if check:
+            raise VerificationError("the document is not signed", code=Code.NOT_SIGNED)
+        value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)
+        return Loaded(path, value, False, False, 0)  # noqa: FBT003 -- fields
+
+
+def _is_yaml(path: Path, data: bytes) -> bool:
+    """By the file suffix; without one (a pipe), by whether the data begins like XML."""
+    return path.suffix in _YAML_SUFFIXES or not (path.suffix or _XML.match(data))

@@ -1,0 +1,130 @@
+"""The policy of a participant: its verified governance and permissions, from a keystore."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from pqsec_pki._files import exists
+from pqsec_pki.access import Decision
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import (
+    CERTIFICATE,
+    ENCLAVES,
+    GOVERNANCE,
+    KEYS,
+    PERMISSIONS,
+    Credentials,
+    TrustAnchors,
+    subject_problems,
+    verify_credentials,
+)
+from pqsec_pki.documents import DomainRule, Governance, Permissions, TopicRule
+from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.keystore import Keystore, enclave_files, load_certificate, regular_name
+from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
+from pqsec_pki.problems import Code
+
+_GRANT_PROBLEMS = {Code.NO_GRANT, Code.GRANT_EXPIRED, Code.GRANT_NOT_YET_VALID}
+"""Problems that are a "no" to an access question, not an error."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyInput:
+    """A participant and the documents that decide its rights."""
+
+    who: str
+    subject: str
+    governance: Loaded[Governance]
+    permissions: Loaded[Permissions]
+
+    def place(self, decision: Decision) -> tuple[Path, int] | None:
+        """The file and line of the rule that decided."""
+        part = decision.decided_by
+        source = self.governance if isinstance(part, DomainRule | TopicRule) else self.permissions
+        line = source.line(part.line) if part else None
+        return (source.path, line) if line else None
+
+    def criteria_line(self, decision: Decision) -> int | None:
+        """The line, in that file, of the criteria of the rule that matched."""
+        return self.permissions.line(decision.criteria.line) if decision.criteria else None
+
+
+def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
+    """The path of that file of a participant. KeystoreError for an unknown participant."""
+    keystore.refuse_unknown(name)
+    return keystore.root / f"{ENCLAVES}{regular_name(name)}" / file
+
+
+def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
+    """The trust anchors of its participants. VerificationError if they are not valid at `now`."""
+    anchors = keystore.anchors
+    problems = anchors.problems(now)
+    if problems:
+        raise VerificationError(*problems)
+    return anchors
+
+
+def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
+    """A participant's certificate. VerificationError if it is not valid, or is revoked."""
+    path = enclave_file(keystore, name, CERTIFICATE)
+    certificate = load_certificate(path)
+    with located(path):
+        problems = (
+            *anchors.identity_problems(certificate, now),
+            *subject_problems(regular_name(name), certificate),
+        )
+        if problems:
+            raise VerificationError(*problems)
+    return certificate
+
+
+def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput:
+    """A participant and its documents. VerificationError if a signature is not valid.
+
+    Verified twice: against the keystore, and against the files of the enclave alone.
+    """
+    keystore.refuse_unknown(name)
+    anchors = anchors_of(keystore, now)
+    check = partial(anchors.verified, now=now)
+    policy_input = PolicyInput(
+        who=regular_name(name),
+        subject=identity_of(keystore, name, anchors, now).subject_name,
+        governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
+        permissions=own_permissions(keystore, name, now, check),
+    )
+    _refuse_enclave(keystore, policy_input.who, now)
+    return policy_input
+
+
+def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
+    """VerificationError if its own stack would refuse the enclave, apart from its grants."""
+    files = enclave_files(keystore.root, name)
+    public = {file: data for file, data in files.items() if file not in KEYS}
+    try:
+        verify_credentials(Credentials.of(name, public), now=now)
+    except VerificationError as error:
+        problems = [each for each in error.problems if each.code not in _GRANT_PROBLEMS]
+        if problems:
+            raise VerificationError(*problems, hint=error.hint) from error
+
+
+def own_permissions(
+    keystore: Keystore, name: str, now: datetime, check: Check | None
+) -> Loaded[Permissions]:
+    """The permissions document of a participant."""
+    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check)
+
+
+def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
+    """The governance document of the keystore."""
+    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check)
+
+
+def own_governance(
+    keystore: Keystore, name: str, shared: Loaded[Governance], check: Check | None
+) -> Governance:
+    """The governance of a participant, normally a link to the shared one."""
+    path = enclave_file(keystore, name, GOVERNANCE)
+    is_shared = not exists(path) or path.samefile(shared.path)
+    return shared.value if is_shared else governance_in(path, check).value
