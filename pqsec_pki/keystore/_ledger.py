@@ -43,6 +43,10 @@ _CERTIFIED = (
 )
 
 
+MAX_TEXT = 16 << 20
+"""Bytes of one text in a line, or of all names in a question; our own lines have under 10,000."""
+
+
 class Ledger:
     """A copy of the database in memory, as of its creation."""
 
@@ -57,6 +61,7 @@ class Ledger:
                     raise self._lost()
                 if data:
                     self._database.deserialize(data)
+                self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TEXT)
                 # The file may contain views and triggers that others put there.
                 self._database.execute("PRAGMA trusted_schema = OFF")
                 self._prepare()
@@ -186,7 +191,9 @@ class Ledger:
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError, OverflowError, RecursionError) as error:
-            raise KeystoreError(f"{self._path}: {otherwise}{error}") from error
+            raise KeystoreError(
+                f"{self._path}: {otherwise}{error}", hint="restore it from a backup"
+            ) from error
 
 
 def check(private: Folder, *, begin: bool) -> None:

@@ -406,6 +406,15 @@ def test_a_ledger_that_does_anything_but_hold_lines_is_not_opened(keystore, stat
             work()
 
 
+def test_a_name_of_many_megabytes_is_refused_before_it_is_read(keystore):
+    """A terminal's escapes are sought in each name: 200 MB took most of a minute."""
+    more = "INSERT INTO ledger SELECT 99, at, operator, 'x', hex(zeroblob(9000000)), NULL, NULL,"
+    alter(keystore, f"{more} 'y', NULL, '{{}}', 'z' FROM ledger WHERE number = 1")
+    for work in (keystore.ledger, lambda: audit(keystore)):
+        with pytest.raises(KeystoreError, match="too big"):
+            work()
+
+
 def test_a_ledger_is_for_its_owner_only(keystore):
     assert (keystore.root / "private/ledger.sqlite3").stat().st_mode & 0o777 == 0o600
 
