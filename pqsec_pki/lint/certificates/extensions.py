@@ -96,10 +96,11 @@ def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
     rows=("KU digitalSignature only",), measured="Fast DDS 3.1.2, 3.6.2",
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
-          -addext keyUsage=critical,digitalSignature
+          -addext basicConstraints=critical,CA:TRUE -addext keyUsage=critical,digitalSignature
     """,
     good=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
+          -addext basicConstraints=critical,CA:TRUE \
           -addext keyUsage=critical,digitalSignature,keyCertSign
     """,
 )  # fmt: skip
@@ -187,12 +188,12 @@ def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext "2.5.29.72=critical,DER:$(openssl pkey -in key.pem -pubout -outform DER |
-            xxd -p -c0)"
+            od -An -v -tx1 | tr -d ' \n')"
     """,
     good=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext "2.5.29.72=DER:$(openssl pkey -in key.pem -pubout -outform DER |
-            xxd -p -c0)"
+            od -An -v -tx1 | tr -d ' \n')"
     """,
 )  # fmt: skip
 def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
@@ -205,7 +206,10 @@ def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
     why="Stacks accept it. Its key could issue certificates that other programs trust.",
     fix="Issue the certificate with basicConstraints=critical,CA:FALSE.",
     measured="taken by " + _ALL,
-    bad="$ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem",
+    bad=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
+          -addext basicConstraints=critical,CA:TRUE
+    """,
     good=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext basicConstraints=critical,CA:FALSE

@@ -86,9 +86,12 @@ def intermediate(file: CertificateFile) -> Iterator[Violation]:
     measured="taken by " + _ALL,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
-          -addext subjectKeyIdentifier=none
+          -addext basicConstraints=critical,CA:TRUE -addext subjectKeyIdentifier=none
     """,
-    good="$ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem",
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext basicConstraints=critical,CA:TRUE
+    """,
 )  # fmt: skip
 def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None:
@@ -108,10 +111,13 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
     fix="Create the CA with basicConstraints=critical,CA:TRUE, which makes it version 3.",
     measured="taken by OpenSSL 3.0, 3.5; Cyclone DDS 0.10.2",
     bad="""
-        $ openssl req -new -key key.pem -subj /CN=CA -out ca.csr
-        $ openssl x509 -req -in ca.csr -signkey key.pem -out identity_ca.cert.pem
+        $ cp elsewhere/version-1.pem identity_ca.cert.pem
+        $ openssl x509 -in identity_ca.cert.pem -noout -text | grep 'Version: 1'
     """,
-    good="$ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem",
+    good=r"""
+        $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
+          -addext basicConstraints=critical,CA:TRUE
+    """,
 )  # fmt: skip
 def version_1_ca(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role is not Role.PARTICIPANT and file.first.version == 1:

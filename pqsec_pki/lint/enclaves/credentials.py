@@ -99,7 +99,7 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     bad=r"""
         $ cp -rL k/enclaves/talker robot
         $ openssl req -x509 -key k/private/identity_ca.key.pem -subj '/CN=Identity CA' -days 3650 \
-          -out robot/identity_ca.cert.pem
+          -addext basicConstraints=critical,CA:TRUE -out robot/identity_ca.cert.pem
     """,
     good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
@@ -126,9 +126,11 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     bad=r"""
         $ cp -rL k/enclaves/talker robot
         $ openssl req -x509 -key key.pem -subj /CN=Middle -out middle.pem \
-          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
+          -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem \
+          -addext basicConstraints=critical,CA:TRUE
         $ openssl req -x509 -key robot/key.pem -subj '/CN=\/talker' -out robot/cert.pem \
-          -CA middle.pem -CAkey key.pem
+          -CA middle.pem -CAkey key.pem \
+          -addext basicConstraints=critical,CA:FALSE -addext authorityKeyIdentifier=keyid
         $ cat k/public/identity_ca.cert.pem middle.pem > robot/identity_ca.cert.pem
     """,
     good="$ cp k/enclaves/talker/cert.pem k/public/identity_ca.cert.pem robot",
