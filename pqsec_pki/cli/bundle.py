@@ -6,7 +6,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
-from pqsec_pki.enrolment import Bundle, flat_name
+from pqsec_pki.enrolment import Bundle, bundle_path, write_bundle
 from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore import regular_name
 
@@ -69,12 +69,12 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
     wanted = names or _names_in(robot)
-    goal = output or Path(f"{flat_name(regular_name(wanted[0]))}.bundle")
+    goal = output or bundle_path(Path(), regular_name(wanted[0]))
     keystore = _settings.open_keystore()
     now = _settings.now()
     made = Bundle.of(keystore, wanted, now=now, keys=not no_keys)
     recipient = _bundles.recipient(seal_for)
-    _bundles.write(made, goal, recipient, force=force, plain_key=plain_key)
+    write_bundle(made, goal, recipient, force=force, plain_key=plain_key)
     if made.has_keys and plain_key:
         _printing.note(
             f"{goal} has private keys without encryption: anybody with the file can read them"

@@ -1,20 +1,20 @@
 """pqsec issue: issue participants."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.enrolment import Bundle
+from pqsec_pki.enrolment import bundle_paths, issue_with_bundles, validate_csrs
 from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import Issued, ParticipantSpec
+from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
 from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
 
@@ -89,29 +89,36 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
-    asked = _bundles.read_requests(requests, keystore.profile, names, patterns)
+    keys = dict[str, PublicKeys]()
+    if requests:
+        found = _bundles.load_requests(requests)
+        keys = validate_csrs(found, keystore.profile, names=names, patterns=patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
-    specs = wanted.specs(tuple(asked) or names, domain_set)
-    specs = [_bundles.with_keys(spec, asked) for spec in specs]
-    goals = _bundles.goals(asked, folder, force=force)
+    specs = wanted.specs(tuple(keys) or names, domain_set)
+    specs = [replace(spec, keys=keys.get(spec.name)) for spec in specs]
+    bundle_paths(keys, folder or Path(), force=force)  # before the passphrase is asked for
     with located(_governance(keystore)):
         governance = Governance.from_xml(document_in(keystore.governance))
     recipient = _bundles.recipient(seal_for)
     authorities = _passphrases.unlock(keystore, passphrase_file)
-    issued = issue_participants(
-        keystore,
-        authorities,
-        specs,
-        now=_settings.now(),
-        force=force,
-        after_revocation=after_revocation,
-        compromised_keys=compromised_keys,
-    )
+    choices: dict[str, Any] = {
+        "now": _settings.now(),
+        "force": force,
+        "after_revocation": after_revocation,
+        "compromised_keys": compromised_keys,
+    }
+    bundles = dict[str, Path]()
+    if requests:
+        made = issue_with_bundles(
+            keystore, authorities, specs, folder or Path(), recipient=recipient, **choices
+        )
+        issued = [each.issued for each in made]
+        bundles = {each.issued.name: each.path for each in made}
+    else:
+        issued = issue_participants(keystore, authorities, specs, **choices)
     _warn(governance, specs)
     note_unsigned_governance(keystore)
-    for name, goal in goals.items():
-        _write_bundle(keystore, name, goal, recipient, force=force)
-    print_issued(keystore, issued, goals)
+    print_issued(keystore, issued, bundles)
 
 
 def _refuse_without_requests(patterns: tuple[str, ...], *others: Path | None) -> None:
@@ -124,14 +131,6 @@ def _policy_names(wanted: ParticipantOptions) -> tuple[str, ...]:
     if not wanted.policy:
         raise UsageError("no participant named", hint="give names, or --policy FILE, or --csr FILE")
     return wanted.policy_names
-
-
-def _write_bundle(
-    keystore: Keystore, name: str, goal: Path, recipient: SealingPublicKey | None, *, force: bool
-) -> None:
-    bundle = Bundle.of(keystore, [name], now=_settings.now())
-    with _printing.with_hint(f"{name} is issued: write its bundle with `pqsec bundle {name}`"):
-        _bundles.write(bundle, goal, recipient, force=force)
 
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:

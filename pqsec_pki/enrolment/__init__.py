@@ -4,10 +4,16 @@ For the commands on the robot (request, install, rollback) and on the CA machine
 (issue --csr, bundle, sign-request). A bundle is the one file that goes to a robot.
 """
 
-from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
 from pqsec_pki.enrolment.credential_store import InstalledSet
 from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.enrolment.install import Installed, install, rollback
+from pqsec_pki.enrolment.issuing import (
+    IssuedBundle,
+    bundle_paths,
+    issue_with_bundles,
+    write_bundle,
+)
 from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
 from pqsec_pki.enrolment.outbox import refresh
 from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
@@ -21,15 +27,19 @@ __all__ = [
     "Bundle",
     "Installed",
     "InstalledSet",
+    "IssuedBundle",
     "Pins",
     "Requested",
     "SignRequest",
     "VerifiedBundle",
     "accept",
+    "bundle_path",
+    "bundle_paths",
     "fingerprint",
     "flat_name",
     "install",
     "is_sealed",
+    "issue_with_bundles",
     "make_sealing_key",
     "name_asked_for",
     "open_sealed",
@@ -42,4 +52,5 @@ __all__ = [
     "sign",
     "validate_csrs",
     "verify_bundle",
+    "write_bundle",
 ]

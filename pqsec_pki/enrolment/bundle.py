@@ -139,6 +139,11 @@ def flat_name(name: str) -> str:
     return name.removeprefix("/").replace("/", "+")
 
 
+def bundle_path(folder: Path, name: str) -> Path:
+    """Where the bundle of the participant is written: fleet+robot1.bundle for /fleet/robot1."""
+    return folder / f"{flat_name(name)}.bundle"
+
+
 def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
     """Write `data` to the file `goal`, and create its folder; errors as in _files.write."""
     with disk_errors(goal.parent):

@@ -18,7 +18,7 @@ from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, only_certificate
 from pqsec_pki.documents import Permissions
 from pqsec_pki.enrolment.archive import Archive
-from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
 from pqsec_pki.enrolment.csr_validation import validate_csrs
 from pqsec_pki.enrolment.participant_spec import policy_file, read_spec, spec_value
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
@@ -168,7 +168,7 @@ def accept(  # noqa: PLR0913 -- the choices are the user's, and by name
     bundles = _answers(Archive.unpack(answer, ANSWER_KIND), asked)
     for bundle in bundles.values():
         verify_bundle(bundle, pins or bundle.roles, now=now)
-    goals = {name: folder / f"{flat_name(name)}.bundle" for name in bundles}
+    goals = {name: bundle_path(folder, name) for name in bundles}
     there = {name for name, goal in goals.items() if _is_there(goal, bundles[name], force=force)}
     for name in (each for each in bundles if each not in there):
         save(goals[name], bundles[name].to_bytes(), force=force)

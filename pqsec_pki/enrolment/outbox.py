@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import read
-from pqsec_pki.enrolment.bundle import Bundle, flat_name, save
+from pqsec_pki.enrolment.bundle import Bundle, bundle_path, save
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import ExistsError, PqsecError
 from pqsec_pki.keystore import Keystore
@@ -21,7 +21,7 @@ def refresh(
     ExistsError for anything else in its place. Errors as in `Bundle.of` and `save`.
     """
     for name in names:
-        goal = folder / f"{flat_name(name)}.bundle"
+        goal = bundle_path(folder, name)
         bundle = Bundle.of(keystore, [name], now=now, keys=False)
         there = _bundle_at(goal, name)
         if there is None or there.sha256 != bundle.sha256:

@@ -1,0 +1,95 @@
+"""Issuing to robots: their requests are certified, and each robot gets a bundle."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki import _files
+from pqsec_pki.algorithms import SealingPublicKey
+from pqsec_pki.enrolment.bundle import Bundle, bundle_path, save
+from pqsec_pki.enrolment.sealed import seal
+from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.lifecycle import Issued, ParticipantSpec, issue
+
+
+@dataclass(frozen=True, slots=True)
+class IssuedBundle:
+    """What was issued to one participant, and the bundle for its robot."""
+
+    issued: Issued
+    path: Path
+
+
+def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by name
+    keystore: Keystore,
+    authorities: Authorities,
+    specs: Sequence[ParticipantSpec],
+    folder: Path,
+    *,
+    now: datetime,
+    recipient: SealingPublicKey | None = None,
+    force: bool = False,
+    after_revocation: bool = False,
+    compromised_keys: bool = False,
+) -> list[IssuedBundle]:
+    """Issue all participants in `specs`, and write a bundle for each into `folder`.
+
+    The specs have the keys of requests (`validate_csrs`); without them `recipient` is needed,
+    whose robot alone can open the bundles. Nothing is issued if a bundle's file exists, unless
+    `force`: ExistsError. Other errors as in `issue`, `Bundle.of` and `save`; after an error of a
+    bundle the participants are issued, and the hint says how to write the bundle.
+    """
+    if recipient is None and any(spec.keys is None for spec in specs):
+        raise UsageError("a bundle with private keys needs the key of its robot")
+    paths = bundle_paths([spec.name for spec in specs], folder, force=force)
+    issued = issue(
+        keystore,
+        authorities,
+        specs,
+        now=now,
+        force=force,
+        after_revocation=after_revocation,
+        compromised_keys=compromised_keys,
+    )
+    for each, path in zip(issued, paths, strict=True):
+        bundle = Bundle.of(keystore, [each.name], now=now)
+        try:
+            write_bundle(bundle, path, recipient, force=force)
+        except FileError as error:
+            error.hint = f"{each.name} is issued: write its bundle with `pqsec bundle {each.name}`"
+            raise
+    return [IssuedBundle(each, path) for each, path in zip(issued, paths, strict=True)]
+
+
+def bundle_paths(names: Iterable[str], folder: Path, *, force: bool = False) -> list[Path]:
+    """The path of each name's bundle. ExistsError if a file exists, unless `force`."""
+    paths = [bundle_path(folder, name) for name in names]
+    if not force:
+        for path in paths:
+            _files.refuse_existing(path)
+    return paths
+
+
+def write_bundle(
+    bundle: Bundle,
+    path: Path,
+    recipient: SealingPublicKey | None = None,
+    *,
+    plain_key: bool = False,
+    force: bool = False,
+) -> None:
+    """Write the bundle, sealed if there is a recipient.
+
+    UsageError if it has private keys, and neither a recipient nor `plain_key` is given. Other
+    errors as in `save`.
+    """
+    if bundle.has_keys and not (recipient or plain_key):
+        raise UsageError(
+            f"the bundle has private keys of {', '.join(bundle.names)}",
+            hint="encrypt it for its robot: --seal-for FILE; or use --plain-key and protect it",
+        )
+    data = bundle.to_bytes()
+    data = seal(data, recipient) if recipient else data
+    save(path, data, private=bundle.has_keys, force=force)
