@@ -1,15 +1,18 @@
-"""pqsec plugin: the security plugin that Cyclone DDS loads."""
+"""pqsec plugin: the security plugin that Cyclone DDS and Fast DDS load."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
 from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.plugin import build, home, units_folder
+from pqsec_pki.errors import UsageError
+from pqsec_pki.plugin import build, home, units_folder, written_units
 
 DEFAULT_FOLDER = Path(".local/lib/pqsec")
 """In the user's home."""
+CYCLONEDDS, FASTDDS = "cyclonedds", "fastdds"
 
 
 def default_folder() -> Path:
@@ -21,29 +24,35 @@ _START = (
     "systemctl --user daemon-reload",
     "systemctl --user enable --now pqsec-agent.service",
 )
+_STOP = "systemctl --user disable --now pqsec-agent.service pqsec-agent.socket"
 
 
 @_help.group()
 def plugin() -> None:
-    """Install the security plugin that Cyclone DDS loads.
+    """Install the security plugin that Cyclone DDS and Fast DDS load.
 
     It authenticates participants with post-quantum keys and decides what they may do;
-    Cyclone DDS's own plugin goes on encrypting. The keys stay with `pqsec agent`.
+    the stack's own plugin goes on encrypting. The keys stay with `pqsec agent`.
     """
 
 
 @plugin.command(
     "install",
     examples={
-        "Install the plugin in ~/.local/lib/pqsec": "pqsec plugin install",
+        "Install the plugin for Cyclone DDS in ~/.local/lib/pqsec": "pqsec plugin install",
         "Replace it, and let systemd start the agent at login": (
             "pqsec plugin install --force --systemd"
         ),
+        "Install it for the Fast DDS of this machine": "pqsec plugin install fastdds",
     },
     exit_codes={
         0: "installed",
-        3: "it cannot be compiled, its test fails, or a file exists or cannot be written",
+        3: "it cannot be compiled, it does not run in the stack, or a file exists or cannot be"
+        " written",
     },
+)
+@click.argument(
+    "stack", type=click.Choice([CYCLONEDDS, FASTDDS]), default=CYCLONEDDS, metavar="[STACK]"
 )
 @click.option(
     "--dir",
@@ -52,20 +61,38 @@ def plugin() -> None:
     help=f"Where to put it. [default: ~/{DEFAULT_FOLDER}]",
 )
 @click.option(
+    "--library",
+    type=_settings.FILE,
+    metavar="PATH",
+    help="With fastdds: compile for this library. [default: the installed libfastrtps or"
+    " libfastdds]",
+)
+@click.option(
     "--systemd",
     is_flag=True,
     help="Write units too, with which systemd keeps an agent from login on.",
 )
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @_settings.command_options
-def install(folder: Path | None, *, systemd: bool, force: bool) -> None:
-    """Compile the library for this machine, and try it.
+def install(
+    stack: str, folder: Path | None, library: Path | None, *, systemd: bool, force: bool
+) -> None:
+    """Compile the plugin for this machine, and try it.
 
-    It needs a C compiler, and nothing of Cyclone DDS. Beside it are put two links by the
-    names that ROS 2 loads.
+    STACK is cyclonedds, the default, or fastdds. For Cyclone DDS it needs a C compiler; beside
+    the library are put two links by the names that ROS 2 loads. For Fast DDS it needs a C++
+    compiler and the headers of the library, and is for that build of the library only.
     """
+    folder = (folder or default_folder()).absolute()
+    if stack == FASTDDS:
+        if systemd:
+            raise UsageError("--systemd is not for fastdds", hint="both stacks use one agent")
+        _install_fastdds(folder, library, force=force)
+        return
+    if library:
+        raise UsageError("--library is for fastdds", hint="Cyclone DDS loads it in any version")
     units = units_folder(os.environ) if systemd else None
-    built = build((folder or default_folder()).absolute(), units=units, force=force)
+    built = build(folder, units=units, force=force)
     value = {"library": str(built.library), "links": [str(link) for link in built.links]}
     lines = [
         f"library   {built.library}",
@@ -75,3 +102,106 @@ def install(folder: Path | None, *, systemd: bool, force: bool) -> None:
         value["units"] = [str(unit) for unit in built.units]
         lines += [f"systemd   {units}", "", *_START]
     _printing.emit(value, lines)
+
+
+def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None:
+    from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- for Fast DDS alone
+    from pqsec_pki.vendors.fastdds_adapter import install as install_fastdds  # noqa: PLC0415
+    from pqsec_pki.vendors.fastdds_library import examine, find_fastdds  # noqa: PLC0415
+
+    stack = examine(library.absolute() if library else find_fastdds())
+    preload = install_fastdds(stack, folder, here(), force=force)
+    value = {
+        "library": str(stack.library.path),
+        "build": stack.library.build,
+        "preload": str(preload),
+    }
+    lines = [
+        f"{stack.title}   {stack.library.path}",
+        f"preload   {preload}",
+        "          set LD_PRELOAD to it, as `pqsec export fastdds NAME --plugin` says",
+    ]
+    _printing.emit(value, lines)
+
+
+@plugin.command(
+    "status",
+    examples={"List what is installed": "pqsec plugin status"},
+    exit_codes={
+        0: "all that is installed runs",
+        1: "nothing is installed, or something must be installed again",
+    },
+)
+@click.option(
+    "--dir",
+    "folder",
+    type=_settings.FOLDER,
+    help=f"The folder of the plugin. [default: ~/{DEFAULT_FOLDER}]",
+)
+@_settings.command_options
+def status(folder: Path | None) -> int:
+    """List what is installed, and for which library of which stack."""
+    from pqsec_pki.vendors.plugin_files import InstalledPlugin, installed_plugins  # noqa: PLC0415
+
+    folder = (folder or default_folder()).absolute()
+    found = installed_plugins(folder)
+
+    def lines() -> Iterator[str]:
+        if not found:
+            yield f"the plugin is not installed in {folder}"
+        for each in found:
+            yield f"{'FAIL' if each.problem else 'ok  '}  {each.title:<16}  {where(each)}"
+            if each.problem:
+                yield f"      {each.problem}: `pqsec plugin install {each.stack}`"
+
+    def where(each: InstalledPlugin) -> str:
+        return str(each.library or each.file)
+
+    value = [
+        {
+            "stack": each.stack,
+            "title": each.title,
+            "file": str(each.file),
+            "library": str(each.library) if each.library else None,
+            "ok": not each.problem,
+            "problem": each.problem or None,
+        }
+        for each in found
+    ]
+    _printing.emit({"folder": str(folder), "installed": value}, lines())
+    return 0 if found and not any(each.problem for each in found) else 1
+
+
+@plugin.command(
+    "uninstall",
+    examples={"Remove the plugin for all stacks": "pqsec plugin uninstall"},
+    exit_codes={0: "removed, or not installed", 3: "a file cannot be removed"},
+)
+@click.option(
+    "--dir",
+    "folder",
+    type=_settings.FOLDER,
+    help=f"The folder of the plugin. [default: ~/{DEFAULT_FOLDER}]",
+)
+@_settings.command_options
+def uninstall(folder: Path | None) -> None:
+    """Remove the plugin for all stacks, and the units for systemd.
+
+    Participants with post-quantum keys are then refused by their stacks.
+    """
+    from pqsec_pki._files import disk_errors  # noqa: PLC0415 -- not for `plugin install`
+    from pqsec_pki.vendors.plugin_files import remove_plugins  # noqa: PLC0415 -- likewise
+
+    folder = (folder or default_folder()).absolute()
+    removed = remove_plugins(folder)
+    units = written_units(units_folder(os.environ))
+    for unit in units:
+        with disk_errors(unit):
+            unit.unlink()
+    lines = [f"removed   {path}" for path in (*removed, *units)]
+    if units:
+        lines += ["", _STOP]
+    _printing.emit(
+        {"removed": [str(path) for path in (*removed, *units)]},
+        lines or [f"the plugin is not installed in {folder}"],
+    )

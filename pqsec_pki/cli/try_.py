@@ -27,7 +27,7 @@ from pqsec_pki.trial import (
     topic_route,
 )
 
-ROS2, PLUGGABLE = "ros2", "cyclonedds"
+ROS2, FASTDDS = "ros2", "fastdds"
 TIMEOUT = 10.0
 _PAIR = 2
 
@@ -82,12 +82,12 @@ _PAIR = 2
     metavar="DIR",
     help="Use the stack in this root file system. [default: the installed one]",
 )
-@click.option("--plugin", is_flag=True, help="Use pqsec's plugin in Cyclone DDS.")
+@click.option("--plugin", is_flag=True, help="Use pqsec's plugin in the stack.")
 @click.option(
     "--stock",
     multiple=True,
     metavar="NAME",
-    help="With --plugin: run this participant with Cyclone DDS's own plugin.",
+    help="With --plugin: run this participant with the stack's own plugin.",
     shell_complete=_completion.participants,
 )
 @click.option("--anyway", is_flag=True, help="Run also what the stack is known to refuse.")
@@ -128,8 +128,9 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
     if not given["anyway"]:
         refuse_untrusted(keystore, names, now)
     route = _route(keystore, names, now, topic=given["topic"], domain=given["domain"])
+    installation = find(stack, given["root"])
     trial = Trial(
-        installation=find(stack, given["root"]),
+        installation=installation,
         keystore=keystore,
         timeout=given["timeout"],
         password=_passphrases.of_key(given["password_file"]),
@@ -137,7 +138,8 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
         stock=given["stock"],
         now=now,
     )
-    with plugin() if given["plugin"] else nullcontext() as ours:
+    fastdds = installation if stack == FASTDDS else None
+    with plugin(fastdds=fastdds) if given["plugin"] else nullcontext() as ours:
         report = run_trial(replace(trial, plugin=ours), route)
     for warning in report.warnings:
         _printing.note(warning)
@@ -147,12 +149,10 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
 
 def _refuse_plugin(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> None:
     """UsageError if --plugin or --stock do not fit the other options."""
-    if given["plugin"] and stack != PLUGGABLE:
+    if given["plugin"] and stack == ROS2:
         raise UsageError(
             f"--plugin is not for {stack}",
-            hint="--dry-run searches for it in LD_LIBRARY_PATH, as ROS 2 does"
-            if stack == ROS2
-            else f"it is for {PLUGGABLE}",
+            hint="--dry-run searches for it in LD_LIBRARY_PATH, as ROS 2 does",
         )
     if unknown := [each for each in given["stock"] if each not in names or not given["plugin"]]:
         raise UsageError(

@@ -8,7 +8,7 @@ and answers with the rooms of this package; private keys never enter the DDS pro
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.build import LIBRARY, NAMES, Built, build
 from pqsec_pki.plugin.control import Status, agent_status, stop_agent
-from pqsec_pki.plugin.units import home, units_folder
+from pqsec_pki.plugin.units import home, units_folder, written_units
 
 __all__ = [
     "LIBRARY",
@@ -21,4 +21,5 @@ __all__ = [
     "home",
     "stop_agent",
     "units_folder",
+    "written_units",
 ]

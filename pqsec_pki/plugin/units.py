@@ -77,6 +77,13 @@ def write_units(units: Mapping[Path, bytes]) -> None:
             _files.write(path, octets, force=True)
 
 
+def written_units(folder: Path) -> list[Path]:
+    """Those in `folder` that `pqsec plugin install --systemd` wrote."""
+    paths = [folder / f"{NAME}.{kind}" for kind in ("socket", "service")]
+    first = _SOCKET.partition("\n")[0].encode()
+    return [path for path in paths if path.is_file() and _files.read(path).startswith(first)]
+
+
 def _quoted(path: str) -> str:
     """As systemd.service(5) reads it between double quotes."""
     for character in ("\\", '"', "%", "$"):

@@ -110,7 +110,7 @@ def _compile(installation: Installation, folder: Path) -> None:
     place = f"/{folder.relative_to(installation.root)}"
     for command in installation.build.commands:
         name = command[0].rpartition("/")[2]
-        code, output = _run(name, installation.tool(command, place))
+        code, output = run_tool(name, installation.tool(command, place))
         if code:
             lines = [line for line in output.splitlines() if "error" in line.lower()]
             words = (lines or output.splitlines() or ["it printed nothing"])[0]
@@ -131,7 +131,7 @@ def _check_linked(installation: Installation, program: Path) -> None:
         )
 
 
-def _run(name: str, command: list[str]) -> tuple[int, str]:
+def run_tool(name: str, command: list[str]) -> tuple[int, str]:
     """The exit code and stderr of `command`; processes that it started are killed."""
     with subprocess.Popen(  # noqa: S603 -- a row's command
         command,

@@ -1,20 +1,28 @@
-"""Compiles pqsec's own plugin when it is first needed, and runs it with an agent for a trial."""
+"""Compiles pqsec's own plugin when it is first needed, and runs it with an agent for a trial.
+
+For Cyclone DDS it is one library; for Fast DDS it is compiled for each build of the stack, by the
+compilers of the root file system that the stack is in.
+"""
 
 import hashlib
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
-from pqsec_pki.plugin.build import SOURCES, command
-from pqsec_pki.trial.building import cache, is_own
+from pqsec_pki.plugin.build import SOURCES, CompileError, command
+from pqsec_pki.trial.building import cache, is_own, run_tool
+from pqsec_pki.trial.installation import MACHINE, Installation
+from pqsec_pki.vendors.fastdds_adapter import Compilers, commands, here, install, sources
+from pqsec_pki.vendors.fastdds_library import FastDds, examine
 
 _RUNTIME = Path("/tmp")  # noqa: S108 -- a socket's path must be short; the folder in it is 0700
 _IDLE = "20"
@@ -36,13 +44,14 @@ class Plugin:
 
 
 @contextmanager
-def plugin(runtime: Path = _RUNTIME) -> Iterator[Plugin]:
+def plugin(runtime: Path = _RUNTIME, *, fastdds: Installation | None = None) -> Iterator[Plugin]:
     """The plugin with its own agent, below `runtime`; the agent is stopped when the block ends.
 
-    CompileError if it does not compile, AgentError if the agent does not start, FileError for
-    a disk error.
+    It is for Cyclone DDS, and with `fastdds` also for that Fast DDS. CompileError if it does not
+    compile, AdapterError if it cannot run in that Fast DDS, AgentError if the agent does not
+    start, FileError for a disk error.
     """
-    folder = _built()
+    folder = _built(fastdds)
     with disk_errors(folder), tempfile.TemporaryDirectory(prefix="pqsec-", dir=runtime) as own:
         place = AgentFolder.of({"XDG_RUNTIME_DIR": own})
         place.prepare()
@@ -50,24 +59,47 @@ def plugin(runtime: Path = _RUNTIME) -> Iterator[Plugin]:
             yield Plugin(folder, {"XDG_RUNTIME_DIR": own, "PQSEC_AGENT": ""})
 
 
-def _built() -> Path:
+def _built(fastdds: Installation | None) -> Path:
     """The folder with the plugin, compiled now unless it is in the user's cache."""
     home = cache()
-    goal = home / f"plugin-{_digest()}"
+    compilers = _compilers(fastdds) if fastdds else None
+    stack = examine(fastdds.library.path, fastdds.root) if fastdds else None
+    goal = home / f"plugin-{_digest(stack, compilers)}"
     if not is_own(goal):
         with disk_errors(goal), tempfile.TemporaryDirectory(dir=home, prefix=".plugin-") as draft:
             made = Path(draft) / "made"
             made.mkdir(mode=0o700)
             build(made)
+            if stack and compilers:
+                install(stack, made, compilers)
             if not is_own(goal):  # another trial may have been faster
                 made.rename(goal)
     return goal
 
 
-def _digest() -> str:
-    """A digest of the plugin's sources and of the compiler's command."""
-    parts = [path.read_bytes() for path in sorted(SOURCES.iterdir()) if path.is_file()]
-    parts += [word.encode() for word in command("cc", Path(LIBRARY))]
+def _compilers(fastdds: Installation) -> Compilers:
+    """Those of its root file system."""
+    if fastdds.root == MACHINE:
+        return here()
+    run = partial(_run_there, fastdds)
+    return Compilers(c="gcc", cxx="g++", run=run, folder=fastdds.root / "tmp")
+
+
+def _run_there(fastdds: Installation, words: Sequence[str], folder: Path) -> None:
+    place = f"/{folder.relative_to(fastdds.root)}"
+    code, said = run_tool(words[0], fastdds.tool(tuple(words), place))
+    if code:
+        raise CompileError(f"the compiler says: {said.strip()[:2000]}")
+
+
+def _digest(stack: FastDds | None, compilers: Compilers | None) -> str:
+    """A digest of the plugin's sources and of the compilers' commands."""
+    files = [path for path in sorted(SOURCES.iterdir()) if path.is_file()]
+    words = list(command("cc", Path(LIBRARY)))
+    if stack and compilers:
+        files += sources()
+        words += [str(stack.root), *(word for line in commands(stack, compilers) for word in line)]
+    parts = [path.read_bytes() for path in files] + [word.encode() for word in words]
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
 

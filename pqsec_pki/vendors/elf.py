@@ -10,7 +10,7 @@ import os
 import re
 import struct
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -46,8 +46,10 @@ class Library:
     """The name by which others load it (DT_SONAME); empty if it says none."""
     needed: tuple[str, ...]
     """The names of those that it loads (DT_NEEDED), in their order."""
+    build_id: str
+    """In hexadecimal; empty for one without."""
     build: str
-    """The build ID in hexadecimal; SHA-256 of the file for one without."""
+    """The build ID; SHA-256 of the file for one without."""
     machine: tuple[int, int]
     """EI_CLASS and e_machine: what sort of processor it is for, in which mode."""
 
@@ -79,13 +81,19 @@ def _own_machine() -> tuple[int, int] | None:
 
 def read_library(path: Path) -> Library:
     """The library at `path`; FileError if it cannot be read, MalformedError if it is not one."""
+    with opened(path) as image:
+        return image.library(resolved(path))
+
+
+@contextmanager
+def opened(path: Path) -> "Iterator[Image]":
+    """The ELF file at `path`, while the block runs; errors as those of read_library."""
     with located(path), disk_errors(path):
-        path = resolved(path)
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        handle = os.open(resolved(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
             if not S_ISREG(os.fstat(handle).st_mode):
                 raise MalformedError("not a library: not a file")
-            return _Image.of(handle).library(path)
+            yield Image.of(handle)
         finally:
             os.close(handle)
 
@@ -99,8 +107,8 @@ class _Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class _Image:
-    """An open ELF file."""
+class Image:
+    """An open ELF file. What is not as it must be is a MalformedError."""
 
     handle: int
     order: str
@@ -128,19 +136,21 @@ class _Image:
         return replace(bare, segments=segments)
 
     def library(self, path: Path) -> Library:
-        entries = list(self._entries())
+        entries = list(self.entries())
         names = {kind: [value for tag, value in entries if tag == kind] for kind in (1, 14)}
         tables = dict(entries)
         if _STRINGS not in tables or _STRINGS_SIZE not in tables:
             raise MalformedError("not a library: it has no names")
-        strings, size = self._offset(tables[_STRINGS]), tables[_STRINGS_SIZE]
+        strings, size = self.offset(tables[_STRINGS]), tables[_STRINGS_SIZE]
         needed = tuple(self._name(strings, size, each) for each in names[_NEEDED])
         sonames = [self._name(strings, size, each) for each in names[_SONAME]]
+        build_id = self._build_id()
         return Library(
             path=path,
             soname=sonames[0] if sonames else "",
             needed=needed,
-            build=self._build_id() or self._digest(),
+            build_id=build_id,
+            build=build_id or self._digest(),
             machine=(2 if self.wide else 1, self.machine),
         )
 
@@ -173,7 +183,7 @@ class _Image:
         offset, address, _, size = rest[1:5] if self.wide else rest[0:4]
         return _Segment(kind, offset, address, size)
 
-    def _entries(self) -> Iterator[tuple[int, int]]:
+    def entries(self) -> Iterator[tuple[int, int]]:
         """(tag, value) of each entry of the dynamic section."""
         found = [each for each in self.segments if each.kind == _DYNAMIC]
         if len(found) != 1 or found[0].size > MAX_DYNAMIC:
@@ -185,7 +195,7 @@ class _Image:
                 return
             yield tag, value
 
-    def _offset(self, address: int) -> int:
+    def offset(self, address: int) -> int:
         """Where in the file what is loaded at `address` stands."""
         for each in self.segments:
             if each.kind == _LOAD and 0 <= address - each.address < each.size:

@@ -3,9 +3,14 @@
 The two differ in the name space, which only `fastdds xml validate` looks at, and in the
 variable that names the file. From 2.12 on, ${NAME} in a value is replaced by the variable;
 there is no way to write it so that it is not.
+
+pqsec's own plugin takes the place of Fast DDS's under the same names. Fast DDS runs without
+security if it does not know a plugin's name, so a process that does not preload ours must find
+the names of Fast DDS's, which refuse post-quantum keys.
 """
 
 import re
+from pathlib import Path
 
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -16,11 +21,14 @@ from pqsec_pki.credentials import (
     PERMISSIONS_CA,
     REVOCATION_LIST,
 )
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import FileError, UsageError, shown
 from pqsec_pki.lint import Finding, Severity
+from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors.cyclone_plugins import agree, in_words
 from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import FOLDER, Export, Options
+from pqsec_pki.vendors.fastdds_adapter import installed
 
 FILE = "fastdds.xml"
 NAMESPACES = {
@@ -34,6 +42,13 @@ LIMITED = ((2, 14, 4), (3, 0, 2), (3, 1, 1), (3, 1, 2), (3, 1, 3), (3, 2, 0), (3
 """The versions that cannot send them. 3.1.2 was run, the others' source was read."""
 
 _AUTH, _ACCESS = "dds.sec.auth.builtin.PKI-DH", "dds.sec.access.builtin.Access-Permissions"
+_UNREAD = "Fast DDS runs unsecured, with a message only, where it cannot read that file"
+_UNFIT = re.compile(r"[\s:$]")
+"""What separates paths in LD_PRELOAD, or is replaced there (ld.so(8))."""
+_CAPABLE = (
+    "programs with file capabilities or setuid preload nothing: there Fast DDS refuses"
+    " post-quantum keys"
+)
 _REPLACED = re.compile(r"\$\{[A-Z_][A-Z0-9_]*\}")
 
 
@@ -41,6 +56,11 @@ def export(enclave: Enclave, options: Options) -> Export:
     """The file of profiles, and the variable that names it to the process."""
     generations = [options.release[0]] if options.release else [2, 3]
     properties = _properties(enclave, options)
+    environment = {VARIABLES[each]: f"{FOLDER}/{FILE}" for each in generations}
+    notes: tuple[str, ...] = (_UNREAD,)
+    if options.plugin:
+        environment[own_plugin.PRELOAD_VARIABLE] = str(_preloaded(options.plugin, options))
+        notes += (own_plugin.NOTE, _CAPABLE)
     if any(map(_REPLACED.search, properties.values())):
         raise UsageError(
             "a path or the passphrase holds ${NAME}, which Fast DDS would replace",
@@ -58,14 +78,39 @@ def export(enclave: Enclave, options: Options) -> Export:
                 loopback=options.loopback,
             )
         },
-        environment={VARIABLES[each]: f"{FOLDER}/{FILE}" for each in generations},
-        notes=("Fast DDS runs unsecured, with a message only, where it cannot read that file",),
+        environment=environment,
+        notes=notes,
         is_private=options.password is not None,
     )
 
 
+def _preloaded(folder: Path, options: Options) -> Path:
+    """The preload library; UsageError where the loader cannot be told of it, FileError if it is
+    not for the Fast DDS that is installed."""
+    path = folder.absolute() / own_plugin.PRELOAD
+    if unfit := _UNFIT.search(str(path)):
+        raise UsageError(
+            f"{shown(str(folder))}: the loader preloads nothing from a folder with {unfit[0]!r} in"
+            " its name",
+            hint="install the plugin elsewhere: `pqsec plugin install fastdds --dir DIR`",
+        )
+    if options.at is None:  # what another machine has is not to be seen here
+        there = [each for each in installed(folder) if agree(each.release, options.release)]
+        if not any(not each.problem for each in there):
+            why = "; ".join(f"{each.library}: {each.problem}" for each in there)
+            meant = f" {in_words(options.release)}" if options.release else ""
+            raise FileError(
+                f"the plugin in {shown(str(folder))} is not for the Fast DDS{meant} that is"
+                f" installed{': ' if why else ''}{why}",
+                hint="`pqsec plugin install fastdds` compiles it for that one",
+            )
+    return path
+
+
 def severity(finding: Finding, options: Options) -> Severity | None:
-    """Messages over 8192 bytes stop some versions, and do not matter to others."""
+    """Messages over 8192 bytes stop some versions, and do not matter to others or to our plugin."""
+    if options.plugin:
+        return own_plugin.severity(finding, options)
     meant = options.release
     if finding.rule.id != OVER_LIMIT:
         return finding.rule.severity
@@ -86,8 +131,9 @@ def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
         found[f"{_AUTH}.password"] = _password(options)
     if enclave.has_crl:
         found[f"{_AUTH}.identity_crl"] = enclave.uri(REVOCATION_LIST)
-    # 2.10.7, 2.14.5, 3.0.2, 3.1.1 and later; others pass over it and use DH.
-    found[f"{_AUTH}.preferred_key_agreement"] = "ECDH"
+    if not options.plugin:
+        # 2.10.7, 2.14.5, 3.0.2, 3.1.1 and later; others pass over it and use DH.
+        found[f"{_AUTH}.preferred_key_agreement"] = "ECDH"
     found |= {
         "dds.sec.access.plugin": "builtin.Access-Permissions",
         f"{_ACCESS}.permissions_ca": enclave.uri(PERMISSIONS_CA),

@@ -17,7 +17,9 @@ from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.vendors.enclave import Enclave, standard_properties
 from pqsec_pki.vendors.export import Options
 
-PATH = "LD_LIBRARY_PATH"
+PRELOAD = "libpqsec_fastdds.so"
+"""What a process of Fast DDS preloads."""
+PATH, PRELOAD_VARIABLE = "LD_LIBRARY_PATH", "LD_PRELOAD"
 NOTE = (
     "the process starts pqsec's agent, or finds it by XDG_RUNTIME_DIR;"
     " PQSEC_AGENT=private gives it one of its own"
@@ -29,9 +31,10 @@ _ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
 def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
     """FileError unless the plugin is in `folder`, by these names."""
     if missing := [name for name in names if not _is_file(folder / name)]:
+        command = "pqsec plugin install" + (" fastdds" if missing[0] == PRELOAD else "")
         raise FileError(
             f"the plugin is not installed: {folder} has no {missing[0]}",
-            hint="`pqsec plugin install` puts it there; --plugins says where else it is",
+            hint=f"`{command}` puts it there; --plugins says where else it is",
         )
 
 

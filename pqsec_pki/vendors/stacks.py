@@ -12,6 +12,7 @@ from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import Export, Options, Version
+from pqsec_pki.vendors.own_plugin import PRELOAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +96,7 @@ STACKS = (
         first=(2,),
         end=(4,),
         knows_loopback=True,
+        loads_ours=(PRELOAD,),
         evidence="run",
     ),
     Stack(
@@ -200,7 +202,7 @@ def _refuse_plugin(stack: Stack, options: Options) -> None:
     if options.plugin is None:
         return
     if not stack.loads_ours:
-        able = " and ".join(each.name for each in STACKS if each.loads_ours)
+        able = ", ".join(each.name for each in STACKS if each.loads_ours)
         raise UsageError(f"{stack.title} cannot load pqsec's plugin", hint=f"it is for {able}")
     if options.at and not options.plugin.is_absolute():
         raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")

@@ -1,0 +1,228 @@
+/* What LD_PRELOAD loads: it defines the functions by which Fast DDS makes its security plugins,
+ * and hands out those of the adapter that was compiled for exactly that library.
+ *
+ * It needs libc alone: a shell or an interpreter that never loads Fast DDS is not disturbed. Where
+ * there is no adapter, it hands out plugins that refuse. NULL would be wrong: Fast DDS then runs
+ * without security. */
+
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <elf.h>
+#include <link.h>
+#include <pthread.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define EXPORT __attribute__((visibility("default")))
+#define ADVICE "; run `pqsec plugin install fastdds`"
+
+enum { MAX_ID = 32, MAX_PATH = 4096, MAX_ADAPTERS = 8 };
+
+/* The functions of Fast DDS 2.x and 3.x, by their names in the library. */
+#define FACTORY(space, which) \
+  "_ZN8eprosima" space "4rtps8security21SecurityPluginFactory" which "ERKNS1_14PropertyPolicyE"
+#define SIZE(space) \
+  "_ZN8eprosima" space "4rtps16DataHolderHelper15serialized_sizeERKSt6vectorINS1_10DataHolderESaIS4_EEm"
+#define IN_2 "8fastrtps"
+#define IN_3 "7fastdds"
+#define AUTHENTICATION "28create_authentication_plugin"
+#define ACCESS_CONTROL "28create_access_control_plugin"
+
+typedef void *(*factory)(void *self, const void *policy);
+typedef void *(*maker)(const void *policy, factory original, void *self);
+typedef size_t (*sizer)(const void *tokens, size_t alignment);
+
+/* ---- Plugins that refuse: objects with a table of virtual functions, as C++ lays them out. */
+
+enum { BEFORE = 2, SLOTS = 40, ROOM = 240 };
+
+struct refusing { const void *const *table; uint8_t room[ROOM]; };
+
+static uintptr_t validation_failed(void) { return 1; } /* ValidationResult_t */
+static uintptr_t nothing(void) { return 0; }           /* false, or no handle */
+static void destroy(void *object) { (void)object; }
+
+#define FOUR(f) (const void *)(f), (const void *)(f), (const void *)(f), (const void *)(f)
+#define TABLE(f)                                                                      \
+  {                                                                                   \
+    NULL, NULL, (const void *)destroy, (const void *)free, FOUR(f), FOUR(f), FOUR(f), \
+        FOUR(f), FOUR(f), FOUR(f), FOUR(f), FOUR(f), FOUR(f)                          \
+  }
+
+static const void *const no_authentication[BEFORE + SLOTS] = TABLE(validation_failed);
+static const void *const no_access_control[BEFORE + SLOTS] = TABLE(nothing);
+
+struct plugin { const char *maker; const void *const *refusing; };
+
+static const struct plugin authentication = {"pqsec_authentication", no_authentication};
+static const struct plugin access_control = {"pqsec_access_control", no_access_control};
+
+static void *refuse(const struct plugin *plugin, const char *why, const char *library)
+{
+  fprintf(stderr, "pqsec: Fast DDS makes no secured participant: %s %s%s\n", why, library, ADVICE);
+  struct refusing *object = calloc(1, sizeof *object);
+  if (object == NULL)
+    abort(); /* neither a plugin nor a refusal can be given */
+  object->table = plugin->refusing + BEFORE;
+  return object;
+}
+
+/* ---- The library that calls, and its build ID */
+
+struct caller { uintptr_t address; const char *name; char id[2 * MAX_ID + 1]; };
+
+static void read_id(struct caller *caller, const ElfW(Nhdr) *note, const uint8_t *value)
+{
+  for (uint32_t i = 0; i < note->n_descsz && i < MAX_ID; i++)
+    snprintf(caller->id + 2 * i, 3, "%02x", value[i]);
+}
+
+static void read_notes(struct caller *caller, const uint8_t *at, size_t left, size_t align)
+{
+  while (left >= sizeof(ElfW(Nhdr))) {
+    const ElfW(Nhdr) *note = (const void *)at;
+    size_t value = (sizeof *note + note->n_namesz + align - 1) / align * align;
+    size_t size = (value + note->n_descsz + align - 1) / align * align;
+    if (value + note->n_descsz > left)
+      return;
+    if (note->n_type == NT_GNU_BUILD_ID && note->n_namesz == sizeof "GNU" &&
+        memcmp(note + 1, "GNU", sizeof "GNU") == 0)
+      read_id(caller, note, at + value);
+    if (size > left)
+      return;
+    at += size;
+    left -= size;
+  }
+}
+
+static int look(struct dl_phdr_info *info, size_t size, void *data)
+{
+  struct caller *caller = data;
+  bool inside = false;
+  (void)size;
+  for (int i = 0; i < info->dlpi_phnum; i++) {
+    const ElfW(Phdr) *each = info->dlpi_phdr + i;
+    uintptr_t start = info->dlpi_addr + each->p_vaddr;
+    inside |= each->p_type == PT_LOAD && caller->address - start < each->p_memsz;
+  }
+  if (!inside)
+    return 0;
+  caller->name = info->dlpi_name;
+  for (int i = 0; i < info->dlpi_phnum; i++) {
+    const ElfW(Phdr) *each = info->dlpi_phdr + i;
+    if (each->p_type == PT_NOTE)
+      read_notes(caller, (const uint8_t *)(info->dlpi_addr + each->p_vaddr), each->p_memsz,
+                 each->p_align == 8 ? 8 : 4);
+  }
+  return 1;
+}
+
+static struct caller caller_at(const void *address)
+{
+  struct caller caller = {.address = (uintptr_t)address, .name = ""};
+  dl_iterate_phdr(look, &caller);
+  return caller;
+}
+
+/* A function of the library that calls, whatever the scope that it was loaded into. */
+static void *original_of(const struct caller *caller, const char *symbol)
+{
+  void *library = dlopen(caller->name, RTLD_NOW | RTLD_NOLOAD);
+  void *found = library != NULL ? dlsym(library, symbol) : NULL;
+  if (library != NULL)
+    dlclose(library); /* it is loaded: it runs */
+  return found;
+}
+
+/* ---- The adapter for that build */
+
+static void *opened(const char *id)
+{
+  Dl_info own;
+  char path[MAX_PATH];
+  const char *end = dladdr((void *)refuse, &own) ? strrchr(own.dli_fname, '/') : NULL;
+  if (end == NULL)
+    return NULL;
+  int folder = (int)(end - own.dli_fname);
+  int size = snprintf(path, sizeof path, "%.*s/pqsec-fastdds-%s.so", folder, own.dli_fname, id);
+  return size < MAX_PATH ? dlopen(path, RTLD_NOW | RTLD_LOCAL) : NULL;
+}
+
+/* It is never closed: the stack may be anywhere in it. */
+static void *adapter_for(const char *id)
+{
+  static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+  static struct { char id[2 * MAX_ID + 1]; void *library; } known[MAX_ADAPTERS];
+  void *found = NULL;
+  pthread_mutex_lock(&mutex);
+  for (int i = 0; i < MAX_ADAPTERS && found == NULL; i++) {
+    if (known[i].library == NULL) {
+      found = known[i].library = opened(id);
+      strcpy(known[i].id, id);
+      break;
+    }
+    if (strcmp(known[i].id, id) == 0)
+      found = known[i].library;
+  }
+  pthread_mutex_unlock(&mutex);
+  return found;
+}
+
+static void *make(const struct plugin *plugin, const char *symbol, void *self, const void *policy,
+                  const void *address)
+{
+  struct caller caller = caller_at(address);
+  if (caller.id[0] == '\0')
+    return refuse(plugin, "it has no build ID:", caller.name);
+  void *adapter = adapter_for(caller.id);
+  if (adapter == NULL)
+    return refuse(plugin, "pqsec's plugin was not compiled for this build of", caller.name);
+  const char *id = dlsym(adapter, "pqsec_build_id");
+  if (id == NULL || strcmp(id, caller.id) != 0)
+    return refuse(plugin, "pqsec's plugin is for another build than", caller.name);
+  factory original = (factory)original_of(&caller, symbol);
+  maker make_ours = (maker)dlsym(adapter, plugin->maker);
+  if (original == NULL || make_ours == NULL)
+    return refuse(plugin, "pqsec's plugin is incomplete for", caller.name);
+  return make_ours(policy, original, self);
+}
+
+#define DEFINE_FACTORY(name, space, which, plugin)                                       \
+  EXPORT void *name(void *self, const void *policy) __asm__(FACTORY(space, which));      \
+  void *name(void *self, const void *policy)                                             \
+  {                                                                                      \
+    return make(&plugin, FACTORY(space, which), self, policy, __builtin_return_address(0)); \
+  }
+
+DEFINE_FACTORY(authentication_2, IN_2, AUTHENTICATION, authentication)
+DEFINE_FACTORY(access_control_2, IN_2, ACCESS_CONTROL, access_control)
+DEFINE_FACTORY(authentication_3, IN_3, AUTHENTICATION, authentication)
+DEFINE_FACTORY(access_control_3, IN_3, ACCESS_CONTROL, access_control)
+
+/* ---- The size of handshake messages
+ *
+ * Fast DDS reserves as many bytes as a message has, and then writes it only if one more is left:
+ * messages over 8192 bytes (2.14.4 to 3.2.2), or over the smallest transport's maxMessageSize
+ * (2.9.1), are lost. So some more are asked for. What is sent is as long as what was written. */
+
+enum { SPARE = 8 };
+
+static size_t sized(const char *symbol, const void *tokens, size_t alignment, const void *address)
+{
+  struct caller caller = caller_at(address);
+  sizer original = (sizer)original_of(&caller, symbol);
+  return (original != NULL ? original(tokens, alignment) : 0) + SPARE;
+}
+
+#define DEFINE_SIZE(name, space)                                                    \
+  EXPORT size_t name(const void *tokens, size_t alignment) __asm__(SIZE(space));    \
+  size_t name(const void *tokens, size_t alignment)                                 \
+  {                                                                                 \
+    return sized(SIZE(space), tokens, alignment, __builtin_return_address(0));      \
+  }
+
+DEFINE_SIZE(size_2, IN_2)
+DEFINE_SIZE(size_3, IN_3)

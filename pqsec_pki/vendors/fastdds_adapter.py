@@ -1,0 +1,189 @@
+"""pqsec's plugin for Fast DDS: compiled for one build of the library, and compared with it.
+
+The preload library (C) catches the functions by which Fast DDS makes its plugins, and opens the
+adapter (C++) whose name has the build ID of the library that calls. So another build of Fast DDS
+gets no plugin that was made for this one.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from os import environ
+from pathlib import Path
+
+from pqsec_pki import __version__, _files
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.plugin.build import SOURCES, CompileError, compiler
+from pqsec_pki.vendors._symbols import read_symbols
+from pqsec_pki.vendors.elf import read_library
+from pqsec_pki.vendors.export import Version
+from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, FastDds, table_of
+from pqsec_pki.vendors.own_plugin import PRELOAD
+
+ADAPTER, RECORD = "pqsec-fastdds-{}.so", "pqsec-fastdds-{}.json"
+"""By the build ID of the library that they are for."""
+FASTDDS_SOURCES = SOURCES.with_name("fastdds")
+
+_SHIM = ("wire.c", "frames.c", "link.c", "agent.c")
+_ADAPTER = ("agent.cpp", "authentication.cpp", "access_control.cpp")
+_FLAGS = (
+    *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),
+    *("-U_FORTIFY_SOURCE", "-D_FORTIFY_SOURCE=2"),
+)
+_LINKED = ("-shared", "-Wl,-z,relro", "-Wl,-z,now", "-Wl,-z,defs", "-Wl,-z,nodelete")
+_SECONDS = 300
+_DESTRUCTORS = 2
+
+Run = Callable[[Sequence[str], Path], None]
+"""Runs a command of a compiler in a folder; CompileError with its words if it fails."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compilers:
+    """Commands, and how to run them."""
+
+    c: str
+    cxx: str
+    run: Run
+    folder: Path | None = None
+    """Where they see folders of this process; None for everywhere."""
+
+
+def here() -> Compilers:
+    """The compilers of this machine; CompileError if there are none."""
+    cxx = shutil.which(environ.get("CXX") or "c++")
+    if cxx is None:
+        raise CompileError("there is no C++ compiler", hint="install one: apt-get install g++")
+    return Compilers(c=compiler(), cxx=cxx, run=_run)
+
+
+def compile_adapter(stack: FastDds, folder: Path, compilers: Compilers) -> None:
+    """Compile both libraries into `folder`, an empty one that the compilers can see.
+
+    CompileError if that fails, AdapterError if the adapter's functions are not those that the
+    library calls.
+    """
+    for source in sources():
+        (folder / source.name).write_bytes(source.read_bytes())
+    for command in commands(stack, compilers):
+        compilers.run(command, folder)
+    _refuse_unlike(stack, folder / ADAPTER.format(stack.library.build))
+
+
+def sources() -> list[Path]:
+    """All that is compiled."""
+    shim = [path for path in SOURCES.glob("*.h") if path.is_file()]
+    return sorted([*shim, *(SOURCES / name for name in _SHIM), *FASTDDS_SOURCES.glob("*.[ch]*")])
+
+
+def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
+    """What compiles them, in a folder with the sources."""
+    build = stack.library.build
+    python = f'-DPQSEC_PYTHON="{sys.executable}"'
+    yield [compilers.c, "-std=c11", *_FLAGS, python, "-c", *_SHIM]
+    yield [
+        *(compilers.cxx, "-std=c++17", "-fno-ipa-icf", *_FLAGS, *_LINKED),
+        *(f"-DPQSEC_FASTDDS={stack.generation}", f'-DPQSEC_BUILD_ID="{build}"'),
+        *(["-DPQSEC_BY_PROPERTIES=1"] if stack.by_properties else []),
+        *("-I.", f"-I{stack.seen(stack.include)}", "-o", ADAPTER.format(build), *_ADAPTER),
+        *(name.replace(".c", ".o") for name in _SHIM),
+        *(stack.seen(stack.library.path), f"-L{stack.seen(stack.library.path.parent)}"),
+        "-lfastcdr",
+    ]
+    yield [compilers.c, "-std=c11", *_FLAGS, *_LINKED, "-o", PRELOAD, "preload.c", "-ldl"]
+
+
+def _run(command: Sequence[str], folder: Path) -> None:
+    try:
+        done = subprocess.run(  # noqa: S603 -- the user's own compiler
+            command, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise CompileError(f"the compiler cannot be run: {error}") from error
+    if done.returncode != 0:
+        raise CompileError(f"the compiler says: {done.stderr.strip()[:2000]}")
+
+
+def _refuse_unlike(stack: FastDds, adapter: Path) -> None:
+    """AdapterError unless the slots of the adapter's classes have the library's names and types."""
+    tables = {own: table_of(stack.generation, own) for own in PLUGINS.values()}
+    found = read_symbols(adapter, tables.values()).tables
+    for (theirs, own), slots in zip(PLUGINS.items(), stack.tables, strict=True):
+        ours = found.get(tables[own], ())
+        alike = [
+            {each.replace(theirs, own, 1) for each in one} & other
+            for one, other in zip(slots, ours, strict=False)
+        ]
+        if len(slots) != len(ours) or not all(alike[_DESTRUCTORS:]):
+            raise AdapterError(
+                f"the functions of {stack.title}'s plugins are not those that pqsec knows"
+                f" ({theirs.lstrip('0123456789')}: {len(slots)}, pqsec's: {len(ours)})",
+                hint="use another version of Fast DDS, or tell pqsec's authors of this one",
+            )
+
+
+def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool = False) -> Path:
+    """Compile both into `folder`, with a record of the library; the path of the preload library.
+
+    What was installed for an earlier build at the same path is removed. ExistsError if it is
+    installed for this build, unless `force`; else as compile_adapter.
+    """
+    adapter, record = (folder / name.format(stack.library.build) for name in (ADAPTER, RECORD))
+    if not force:
+        _files.refuse_existing(adapter)
+    with tempfile.TemporaryDirectory(prefix="pqsec-", dir=compilers.folder) as name:
+        compile_adapter(stack, Path(name), compilers)
+        made = {path: _files.read(Path(name, path)) for path in (PRELOAD, adapter.name)}
+    value = {
+        "library": str(stack.library.path),
+        "build": stack.library.build,
+        "version": stack.version,
+        "pqsec": __version__,
+    }
+    with _files.disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        _files.write(folder / PRELOAD, made[PRELOAD], force=True)
+        _files.write(adapter, made[adapter.name], force=True)
+        _files.write(record, json.dumps(value).encode() + b"\n", force=True)
+        for each in installed(folder):
+            if each.library == stack.library.path and each.build != stack.library.build:
+                for name in (ADAPTER, RECORD):
+                    (folder / name.format(each.build)).unlink(missing_ok=True)
+    return folder / PRELOAD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Installed:
+    """An adapter that is installed, and the library that it was compiled for."""
+
+    library: Path
+    build: str
+    release: Version
+
+    @property
+    def problem(self) -> str:
+        """Why it does not run in the library at that path; empty if it does."""
+        try:
+            build = read_library(self.library).build
+        except PqsecError as error:
+            return str(error)
+        return "" if build == self.build else "the library was updated since"
+
+
+def installed(folder: Path) -> list[Installed]:
+    """Those in `folder`; a record that cannot be read is left out."""
+    found = []
+    for path in sorted(folder.glob(RECORD.format("*"))):
+        with suppress(PqsecError, ValueError, KeyError, TypeError):
+            value = json.loads(_files.read(path))
+            build = str(value["build"])
+            if path.name == RECORD.format(build) and (folder / ADAPTER.format(build)).is_file():
+                release = tuple(int(number) for number in value["version"])
+                library = Path(str(value["library"]))
+                found.append(Installed(library=library, build=build, release=release))
+    return found

@@ -1,0 +1,71 @@
+"""The files of pqsec's plugin in a folder: what is installed for which stack, and removing it."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.vendors.cyclone_plugins import in_words
+from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
+from pqsec_pki.vendors.own_plugin import PRELOAD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstalledPlugin:
+    """pqsec's plugin for one stack."""
+
+    stack: str
+    """What a user types."""
+    title: str
+    """The stack and its version, as far as the plugin is for one."""
+    file: Path
+    """What the stack loads."""
+    library: Path | None = None
+    """The library of the stack that it was compiled for, if for one."""
+    problem: str = ""
+    """Why it does not run in that library."""
+
+
+def installed_plugins(folder: Path) -> list[InstalledPlugin]:
+    """Those in `folder`; FileError if it cannot be read."""
+    with disk_errors(folder):
+        return list(_installed(folder))
+
+
+def _installed(folder: Path) -> Iterator[InstalledPlugin]:
+    if (folder / LIBRARY).is_file():
+        yield InstalledPlugin(stack="cyclonedds", title="Cyclone DDS", file=folder / LIBRARY)
+    missing = "" if (folder / PRELOAD).is_file() else f"{PRELOAD} is missing"
+    for each in installed(folder):
+        yield InstalledPlugin(
+            stack="fastdds",
+            title=f"Fast DDS {in_words(each.release)}",
+            file=folder / PRELOAD,
+            library=each.library,
+            problem=missing or each.problem,
+        )
+
+
+def remove_plugins(folder: Path) -> list[Path]:
+    """Remove all files of pqsec's plugin from `folder`, and the folder if that leaves it empty.
+
+    What was removed; FileError if that is not allowed. Other files stay.
+    """
+    with disk_errors(folder):
+        removed = list(_files_in(folder))
+        for path in removed:
+            path.unlink()
+        with suppress(OSError):  # it has other files, or is not there
+            folder.rmdir()
+    return removed
+
+
+def _files_in(folder: Path) -> Iterator[Path]:
+    for name in NAMES:
+        path = folder / name
+        if path.is_symlink() and path.readlink() == Path(LIBRARY):
+            yield path
+    for pattern in (LIBRARY, PRELOAD, ADAPTER.format("*"), RECORD.format("*")):
+        yield from (path for path in sorted(folder.glob(pattern)) if path.is_file())
