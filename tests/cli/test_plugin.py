@@ -1,5 +1,6 @@
 """pqsec plugin and pqsec agent, as their users see them."""
 
+import json
 import os
 import re
 import shutil
@@ -37,6 +38,64 @@ def test_the_plugin_is_compiled_and_tried_and_never_overwritten_unasked(pqsec, r
     assert (folder / "libpqsec_dds.so").stat().st_ino == before
     pqsec(f"plugin install --dir {folder} --force").done()
     assert (folder / "libpqsec_dds.so").stat().st_ino != before
+
+
+def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
+    pqsec, requires, monkeypatch, tmp_path
+):
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    folder = tmp_path / "lib"
+    nothing = pqsec(f"plugin status --dir {folder}")
+    assert (nothing.code, nothing.out) == (1, f"the plugin is not installed in {folder}\n")
+    pqsec(f"plugin install --systemd --dir {folder}").done()
+    (folder / "libpqsec_fastdds.so").touch()
+    record = {"library": str(tmp_path / "libfastrtps.so"), "build": "00ff", "version": [2, 9, 1]}
+    (folder / "pqsec-fastdds-00ff.json").write_text(json.dumps(record))
+    (folder / "pqsec-fastdds-00ff.so").touch()
+    listed = pqsec(f"plugin status --dir {folder}")
+    assert listed.code == 1
+    assert listed.out.startswith(f"ok    Cyclone DDS       {folder / 'libpqsec_dds.so'}\n")
+    assert f"FAIL  Fast DDS 2.9.1    {tmp_path / 'libfastrtps.so'}" in listed.out
+    assert "`pqsec plugin install fastdds`" in listed.out
+    found = pqsec(f"plugin status --dir {folder} --json").json["installed"]
+    assert [(each["stack"], each["ok"]) for each in found] == [
+        ("cyclonedds", True),
+        ("fastdds", False),
+    ]
+    removed = pqsec(f"plugin uninstall --dir {folder} --json").done().json["removed"]
+    assert len(removed) == 8
+    assert not folder.exists()
+    assert not list((tmp_path / "config/systemd/user").iterdir())
+    assert pqsec(f"plugin uninstall --dir {folder}").done().out.startswith("the plugin is not")
+
+
+def test_a_file_of_the_users_own_is_not_uninstalled(pqsec, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    (tmp_path / "lib").mkdir()
+    for name in ("libpqsec_dds.so", "libdds_security_auth.so", "mine.so"):
+        (tmp_path / "lib" / name).write_text("mine")
+    pqsec(f"plugin uninstall --dir {tmp_path / 'lib'}").done()
+    left = {path.name for path in (tmp_path / "lib").iterdir()}
+    assert left == {"libdds_security_auth.so", "mine.so"}
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("plugin install --library x", "--library is for fastdds"),
+        ("plugin install fastdds --systemd", "--systemd is not for fastdds"),
+    ],
+)
+def test_an_option_of_the_other_stack_is_refused(pqsec, line, words):
+    pqsec(line).refused(2, words)
+
+
+def test_a_library_that_is_not_fast_dds_is_refused_with_the_reason(pqsec, library, tmp_path):
+    (tmp_path / "x.so").write_bytes(library("libx.so.1", build="00"))
+    line = f"plugin install fastdds --library {tmp_path / 'x.so'} --dir {tmp_path / 'lib'}"
+    pqsec(line).refused(3, "does not export the functions", hint="-DSECURITY=ON")
+    assert not (tmp_path / "lib").exists()
 
 
 @pytest.mark.parametrize(

@@ -74,10 +74,10 @@ def find_compiler() -> str | None:
     return shutil.which("g++") if _HEADER.exists() else None
 
 
-def build(compiler: str, folder: Path) -> ctypes.CDLL:
-    """The shim, compiled into `folder` and loaded."""
+def build(compiler: str, folder: Path, *first: str | Path) -> ctypes.CDLL:
+    """The shim, compiled into `folder` and loaded; linked to `first` before Fast DDS."""
     library = folder / "libfastdds_shim.so"
-    options = ["-std=c++17", "-shared", "-fPIC", "-o", library, _SHIM, "-lfastrtps"]
+    options = ["-std=c++17", "-shared", "-fPIC", "-o", library, _SHIM, *first, "-lfastrtps"]
     done = subprocess.run([compiler, *options], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     shim = ctypes.CDLL(str(library))

@@ -82,6 +82,10 @@ class PqsecAuthentication : public Authentication {
                                               const DataHolder& token, const GUID_t& guid,
                                               SecurityException& exception) override {
     return guarded(exception, VALIDATION_FAILED, [&] {
+      if (token.class_id().empty()) {
+        pqsec::tell(exception, "pqsec: a participant without an identity token is not let in");
+        return VALIDATION_FAILED;
+      }
       const auto octets = pqsec::octets_of(guid);
       const agent::token* no_request = nullptr;
       pqsec::Given request;  // Fast DDS has no way to send it

@@ -1,5 +1,6 @@
 """The plugin, compiled for this run, and an agent of its own that nobody else meets."""
 
+import ctypes
 import os
 import shutil
 import signal
@@ -13,6 +14,9 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.plugin import AgentFolder, agent_status, build, stop_agent
+from pqsec_pki.trial import Installation, MissingStackError, find, plugin
+from pqsec_pki.vendors.own_plugin import PRELOAD
+from tests.interop import fastdds
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,36 @@ def shim(compiler, tmp_path_factory) -> Iterator[Shim]:
         if before is not None:
             os.environ["XDG_RUNTIME_DIR"] = before
         shutil.rmtree(runtime, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def fastdds_here(requires) -> Installation:
+    """The Fast DDS of this machine."""
+    try:
+        return find("fastdds")
+    except MissingStackError as error:
+        return requires(None, "Fast DDS to compile against", error.hint or str(error))
+
+
+@pytest.fixture(scope="session")
+def adapter(fastdds_here) -> Path:
+    """The folder with the plugin for it, which `pqsec try` compiles once."""
+    with plugin(fastdds=fastdds_here) as found:
+        return found.folder
+
+
+@pytest.fixture(scope="session")
+def ours_in_fastdds(adapter, fastdds_here, shim, tmp_path_factory) -> ctypes.CDLL:
+    """Our plugin as Fast DDS gets it, behind the shim that its own has in other tests.
+
+    That shim has the build ID of Fast DDS: the preload library takes it for the caller.
+    """
+    compiler = fastdds.find_compiler()
+    identity = f"-Wl,--build-id=0x{fastdds_here.library.build_id}"
+    where = f"-Wl,-rpath,{adapter}"
+    return fastdds.build(
+        compiler, tmp_path_factory.mktemp("ours"), adapter / PRELOAD, identity, where
+    )
 
 
 @pytest.fixture

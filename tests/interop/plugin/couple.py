@@ -1,14 +1,19 @@
 """Two participants with only their plugins; the messages between them are the test's."""
 
+import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.interop.cyclone import Meeting, Participant, Token, participant
+from tests.interop.cyclone import Meeting, Participant, Token
+from tests.interop.cyclone import participant as cyclone_participant
+from tests.interop.fastdds import participant as fastdds_participant
 
 DOMAIN = 0
 
+Plugins = Path | ctypes.CDLL
+"""The folder of Cyclone DDS's, or Fast DDS's behind the tests' shim."""
 Relay = Callable[[str, Token], Token]
 
 
@@ -53,8 +58,8 @@ class Couple:
 
 
 @contextmanager
-def couple(*sides: tuple[Path, Path], announce: bool = True) -> Iterator[Couple]:
-    """Of each side the folder of its plugins, and its enclave.
+def couple(*sides: tuple[Plugins, Path], announce: bool = True) -> Iterator[Couple]:
+    """Of each side its plugins, and its enclave.
 
     With `announce`, each has heard the other's AuthRequest.
     """
@@ -65,8 +70,9 @@ def couple(*sides: tuple[Path, Path], announce: bool = True) -> Iterator[Couple]
 
 
 @contextmanager
-def _ready(plugins: Path, enclave: Path) -> Iterator[tuple[Participant, Token]]:
-    with participant(plugins, enclave) as one:
+def _ready(plugins: Plugins, enclave: Path) -> Iterator[tuple[Participant, Token]]:
+    start = fastdds_participant if isinstance(plugins, ctypes.CDLL) else cyclone_participant
+    with start(plugins, enclave) as one:
         credential, token = one.join(DOMAIN)
         one.show(credential, token)
         yield one, token

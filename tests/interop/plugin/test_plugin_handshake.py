@@ -78,7 +78,7 @@ def test_a_peer_may_ask_only_for_what_is_allowed(shim, labs, settings):
         both.agree(both.shake_hands())
 
 
-def _flipped(token, name):
+def flipped(token, name):
     binary = [
         (each, value[:-9] + bytes([value[-9] ^ 1]) + value[-8:] if each == name else value)
         for each, value in token.binary
@@ -95,7 +95,7 @@ def test_a_changed_bit_ends_the_handshake(shim, labs, message, name):
     lab = labs("pq")
 
     def relay(sent, token):
-        return _flipped(token, name) if sent == message else token
+        return flipped(token, name) if sent == message else token
 
     with couple((shim.folder, lab.alice), (shim.folder, lab.bob)) as both:
         with pytest.raises(RefusedError):
@@ -110,10 +110,10 @@ def test_a_message_is_good_after_a_forged_one_was_refused(shim, labs):
         begun, request = one.participant.request(one.meeting)
         answered, reply = other.participant.reply(other.meeting, request)
         with pytest.raises(RefusedError, match="signature"):
-            one.participant.process(begun, _flipped(reply, "signature"))
+            one.participant.process(begun, flipped(reply, "signature"))
         final = one.participant.process(begun, reply)
         with pytest.raises(RefusedError, match="signature"):
-            other.participant.process(answered, _flipped(final, "signature"))
+            other.participant.process(answered, flipped(final, "signature"))
         assert other.participant.process(answered, final) is None
         both.agree((begun, answered))
         with pytest.raises(RefusedError, match="the handshake is over"):

@@ -1,0 +1,248 @@
+"""Fast DDS with our plugin fails closed: whatever is missing, no participant runs without security.
+
+Each participant is a process, configured by export, in which one thing is not as it should be.
+"""
+
+import json
+import os
+import shutil
+import stat
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.plugin import AgentFolder
+from pqsec_pki.trial import (
+    Act,
+    Installation,
+    Plugin,
+    Role,
+    Trial,
+    built,
+    credentialed,
+    plugin,
+    unauthenticated,
+    unique_text,
+)
+from pqsec_pki.trial.building import source
+from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
+from pqsec_pki.vendors.fastdds_library import AdapterError, examine
+from pqsec_pki.vendors.own_plugin import PRELOAD
+from tests.interop.conftest import TOPIC
+from tests.interop.plugin.conftest import Shim
+from tests.interop.plugin.test_plugin_impostors import BEHAVIOURS, listening
+
+pytestmark = pytest.mark.interop
+
+HOST = Path(__file__).with_name("host.c")
+DOMAIN, LONGEST, NOBODY = 5, 60.0, 65534
+NAMES = ("dds.sec.auth.plugin", "dds.sec.access.plugin", "dds.sec.crypto.plugin")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A participant that would be good, and what runs it."""
+
+    installation: Installation
+    plugin: Plugin
+    role: Role
+    folder: Path
+
+    @property
+    def program(self) -> list[str]:
+        return self.installation.peer(built(self.installation))
+
+    @property
+    def profile(self) -> Path:
+        """Its configuration."""
+        return Path(self.role.environment[self.installation.build.variable])
+
+    def run(
+        self, *, without: str = "", program: list[str] | None = None, **variables: str
+    ) -> "Outcome":
+        """What came of it: it ends when it is refused, and soon after it has joined."""
+        environment = {**os.environ, **self.role.environment, **variables}
+        environment.pop(without, None)
+        done = subprocess.run(
+            [*(program or self.program), Act.RECEIVE.value, str(DOMAIN), TOPIC, "", "0.3"],
+            cwd=self.folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=LONGEST,
+            check=False,
+        )
+        return Outcome(done.returncode, done.stdout.decode(errors="replace"))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How it ended, and what it said."""
+
+    code: int
+    log: str
+
+    @property
+    def joined(self) -> bool:
+        return self.code == 0 and "joined" in self.log.splitlines()
+
+
+@pytest.fixture(scope="module")
+def ours(fastdds_here) -> Iterator[Plugin]:
+    with plugin(fastdds=fastdds_here) as found:
+        yield found
+
+
+@pytest.fixture
+def stage(fastdds_here, ours, labs, now, tmp_path) -> Stage:
+    lab = labs("pq")
+    trial = Trial(
+        installation=fastdds_here, keystore=lab.keystore, timeout=LONGEST, plugin=ours, now=now
+    )
+    role = credentialed(trial, "/lab/alice", Act.RECEIVE, tmp_path / "alice", unique_text())
+    return Stage(fastdds_here, ours, role, tmp_path)
+
+
+@pytest.fixture
+def copied(stage) -> Path:
+    """A copy of the plugin's folder, to be spoilt."""
+    return Path(shutil.copytree(stage.plugin.folder, stage.folder / "plugin"))
+
+
+def refused(outcome: Outcome, *words: str) -> bool:
+    """Whether its own stack made no participant, with these words, and it did not crash."""
+    assert "joined" not in outcome.log.splitlines(), outcome.log
+    assert all(each in outcome.log for each in words), outcome.log
+    assert "refused participant" in outcome.log, outcome.log
+    return outcome.code == 3
+
+
+def test_with_the_plugin_it_joins(stage):
+    assert stage.run().joined
+
+
+def test_without_the_preload_library_its_own_plugin_refuses_post_quantum_keys(stage):
+    assert refused(stage.run(without="LD_PRELOAD"))
+
+
+def test_without_an_adapter_for_this_build_it_is_refused_with_the_way_out(stage, copied):
+    build = stage.installation.library.build_id
+    (copied / ADAPTER.format(build)).unlink()
+    outcome = stage.run(LD_PRELOAD=str(copied / PRELOAD))
+    assert refused(outcome, "was not compiled for this build of", "pqsec plugin install fastdds")
+
+
+def test_an_adapter_of_another_build_under_this_ones_name_is_refused(stage, copied):
+    build = stage.installation.library.build_id
+    path = copied / ADAPTER.format(build)
+    other = build[::-1].encode()
+    path.write_bytes(path.read_bytes().replace(build.encode(), other))
+    outcome = stage.run(LD_PRELOAD=str(copied / PRELOAD))
+    assert refused(outcome, "is for another build than")
+
+
+@pytest.fixture
+def updated(stage) -> Path:
+    """The same Fast DDS with another build ID, as after an update."""
+    library = stage.installation.library
+    path = stage.folder / library.path.name
+    octets = library.path.read_bytes()
+    build = bytes.fromhex(library.build_id)
+    assert octets.count(build) == 1
+    path.write_bytes(octets.replace(build, build[::-1]))
+    return path
+
+
+def test_after_an_update_of_fast_dds_it_is_refused_until_installed_again(stage, updated, copied):
+    preload = f"{copied / PRELOAD}:{updated}"  # the peer loads that one
+    outcome = stage.run(LD_PRELOAD=preload)
+    assert refused(outcome, f"was not compiled for this build of {updated}")
+    record = copied / RECORD.format(stage.installation.library.build_id)
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"library": str(updated)}))
+    [found] = installed(copied)
+    assert found.problem == "the library was updated since"
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", ["pqsec", ""])
+def test_a_plugin_that_fast_dds_does_not_know_is_refused(stage, name, value):
+    """It would run without it, and say nothing."""
+    text = stage.profile.read_text()
+    before = text.partition(f"<name>{name}</name>")[2].partition("</value>")[0]
+    old = before.strip().removeprefix("<value>")
+    changed = text.replace(f"<value>{old}</value>", f"<value>{value}</value>")
+    if not value:
+        changed = text.replace(f"<name>{name}</name>", "<name>role</name>")
+    assert changed != text
+    stage.profile.write_text(changed)
+    said = f"{name} must be {old}" if value else f"{name} is missing"
+    assert refused(stage.run(), said)
+
+
+def test_a_participant_without_any_security_is_left_alone(stage):
+    open_to_all = unauthenticated(stage.installation, Act.RECEIVE, stage.folder)
+    assert stage.run(**open_to_all.environment).joined
+
+
+@pytest.mark.parametrize("how", ["hangs up", "says nothing"])
+def test_an_agent_that_does_not_answer_makes_it_fail(stage, tmp_path_factory, how):
+    runtime = tmp_path_factory.mktemp("run")
+    runtime.chmod(0o700)
+    place = AgentFolder.of({"XDG_RUNTIME_DIR": str(runtime)})
+    with listening(Shim(stage.folder, place), BEHAVIOURS[how][0]):
+        outcome = stage.run(XDG_RUNTIME_DIR=str(runtime), PQSEC_AGENT_TIMEOUT="500")
+    said = "the agent is gone" if how == "hangs up" else "does not answer within 500 ms"
+    assert refused(outcome, said)
+
+
+def test_an_agents_folder_that_others_can_enter_is_refused(stage):
+    runtime = stage.folder / "run"
+    (runtime / "pqsec").mkdir(parents=True)
+    (runtime / "pqsec").chmod(0o755)
+    outcome = stage.run(XDG_RUNTIME_DIR=str(runtime))
+    assert refused(outcome, "is not a folder of this user's alone")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may make a program of root's")
+def test_a_program_with_setuid_preloads_nothing_and_is_refused(stage, tmp_path_factory):
+    open_to_all = tmp_path_factory.mktemp("setuid")
+    for folder in (open_to_all, *open_to_all.parents[:2]):
+        folder.chmod(0o755)
+    program = open_to_all / "peer"
+    shutil.copy(stage.program[0], program)
+    program.chmod(0o755 | stat.S_ISUID)
+    outcome = stage.run(program=["setpriv", f"--reuid={NOBODY}", "--clear-groups", str(program)])
+    assert refused(outcome)
+    assert "pqsec:" not in outcome.log
+
+
+@pytest.fixture(scope="module")
+def hosted(fastdds_here, tmp_path_factory) -> Callable[[str], list[str]]:
+    """hosted("deep") is what runs a peer in a library that is opened so."""
+    folder = tmp_path_factory.mktemp("hosted")
+    (folder / "peer.cpp").write_bytes(
+        source("fastdds.cpp").replace(b"int main(", b'extern "C" int run(')
+    )
+    library = ["-shared", "-fPIC", "-o", "libpeer.so", "peer.cpp", "-lfastrtps"]
+    for command in (["g++", "-O0", *library], ["gcc", "-o", "host", str(HOST), "-ldl"]):
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return lambda how: [str(folder / "host"), how, str(folder / "libpeer.so")]
+
+
+def test_it_runs_in_a_library_that_was_opened_locally(stage, hosted):
+    """As ROS 2 opens its middleware."""
+    assert stage.run(program=hosted("local")).joined
+
+
+def test_a_library_that_binds_to_itself_first_gets_its_own_plugin_which_refuses(stage, hosted):
+    assert refused(stage.run(program=hosted("deep")))
+
+
+def test_a_library_without_the_functions_is_not_fast_dds(library, tmp_path):
+    other = tmp_path / "libfastrtps.so.2.9.1"
+    other.write_bytes(library("libfastrtps.so.2.9", build="00ff"))
+    with pytest.raises(AdapterError, match="does not export the functions"):
+        examine(other)

@@ -1,0 +1,138 @@
+"""`pqsec try fastdds --plugin`: real participants of Fast DDS with our plugin, as export
+configures them. The circumstances are those of Cyclone DDS's."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from functools import cache
+
+import pytest
+
+from pqsec_pki.trial import (
+    Installation,
+    MissingStackError,
+    Plugin,
+    Report,
+    TopicRoute,
+    built,
+    find,
+    plugin,
+    run_trial,
+)
+from tests.interop.conftest import LAB_PROFILES, Lab
+from tests.interop.plugin.processes import PATIENCE
+from tests.interop.plugin.test_plugin_try import (
+    AT_ONCE,
+    REFUSAL,
+    ROOTS,
+    come_from_another_ca,
+    logs,
+    meet_stock_peers,
+)
+from tests.interop.trials import (
+    AGE,
+    OTHER,
+    RECEIVER,
+    SENDER,
+    Case,
+    Laboratory,
+    alter_the_permissions,
+    encrypt_the_keys,
+    let_the_sender_expire,
+    revoke_the_sender,
+)
+
+pytestmark = pytest.mark.interop
+
+MET = {
+    **{f"{profile} {where}": (where, Case(profile, profile=profile), ())
+       for profile in LAB_PROFILES for where in ROOTS},
+    "encrypted keys": (
+        "bookworm", Case("", profile="pq", alter=encrypt_the_keys, password="Correct-Horse_1"), ()
+    ),
+    **{f"stock {who}": ("bookworm", Case("", profile="transition", alter=meet_stock_peers), (who,))
+       for who in (SENDER, RECEIVER)},
+}  # fmt: skip
+"""Where, in what circumstances, and who runs Fast DDS's own plugin."""
+REFUSED = {
+    "denied topic": (Case("", profile="pq", topic=OTHER), (), "says whether it may"),
+    "revoked": (Case("", profile="pq", alter=revoke_the_sender), (), "was revoked on"),
+    "rogue CA": (Case("", profile="pq", alter=come_from_another_ca), (), "not signed by this CA"),
+    "expired": (Case("", profile="pq", alter=let_the_sender_expire), (), "expired on"),
+    "altered": (Case("", profile="pq", alter=alter_the_permissions), (), "changed after it was"),
+    **{f"unasked, stock {who}": (Case("", profile="transition"), (who,), said)
+       for who, said in ((SENDER, "the peer asks for 'DH"), (RECEIVER, "not say that it knows"))},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def there(requires) -> Callable[[str], Installation]:
+    """there("trixie") is the Fast DDS that is there."""
+
+    def of(where: str) -> Installation:
+        try:
+            return find("fastdds", ROOTS[where])
+        except MissingStackError as error:
+            return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory, now) -> Laboratory:
+    folder = tmp_path_factory.mktemp("trials")
+    labs = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
+    for profile in LAB_PROFILES:
+        labs(profile)
+    return Laboratory(labs, folder, now)
+
+
+@pytest.fixture(scope="module")
+def ours(there) -> Iterator[Callable[[str], Plugin]]:
+    """ours("trixie") is the plugin for the Fast DDS that is there, with an agent."""
+    with ExitStack() as stack:
+        yield cache(lambda where: stack.enter_context(plugin(fastdds=there(where))))
+
+
+@pytest.fixture(scope="module")
+def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
+    """reports(name) is what came of it; several run at once."""
+
+    def run(where: str, case: Case, stock: tuple[str, ...], **how) -> Report:
+        trial = laboratory.trial(there(where), case, plugin=ours(where), stock=stock, **how)
+        return run_trial(
+            trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
+        )
+
+    for where in ROOTS:
+        built(there(where))
+        ours(where)
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        found: dict[str, Future[Report]] = {}
+        for name, (where, case, stock) in MET.items():
+            found[name] = pool.submit(run, where, case, stock, timeout=PATIENCE)
+        for name, (case, stock, _) in REFUSED.items():
+            # `anyway`, for what an export would refuse too.
+            found[name] = pool.submit(run, "bookworm", case, stock, timeout=REFUSAL, anyway=True)
+        yield lambda name: found[name].result()
+
+
+@pytest.mark.parametrize("name", MET)
+def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
+    report = reports(name)
+    assert report.ok, logs(report)
+    assert set(report.plugged) == {SENDER, RECEIVER} - set(MET[name][2])
+    wire = requires(report.trial_run.wire, "a wire to watch", "run the tests as root")
+    assert wire.packets > 100
+    assert report.readable is False
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_nothing_passes_and_it_is_said_why(reports, name):
+    report, said = reports(name), REFUSED[name][2]
+    assert report.receiver.received is None, logs(report)
+    assert report.unauthenticated.received is None
+    assert not any(each.signal for each in report.trial_run.outcomes)
+    told = [each for each in report.findings if said in each.said]
+    assert told, (report.findings, logs(report))
+    assert all(each.cause and each.remedy for each in told)
