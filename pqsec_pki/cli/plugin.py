@@ -130,6 +130,7 @@ def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None
     exit_codes={
         0: "all that is installed runs",
         1: "nothing is installed, or something must be installed again",
+        3: "the folder cannot be read",
     },
 )
 @click.option(

@@ -174,6 +174,8 @@ ELSEWHERE = {
     "agent run": "does not end: tests/cli/test_plugin.py",
     "agent status": "needs an agent: tests/cli/test_plugin.py",
     "plugin install": "needs a compiler: tests/cli/test_plugin.py",
+    "plugin status": "is of the user's home: tests/cli/test_plugin.py",
+    "plugin uninstall": "is of the user's home: tests/cli/test_plugin.py",
     "try": "needs a stack: tests/interop/test_try.py",
     "verify-handshake": "minutes, with the matrix: tests/cli/test_handshake_modes.py",
 }
@@ -249,6 +251,7 @@ NO = {
     "permissions read": "bad.xml",
     "permissions render": "bad.yaml",
     "plan": "domain.yaml",
+    "plugin status": "--dir nowhere",
     "renew": "/fleet/robot1 --keep-key",
     "rollback": "",
     "sign-governance": "bad.xml",
@@ -318,6 +321,8 @@ FAILS = {
     "install": "nowhere.bundle",
     "plan": "nowhere.yaml",
     "plugin install": "--dir lib",
+    "plugin status": "--dir names.txt",
+    "plugin uninstall": "--dir names.txt",
     "request": "/fleet/robot1",
     "try": "cyclonedds /talker /listener --root robot",
 }
