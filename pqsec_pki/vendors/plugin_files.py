@@ -5,8 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, exists, is_folder
-from pqsec_pki.errors import FileError
+from pqsec_pki._files import disk_errors
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.vendors.cyclone_plugins import in_words
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
@@ -31,7 +30,6 @@ class InstalledPlugin:
 
 def installed_plugins(folder: Path) -> list[InstalledPlugin]:
     """Those in `folder`; FileError if it cannot be read."""
-    _refuse_file(folder)
     with disk_errors(folder):
         return list(_installed(folder))
 
@@ -55,7 +53,6 @@ def remove_plugins(folder: Path) -> list[Path]:
 
     What was removed; FileError if that is not allowed. Other files stay.
     """
-    _refuse_file(folder)
     with disk_errors(folder):
         removed = list(_files_in(folder))
         for path in removed:
@@ -63,11 +60,6 @@ def remove_plugins(folder: Path) -> list[Path]:
         with suppress(OSError):  # it has other files, or is not there
             folder.rmdir()
     return removed
-
-
-def _refuse_file(folder: Path) -> None:
-    if exists(folder) and not is_folder(folder):
-        raise FileError(f"{folder} is not a folder")
 
 
 def _files_in(folder: Path) -> Iterator[Path]:

@@ -321,13 +321,14 @@ FAILS = {
     "install": "nowhere.bundle",
     "plan": "nowhere.yaml",
     "plugin install": "--dir lib",
-    "plugin status": "--dir names.txt",
-    "plugin uninstall": "--dir names.txt",
     "request": "/fleet/robot1",
     "try": "cyclonedds /talker /listener --root robot",
 }
 """Command -> arguments with which it cannot be done, where its example would."""
-UNPRINTABLE = {"algorithms", "explain-error", "governance presets", "profiles", "agent stop"}
+UNPRINTABLE = {
+    *("algorithms", "explain-error", "governance presets", "profiles", "agent stop"),
+    *("plugin status", "plugin uninstall"),
+}
 """Commands that fail only if the result cannot be printed, or standard input be read."""
 FAILS_ELSEWHERE = {
     "agent run": "needs another agent: tests/cli/test_plugin.py",
