@@ -4,9 +4,9 @@ The library that creates keys and signatures holds the interpreter lock, so thre
 wait for each other. A fork has the CAs' keys in its memory, so they are sent through no pipe.
 OpenSSL and the system give a fork other random octets than its parent.
 
-`concurrent.futures` cannot replace this yet. Its executor keeps two threads, so a process that
-has used it can no longer be forked safely; it sends each call through a pipe; its forks hold the
-pipes open and outlive a killed parent; and before Python 3.14 it cannot end a busy process.
+`concurrent.futures` does not replace this: before Python 3.14 its executor cannot end a busy
+process, its forks outlive a killed parent, and an error that cannot be unpickled looks like a
+killed process.
 """
 
 import os

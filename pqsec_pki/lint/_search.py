@@ -24,10 +24,12 @@ MAX_BYTES = 1 << 30
 JOURNAL, LEDGER = ".journal", "private/ledger.sqlite3"
 
 # In a folder, only files with such a name are read, including backup copies (key.pem~).
-_OURS = re.compile(r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE)
+_RELEVANT = re.compile(
+    r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE
+)
 _DRAFT = re.compile(r"\.draft-[0-9a-f]{16}")
 _TWO_OF_SIX = 2
-_NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
+_NO_TARGET = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
 """Errors of a broken link. After other errors it is unknown whether the target exists."""
 
 
@@ -44,8 +46,8 @@ class Search:
     size: int = 0
     """Bytes read."""
     keystore: Keystore | None = None
-    cut_off: Path | None = None
-    lost: dict[Path, tuple[str, ...]] = field(default_factory=dict)
+    interrupted_change: Path | None = None
+    missing_parts: dict[Path, tuple[str, ...]] = field(default_factory=dict)
     """For each keystore of pqsec that was named, the files that it lacks."""
 
     def add(self, path: Path) -> None:
@@ -63,8 +65,8 @@ class Search:
             return
         if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
             self._settings(path)
-        if lost := _missing_parts(path):
-            self.lost[path] = lost
+        if missing := _missing_parts(path):
+            self.missing_parts[path] = missing
         links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
         for link in links:  # after all files, so that these get their own paths
             self._link(link)
@@ -73,7 +75,7 @@ class Search:
         """Read the settings of a keystore; if a change was interrupted, only record that."""
         path = root / SETTINGS
         if os.path.lexists(root / JOURNAL):
-            self.cut_off = root / JOURNAL
+            self.interrupted_change = root / JOURNAL
             return
         try:
             self.keystore = Keystore.open(root)
@@ -128,7 +130,7 @@ class Search:
         return (folder / name for name in sorted(links))
 
     def _looked_at(self, folder: Path, names: list[str]) -> Iterator[tuple[str, os.stat_result]]:
-        for name in filter(_OURS.search, names):
+        for name in filter(_RELEVANT.search, names):
             try:
                 yield name, (folder / name).lstat()
             except OSError as error:
@@ -140,7 +142,7 @@ class Search:
         try:
             found = link.stat()
         except OSError as error:
-            if error.errno not in _NOWHERE:
+            if error.errno not in _NO_TARGET:
                 key = self._closed(link, (error.strerror or str(error)).lower())
         else:
             if stat.S_ISREG(found.st_mode):
@@ -196,7 +198,7 @@ def _is_missing(path: Path) -> bool:
     try:
         path.lstat()
     except OSError as error:
-        return error.errno in _NOWHERE
+        return error.errno in _NO_TARGET
     return False
 
 

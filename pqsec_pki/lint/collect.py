@@ -44,8 +44,8 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
         certificates=certificates,
         enclaves=tuple(_enclaves(search, subjects)),
         keystore=search.keystore,
-        cut_off=search.cut_off,
-        lost=search.lost,
+        interrupted_change=search.interrupted_change,
+        missing_parts=search.missing_parts,
         now=now,
     )
 
@@ -78,8 +78,8 @@ def _enclaves(
 ) -> Iterator[Enclave]:
     for folder, names in search.enclaves.items():
         files = {name: search.files[key] for name, key in names.items() if key in search.files}
-        lost = tuple(name for name, key in names.items() if key is None)
-        yield Enclave(folder, _name(folder), files, lost, search.now, subjects)
+        broken = tuple(name for name, key in names.items() if key is None)
+        yield Enclave(folder, _name(folder), files, broken, search.now, subjects)
 
 
 def _name(folder: Path) -> str:

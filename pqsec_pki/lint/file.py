@@ -104,7 +104,7 @@ class File:
         return self.listed.signers if self.listed else ()
 
     @property
-    def signature_trouble(self) -> str | None:
+    def signature_error(self) -> str | None:
         """Why the signatures of S/MIME cannot be read, if they cannot."""
         return self._listed[1]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pqsec_pki.credentials import ENCLAVES
 from pqsec_pki.lint.collect import take_inventory
-from pqsec_pki.lint.enclaves.trust import said_once
+from pqsec_pki.lint.enclaves.trust import without_repetitions
 from pqsec_pki.lint.keystores.files import PRIVATE
 from pqsec_pki.lint.keystores.incomplete import UNREAD
 from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
@@ -101,7 +101,7 @@ def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
         *inventory.enclaves,
         inventory,
     )
-    return said_once(_answers(asked, subjects), inventory)
+    return without_repetitions(_answers(asked, subjects), inventory)
 
 
 def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:

@@ -88,8 +88,8 @@ class Enclave:
     name: str
     """The path below `enclaves/`, such as /fleet/robot1; else the folder's own name."""
     files: Mapping[str, File] = field(repr=False)
-    """By name; for a link, its target. Broken links are in `lost`."""
-    lost: tuple[str, ...]
+    """By name; for a link, its target. Broken links are in `broken_links`."""
+    broken_links: tuple[str, ...]
     """Names of broken links."""
     now: datetime = field(repr=False)
     inventory_files: Mapping[Path, "Document | CertificateFile"] = field(repr=False)
@@ -165,9 +165,9 @@ class Inventory:
     keystore: Keystore | None
     """The keystore, if the user named a keystore of pqsec."""
     now: datetime = field(repr=False)
-    cut_off: Path | None = None
+    interrupted_change: Path | None = None
     """The journal of an interrupted change of that keystore."""
-    lost: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
+    missing_parts: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
     """Keystore of pqsec -> the files that it lacks."""
 
     @cached_property

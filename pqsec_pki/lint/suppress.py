@@ -42,14 +42,14 @@ class Suppression:
 
     def covers(self, finding: Finding, folder: Path | None, today: date) -> bool:
         """Whether it matches the finding, has a reason and has not expired."""
-        if self.rule != finding.rule.id or not self.reason or self.is_over(today):
+        if self.rule != finding.rule.id or not self.reason or self.has_expired(today):
             return False
         if folder is None:
             return True
         below = _below(finding.path, folder)
         return below is not None and fnmatchcase(below, self.path)
 
-    def is_over(self, today: date) -> bool:
+    def has_expired(self, today: date) -> bool:
         """Whether its last day has passed."""
         return self.until is not None and self.until < today
 

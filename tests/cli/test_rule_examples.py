@@ -186,7 +186,7 @@ def model(run_in, tmp_path_factory):
     countersigner = signers.authorities().countersigner.certificate
     made = {
         "version-1.pem": old("")[1],
-        "endless.crl.pem": endless(signers.authorities().identity.key.handle),
+        "no-next-update.crl.pem": endless(signers.authorities().identity.key.handle),
         "ambiguous.p7s": quoted_parameter(signed, denied),
         "forged.cert.pem": by_another_alternative_key(signers),
         "forged.p7s": countersigned(signers, Signer(countersigner, other_key)),

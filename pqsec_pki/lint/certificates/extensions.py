@@ -42,7 +42,7 @@ _UNDERSTOOD = {
           -addext basicConstraints=critical,CA:TRUE
     """,
 )  # fmt: skip
-def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
+def identity_ca_without_mark(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role.issues and _lacks_mark(file.first):
         yield Violation(f"the {file.role}'s certificate is not marked as a CA (basicConstraints)")
 
@@ -61,7 +61,7 @@ def identity_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
           -addext basicConstraints=critical,CA:TRUE
     """,
 )  # fmt: skip
-def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
+def permissions_ca_without_mark(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.role is Role.PERMISSIONS_CA and _lacks_mark(file.first):
         yield Violation("the permissions CA's certificate is not marked as a CA (basicConstraints)")
 
@@ -81,7 +81,7 @@ def permissions_ca_is_no_ca(file: CertificateFile) -> Iterator[Violation]:
           -addext keyUsage=critical,cRLSign,keyCertSign
     """,
 )  # fmt: skip
-def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
+def identity_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)
     if usage and file.role.issues and not usage.key_cert_sign:
         yield Violation(f"the {file.role} may not sign certificates (keyUsage lacks keyCertSign)")
@@ -104,7 +104,7 @@ def identity_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
           -addext keyUsage=critical,digitalSignature,keyCertSign
     """,
 )  # fmt: skip
-def permissions_ca_may_not_issue(file: CertificateFile) -> Iterator[Violation]:
+def permissions_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)
     if file.first is None or file.role is not Role.PERMISSIONS_CA:
         return

@@ -18,8 +18,8 @@ WEAKEST_RSA = 2048
 """Bits: the minimum in DDS-Security 1.1 and NIST SP 800-131A."""
 
 _CYCLONE = {"ecdsa-p256", "rsa-2048"}
-_LET_IN = {"brainpoolP256r1", "secp256k1"}
-_NOWHERE = {"ed25519", "ed448", "dsa", UNREADABLE}
+_MISTAKEN_FOR_P256 = {"brainpoolP256r1", "secp256k1"}
+_UNSUPPORTED = {"ed25519", "ed448", "dsa", UNREADABLE}
 _NOT_SHA256 = {
     "1.2.840.10045.4.3.3": "ecdsa-with-SHA384",
     "1.2.840.10045.4.3.4": "ecdsa-with-SHA512",
@@ -55,12 +55,12 @@ _BROKEN = {
         $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
     """,
 )  # fmt: skip
-def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
+def unsupported_by_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
     certificate, role = file.first, file.role
     if certificate is None or not role.identifies:
         return
     kind = key_kind(certificate)
-    known = _CYCLONE | _LET_IN | _NOWHERE
+    known = _CYCLONE | _MISTAKEN_FOR_P256 | _UNSUPPORTED
     is_classical = family_of(certificate) is Family.CLASSICAL
     if is_classical and kind not in known and not kind.startswith("algorithm "):
         yield Violation(f"the {role} has a key of kind {kind}, which Cyclone DDS refuses")
@@ -81,11 +81,11 @@ def not_for_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
         $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
     """,
 )  # fmt: skip
-def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
+def unsupported_by_all(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None:
         return
     kind = key_kind(file.first)
-    if kind in _NOWHERE or kind.startswith("algorithm "):
+    if kind in _UNSUPPORTED or kind.startswith("algorithm "):
         yield Violation(f"the {file.role} has a key of kind {kind}, which no stack accepts")
 
 
@@ -105,8 +105,8 @@ def for_no_stack(file: CertificateFile) -> Iterator[Violation]:
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
     """,
 )  # fmt: skip
-def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
-    if file.first and (kind := key_kind(file.first)) in _LET_IN:
+def mistaken_for_p256(file: CertificateFile) -> Iterator[Violation]:
+    if file.first and (kind := key_kind(file.first)) in _MISTAKEN_FOR_P256:
         yield Violation(f"the {file.role} has a key on {kind}, which stacks mistake for P-256")
 
 
@@ -121,7 +121,7 @@ def let_in_by_mistake(file: CertificateFile) -> Iterator[Violation]:
     bad="$ openssl req -x509 -key key.pem -sha384 -subj /CN=talker -out cert.pem",
     good="$ openssl req -x509 -key key.pem -sha256 -subj /CN=talker -out cert.pem",
 )  # fmt: skip
-def signed_otherwise(file: CertificateFile) -> Iterator[Violation]:
+def unsupported_signature_algorithm(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
     name = _NOT_SHA256.get(file.first.signature_algorithm) if file.first else None
     if name and role is not Role.COUNTERSIGNER:

@@ -97,12 +97,12 @@ def not_yet(file: File) -> Iterator[Violation]:
     " holds back the new list keeps a revoked participant in the domain.",
     fix="Issue revocation lists with a nextUpdate.",
     bad="""
-        $ cp elsewhere/endless.crl.pem crl.pem
+        $ cp elsewhere/no-next-update.crl.pem crl.pem
         $ openssl crl -in crl.pem -noout -nextupdate
     """,
     good="$ pqsec -k k ca crl --out crl.pem --force",
 )  # fmt: skip
-def endless(file: File) -> Iterator[Violation]:
+def without_next_update(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     if revoked and revoked.next_update is None:
         yield Violation("the revocation list has no nextUpdate")

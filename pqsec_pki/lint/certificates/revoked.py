@@ -68,7 +68,7 @@ def own(inventory: Inventory) -> Iterator[Violation]:
     bad="$ pqsec -k k revoke /listener",
     good="$ rm -r k/enclaves/listener",
 )  # fmt: skip
-def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
+def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore:
         yield from _revoked(inventory)
 
@@ -86,7 +86,7 @@ def left_in_keystore(inventory: Inventory) -> Iterator[Violation]:
         $ rm k/enclaves/talker/crl.pem
     """,
 )  # fmt: skip
-def opendds_reads_none(enclave: Enclave) -> Iterator[Violation]:
+def ignored_by_opendds(enclave: Enclave) -> Iterator[Violation]:
     for file, _ in enclave.revocation_lists:
         yield Violation("OpenDDS does not read this revocation list", path=file.path)
 

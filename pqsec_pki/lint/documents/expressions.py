@@ -1,4 +1,4 @@
-"""Rules about domains and patterns in both documents that stacks read differently."""
+"""Rules about topic and partition patterns, which stacks read differently."""
 
 import re
 from collections.abc import Iterator
@@ -134,6 +134,23 @@ def star_inside(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if re.search(r"\*[^*]", node.value):
             yield document.at(node, f"{node.value[:60]!a}: OpenDDS does not backtrack after a star")
+
+
+@lint_rule(
+    "PQS269", WARNING, "a topic with the name of a builtin topic",
+    why="Cyclone DDS lets every participant of the domain use its builtin topics, such as"
+    " DCPSTopic. Governance and permissions have no effect on them.",
+    fix="Give the topic another name.",
+    stacks=(Target.CYCLONEDDS,), measured="Cyclone DDS 0.10.2",
+    bad="<topic>DCPSTopic</topic>",
+    good="<topic>rt/chatter</topic>",
+)  # fmt: skip
+def builtin_name(document: Document) -> Iterator[Violation]:
+    for node in document.all("topic", "topic_expression"):
+        if node.value.startswith("DCPS"):
+            yield document.at(
+                node, f"{node.value[:60]!a}: names that begin with DCPS are builtin topics"
+            )
 
 
 @lint_rule(

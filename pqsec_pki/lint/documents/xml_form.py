@@ -20,7 +20,7 @@ from pqsec_pki.lint.documents.xml_values import (
     payload_origin,
     spaces,
 )
-from pqsec_pki.lint.permissions.times import no_time
+from pqsec_pki.lint.permissions.times import unreadable_time
 from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
 from pqsec_pki.problems import Code
 
@@ -41,8 +41,8 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     good="<default>DENY</default>",
 )  # fmt: skip
 def cannot_be_read(document: Document) -> Iterator[Violation]:
-    is_told = document.file.is_signed and document.xml is None  # by PQS331 and PQS333
-    if document.reason and not is_told:
+    is_reported = document.file.is_signed and document.xml is None  # by PQS331 and PQS333
+    if document.reason and not is_reported:
         yield Violation(f"cannot be read: {document.reason}")
 
 
@@ -58,11 +58,11 @@ def cannot_be_read(document: Document) -> Iterator[Violation]:
 def breaks_schema(document: Document) -> Iterator[Violation]:
     if not document.problems or type(document) is Document:
         return
-    told = {found.line for check in _EXPLAINED for found in check(document)}
+    reported = {found.line for check in _EXPLAINED for found in check(document)}
     misplaced = any(out_of_order(document)) or any(missing_element(document))
     for problem in document.problems:
-        is_told = misplaced and problem.code is Code.ELEMENT_MISPLACED
-        if not is_told and document.line(problem.line) not in told:
+        is_reported = misplaced and problem.code is Code.ELEMENT_MISPLACED
+        if not is_reported and document.line(problem.line) not in reported:
             element = f"<{problem.element}>: " if problem.element else ""
             yield document.at(problem.line, f"{element}{problem.message}")
 
@@ -161,7 +161,7 @@ def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
     bad="<default>deny</default>",
     good="<default>DENY</default>",
 )  # fmt: skip
-def not_understood(document: Document) -> Iterator[Violation]:
+def neither_kind(document: Document) -> Iterator[Violation]:
     if document.problems and type(document) is not Document:
         yield document.at(
             document.root, "does not match its schema, so its meaning was not checked"
@@ -170,6 +170,7 @@ def not_understood(document: Document) -> Iterator[Violation]:
 
 _EXPLAINED: tuple[Callable[[Any], Iterable[Violation]], ...] = (
     unknown_attribute, out_of_order, unknown_element, newer_element, odd_boolean, spaces,
-    lower_case, payload_origin, nameless_grant, no_default, no_domains, missing_element, no_time,
+    lower_case, payload_origin, nameless_grant, no_default, no_domains, missing_element,
+    unreadable_time,
 )  # fmt: skip
 """Rules that report differences from the schema better than the schema does."""

@@ -40,7 +40,7 @@ def different_names(enclave: Enclave) -> Iterator[Violation]:
     bad="$ cp k/enclaves/listener/key.pem k/enclaves/talker",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def other_key(enclave: Enclave) -> Iterator[Violation]:
+def another_key(enclave: Enclave) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None:
         return
@@ -135,7 +135,7 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ cp k/enclaves/talker/cert.pem k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
-def below_an_intermediate(enclave: Enclave) -> Iterator[Violation]:
+def issued_by_intermediate(enclave: Enclave) -> Iterator[Violation]:
     if found := _intermediate(enclave):
         yield Violation(
             f"issued by {found.subject_name}, which only Fast DDS finds in {IDENTITY_CA}"
@@ -155,7 +155,7 @@ def below_an_intermediate(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k c issue --force --publish chatter /talker",
 )  # fmt: skip
-def outlives_ca(enclave: Enclave) -> Iterator[Violation]:
+def ends_after_ca(enclave: Enclave) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate and ca and certificate.not_after > ca.not_after:
         yield Violation(

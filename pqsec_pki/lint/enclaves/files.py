@@ -19,7 +19,7 @@ from pqsec_pki.lint.subjects import SIX, Enclave
     good="$ cp k/enclaves/talker/key.pem robot",
 )  # fmt: skip
 def incomplete(enclave: Enclave) -> Iterator[Violation]:
-    there = {*enclave.files, *enclave.lost}
+    there = {*enclave.files, *enclave.broken_links}
     missing = [name for name in SIX if name not in there and not _is_elsewhere(enclave, name)]
     if missing:
         yield Violation(f"lacks {', '.join(missing)}")
@@ -35,8 +35,8 @@ def incomplete(enclave: Enclave) -> Iterator[Violation]:
         $ cp -rL k/enclaves/talker robot
     """,
 )  # fmt: skip
-def lost(enclave: Enclave) -> Iterator[Violation]:
-    for name in sorted(enclave.lost):
+def broken_link(enclave: Enclave) -> Iterator[Violation]:
+    for name in sorted(enclave.broken_links):
         yield Violation("the link is broken", path=enclave.folder / name)
 
 

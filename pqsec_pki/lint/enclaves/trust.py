@@ -17,7 +17,7 @@ from pqsec_pki.lint.subjects import Enclave, Inventory
 from pqsec_pki.problems import Code, Problem
 
 ID = "PQS319"
-_LEFT = "PQS149"
+_REVOKED_IN_KEYSTORE = "PQS149"
 """About a revoked participant in the keystore that revoked it, which is intended."""
 _LIST, _SIGNED = ("PQS145",), ("PQS330", "PQS331", "PQS332", "PQS333", "PQS334", "PQS335")
 _XML = (*(f"PQS{number}" for number in (*range(201, 220), *range(231, 235), 262, 263, 264)),)
@@ -38,7 +38,7 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
     Code.ALTERNATIVE_BAD: ("PQS603",),
     Code.KEY_MISMATCH: ("PQS304", "PQS608"),
     Code.WRONG_SUBJECT: ("PQS303",),
-    Code.REVOKED: ("PQS146", _LEFT),
+    Code.REVOKED: ("PQS146", _REVOKED_IN_KEYSTORE),
     Code.LIST_EXPIRED: ("PQS141",),
     Code.LIST_NOT_YET_VALID: ("PQS142",),
     Code.LIST_WRONG_ISSUER: _LIST,
@@ -79,7 +79,7 @@ def cannot_be_trusted(enclave: Enclave) -> Iterator[Violation]:
         yield Violation(text, path=path, code=problem.code)
 
 
-def said_once(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Finding]:
+def without_repetitions(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Finding]:
     """The findings with codes, without those that another rule reports for the same enclave."""
     known = list(findings)
     enclaves = {each.folder: each for each in inventory.enclaves}
@@ -101,13 +101,13 @@ def said_once(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Fin
 
 
 def _reports(finding: Finding, code: Code) -> bool:
-    bad = finding.rule.severity is Severity.ERROR or finding.rule.id == _LEFT
+    bad = finding.rule.severity is Severity.ERROR or finding.rule.id == _REVOKED_IN_KEYSTORE
     return bad and finding.rule.id in _REPORTED_BY.get(code, ()) and finding.code in {None, code}
 
 
 def _places(enclave: Enclave) -> frozenset[Path]:
     """Paths of findings about it: its folder, its files, and XML files next to signed ones."""
-    own = {enclave.folder / name for name in (*enclave.files, *enclave.lost)}
+    own = {enclave.folder / name for name in (*enclave.files, *enclave.broken_links)}
     own |= {file.path for file in enclave.files.values()}
     return frozenset({enclave.folder, *own, *(path.with_suffix(".xml") for path in own)})
 
@@ -115,7 +115,7 @@ def _places(enclave: Enclave) -> frozenset[Path]:
 def _problems(enclave: Enclave) -> Iterator[Problem]:
     if any(enclave.files[name].unreadable for name in _open_to_all(enclave.files)):
         return  # unknown: the check is incomplete, as PQS001 reports
-    for name in sorted(set(enclave.lost) & set(FILES)):
+    for name in sorted(set(enclave.broken_links) & set(FILES)):
         yield Problem("the link is broken", Code.FILE_MISSING, name).of(enclave.name)
     try:
         credentials = Credentials.of(enclave.name, _files(enclave))

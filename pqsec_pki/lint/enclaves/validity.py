@@ -69,7 +69,7 @@ def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     bad="<not_before>2026-05-31T23:00:00Z</not_before>",
     good="<not_before>2026-05-30T23:00:00Z</not_before>",
 )  # fmt: skip
-def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
+def too_new_for_time_zones(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if timedelta() <= document.now - grant.not_before < WEST:
             words = f"begins at {grant.not_before:%H:%M} UTC, which Fast DDS reads as local time"
@@ -86,7 +86,7 @@ def too_fresh(document: PermissionsFile) -> Iterator[Violation]:
     bad="<not_after>2026-05-31T23:00:00Z</not_after>",
     good="<not_after>2026-05-30T23:00:00Z</not_after>",
 )  # fmt: skip
-def lingers(document: PermissionsFile) -> Iterator[Violation]:
+def expired_in_some_time_zones(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if timedelta() < document.now - grant.not_after < WEST:
             words = f"expired at {grant.not_after:%H:%M} UTC, which Fast DDS reads as local time"
@@ -104,7 +104,7 @@ def lingers(document: PermissionsFile) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def end_first(enclave: Enclave) -> Iterator[Violation]:
+def permissions_end_first(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -126,7 +126,7 @@ def end_first(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def end_last(enclave: Enclave) -> Iterator[Violation]:
+def permissions_end_last(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -149,7 +149,7 @@ def end_last(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def never_together(enclave: Enclave) -> Iterator[Violation]:
+def never_valid_together(enclave: Enclave) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return

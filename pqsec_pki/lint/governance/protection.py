@@ -1,4 +1,4 @@
-"""Rules about governance: missing protection, and what stacks read differently."""
+"""Rules about governance: what it leaves unprotected, and who may join."""
 
 from collections.abc import Iterator
 
@@ -104,7 +104,7 @@ def no_join_control(document: GovernanceFile) -> Iterator[Violation]:
         <data_protection_kind>ENCRYPT</data_protection_kind>
     """,
 )  # fmt: skip
-def clear_topic(document: GovernanceFile) -> Iterator[Violation]:
+def unprotected_topic(document: GovernanceFile) -> Iterator[Violation]:
     for rule, topic in _topics(document):
         if _is_open(topic) and rule.rtps_protection_kind is _NONE:
             yield document.at(

@@ -129,7 +129,7 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
         </topic_rule>
     """,
 )  # fmt: skip
-def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
+def no_participant_in_opendds(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
         if rule.enable_join_access_control and not any(map(_is_half_open, rule.topic_rules)):
             yield document.at(
@@ -170,7 +170,7 @@ def nobody_joins(document: GovernanceFile) -> Iterator[Violation]:
         </topic_rule>
     """,
 )  # fmt: skip
-def opened_below(document: GovernanceFile) -> Iterator[Violation]:
+def opened_in_opendds(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
         open_below = Patterns[TopicRule]()
         for topic in reversed(rule.topic_rules):

@@ -33,7 +33,7 @@ def different_governance(inventory: Inventory) -> Iterator[Violation]:
         document = enclave.governance()
         return document.governance if document else None
 
-    for enclave, other in _odd_ones(inventory, text):
+    for enclave, other in _unlike_most(inventory, text):
         place = enclave.files[GOVERNANCE].path
         yield Violation(f"differs from the governance of {other.name} and others", path=place)
 
@@ -57,7 +57,7 @@ def different_cas(inventory: Inventory) -> Iterator[Violation]:
             ca = enclave.certificate(name)
             return ca.fingerprint if ca else None
 
-        for enclave, other in _odd_ones(inventory, key):
+        for enclave, other in _unlike_most(inventory, key):
             place = enclave.files[name].path
             yield Violation(f"differs from the {name} of {other.name} and others", path=place)
 
@@ -173,7 +173,7 @@ def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certifica
     return {path: ca for path, ca in found.items() if ca}
 
 
-def _odd_ones(
+def _unlike_most(
     inventory: Inventory, key: Callable[[Enclave], Hashable]
 ) -> Iterator[tuple[Enclave, Enclave]]:
     """(enclave, another enclave) for each that differs from the majority of its keystore."""

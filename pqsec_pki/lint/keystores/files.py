@@ -105,7 +105,7 @@ def world_writable(inventory: Inventory) -> Iterator[Violation]:
     bad="$ cp k/enclaves/talker/key.pem k/enclaves/talker/key.pem.bak",
     good="$ shred -u k/enclaves/talker/key.pem.bak",
 )  # fmt: skip
-def left_behind(file: File) -> Iterator[Violation]:
+def forgotten_copy(file: File) -> Iterator[Violation]:
     if file.is_private_key and not _KEY_NAME.fullmatch(file.path.name):
         yield Violation("looks like a forgotten copy of a private key")
 

@@ -33,9 +33,11 @@ def unreadable(file: File) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k ca recover",
 )  # fmt: skip
-def cut_off(inventory: Inventory) -> Iterator[Violation]:
-    if inventory.cut_off:
-        yield Violation("a change of the keystore was not finished", path=inventory.cut_off)
+def interrupted_change(inventory: Inventory) -> Iterator[Violation]:
+    if inventory.interrupted_change:
+        yield Violation(
+            "a change of the keystore was not finished", path=inventory.interrupted_change
+        )
 
 
 @lint_rule(
@@ -51,7 +53,7 @@ def cut_off(inventory: Inventory) -> Iterator[Violation]:
     """,
     good="$ mv backup/pqsec.json k",
 )  # fmt: skip
-def lacks(inventory: Inventory) -> Iterator[Violation]:
-    for root, lost in inventory.lost.items():
-        words = f"the keystore lacks {', '.join(lost)}"
+def missing_parts(inventory: Inventory) -> Iterator[Violation]:
+    for root, missing in inventory.missing_parts.items():
+        words = f"the keystore lacks {', '.join(missing)}"
         yield Violation(f"{words}: the rules that need it were not checked", path=root)

@@ -44,9 +44,9 @@ def without_reason(file: SuppressionFile) -> Iterator[Violation]:
             until: 2099-12-31
     """,
 )  # fmt: skip
-def run_out(file: SuppressionFile) -> Iterator[Violation]:
+def expired(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries:
-        if entry.is_over(file.today):
+        if entry.has_expired(file.today):
             yield Violation(f"the suppression of {entry.rule} expired on {entry.until}", entry.line)
 
 
@@ -63,7 +63,7 @@ def run_out(file: SuppressionFile) -> Iterator[Violation]:
 )  # fmt: skip
 def unused(file: SuppressionFile) -> Iterator[Violation]:
     for entry in file.entries if file.is_complete else ():
-        holds = entry.reason and not entry.is_over(file.today) and entry.rule in file.asked
+        holds = entry.reason and not entry.has_expired(file.today) and entry.rule in file.asked
         if holds and not entry.used:
             yield Violation(f"the suppression of {entry.rule} matches no finding", entry.line)
 
@@ -83,7 +83,7 @@ def unused(file: SuppressionFile) -> Iterator[Violation]:
             reason: a test keystore on an encrypted disk
     """,
 )  # fmt: skip
-def not_understood(file: SuppressionFile) -> Iterator[Violation]:
+def invalid_entry(file: SuppressionFile) -> Iterator[Violation]:
     yield from file.broken
     for entry in file.entries:
         if entry.rule not in file.known:

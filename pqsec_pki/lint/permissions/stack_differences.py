@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Rule
-from pqsec_pki.lint.document import Document, PermissionsFile
+from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns, Starts, covers_domains, domains_meet
 from pqsec_pki.lint.permissions._names import criteria_of
 from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
@@ -58,23 +58,6 @@ def _entries(grant: Grant) -> list[_Entry]:
         for rule, action, criteria in criteria_of(grant)
         for topic in criteria.topics
     ]
-
-
-@lint_rule(
-    "PQS269", _WARNING, "a topic with the name of a builtin topic",
-    why="Cyclone DDS lets every participant of the domain use its builtin topics, such as"
-    " DCPSTopic. Governance and permissions have no effect on them.",
-    fix="Give the topic another name.",
-    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
-    bad="<topic>DCPSTopic</topic>",
-    good="<topic>rt/chatter</topic>",
-)  # fmt: skip
-def builtin_name(document: Document) -> Iterator[Violation]:
-    for node in document.all("topic", "topic_expression"):
-        if node.value.startswith("DCPS"):
-            yield document.at(
-                node, f"{node.value[:60]!a}: names that begin with DCPS are builtin topics"
-            )
 
 
 @lint_rule(

@@ -21,7 +21,7 @@ _SPACED = re.compile(r"\s=|(?<!\\)=\s|(?<!\\),\s|\s,")
     bad="<subject_name>talker</subject_name>",
     good="<subject_name>CN=/talker</subject_name>",
 )  # fmt: skip
-def no_name(document: PermissionsFile) -> Iterator[Violation]:
+def invalid_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("subject_name"):
         if not parsed(node.value):
             shown = node.value[:60]

@@ -33,7 +33,7 @@ _INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\
         </validity>
     """,
 )  # fmt: skip
-def never_in_force(document: PermissionsFile) -> Iterator[Violation]:
+def never_valid(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if grant.not_before >= grant.not_after:
             yield document.at(grant.line, f"{shown(grant)}: not_after is not later than not_before")
@@ -66,7 +66,7 @@ def too_late(document: PermissionsFile) -> Iterator[Violation]:
     bad="<not_before>2026-05-01</not_before>",
     good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip
-def no_time(document: PermissionsFile) -> Iterator[Violation]:
+def unreadable_time(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         if not _is_time(node.value):
             shown = node.value[:40]
@@ -83,7 +83,7 @@ def no_time(document: PermissionsFile) -> Iterator[Violation]:
     bad="<not_before>2026-05-01T00:00:00</not_before>",
     good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip
-def no_zone(document: PermissionsFile) -> Iterator[Violation]:
+def without_zone(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all(*_TIMES):
         found = _INSTANT.fullmatch(node.value)
         if found and not found["zone"]:

@@ -27,7 +27,7 @@ from pqsec_pki.lint.subjects import Enclave, Inventory
     bad="$ cp elsewhere/forged.cert.pem k/enclaves/talker/cert.pem",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def alternative_does_not_hold(enclave: Enclave) -> Iterator[Violation]:
+def invalid_alternative_signature(enclave: Enclave) -> Iterator[Violation]:
     certificate, key = enclave.certificate(), alternative_key_of(enclave.certificate(IDENTITY_CA))
     if certificate is None or key is None or not _has_signature(certificate):
         return
@@ -80,7 +80,7 @@ def no_alternative(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml",
 )  # fmt: skip
-def stripped(inventory: Inventory) -> Iterator[Violation]:
+def no_countersignature(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
         ca, signers = each.alternative_ca, countersigners(each.file)
         if ca and not any(is_by(signer, ca) for signer in signers):
@@ -94,7 +94,7 @@ def stripped(inventory: Inventory) -> Iterator[Violation]:
     bad="$ cp elsewhere/forged.p7s k/enclaves/talker/permissions.p7s",
     good="$ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml",
 )  # fmt: skip
-def counter_does_not_hold(inventory: Inventory) -> Iterator[Violation]:
+def invalid_countersignature(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
         for problem in each.counter_problems:
             yield Violation(problem, path=each.file.path)

@@ -32,7 +32,7 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
         $ pqsec -k k ca init --no-passphrase --profile transition
     """,
 )  # fmt: skip
-def identity_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
+def post_quantum_identity(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
     if file.first and role.identifies and family_of(file.first) is not Strength.CLASSICAL:
         yield Violation(
@@ -57,7 +57,7 @@ def identity_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
         $ pqsec -k k ca init --no-passphrase --profile transition
     """,
 )  # fmt: skip
-def documents_for_no_stack(file: CertificateFile) -> Iterator[Violation]:
+def post_quantum_documents(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
     if file.first and role.signs_documents and family_of(file.first) is not Strength.CLASSICAL:
         yield Violation(

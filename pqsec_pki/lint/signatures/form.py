@@ -82,7 +82,7 @@ def blank_first(file: File) -> Iterator[Violation]:
     good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
 def broken(file: File) -> Iterator[Violation]:
-    if file.is_signed and not file.is_ambiguous and (reason := file.signature_trouble):
+    if file.is_signed and not file.is_ambiguous and (reason := file.signature_error):
         yield Violation(f"cannot be read: {reason}")
 
 

@@ -102,7 +102,7 @@ def of_another_signer(inventory: Inventory) -> Iterator[Violation]:
     """,
     good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
-def does_not_hold(inventory: Inventory) -> Iterator[Violation]:
+def invalid_signature(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
         for problem in each.plain_problems:
             yield Violation(problem, path=each.file.path)
