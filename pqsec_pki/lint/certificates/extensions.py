@@ -1,4 +1,4 @@
-"""Rules about certificate extensions, and about files with several certificates.
+"""Rules about certificate extensions: what a CA and a participant must be allowed to do.
 
 Each variant was measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1,
 3.1.2 and 3.6.2.
@@ -12,10 +12,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.lint.certificates._keys import extension, is_ca
 from pqsec_pki.lint.roles import Role
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 _OLD = "Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1"
 
 _ALTERNATIVE = {"2.5.29.72", "2.5.29.73", "2.5.29.74"}
@@ -32,7 +31,7 @@ _UNDERSTOOD = {
     why="Every stack refuses certificates below a version 3 CA without this mark. PQS134 covers"
     " certificates of version 1.",
     fix="Create the CA with basicConstraints=critical,CA:TRUE.",
-    rows=("CA without any extension",), measured=_ALL,
+    rows=("CA without any extension",), measured=SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
           -addext basicConstraints=critical,CA:FALSE
@@ -51,7 +50,7 @@ def identity_ca_without_mark(file: CertificateFile) -> Iterator[Violation]:
     "PQS121", Severity.WARNING, "the permissions CA is not marked as a CA",
     why="Stacks accept it. pqsec and strict implementations of RFC 5280 refuse it.",
     fix="Create the CA with basicConstraints=critical,CA:TRUE.",
-    measured="taken by " + _ALL,
+    measured="taken by " + SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
           -addext basicConstraints=critical,CA:FALSE
@@ -71,7 +70,7 @@ def permissions_ca_without_mark(file: CertificateFile) -> Iterator[Violation]:
     why="keyUsage is present and does not include keyCertSign: every stack refuses the"
     " participants.",
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
-    rows=("CA KU without keyCertSign",), measured=_ALL,
+    rows=("CA KU without keyCertSign",), measured=SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
           -addext keyUsage=critical,cRLSign
@@ -164,7 +163,7 @@ def for_another_purpose(file: CertificateFile) -> Iterator[Violation]:
     why="A program must refuse a certificate with a critical extension that it does not support,"
     " and every stack does. OpenSSL also refuses critical key identifiers (2.5.29.14 and .35).",
     fix="Issue the certificate without the extension, or mark the extension as not critical.",
-    rows=("leaf: unknown critical extension",), measured=_ALL,
+    rows=("leaf: unknown critical extension",), measured=SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext 1.2.3.4=critical,ASN1:NULL
@@ -184,7 +183,7 @@ def unknown_critical(file: CertificateFile) -> Iterator[Violation]:
     " critical, and only then accept the certificate.",
     fix="Issue the certificate with pqsec, which never marks them as critical; some other tools"
     " do.",
-    rows=("alt extensions marked critical",), measured=_ALL,
+    rows=("alt extensions marked critical",), measured=SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext "2.5.29.72=critical,DER:$(openssl pkey -in key.pem -pubout -outform DER |
@@ -205,7 +204,7 @@ def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
     "PQS128", Severity.WARNING, "a participant is marked as a CA",
     why="Stacks accept it. Its key could issue certificates that other programs trust.",
     fix="Issue the certificate with basicConstraints=critical,CA:FALSE.",
-    measured="taken by " + _ALL,
+    measured="taken by " + SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext basicConstraints=critical,CA:TRUE
@@ -224,7 +223,7 @@ def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
     "PQS129", Severity.WARNING, "a participant may not sign",
     why="Participants sign the handshake. Stacks do not check keyUsage; pqsec does.",
     fix="Issue the certificate with keyUsage=critical,digitalSignature.",
-    measured="taken by " + _ALL,
+    measured="taken by " + SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem \
           -addext keyUsage=critical,keyAgreement

@@ -6,10 +6,8 @@ from cryptography import x509
 
 from pqsec_pki.lint.certificates._keys import extension, is_ca, is_signed_by
 from pqsec_pki.lint.roles import Role
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
-
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @lint_rule(
@@ -35,7 +33,7 @@ def unreadable(file: CertificateFile) -> Iterator[Violation]:
         "identity_ca=root, cert.pem=leaf+intermediate", "identity_ca=root+int, cert=leaf",
         "two CAs in file, right one second", "…, CA file = root+intermediate",
     ),
-    measured=_ALL,
+    measured=SIX_STACKS,
     bad="""
         $ cat k/public/identity_ca.cert.pem k/public/permissions_ca.cert.pem > identity_ca.cert.pem
     """,
@@ -57,7 +55,7 @@ def several(file: CertificateFile) -> Iterator[Violation]:
         "identity_ca=int only", "identity_ca=int+root, cert=leaf (no AKI)",
         "signer intermediate, CA file = intermediate", "…, CA file = intermediate+root",
     ),
-    measured=_ALL,
+    measured=SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=Intermediate -out identity_ca.cert.pem \
           -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem
@@ -83,7 +81,7 @@ def intermediate(file: CertificateFile) -> Iterator[Violation]:
     " certificates without them.",
     fix="Issue the certificate with subjectKeyIdentifier, and with authorityKeyIdentifier if a CA"
     " issues it.",
-    measured="taken by " + _ALL,
+    measured="taken by " + SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out identity_ca.cert.pem \
           -addext basicConstraints=critical,CA:TRUE -addext subjectKeyIdentifier=none

@@ -1,4 +1,4 @@
-"""Rules about single certificates: kinds of keys, signature algorithms, and validity.
+"""Rules about the key, the signature algorithm and the subject of a certificate.
 
 Each kind was measured as identity CA, permissions CA and participant in Cyclone DDS
 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
@@ -11,7 +11,7 @@ from pqsec_pki.credentials import KEYS
 from pqsec_pki.lint.certificates._keys import UNREADABLE, family_of, key_kind
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.roles import Role
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
 WEAKEST_RSA = 2048
@@ -75,7 +75,7 @@ def unsupported_by_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
         "identity CA Ed25519", "leaf Ed25519",
         "permissions CA Ed25519 (CMS by OpenSSL 3.5)",
     ),
-    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    measured=SIX_STACKS,
     bad="$ openssl req -x509 -newkey ed25519 -noenc -keyout key.pem -subj /CN=talker -out cert.pem",
     good="""
         $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
@@ -95,7 +95,7 @@ def unsupported_by_all(file: CertificateFile) -> Iterator[Violation]:
     " DDS-Security lists this curve, and a later version of a stack may refuse it.",
     fix="Create the key with ecdsa-p256.",
     rows=("leaf brainpoolP256r1 / secp256k1 (wrongly let in)",),
-    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    measured=SIX_STACKS,
     bad="""
         $ openssl ecparam -genkey -noout -name secp256k1 -out key.pem
         $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
@@ -166,7 +166,7 @@ def weak_key(file: CertificateFile) -> Iterator[Violation]:
     " DDS crashes (std::length_error).",
     fix="Issue the certificate with a common name, such as CN=/fleet/robot1.",
     rows=("cert with empty subject",),
-    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    measured=SIX_STACKS,
     bad="$ openssl req -x509 -key key.pem -subj / -out cert.pem",
     good="$ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem",
 )  # fmt: skip

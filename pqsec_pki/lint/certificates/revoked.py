@@ -6,10 +6,9 @@ from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import key_of
 from pqsec_pki.lint.certificates.revocation import NEW_LIST
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import Enclave, Inventory
 
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 _BAD_LIST = "CRL expired / wrong CA / bad signature"
 
 
@@ -17,7 +16,7 @@ _BAD_LIST = "CRL expired / wrong CA / bad signature"
     "PQS145", Severity.ERROR, "the identity CA did not sign a revocation list",
     why="If another CA signed the list, or the signature is invalid, stacks refuse every"
     " participant.",
-    fix=NEW_LIST, rows=(_BAD_LIST,), measured=_ALL,
+    fix=NEW_LIST, rows=(_BAD_LIST,), measured=SIX_STACKS,
     bad="""
         $ cp -rL k/enclaves/talker robot
         $ pqsec -k other ca init --no-passphrase
@@ -43,7 +42,7 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     "PQS146", Severity.ERROR, "the participant's own certificate is revoked",
     why="The participant does not start, and its peers refuse it.",
     fix="Issue the participant again with a new key.",
-    rows=("own cert revoked", "peer b revoked, CRL at a"), measured=_ALL,
+    rows=("own cert revoked", "peer b revoked, CRL at a"), measured=SIX_STACKS,
     bad="""
         $ cp -rL k/enclaves/talker robot
         $ pqsec -k k revoke /talker

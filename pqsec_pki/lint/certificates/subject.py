@@ -1,4 +1,4 @@
-"""Rules about subjects of certificates that no stack can match."""
+"""Rules about subjects of certificates that stacks cannot match."""
 
 from collections.abc import Iterator
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 
 from pqsec_pki.certificates.authority import LAST_YEAR
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
 SOON = timedelta(days=30)
@@ -16,7 +16,7 @@ SOON = timedelta(days=30)
     " whether the permissions CA has expired.",
     fix="For a participant, run `pqsec renew NAME`. For a CA, run `pqsec ca rotate`.",
     rows=("leaf expired / not yet valid; CA expired", "permissions CA expired"),
-    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    measured=SIX_STACKS,
     bad="""
         $ openssl req -x509 -key key.pem -days 30 -subj /CN=talker -out cert.pem
         # 40 days later
@@ -56,7 +56,7 @@ def expires_soon(file: CertificateFile) -> Iterator[Violation]:
     why="No stack starts with it before that time.",
     fix="Correct the clock, or issue the certificate again. pqsec sets the start one day back.",
     rows=("leaf expired / not yet valid; CA expired",),
-    measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    measured=SIX_STACKS,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=camera -out cert.pem \
           -addext basicConstraints=critical,CA:FALSE

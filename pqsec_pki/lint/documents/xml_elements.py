@@ -1,4 +1,4 @@
-"""Rules about elements and attributes: stacks have their own parsers."""
+"""Rules about elements and attributes, which stacks read with parsers of their own."""
 
 from collections.abc import Iterator
 from itertools import pairwise

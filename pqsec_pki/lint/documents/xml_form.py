@@ -1,4 +1,4 @@
-"""Rules about the form of the XML: stacks have their own parsers and do not use the schema."""
+"""Rules about the form of a whole document: stacks do not use the schema."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any

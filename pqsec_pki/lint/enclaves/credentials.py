@@ -1,4 +1,4 @@
-"""Rules about the files of one enclave, which must match each other."""
+"""Rules about key, certificate and identity CA of an enclave, which must match each other."""
 
 from collections.abc import Iterator
 
@@ -8,10 +8,8 @@ from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import extension, is_signed_by, key_of
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, Enclave
-
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @lint_rule(
@@ -36,7 +34,7 @@ def different_names(enclave: Enclave) -> Iterator[Violation]:
     why="Fast DDS refuses to start. Cyclone DDS starts, but every handshake fails with 'Failed to"
     " finalize digest context (code: 200)'.",
     fix="Replace the key with the one of this certificate, or issue the participant again.",
-    rows=("key does not match cert",), measured=_ALL,
+    rows=("key does not match cert",), measured=SIX_STACKS,
     bad="$ cp k/enclaves/listener/key.pem k/enclaves/talker",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
@@ -72,7 +70,7 @@ def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
         "two CAs in file, right one second", "identity_ca=int+root, cert=leaf (no AKI)",
         "identity_ca=root, cert.pem=leaf+intermediate",
     ),
-    measured=_ALL,
+    measured=SIX_STACKS,
     bad="""
         $ cp -rL k/enclaves/talker robot
         $ pqsec -k other ca init --no-passphrase
@@ -122,7 +120,7 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     " and OpenDDS read only the first certificate of the file.",
     fix="Issue the participant with a self-signed CA.",
     stacks=(Target.CYCLONEDDS, Target.OPENDDS),
-    rows=("identity_ca=root+int, cert=leaf",), measured=_ALL + "; OpenDDS by source",
+    rows=("identity_ca=root+int, cert=leaf",), measured=SIX_STACKS + "; OpenDDS by source",
     bad=r"""
         $ cp -rL k/enclaves/talker robot
         $ openssl req -x509 -key key.pem -subj /CN=Middle -out middle.pem \

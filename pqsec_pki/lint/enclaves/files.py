@@ -1,4 +1,4 @@
-"""Rules about the files that an enclave must have."""
+"""Rules about the files that an enclave must have, and their content."""
 
 from collections.abc import Iterator
 

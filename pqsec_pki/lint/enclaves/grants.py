@@ -1,14 +1,12 @@
-"""Rules about the grants for an enclave's participant."""
+"""Rules about grants and domains for an enclave's participant."""
 
 from collections.abc import Iterator
 
 from pqsec_pki.documents import DefaultAction, Grant, parse_subject, same_subject
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.documents._shadows import domains_meet
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Enclave
-
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @lint_rule(
@@ -16,7 +14,7 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     why="Stacks search the grants for the subject of the certificate. If there is none, they refuse"
     " to start.",
     fix="Write the subject as `pqsec inspect cert.pem` prints it, and sign the permissions again.",
-    rows=("subset `CN=x` only", "superset (+`,L=Madrid`)"), measured=_ALL,
+    rows=("subset `CN=x` only", "superset (+`,L=Madrid`)"), measured=SIX_STACKS,
     bad="$ cp k/enclaves/listener/permissions.* k/enclaves/talker",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip

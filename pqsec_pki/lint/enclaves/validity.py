@@ -7,7 +7,7 @@ from pqsec_pki.documents import Grant
 from pqsec_pki.lint.certificates.validity import is_near
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.enclaves.grants import own_grants
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import Enclave
 
 WEST = timedelta(hours=12)
@@ -15,14 +15,13 @@ WEST = timedelta(hours=12)
 TOGETHER = timedelta(days=2)
 """Ends this close count as equal: one day of margin for time zones is common."""
 _LOCAL = "Fast DDS 2.9.1, 3.1.2, 3.6.2, in the zone of Los Angeles"
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @lint_rule(
     "PQS320", Severity.ERROR, "a grant has expired",
     why="Stacks refuse the participant of this grant.",
     fix="Sign permissions with a later not_after: `pqsec renew NAME`.",
-    rows=("expired / future",), measured=_ALL,
+    rows=("expired / future",), measured=SIX_STACKS,
     bad="<not_after>2026-01-31T00:00:00Z</not_after>",
     good="<not_after>2027-06-01T00:00:00Z</not_after>",
 )  # fmt: skip
@@ -49,7 +48,7 @@ def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
     "PQS322", Severity.ERROR, "a grant is not valid yet",
     why="Stacks refuse the participant of this grant until that time.",
     fix="Correct the clock, or sign permissions with an earlier not_before.",
-    rows=("expired / future",), measured=_ALL,
+    rows=("expired / future",), measured=SIX_STACKS,
     bad="<not_before>2026-06-02T00:00:00Z</not_before>",
     good="<not_before>2026-05-01T00:00:00Z</not_before>",
 )  # fmt: skip

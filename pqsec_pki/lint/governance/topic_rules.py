@@ -1,4 +1,4 @@
-"""Rules about governance rules that are never reached, or that open others."""
+"""Rules about topic and domain rules that are never reached, or that open other topics."""
 
 from collections.abc import Iterator
 

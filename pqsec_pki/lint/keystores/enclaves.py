@@ -1,4 +1,4 @@
-"""Rules about several enclaves: what all of a keystore must share, and what they must not."""
+"""Rules about what the enclaves of a keystore must share, and what they must not."""
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from datetime import datetime

@@ -1,4 +1,4 @@
-"""Rules about the check itself: unreadable files, suppressions, incomplete keystores."""
+"""Rules about what could not be checked: unreadable files, incomplete keystores."""
 
 from collections.abc import Iterator
 

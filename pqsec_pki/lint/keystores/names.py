@@ -1,4 +1,4 @@
-"""Rules about names that stacks confuse, and subjects of certificates that they cannot match."""
+"""Rules about participants that stacks confuse because of their names."""
 
 from collections import Counter
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Rules about suppressions."""
+"""Rules about suppressions: without a reason, expired, unused, or invalid."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Rules about permissions: too many rights, rules without effect, what stacks ignore."""
+"""Rules about grants: too many rights, and parts that stacks ignore."""
 
 from collections.abc import Iterator
 

@@ -7,11 +7,10 @@ from pqsec_pki.algorithms import SignatureAlgorithm
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import alternative_key_of, family_of, key_kind
 from pqsec_pki.lint.roles import Role
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, Inventory
 
 STOCK = (Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS, Target.CONNEXT, Target.ROS2)
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @lint_rule(
@@ -22,7 +21,7 @@ _ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
     " them.",
     stacks=STOCK, only_when_asked=True,
     rows=("identity all ML-DSA-65", "ML-DSA CA, EC leaf", "EC CA, ML-DSA leaf"),
-    measured=_ALL + "; OpenDDS by source",
+    measured=SIX_STACKS + "; OpenDDS by source",
     bad="""
         $ rm -r k
         $ pqsec -k k ca init --no-passphrase --profile pq
@@ -47,7 +46,7 @@ def post_quantum_identity(file: CertificateFile) -> Iterator[Violation]:
     fix="Use the transition profile: an ECDSA signature, and an ML-DSA signature over it.",
     stacks=STOCK, only_when_asked=True,
     rows=("governance/permissions CMS-signed ML-DSA-65",),
-    measured=_ALL + "; OpenDDS by source",
+    measured=SIX_STACKS + "; OpenDDS by source",
     bad="""
         $ rm -r k
         $ pqsec -k k ca init --no-passphrase --profile pq

@@ -1,4 +1,4 @@
-"""Rules about signed documents: their S/MIME form, and who signed them.
+"""Rules about the S/MIME form of signed documents.
 
 Every stack reads them with OpenSSL's SMIME_read_PKCS7 and PKCS7_verify. Each form was
 measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 3.6.2.
@@ -8,11 +8,10 @@ import re
 from collections.abc import Iterator
 
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import broken_digests
 from pqsec_pki.smime import is_canonical
 
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 _SIGN = "Sign the XML with `pqsec sign-governance` or `pqsec sign-permissions`."
 _BLANK_FIRST = re.compile(rb"[ \t]*\r?\n")
 _SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
@@ -23,7 +22,7 @@ _SIGNED_NAME = re.compile(r".*\.(p7s|p7m|smime)", re.IGNORECASE)
     why="Stacks read only multipart/signed. They do not read PEM, DER, plain XML, or a message that"
     " encloses the text (without OpenSSL's -nodetach, or DetachedSignature).",
     fix=_SIGN,
-    rows=("PEM or DER p7 instead of S/MIME", "no DetachedSignature (opaque)"), measured=_ALL,
+    rows=("PEM or DER p7 instead of S/MIME", "no DetachedSignature (opaque)"), measured=SIX_STACKS,
     bad="$ cp k/enclaves/talker/permissions.xml permissions.p7s",
     good="""
         $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml -o permissions.p7s
@@ -45,7 +44,7 @@ def not_smime(file: File) -> Iterator[Violation]:
         "no Text flag (`Detached` only)", "`Detached+Binary`",
         "inner `text/xml` or `application/xml`", "inner Content-Type absent",
     ),
-    measured=_ALL,
+    measured=SIX_STACKS,
     bad=r"""
         $ openssl smime -sign -in k/enclaves/talker/permissions.xml -out permissions.p7s \
           -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem
@@ -65,7 +64,7 @@ def not_text(file: File) -> Iterator[Violation]:
     "PQS332", Severity.ERROR, "a signed document begins with a blank line",
     why="OpenSSL reads the blank line as the end of the header, and finds no content type.",
     fix="Remove the blank line; the signature does not cover it.",
-    rows=("blank first line",), measured=_ALL,
+    rows=("blank first line",), measured=SIX_STACKS,
     bad="$ (echo; cat k/enclaves/talker/permissions.p7s) > permissions.p7s",
     good="$ sed -i 1d permissions.p7s",
 )  # fmt: skip
@@ -90,7 +89,7 @@ def broken(file: File) -> Iterator[Violation]:
     "PQS334", Severity.ERROR, "the document identifies its signer by a key identifier",
     why="Stacks read PKCS #7 1.5, which identifies signers only by issuer and serial number.",
     fix="Sign without -keyid.",
-    rows=("SignerInfo by key id (`cms -keyid`)",), measured=_ALL,
+    rows=("SignerInfo by key id (`cms -keyid`)",), measured=SIX_STACKS,
     bad=r"""
         $ openssl cms -sign -text -keyid -in k/enclaves/talker/permissions.xml \
           -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \
@@ -117,7 +116,7 @@ def by_key_identifier(file: File) -> Iterator[Violation]:
         "two SignerInfos EC + ML-DSA (any order, any CA arrangement)",
         "two SignerInfos EC + EC, same CA",
     ),
-    measured=_ALL,
+    measured=SIX_STACKS,
     bad=r"""
         $ openssl cms -sign -text -in k/enclaves/talker/permissions.xml \
           -signer k/public/permissions_ca.cert.pem -inkey k/private/permissions_ca.key.pem \

@@ -5,11 +5,9 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.lint.certificates._keys import family_of
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.signed import SignedDocument, broken_digests, embedded, is_by
 from pqsec_pki.lint.subjects import Inventory
-
-_ALL = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 
 
 @lint_rule(
@@ -44,7 +42,7 @@ def without_certificate(inventory: Inventory) -> Iterator[Violation]:
     " without signed attributes. pqsec peers refuse it. This check cannot tell whether the document"
     " was changed.",
     fix="Sign it without -noattr, with SHA-256 and an ecdsa-p256 or RSA key, or with pqsec.",
-    measured="`NoAttributes` is taken by " + _ALL,
+    measured="`NoAttributes` is taken by " + SIX_STACKS,
     bad=r"""
         $ cp k/public/permissions_ca.cert.pem .
         $ openssl smime -sign -text -noattr -in k/enclaves/talker/permissions.xml \
@@ -70,7 +68,7 @@ def cannot_be_checked(inventory: Inventory) -> Iterator[Violation]:
     " the CA signed. On stacks that accept it, any such certificate can give itself permissions.",
     fix="Sign with the permissions CA itself.",
     rows=("document signed by leaf or intermediate under the CA, CA file = root",),
-    measured=_ALL,
+    measured=SIX_STACKS,
     bad=r"""
         $ cp k/public/permissions_ca.cert.pem .
         $ openssl smime -sign -text -in k/enclaves/talker/permissions.xml \
@@ -95,7 +93,7 @@ def of_another_signer(inventory: Inventory) -> Iterator[Violation]:
     why="The document was changed after signing, or another key signed it in the CA's name. Every"
     " stack refuses it.",
     fix="Find out who changed the document, and sign it again.",
-    rows=("tampered",), measured=_ALL,
+    rows=("tampered",), measured=SIX_STACKS,
     bad="""
         $ cp k/public/permissions_ca.cert.pem .
         $ sed s/chatter/secret/ k/enclaves/talker/permissions.p7s > permissions.p7s
