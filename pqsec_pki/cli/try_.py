@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from datetime import datetime
+from itertools import permutations
 from typing import Any
 
 import click
@@ -28,6 +29,7 @@ from pqsec_pki.trial import (
 )
 
 ROS2, FASTDDS = "ros2", "fastdds"
+PAIRS = tuple(map(",".join, permutations(STACKS, 2)))
 TIMEOUT = 10.0
 _PAIR = 2
 
@@ -38,6 +40,9 @@ _PAIR = 2
         "Run two participants in Cyclone DDS": "pqsec try cyclonedds /talker /listener",
         "Run them with pqsec's plugin, for post-quantum keys": (
             "pqsec try cyclonedds --plugin /talker /listener"
+        ),
+        "Run one in Cyclone DDS and the other in Fast DDS": (
+            "pqsec try cyclonedds,fastdds --plugin /talker /listener"
         ),
         "Run them in Fast DDS on one topic": (
             "pqsec try fastdds /talker /listener --topic rt/chatter"
@@ -50,7 +55,7 @@ _PAIR = 2
         3: "the stack, the keystore or a participant is missing, or a program cannot be compiled",
     },
 )
-@click.argument("stack", type=click.Choice([*STACKS, ROS2]), metavar="STACK")
+@click.argument("stack", type=click.Choice([*STACKS, *PAIRS, ROS2]), metavar="STACK")
 @click.argument("names", nargs=-1, metavar="A B", shell_complete=_completion.participants)
 @click.option(
     "--topic",
@@ -102,8 +107,8 @@ def try_(stack: str, names: tuple[str, ...], *, dry_run: bool, **given: Any) -> 
     C compiler: a small program is compiled the first time. A and B run as processes on a
     loopback network, and A sends a sample to B. A third process without credentials must
     not receive it. With --plugin they use pqsec's plugin, for post-quantum keys, with an
-    agent of their own. ROS 2 is not run: ros2 needs --dry-run, and accepts any number of
-    participants.
+    agent of their own; STACK may then be cyclonedds,fastdds: A runs in the first, B in the
+    second. ROS 2 is not run: ros2 needs --dry-run, and accepts any number of participants.
     """
     if dry_run is not (stack == ROS2):
         raise UsageError(
@@ -128,9 +133,11 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
     if not given["anyway"]:
         refuse_untrusted(keystore, names, now)
     route = _route(keystore, names, now, topic=given["topic"], domain=given["domain"])
-    installation = find(stack, given["root"])
+    found = {each: find(each, given["root"]) for each in stack.split(",")}
+    first, *other = found.values()
     trial = Trial(
-        installation=installation,
+        installation=first,
+        receiving=other[0] if other else None,
         keystore=keystore,
         timeout=given["timeout"],
         password=_passphrases.of_key(given["password_file"]),
@@ -138,8 +145,7 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
         stock=given["stock"],
         now=now,
     )
-    fastdds = installation if stack == FASTDDS else None
-    with plugin(fastdds=fastdds) if given["plugin"] else nullcontext() as ours:
+    with plugin(fastdds=found.get(FASTDDS)) if given["plugin"] else nullcontext() as ours:
         report = run_trial(replace(trial, plugin=ours), route)
     for warning in report.warnings:
         _printing.note(warning)
@@ -153,6 +159,11 @@ def _refuse_plugin(stack: str, names: tuple[str, ...], given: dict[str, Any]) ->
         raise UsageError(
             f"--plugin is not for {stack}",
             hint="--dry-run searches for it in LD_LIBRARY_PATH, as ROS 2 does",
+        )
+    if stack in PAIRS and (given["stock"] or not given["plugin"]):
+        raise UsageError(
+            f"{stack} is for pqsec's plugin in both",
+            hint="use --plugin, and not --stock: the stacks' own plugins rarely work together",
         )
     if unknown := [each for each in given["stock"] if each not in names or not given["plugin"]]:
         raise UsageError(
@@ -190,6 +201,7 @@ def _as_json(report: Report) -> dict[str, Any]:
         "stack": report.installation.build.stack,
         "stack_version": report.installation.version,
         "library": str(report.installation.library.path),
+        "receiving": _receiving(report),
         "plugin": list(report.plugged),
         "domain": report.topic_route.domain,
         "topic": report.topic_route.topic,
@@ -207,10 +219,22 @@ def _as_json(report: Report) -> dict[str, Any]:
     }
 
 
+def _receiving(report: Report) -> dict[str, str] | None:
+    """The receiver's stack, if it is another."""
+    for each in report.installations[1:]:
+        return {
+            "stack": each.build.stack,
+            "stack_version": each.version,
+            "library": str(each.library.path),
+        }
+    return None
+
+
 def _lines(report: Report) -> Iterator[str]:
     route, sender, receiver = report.topic_route, report.sender.role.name, report.receiver.role.name
+    stacks = " and ".join(each.title for each in report.installations)
     yield (
-        f"{report.installation.title}{_plugged(report)}, domain {route.domain}: {sender} sends on"
+        f"{stacks}{_plugged(report)}, domain {route.domain}: {sender} sends on"
         f" {shown(route.topic)}, {receiver} receives"
     )
     seconds = f"{report.trial_run.seconds:.1f} s"

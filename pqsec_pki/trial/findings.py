@@ -28,20 +28,22 @@ class Finding:
 
 
 def findings(
-    outcomes: Sequence[PeerOutcome], *, stack: str, topic: str, by_standard: bool = False
+    outcomes: Sequence[tuple[PeerOutcome, str]], *, topic: str, by_standard: bool = False
 ) -> tuple[Finding, ...]:
-    """The most important messages of the outcomes; equal ones of several participants once.
+    """The most important messages of the outcomes, each of a stack; equal ones of several
+    participants once.
 
     `by_standard` if pqsec's plugin decided instead of the stack's own. Causes if there are any,
     else symptoms, else unknown messages as they are.
     """
-    interpretation = "" if by_standard else f" --as {stack}"
     alike: dict[tuple[str, str | None, str | None], list[str]] = {}
-    for outcome in outcomes:
+    interpretation = ""
+    for outcome, stack in outcomes:
+        interpretation = "" if by_standard else f" --as {stack}"
         for found in _main_messages(outcome, stack, topic, interpretation):
             alike.setdefault(found, []).append(outcome.role.name)
     if not alike:
-        names = tuple(outcome.role.name for outcome in outcomes)
+        names = tuple(outcome.role.name for outcome, _ in outcomes)
         alike[_no_message(names, interpretation)] = list(names)
     return tuple(
         Finding(participants=tuple(who), said=said, cause=cause, remedy=remedy)

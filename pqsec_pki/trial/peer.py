@@ -39,6 +39,8 @@ class Role:
     """Warnings about its credentials."""
     unauthenticated: bool = False
     """Whether it has no credentials; the trial does not wait for it."""
+    program: tuple[str, ...] = ()
+    """The command line that plays it, if not the one of the trial."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +119,7 @@ def running_peer(
     words = [role.act.value, str(domain), topic, role.text, str(seconds)]
     with tempfile.TemporaryDirectory(prefix="pqsec-peer-") as folder, _log_in(folder) as output:
         process = subprocess.Popen(  # noqa: S603 -- a peer that was compiled here
-            [*program, *words],
+            [*(role.program or program), *words],
             cwd=folder,  # a stack may leave files where it runs
             env=os.environ | role.environment,
             stdin=subprocess.DEVNULL,

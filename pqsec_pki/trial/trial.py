@@ -28,6 +28,8 @@ class Trial:
     """The options of a trial."""
 
     installation: Installation
+    receiving: Installation | None = None
+    """The receiver's, if it runs another stack than the others."""
     keystore: Keystore
     timeout: float
     """Seconds to wait for the sample."""
@@ -41,6 +43,10 @@ class Trial:
     """Participants that run the stack's own plugins nevertheless."""
     now: datetime
 
+    def installation_of(self, act: Act) -> Installation:
+        """The stack of who does that."""
+        return (act is Act.RECEIVE and self.receiving) or self.installation
+
     def plugin_of(self, name: str) -> Plugin | None:
         """The plugin that this participant runs; None for the stack's own."""
         return None if regular_name(name) in map(regular_name, self.stock) else self.plugin
@@ -50,7 +56,8 @@ class Trial:
 class Report:
     """The result of a trial."""
 
-    installation: Installation
+    installations: tuple[Installation, ...]
+    """Of the sender, and of the receiver if it is another."""
     topic_route: TopicRoute
     sender: PeerOutcome
     receiver: PeerOutcome
@@ -86,9 +93,14 @@ class Report:
         """Why the trial failed; empty if it did not."""
         if self.accepted:
             return ()
-        stack, topic = self.installation.build.stack, self.topic_route.topic
-        both = (self.sender, self.receiver)
-        return findings(both, stack=stack, topic=topic, by_standard=bool(self.plugged))
+        stacks = self.installations[0].build.stack, self.installations[-1].build.stack
+        both = list(zip((self.sender, self.receiver), stacks, strict=True))
+        return findings(both, topic=self.topic_route.topic, by_standard=bool(self.plugged))
+
+    @property
+    def installation(self) -> Installation:
+        """The sender's."""
+        return self.installations[0]
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -138,7 +150,7 @@ def run_trial(trial: Trial, topic_route: TopicRoute) -> Report:
         trial_run = run_peers(setup, roles)
     sender, receiver, third = trial_run.outcomes
     return Report(
-        installation=installation,
+        installations=(installation, trial.receiving) if trial.receiving else (installation,),
         topic_route=topic_route,
         sender=sender,
         receiver=receiver,
@@ -161,7 +173,7 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
 
     Its configuration is written into `folder`, one for each act.
     """
-    installation, plugin = trial.installation, trial.plugin_of(name)
+    installation, plugin = trial.installation_of(act), trial.plugin_of(name)
     options = Options(
         version=installation.version,
         loopback=True,
@@ -180,6 +192,7 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
         text=text,
         environment={**made.variables(place), **(plugin.environment if plugin else {})},
         warnings=made.warnings,
+        program=tuple(installation.peer(built(installation))) if trial.receiving else (),
     )
 
 

@@ -75,6 +75,12 @@ def test_a_stack_that_cannot_load_it_says_so(pqsec, keystore, stack):
 @pytest.mark.parametrize(
     ("line", "words", "hint"),
     [
+        ("cyclonedds,fastdds /talker /listener", "is for pqsec's plugin in both", "use --plugin"),
+        (
+            "fastdds,cyclonedds /talker /listener --plugin --stock /talker",
+            "is for pqsec's plugin in both",
+            "not --stock",
+        ),
         ("cyclonedds /talker /listener --stock /talker", "--stock /talker is not", "with --plugin"),
         ("cyclonedds /talker /listener --plugin --stock /x", "--stock /x is not", "with --plugin"),
         ("ros2 --dry-run /talker --plugin", "--plugin is not for ros2", "LD_LIBRARY_PATH"),

@@ -549,7 +549,7 @@ def outcome(log="", act=Act.SEND, name="/a", **how):
 
 
 def explained(*outcomes, stack="fastdds"):
-    return findings(outcomes, stack=stack, topic="rt/x")
+    return findings([(each, stack) for each in outcomes], topic="rt/x")
 
 
 def test_a_known_message_has_a_cause_and_a_remedy_and_is_said_once():
@@ -574,7 +574,7 @@ def test_a_topic_that_is_refused_without_words_is_a_matter_of_permissions():
 def test_a_topic_that_is_no_word_for_a_shell_is_not_to_be_copied():
     topic = "x;`id`$(id)\n--y"
     refused = outcome(refused="topic: Not Allowed By Security")
-    (found,) = findings([refused], stack="cyclonedds", topic=topic)
+    (found,) = findings([(refused, "cyclonedds")], topic=topic)
     assert found.remedy.startswith("`pqsec explain --participant /a --publish TOPIC --as ")
     assert "\n" not in found.cause
 
@@ -623,7 +623,7 @@ def report(*, receiver=HEARD, unauthenticated=None, wire=None):
     )
     trial_run = TrialRun(outcomes=outcomes, seconds=1.0, wire=wire, alone=True)
     return Report(
-        installation=None,
+        installations=(),
         topic_route=way,
         trial_run=trial_run,
         **dict(zip(("sender", "receiver", "unauthenticated"), outcomes, strict=True)),

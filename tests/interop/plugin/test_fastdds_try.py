@@ -19,7 +19,7 @@ from pqsec_pki.trial import (
     plugin,
     run_trial,
 )
-from tests.interop.conftest import LAB_PROFILES, Lab
+from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
 from tests.interop.plugin.processes import PATIENCE
 from tests.interop.plugin.test_plugin_try import (
     AT_ONCE,
@@ -136,3 +136,21 @@ def test_nothing_passes_and_it_is_said_why(reports, name):
     told = [each for each in report.findings if said in each.said]
     assert told, (report.findings, logs(report))
     assert all(each.cause and each.remedy for each in told)
+
+
+@pytest.mark.parametrize("cyclone", ["sends", "receives"])
+@pytest.mark.parametrize("sender", [SENDER, RECEIVER])
+def test_one_in_cyclone_dds_and_one_in_fast_dds_meet(there, laboratory, ours, cyclone, sender):
+    """Whoever sends, and whoever begins the handshake."""
+    try:
+        stacks = [find("cyclonedds"), there("bookworm")]
+    except MissingStackError as error:
+        pytest.skip(f"Cyclone DDS is not on this machine: {error.hint}")
+    first, second = stacks if cyclone == "sends" else reversed(stacks)
+    trial = laboratory.trial(
+        first, Case("", profile="pq"), receiving=second, plugin=ours("bookworm"), timeout=PATIENCE
+    )
+    receiver = next(each for each in (SENDER, RECEIVER) if each != sender)
+    report = run_trial(trial, TopicRoute(sender=sender, receiver=receiver, domain=0, topic=TOPIC))
+    assert report.ok, logs(report)
+    assert report.readable is False or report.trial_run.wire is None
