@@ -72,6 +72,11 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def numbered(texts: Iterable[str]) -> Iterator[str]:
+    """The texts as a numbered list."""
+    return (f"  {number}. {text}" for number, text in enumerate(texts, start=1))
+
+
 def table(headers: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
     """The lines of a table with aligned columns."""
     grid = [headers, *rows]

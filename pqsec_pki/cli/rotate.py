@@ -8,12 +8,19 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
-from pqsec_pki.cli._overlap import OverlapOptions, Step, count_participants, run
+from pqsec_pki.cli import _help, _overlap, _passphrases, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import CA_VALIDITY, Rollover, RolloverPlan, Scope, plan_rollover
-from pqsec_pki.lifecycle import rotate as rotate_keystore
+from pqsec_pki.lifecycle import (
+    CA_VALIDITY,
+    OverlapStep,
+    Rollover,
+    RolloverPlan,
+    RolloverResult,
+    Scope,
+    apply_rollover,
+    plan_rollover,
+)
 from pqsec_pki.vendors.rollover import TRUST
 
 _CAS = {
@@ -53,7 +60,7 @@ _CAS = {
 )
 @click.option(
     "--overlap",
-    type=click.Choice([step.value for step in Step]),
+    type=click.Choice([step.value for step in OverlapStep]),
     help="Make one step of a change during which robots trust the old and the new identity CA.",
 )
 @click.option(
@@ -107,19 +114,21 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     terms = Rollover(
         profile=_profile(keystore, profile_name),
         scope=Scope(scope) if scope else Scope.IDENTITY if overlap else Scope.BOTH,
+        overlap=OverlapStep(overlap) if overlap else None,
         name=name,
         validity=validity,
         rekey=rekey,
         destroy=destroy,
     )
-    if overlap:
-        run(OverlapOptions(keystore, terms, passphrase_file), Step(overlap), do=do)
-        return
+    if terms.overlap:
+        _overlap.refuse_options(terms.overlap)
     planned = plan_rollover(keystore, terms, now=_settings.now())
-    if not do:
+    if do:
+        _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase)
+    elif terms.overlap:
+        _overlap.show(terms.overlap, planned)
+    else:
         _printing.emit(_plan_value(planned), _plan_lines(planned))
-        return
-    _apply(keystore, terms, planned, passphrase_file, no_passphrase=no_passphrase)
 
 
 def _profile(keystore: Keystore, name: str | None) -> Profile:
@@ -130,38 +139,43 @@ def _profile(keystore: Keystore, name: str | None) -> Profile:
 
 
 def _apply(
-    keystore: Keystore,
-    terms: Rollover,
-    plan: RolloverPlan,
-    passphrase_file: Path | None,
-    *,
-    no_passphrase: bool,
+    keystore: Keystore, plan: RolloverPlan, passphrase_file: Path | None, *, no_passphrase: bool
 ) -> None:
-    kept = None
-    if terms.scope is not Scope.BOTH:
-        kept = _passphrases.unlock(keystore, passphrase_file)
-    passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
-    done = rotate_keystore(keystore, terms, kept=kept, passphrase=passphrase, now=_settings.now())
-    for name, reason in done.left_out.items():
+    terms, kept, passphrase = plan.terms, None, None
+    if terms.needs_old_cas:
+        passphrase = _passphrases.of_cas(keystore, passphrase_file)
+        kept = keystore.unlock(passphrase)
+    if not terms.overlap:  # the keys of an overlap have the passphrase of the old ones
+        passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
+    done = apply_rollover(keystore, plan, kept=kept, passphrase=passphrase, now=_settings.now())
+    for name, reason in plan.left_out.items():
         _printing.note(f"{name} is not reissued: {reason}")
+    if terms.overlap:
+        _overlap.print_done(terms.overlap, done)
+    else:
+        _print_done(done)
+
+
+def _print_done(done: RolloverResult) -> None:
+    plan = done.plan
     value = {
-        "generation": done.generation,
-        "profile": terms.profile.name,
-        "scope": terms.scope.value,
+        "generation": plan.generation,
+        "profile": plan.terms.profile.name,
+        "scope": plan.terms.scope.value,
         "issued": [each.name for each in done.issued],
-        "left_out": done.left_out,
-        "new_list": done.new_list,
-        "archive": str(done.archive),
+        "left_out": plan.left_out,
+        "new_list": plan.new_list,
+        "archive": str(plan.archive),
     }
-    count = count_participants(done.issued)
+    count = _printing.counted(len(done.issued), "participant")
     keys = (
         "certificates only, the keys are destroyed"
-        if terms.destroy
+        if plan.terms.destroy
         else "readable by their owner only"
     )
     lines = [
-        f"generation {done.generation}: {_CAS[terms.scope]}, {count} reissued",
-        f"generation {done.generation - 1} is in {done.archive} ({keys})",
+        f"generation {plan.generation}: {_CAS[plan.terms.scope]}, {count} reissued",
+        f"generation {plan.generation - 1} is in {plan.archive} ({keys})",
         *(f"next: {step}" for step in _to_robots(plan)),
     ]
     _printing.emit(value, lines)
@@ -170,71 +184,42 @@ def _apply(
 def _plan_value(plan: RolloverPlan) -> dict[str, Any]:
     return {
         "generation": plan.generation,
-        "scope": plan.scope.value,
-        "profile": {"before": plan.before.name, "after": plan.after.name},
+        "scope": plan.terms.scope.value,
+        "profile": {"before": plan.before.name, "after": plan.terms.profile.name},
         "one_ca": plan.one_ca,
         "keeping": plan.keeping,
         "rekeyed": plan.rekeyed,
         "left_out": plan.left_out,
         "new_list": plan.new_list,
         "archive": str(plan.archive),
-        "destroy": plan.destroy,
-        "steps": list(_steps(plan)),
+        "destroy": plan.terms.destroy,
+        "steps": plan.steps,
         "robots": list(_to_robots(plan)),
         "breaks": list(_breaks(plan)),
-        "overlap": [
-            {"stack": row.stack, "identity_ca": row.how, "evidence": row.evidence} for row in TRUST
-        ],
+        "overlap": _overlap.trust_rows(),
     }
 
 
 def _plan_lines(plan: RolloverPlan) -> Iterator[str]:
-    yield f"generation {plan.generation}: {_CAS[plan.scope]}, {_change(plan)}"
+    yield f"generation {plan.generation}: {_CAS[plan.terms.scope]}, {_change(plan)}"
     yield from ("", "`--apply` makes these changes, all or none:")
-    yield from _numbered(_steps(plan))
+    yield from _printing.numbered(plan.steps)
     yield from ("", "Then you:")
-    yield from _numbered(_to_robots(plan))
+    yield from _printing.numbered(_to_robots(plan))
     yield from ("", "What breaks:")
     yield from (f"  - {text}" for text in _breaks(plan))
     yield from ("", "Stacks that can trust two generations of CAs at the same time:")
-    if plan.scope is not Scope.IDENTITY:
+    if plan.terms.scope is not Scope.IDENTITY:
         yield "  permissions CAs: none"
-    if plan.scope is not Scope.PERMISSIONS:
+    if plan.terms.scope is not Scope.PERMISSIONS:
         yield "  identity CAs, with `--overlap begin`:"
         yield from (f"  {row.stack}: {row.how or 'no'}" for row in TRUST)
 
 
-def _numbered(texts: Iterator[str]) -> Iterator[str]:
-    return (f"  {number}. {text}" for number, text in enumerate(texts, start=1))
-
-
 def _change(plan: RolloverPlan) -> str:
-    if plan.before.name == plan.after.name:
-        return f"profile {plan.after.name} as before"
-    return f"from profile {plan.before.name} to {plan.after.name}"
-
-
-def _steps(plan: RolloverPlan) -> Iterator[str]:
-    after = plan.after
-    second = f" and {after.alternative_key.name}" if after.alternative_key else ""
-    if plan.scope is not Scope.PERMISSIONS:
-        yield f"create an identity CA ({after.identity_key.name}{second})"
-    if plan.scope is not Scope.IDENTITY:
-        yield f"create a permissions CA ({after.permissions_key.name}{second})"
-    if plan.keeping:
-        yield f"reissue {count_participants(plan.keeping)} with the same keys"
-    if plan.rekeyed:
-        yield f"reissue {count_participants(plan.rekeyed)} with new keys"
-    permissions = _printing.counted(plan.participants, "permissions document")
-    yield f"sign the governance and {permissions} again"
-    if plan.new_list:
-        yield "issue an empty revocation list: certificates of the old CA are no longer trusted"
-    for name, reason in plan.left_out.items():
-        yield f"do not reissue {name}: {reason}"
-    if plan.destroy:
-        yield f"destroy the old keys, and keep the old certificates in {plan.archive}"
-    else:
-        yield f"keep the old CAs in {plan.archive}"
+    if plan.before.name == plan.terms.profile.name:
+        return f"profile {plan.terms.profile.name} as before"
+    return f"from profile {plan.before.name} to {plan.terms.profile.name}"
 
 
 def _to_robots(plan: RolloverPlan) -> Iterator[str]:
@@ -250,7 +235,7 @@ def _breaks(plan: RolloverPlan) -> Iterator[str]:
         " first robot that restarts with new files until the last."
     )
     yield "Running participants continue until they restart; DDS cannot notify them."
-    before, after = plan.before, plan.after
+    before, after = plan.before, plan.terms.profile
     if before.name != after.name:
         yield f"Profile {after.name} runs in {after.runs_in}."
     if before.runs_in_stock and not after.runs_in_stock:

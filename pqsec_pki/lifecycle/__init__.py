@@ -9,9 +9,8 @@ Participants and documents:
     signing       signs governance and permissions again
     revoking      revokes certificates and issues revocation lists
 CAs:
-    rotating      replaces CAs; `rollover` has the options, `rollover_plan` the preview,
-                  `_rollover_transaction` the steps
-    overlapping   replaces the identity CA while the old one is still trusted
+    rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
+                  `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 """
@@ -19,50 +18,43 @@ CAs:
 from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
 from pqsec_pki.lifecycle.adopting import Adopted, adopt
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
-from pqsec_pki.lifecycle.overlapping import (
-    BegunOverlap,
-    begin_overlap,
-    cancel_overlap,
-    check_begin,
-    finish_overlap,
-    switch_overlap,
-)
 from pqsec_pki.lifecycle.passphrase import change_passphrase
 from pqsec_pki.lifecycle.renewing import Renewal, renew
 from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
-from pqsec_pki.lifecycle.rollover import CA_VALIDITY, Rollover, Scope
-from pqsec_pki.lifecycle.rollover_plan import RolloverPlan, plan_rollover
-from pqsec_pki.lifecycle.rotating import Rotated, rotate
+from pqsec_pki.lifecycle.rollover import (
+    CA_VALIDITY,
+    OverlapStep,
+    Rollover,
+    RolloverPlan,
+    Scope,
+)
+from pqsec_pki.lifecycle.rollover_apply import RolloverResult, apply_rollover
+from pqsec_pki.lifecycle.rollover_plan import plan_rollover
 from pqsec_pki.lifecycle.signing import sign_document, sign_governance, sign_permissions
 
 __all__ = [
     "CA_VALIDITY",
     "LIST_VALIDITY",
     "Adopted",
-    "BegunOverlap",
     "Issued",
+    "OverlapStep",
     "ParticipantSpec",
     "PublicKeys",
     "Renewal",
     "Revoked",
     "Rollover",
     "RolloverPlan",
-    "Rotated",
+    "RolloverResult",
     "Scope",
     "adopt",
-    "begin_overlap",
-    "cancel_overlap",
+    "apply_rollover",
     "change_passphrase",
-    "check_begin",
-    "finish_overlap",
     "issue",
     "plan_rollover",
     "renew",
     "renew_list",
     "revoke",
-    "rotate",
     "sign_document",
     "sign_governance",
     "sign_permissions",
-    "switch_overlap",
 ]

@@ -1,19 +1,14 @@
-"""The options of a rollover, and which participants it reissues."""
+"""The values of a rollover: its options, and the plan that is shown and executed."""
 
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from datetime import timedelta
 from enum import StrEnum
+from pathlib import Path
 
-from pqsec_pki._files import disk_errors, exists
-from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
-from pqsec_pki.certificates import BACKDATE, Certificate
-from pqsec_pki.documents import Permissions
-from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import Keystore, key_hashes, layout
-from pqsec_pki.lifecycle._inspector import Inspector
-from pqsec_pki.lifecycle.renewing import keys_fit
-from pqsec_pki.smime import document_in
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.keystore import Overlap
 
 CA_VALIDITY = timedelta(days=3650)
 
@@ -26,12 +21,31 @@ class Scope(StrEnum):
     PERMISSIONS = "permissions"
 
 
+class OverlapStep(StrEnum):
+    """A step of a rollover in which two identity CAs are trusted (ADR 10).
+
+    Between two steps every robot gets its new files; robots with new files still accept robots
+    with old ones.
+    """
+
+    BEGIN = "begin"
+    """Create a new CA, which all trust beside the one that issues."""
+    SWITCH = "switch"
+    """Let the new CA issue, and reissue all participants; the old CA is still trusted."""
+    FINISH = "finish"
+    """Remove the trust in the old CA."""
+    CANCEL = "cancel"
+    """Remove the new CA, which has not issued anything."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rollover:
     """The options of a rollover."""
 
     profile: Profile
     scope: Scope = Scope.BOTH
+    overlap: OverlapStep | None = None
+    """The step to make; None for a rollover at once."""
     name: str | None = None
     """The start of the new CAs' names; None for the old name and the generation: Lab G2."""
     validity: timedelta = CA_VALIDITY
@@ -41,76 +55,119 @@ class Rollover:
     destroy: bool = False
     """Whether the old CAs' keys are overwritten with zeros instead of archived."""
 
+    @property
+    def reissues(self) -> bool:
+        """Whether participants are reissued: not in every step of an overlap."""
+        return self.overlap in {None, OverlapStep.SWITCH}
 
-def check_scope(keystore: Keystore, terms: Rollover) -> None:
-    """UsageError for a rollover of one CA that changes the profile, which applies to both."""
-    if terms.scope is not Scope.BOTH and terms.profile.to_names() != keystore.profile.to_names():
-        raise UsageError(
-            "a new profile applies to both CAs",
-            hint="leave out --profile; or leave out --only and --overlap",
-        )
-
-
-def generation(keystore: Keystore) -> int:
-    """The generation of the keystore's CAs, counted from 1."""
-    folder = keystore.root / layout.GENERATIONS
-    with disk_errors(folder):
-        found = list(folder.iterdir()) if exists(folder) else []
-    return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
+    @property
+    def needs_old_cas(self) -> bool:
+        """Whether the keys of the old CAs are needed, because one of them stays in use."""
+        if self.overlap:
+            return self.overlap in {OverlapStep.BEGIN, OverlapStep.SWITCH}
+        return self.scope is not Scope.BOTH
 
 
-def not_reissued(
-    keystore: Keystore, terms: Rollover, inspector: Inspector, now: datetime
-) -> dict[str, str]:
-    """The participants that cannot be reissued, and why.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RolloverPlan:
+    """What a rollover does: `steps` shows it, `apply_rollover` executes it and decides nothing."""
 
-    KeystoreError for a participant whose files are not the ledger's newest. The CAs' signatures
-    are not verified: that takes long for thousands.
-    """
-    names = keystore.names()
-    issued_by_previous_ca = set(inspector.issued_by_previous_ca_of(names))
-    revoked = dict.fromkeys(inspector.revoked_of(names), "revoked")
-    others = [name for name in names if name not in revoked]
+    terms: Rollover
+    before: Profile
+    issuing: Certificate
+    """The identity CA that issued when the plan was made."""
+    overlap: Overlap | None
+    """The overlap that goes on or ends; None if there is none yet."""
+    head: str = field(repr=False)
+    """The ledger's head when the plan was made; another change makes the plan invalid."""
+    generation: int
+    """Of the new CAs."""
+    archive: Path
+    """The folder for the replaced CAs."""
+    one_ca: bool
+    """Whether both CAs have the same key now (CVE-2023-24010)."""
+    keeping: tuple[str, ...] = ()
+    """Participants that are reissued with their keys."""
+    rekeyed: tuple[str, ...] = ()
+    """Participants that get new keys."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Participants that are not reissued, and why."""
+    new_list: bool = False
+    """Whether a new, empty revocation list replaces the old one."""
+    drop_list: bool = False
+    """Whether the empty revocation list is removed: it would be of one of two CAs only."""
 
-    def reason(name: str) -> str:
-        folder = keystore.root / layout.enclave_folder(name)
-        certificate = inspector.certificate(name, folder)
-        has_key = (folder / layout.KEY).exists()
-        if name in issued_by_previous_ca:
-            return "it was not reissued before: its CA has been replaced"
-        if not (has_key or keys_fit(certificate, terms.profile)):
-            return "its key is not here and does not fit the profile: it needs a new request"
-        if not has_key and _is_compromised(inspector, certificate):
-            return "its key is not here and is compromised: it needs a new request"
-        ended = _ended(inspector.signed_permissions(name, folder), certificate, now)
-        return f"its permissions ended on {ended:%Y-%m-%d}" if ended else ""
+    @property
+    def steps(self) -> tuple[str, ...]:
+        """What changes, in words; all of it is one change."""
+        return tuple(self._steps())
 
-    reasons = zip(others, shared_out(reason, others), strict=True)
-    return revoked | {name: words for name, words in reasons if words}
+    def _steps(self) -> Iterator[str]:
+        match self.terms.overlap:
+            case OverlapStep.BEGIN:
+                yield f"create an identity CA ({self._identity_kinds}), which does not issue yet"
+                yield (
+                    "add it to the CAs that all participants trust,"
+                    f" after {self._issuing_name}, which still issues"
+                )
+                if self.drop_list:
+                    yield "remove the revocation list, which is empty: it would be of one CA only"
+            case OverlapStep.FINISH:
+                yield f"trust only {self._issuing_name}"
+                yield f"refuse certificates that {self._other_name} issued"
+            case OverlapStep.CANCEL:
+                yield f"trust only {self._issuing_name}, as before"
+                yield f"destroy the key of {self._other_name}, which has not issued anything"
+            case _:
+                yield from self._rollover_steps()
+
+    def _rollover_steps(self) -> Iterator[str]:
+        yield from self._ca_steps()
+        if self.keeping:
+            yield f"reissue {_counted(self.keeping, 'participant')} with the same keys"
+        if self.rekeyed:
+            yield f"reissue {_counted(self.rekeyed, 'participant')} with new keys"
+        documents = _counted((*self.keeping, *self.rekeyed), "permissions document")
+        yield f"sign the governance and {documents} again"
+        if self.new_list:
+            yield (
+                "issue an empty revocation list: certificates of the old CA are no longer trusted"
+            )
+        for name, reason in self.left_out.items():
+            yield f"do not reissue {name}: {reason}"
+        if self.terms.destroy:
+            yield f"destroy the old keys, and keep the old certificates in {self.archive}"
+        else:
+            yield f"keep the old CAs in {self.archive}"
+        if self.overlap:
+            yield f"keep trusting {self._issuing_name}"
+
+    def _ca_steps(self) -> Iterator[str]:
+        profile, scope = self.terms.profile, self.terms.scope
+        if self.overlap:
+            yield f"issue with {self._other_name} from now on"
+        elif scope is not Scope.PERMISSIONS:
+            yield f"create an identity CA ({self._identity_kinds})"
+        if scope is not Scope.IDENTITY:
+            yield f"create a permissions CA ({_kinds(profile, profile.permissions_key.name)})"
+
+    @property
+    def _identity_kinds(self) -> str:
+        return _kinds(self.terms.profile, self.terms.profile.identity_key.name)
+
+    @property
+    def _issuing_name(self) -> str:
+        return self.issuing.subject_name
+
+    @property
+    def _other_name(self) -> str:
+        return self.overlap.other.subject_name if self.overlap else ""
 
 
-def _ended(signed: bytes, certificate: Certificate, now: datetime) -> datetime | None:
-    """The past end of its own grant, if a policy set it before the certificate's end."""
-    own = certificate.subject_name
-    ends = [
-        grant.not_after
-        for grant in Permissions.from_xml(document_in(signed)).grants
-        if grant.subject_name == own and grant.not_after < certificate.not_after
-    ]
-    return min((end for end in ends if end <= now - BACKDATE), default=None)
+def _kinds(profile: Profile, first: str) -> str:
+    second = profile.alternative_key
+    return f"{first} and {second.name}" if second else first
 
 
-def gets_keys(keystore: Keystore, terms: Rollover, inspector: Inspector, name: str) -> bool:
-    """Whether that participant, which is reissued, gets new keys."""
-    folder = keystore.root / layout.enclave_folder(name)
-    if not (folder / layout.KEY).exists():  # its key was made elsewhere, and fits
-        return False
-    certificate = inspector.certificate(name, folder)
-    fits = keys_fit(certificate, terms.profile)
-    return terms.rekey or not fits or _is_compromised(inspector, certificate)
-
-
-def _is_compromised(inspector: Inspector, certificate: Certificate) -> bool:
-    """Whether a certificate with the same key was revoked as compromised."""
-    hashes = key_hashes(certificate.public_key, certificate.alternative_key).split()
-    return any(each in inspector.compromised for each in hashes)
+def _counted(items: Collection[str], what: str) -> str:
+    return f"{len(items)} {what}" if len(items) == 1 else f"{len(items)} {what}s"

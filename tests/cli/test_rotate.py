@@ -186,6 +186,7 @@ def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
         ("--overlap soon", 2, "'soon' is not one of"),
         ("--overlap begin --only permissions", 2, "no stack trusts two permissions CAs"),
         ("--overlap begin --profile pq", 2, "a new profile applies to both CAs"),
+        ("--overlap switch --only permissions", 2, "no stack trusts two permissions CAs"),
         ("--overlap begin --rekey", 2, "--rekey does not go with --overlap begin"),
         ("--overlap switch --name x", 2, "--name does not go with --overlap switch"),
         ("--overlap finish --validity 1y", 2, "--validity does not go with --overlap finish"),

@@ -4,9 +4,10 @@ import pytest
 
 from pqsec_pki.documents import Governance, Grant, Permissions
 from pqsec_pki.keystore import audit
-from pqsec_pki.lifecycle import Rollover, adopt, renew, revoke, rotate
+from pqsec_pki.lifecycle import Rollover, adopt, renew, revoke
 from tests.interop.conftest import DOMAINS, TOPIC
 from tests.interop.either import STACKS, meet, participants_of
+from tests.unit.keystores import rotate
 
 pytestmark = pytest.mark.interop
 

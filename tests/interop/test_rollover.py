@@ -18,14 +18,7 @@ from tempfile import mkdtemp
 import pytest
 
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import (
-    Rollover,
-    Scope,
-    begin_overlap,
-    finish_overlap,
-    rotate,
-    switch_overlap,
-)
+from pqsec_pki.lifecycle import Rollover, Scope
 from pqsec_pki.trial import (
     MACHINE,
     Act,
@@ -44,6 +37,7 @@ from pqsec_pki.trial import (
     unique_text,
 )
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
+from tests.unit.keystores import begin_overlap, finish_overlap, rotate, switch_overlap
 
 pytestmark = pytest.mark.interop
 

@@ -12,11 +12,12 @@ from itertools import pairwise
 import pytest
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.lifecycle import Rollover, Scope, renew_list, rotate
+from pqsec_pki.lifecycle import Rollover, Scope, renew_list
 from tests.interop.conftest import LAB_PROFILES, Lab
 from tests.interop.cyclone import RefusedError
 from tests.interop.either import STACKS, meet, participants_of
 from tests.interop.fastdds import participant as fastdds_participant
+from tests.unit.keystores import rotate
 
 pytestmark = pytest.mark.interop
 

@@ -1,12 +1,21 @@
 """Keystores for tests of the self-check, made by the library as the command line does."""
 
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore, change
-from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.lifecycle import (
+    OverlapStep,
+    ParticipantSpec,
+    Rollover,
+    Scope,
+    apply_rollover,
+    issue,
+    plan_rollover,
+)
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -54,3 +63,29 @@ def adopt(keystore, other, name):
     goal = keystore.root / f"enclaves{name}"
     shutil.rmtree(goal)
     shutil.copytree(other.root / f"enclaves{name}", goal, symlinks=False)
+
+
+def rotate(keystore, terms, *, now, **keys):
+    """Replace the CAs as the plan says."""
+    return apply_rollover(keystore, plan_rollover(keystore, terms, now=now), now=now, **keys)
+
+
+def begin_overlap(keystore, terms, **how):
+    return rotate(keystore, replace(terms, overlap=OverlapStep.BEGIN), **how)
+
+
+def switch_overlap(keystore, terms, **how):
+    return rotate(keystore, replace(terms, overlap=OverlapStep.SWITCH), **how)
+
+
+def finish_overlap(keystore, *, now):
+    return _end(keystore, OverlapStep.FINISH, now)
+
+
+def cancel_overlap(keystore, *, now):
+    return _end(keystore, OverlapStep.CANCEL, now)
+
+
+def _end(keystore, step, now):
+    terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY, overlap=step)
+    return rotate(keystore, terms, now=now).overlap

@@ -28,12 +28,11 @@ from pqsec_pki.lifecycle import (
     plan_rollover,
     renew,
     revoke,
-    rotate,
 )
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import verify
-from tests.unit.keystores import DAY, NOW, made
+from tests.unit.keystores import DAY, NOW, made, rotate
 from tests.unit.sros2_keystore import NO_CA, SROS2, permissions
 
 
@@ -135,7 +134,7 @@ def test_the_way_out_is_to_rotate(sros2, profile, destroy):
     ).ok
     audit(new)
     assert not list(sros2.root.glob("p*/ca.*")), "SROS2's CA is still there"
-    kept = {path.name for path in done.archive.glob("*.key.pem")}
+    kept = {path.name for path in done.plan.archive.glob("*.key.pem")}
     assert kept == (
         set() if destroy else {"ca.key.pem", "identity_ca.key.pem", "permissions_ca.key.pem"}
     )
@@ -211,7 +210,7 @@ def test_an_old_revocation_list_stays_in_force(sros2):
     assert states == {"/stolen": "revoked", "/talker": "valid", "/fleet/robot1": "valid"}
     assert {each.serial_number for each in keystore.revocation_list.revoked} == {serial, 4711}
     terms = Rollover(profile=keystore.profile)
-    assert rotate(keystore, terms, passphrase=None, now=NOW).left_out == {"/stolen": "revoked"}
+    assert rotate(keystore, terms, passphrase=None, now=NOW).plan.left_out == {"/stolen": "revoked"}
 
 
 def test_what_openssl_named_otherwise_may_do_the_same_after_a_rollover(sros2):

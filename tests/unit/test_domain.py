@@ -19,8 +19,6 @@ from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Rollover,
     Scope,
-    begin_overlap,
-    cancel_overlap,
     issue,
     renew,
     revoke,
@@ -28,6 +26,7 @@ from pqsec_pki.lifecycle import (
 )
 from pqsec_pki.smime import document_in
 from tests.unit.domains import DAY, NAMES, NOW, Scene, damage
+from tests.unit.keystores import begin_overlap, cancel_overlap
 from tests.unit.killing import check_whole
 from tests.unit.killing import create as create_transition
 

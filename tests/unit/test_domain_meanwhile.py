@@ -6,8 +6,9 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.domain import Action, apply_plan, read_domain
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import audit
-from pqsec_pki.lifecycle import Rollover, revoke, rotate
+from pqsec_pki.lifecycle import Rollover, revoke
 from tests.unit.domains import DAY, NAMES, NOW, damage
+from tests.unit.keystores import rotate
 from tests.unit.killing import at_once, check_whole
 
 

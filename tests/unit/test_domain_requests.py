@@ -11,8 +11,9 @@ from pqsec_pki.domain import Action, Plan, create_keystore, read_domain
 from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
 from pqsec_pki.errors import ExistsError, InvalidDocumentError, KeystoreError, VerificationError
 from pqsec_pki.keystore import audit, status
-from pqsec_pki.lifecycle import Rollover, renew, revoke, rotate
+from pqsec_pki.lifecycle import Rollover, renew, revoke
 from tests.unit.domains import DAY, NOW, Scene
+from tests.unit.keystores import rotate
 
 FILE = """
 name: Lab
@@ -304,7 +305,7 @@ def test_who_did_not_come_along_to_the_new_ca_needs_a_new_request(fleet):
     rotated = rotate(
         fleet.keystore, Rollover(profile=profile_named("pq")), passphrase=None, now=NOW
     )
-    assert set(rotated.left_out) == {"/r1"}
+    assert set(rotated.plan.left_out) == {"/r1"}
     shutil.copytree(backup, fleet.root / "enclaves/made", symlinks=True)
     fleet.change("profile: classical", "profile: pq")
     fleet.change("name: Lab", "")

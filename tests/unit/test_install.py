@@ -28,19 +28,10 @@ from pqsec_pki.errors import (
     VerificationError,
 )
 from pqsec_pki.keystore import Keystore, audit
-from pqsec_pki.lifecycle import (
-    Renewal,
-    Rollover,
-    Scope,
-    begin_overlap,
-    renew,
-    renew_list,
-    revoke,
-    rotate,
-)
+from pqsec_pki.lifecycle import Renewal, Rollover, Scope, renew, renew_list, revoke
 from pqsec_pki.problems import Code
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
-from tests.unit.keystores import made
+from tests.unit.keystores import begin_overlap, made, rotate
 from tests.unit.killing import NOW, disturbed_calls, fails_with, survives
 
 pytestmark = pytest.mark.slow

@@ -11,18 +11,24 @@ from pqsec_pki.keystore import Keystore, Overlap, Phase, audit, status
 from pqsec_pki.lifecycle import (
     Rollover,
     Scope,
-    begin_overlap,
-    cancel_overlap,
     change_passphrase,
-    finish_overlap,
     plan_rollover,
     renew,
     renew_list,
     revoke,
+)
+from tests.unit.keystores import (
+    DAY,
+    NOW,
+    TWO,
+    add,
+    begin_overlap,
+    cancel_overlap,
+    finish_overlap,
+    made,
     rotate,
     switch_overlap,
 )
-from tests.unit.keystores import DAY, NOW, TWO, add, made
 from tests.unit.plugin_wire import RefusedError, shaken, side
 
 LATER = NOW + 30 * DAY
@@ -113,7 +119,7 @@ def test_robots_of_a_round_take_those_of_the_round_before_and_after(tmp_path, pr
 def test_the_old_ca_issues_until_it_is_switched(keystore):
     old = keystore.identity_ca
     begun = begin(keystore)
-    assert begun.generation == 2
+    assert begun.plan.generation == 2
     found = Overlap.of(keystore)
     assert found.phase is begun.overlap.phase is Phase.BEGUN
     assert found.issuing.der == begun.overlap.issuing.der == old.der
@@ -132,7 +138,7 @@ def test_the_new_ca_issues_all_anew_once_it_is_switched(keystore):
     permissions_ca = keystore.permissions_ca.der
     keys = {name: keystore.participant(name).certificate.spki for name in TWO}
     done = switch(keystore)
-    assert (done.generation, sorted(each.name for each in done.issued)) == (2, list(TWO))
+    assert (done.plan.generation, sorted(each.name for each in done.issued)) == (2, list(TWO))
     assert keystore.identity_ca.der == new.der
     assert keystore.permissions_ca.der == permissions_ca
     assert Overlap.of(keystore).phase is Phase.SWITCHED
@@ -192,14 +198,14 @@ def test_new_keys_and_an_old_ca_without_its_key_if_that_is_wanted(keystore):
     before = keystore.participant("/talker").certificate.spki
     done = switch(keystore, rekey=True, destroy=True)
     assert keystore.participant("/talker").certificate.spki != before
-    assert [path.name for path in done.archive.iterdir()] == ["identity_ca.cert.pem"]
+    assert [path.name for path in done.plan.archive.iterdir()] == ["identity_ca.cert.pem"]
     finish(keystore)
 
 
 def test_a_key_that_is_on_its_robot_is_certified_by_the_new_ca(keystore):
     (keystore.root / "enclaves/talker/key.pem").unlink()
     begin(keystore)
-    assert switch(keystore).left_out == {}
+    assert switch(keystore).plan.left_out == {}
     path = keystore.root / "enclaves/talker/cert.pem"
     verify_chain(Certificate.from_pem(path.read_bytes()), keystore.identity_ca, now=LATER)
 
@@ -381,12 +387,12 @@ def test_who_was_revoked_and_has_ended_is_in_nobodys_way(keystore):
     begun = begin_overlap(
         keystore, terms(keystore), kept=keystore.unlock(None), passphrase=None, now=late
     )
-    assert begun.dropped_list
+    assert begun.plan.drop_list
 
 
 def test_a_list_that_names_nobody_is_gone_and_comes_back_with_the_next_revocation(keystore):
     listed(keystore)
-    assert begin(keystore).dropped_list
+    assert begin(keystore).plan.drop_list
     assert not list(keystore.root.rglob("*crl.pem"))
     audit(keystore)
     switch(keystore)

@@ -8,17 +8,10 @@ import pytest
 
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.keystore import Keystore, Overlap, audit
-from pqsec_pki.lifecycle import (
-    Rollover,
-    Scope,
-    begin_overlap,
-    cancel_overlap,
-    finish_overlap,
-    renew_list,
-    switch_overlap,
-)
+from pqsec_pki.lifecycle import Rollover, Scope, renew_list
 from pqsec_pki.lint import Severity, check
 from tests.unit import killing
+from tests.unit.keystores import begin_overlap, cancel_overlap, finish_overlap, switch_overlap
 from tests.unit.killing import NOW, check_commitment, copies, drafts, issue_to
 
 pytestmark = pytest.mark.slow

@@ -5,8 +5,8 @@ import pytest
 from pqsec_pki.algorithms import is_encrypted, load_private_key
 from pqsec_pki.errors import KeystoreError, PassphraseError
 from pqsec_pki.keystore import Keystore, audit
-from pqsec_pki.lifecycle import Rollover, change_passphrase, rotate
-from tests.unit.keystores import NOW, made
+from pqsec_pki.lifecycle import Rollover, change_passphrase
+from tests.unit.keystores import NOW, made, rotate
 
 
 @pytest.fixture

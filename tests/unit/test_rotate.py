@@ -25,18 +25,18 @@ from pqsec_pki.lifecycle import (
     Renewal,
     Rollover,
     Scope,
+    apply_rollover,
     issue,
     plan_rollover,
     renew,
     revoke,
-    rotate,
     sign_document,
     sign_governance,
 )
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import verify
-from tests.unit.keystores import DAY, NOW, TWO, add, made
+from tests.unit.keystores import DAY, NOW, TWO, add, made, rotate
 
 LATER = NOW + 30 * DAY
 
@@ -96,8 +96,8 @@ def test_everybody_comes_along_from_any_profile_to_any(tmp_path, start, to):
     old, rules = keystore.identity_ca, allowed(keystore, "/talker")
     done = rotated(keystore, to)
     assert done.keystore.profile.name == to
-    assert done.generation == 2
-    assert done.left_out == {}
+    assert done.plan.generation == 2
+    assert done.plan.left_out == {}
     assert [each.name for each in done.issued] == list(TWO)
     assert allowed(done.keystore, "/talker") == rules
     assert done.keystore.identity_ca.spki != old.spki
@@ -206,10 +206,10 @@ def test_cas_that_made_way_meanwhile_are_not_kept(keystore):
 def test_the_old_cas_are_kept_for_their_owner_only(keystore):
     old = {path.name: path.read_bytes() for path in keystore.root.glob("p*/*.pem")}
     done = rotated(keystore)
-    assert done.archive == keystore.root / "private/generations/1"
-    assert {path.name: path.read_bytes() for path in done.archive.iterdir()} == old
-    assert done.archive.stat().st_mode & 0o777 == 0o700
-    keys = list(done.archive.glob("*.key.pem"))
+    assert done.plan.archive == keystore.root / "private/generations/1"
+    assert {path.name: path.read_bytes() for path in done.plan.archive.iterdir()} == old
+    assert done.plan.archive.stat().st_mode & 0o777 == 0o700
+    keys = list(done.plan.archive.glob("*.key.pem"))
     assert len(keys) == 2
     assert {path.stat().st_mode & 0o777 for path in keys} == {0o600}
 
@@ -220,7 +220,7 @@ def test_old_keys_are_overwritten_if_that_is_wanted(keystore):
     with path.open("rb") as old_file:  # the file lives on without a name
         done = rotated(keystore, destroy=True)
         assert old_file.read() == bytes(size)
-    assert sorted(path.name for path in done.archive.iterdir()) == [
+    assert sorted(path.name for path in done.plan.archive.iterdir()) == [
         "identity_ca.cert.pem",
         "permissions_ca.cert.pem",
     ]
@@ -272,8 +272,8 @@ def test_the_revoked_stay_behind_and_the_new_list_is_empty(keystore):
     stolen = keystore.participant("/stolen").certificate
     done = rotated(keystore)
     new = done.keystore
-    assert done.left_out == {"/stolen": "revoked"}
-    assert done.new_list
+    assert done.plan.left_out == {"/stolen": "revoked"}
+    assert done.plan.new_list
     found = new.revocation_list
     found.verify(new.identity_ca)
     assert (found.number, found.revoked) == (1, ())
@@ -293,7 +293,7 @@ def test_a_key_that_is_elsewhere_is_certified_again(keystore):
     before = keystore.root / "enclaves/talker/cert.pem"
     old = before.read_bytes()
     done = rotated(keystore, rekey=True)
-    assert done.left_out == {}
+    assert done.plan.left_out == {}
     assert before.read_bytes() != old
     assert not (keystore.root / "enclaves/talker/key.pem").exists()
 
@@ -301,8 +301,8 @@ def test_a_key_that_is_elsewhere_is_certified_again(keystore):
 def test_a_key_that_is_elsewhere_and_of_another_kind_stays_behind(keystore):
     (keystore.root / "enclaves/talker/key.pem").unlink()
     done = rotated(keystore, "pq")
-    assert list(done.left_out) == ["/talker"]
-    assert "needs a new request" in done.left_out["/talker"]
+    assert list(done.plan.left_out) == ["/talker"]
+    assert "needs a new request" in done.plan.left_out["/talker"]
     assert [each.name for each in done.issued] == ["/listener"]
     states = {each.name: each.state for each in status(done.keystore, now=LATER).participants}
     assert states == {"/talker": "previous-ca", "/listener": "valid"}
@@ -325,7 +325,7 @@ def test_whose_policy_has_ended_stays_behind_and_is_in_nobodys_way(keystore):
         issue(keystore, keystore.unlock(None), [spec], now=NOW)
     told = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER).left_out
     done = rotated(keystore)
-    assert done.left_out == told == {"/ended": f"its permissions ended on {end:%Y-%m-%d}"}
+    assert done.plan.left_out == told == {"/ended": f"its permissions ended on {end:%Y-%m-%d}"}
     assert sorted(each.name for each in done.issued) == sorted([*TWO, "/goes/on"])
     setup = HandshakeSetup(keystore=done.keystore, domain=0, now=LATER)
     assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/goes/on")).ok
@@ -343,13 +343,45 @@ def test_a_key_that_was_revoked_as_compromised_is_not_certified_again(keystore, 
         (keystore.root / "enclaves/talker/key.pem").unlink()
     told = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER)
     done = rotated(keystore)
-    assert done.left_out == told.left_out
+    assert done.plan.left_out == told.left_out
     if elsewhere:
-        assert "compromised: it needs a new request" in done.left_out["/talker"]
+        assert "compromised: it needs a new request" in done.plan.left_out["/talker"]
     else:
         assert told.rekeyed == ("/talker",)
         assert done.keystore.participant("/talker").certificate.spki != old.spki
         assert_whole(done.keystore)
+
+
+def test_what_the_plan_says_is_done(keystore):
+    authorities = keystore.unlock(None)
+    add(keystore, **{"/compromised": "0", "/revoked": "0"})
+    renew(keystore, authorities, ["/compromised"], Renewal(rekey=False), now=NOW)
+    first = next(each for each in keystore.ledger() if each.name == "/compromised")
+    revoke(keystore, authorities, [first.serial], reason=Reason.KEY_COMPROMISE, now=NOW)
+    revoke(keystore, authorities, ["/revoked"], now=NOW)
+    plan = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER)
+    assert plan.left_out == {"/revoked": "revoked"}
+    assert (plan.keeping, plan.rekeyed) == (TWO, ("/compromised",))
+    before = {name: keystore.participant(name).certificate.spki for name in keystore.names()}
+    done = apply_rollover(keystore, plan, now=LATER)
+    assert [each.name for each in done.issued] == ["/compromised", *TWO]
+    same = {
+        name
+        for name, spki in before.items()
+        if done.keystore.participant(name).certificate.spki == spki
+    }
+    assert same == {*plan.keeping, "/revoked"}
+    assert "do not reissue /revoked: revoked" in plan.steps
+
+
+def test_a_plan_is_not_executed_after_another_change(keystore):
+    plan = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER)
+    add(keystore, **{"/new": "0"})
+    before = digest(keystore.root)
+    with pytest.raises(KeystoreError, match="changed after the plan was made") as caught:
+        apply_rollover(keystore, plan, now=LATER)
+    assert caught.value.hint == "run the command again"
+    assert digest(keystore.root) == before
 
 
 def test_who_stayed_behind_once_is_in_nobodys_way_later(keystore):
@@ -357,8 +389,8 @@ def test_who_stayed_behind_once_is_in_nobodys_way_later(keystore):
     pq = rotated(keystore, "pq").keystore
     told = plan_rollover(pq, Rollover(profile=profile_named("classical")), now=LATER).left_out
     done = rotated(pq, "classical")  # the profile that its key is of
-    assert done.left_out == told
-    assert done.left_out == {"/talker": "it was not reissued before: its CA has been replaced"}
+    assert done.plan.left_out == told
+    assert done.plan.left_out == {"/talker": "it was not reissued before: its CA has been replaced"}
     assert [each.name for each in done.issued] == ["/listener"]
     audit(done.keystore)
 
@@ -465,7 +497,7 @@ def test_a_ledger_that_is_not_whole_is_no_reason_to_leave_robots_behind(keystore
 @pytest.mark.parametrize(("folder", "number"), [("7", 9), ("1²", 2), ("old", 2), ("0", 2)])
 def test_generations_are_counted_by_folders_that_are_numbers(keystore, folder, number):
     (keystore.root / "private/generations" / folder).mkdir(parents=True)
-    assert rotated(keystore).generation == number
+    assert rotated(keystore).plan.generation == number
 
 
 def test_a_name_that_grows_too_long_is_refused_with_the_way_out(tmp_path):

@@ -14,10 +14,11 @@ from pqsec_pki.algorithms import is_encrypted, profile_named
 from pqsec_pki.certificates import verify_chain
 from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore, audit
-from pqsec_pki.lifecycle import Rollover, Scope, adopt, change_passphrase, renew_list, rotate
+from pqsec_pki.lifecycle import Rollover, Scope, adopt, change_passphrase, renew_list
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.smime import verify
 from tests.unit import killing
+from tests.unit.keystores import rotate
 from tests.unit.killing import NOW, drafts, fails_with, issue_to, survives
 from tests.unit.sros2_keystore import SROS2
 

@@ -1,0 +1,130 @@
+"""Creates CAs, and changes which identity CAs are trusted during an overlap.
+
+docs/explanation/adr/0010-two-identity-cas-in-one-file.md has the reasons for the overlap.
+"""
+
+import re
+from datetime import datetime
+
+from pqsec_pki.algorithms import private_key_pem
+from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.errors import UsageError
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    Overlap,
+    Phase,
+    Transaction,
+    certificate_entry,
+    check_pair,
+    layout,
+    load_ca_key,
+    trust_entry,
+    trust_file,
+)
+from pqsec_pki.lifecycle.rollover import RolloverPlan
+
+
+def new_cas(plan: RolloverPlan, now: datetime) -> Authorities:
+    """Create the CAs of the plan's generation, named by its terms or after the old CA."""
+    terms = plan.terms
+    name = terms.name if terms.name is not None else _name(plan.issuing, plan.generation)
+    try:
+        return Authorities.create(terms.profile, name, now=now, validity=terms.validity)
+    except UsageError as error:
+        if terms.name is None and error.hint is None:
+            error.hint = "name the new CAs with --name"
+        raise
+
+
+def _name(old: Certificate, number: int) -> str:
+    """The start of the new CAs' names: Lab Identity CA -> Lab G2."""
+    found = re.search(r"(?:^|,)CN=([A-Za-z0-9_./ -]+)", old.subject_name)
+    base = (found[1] if found else "").removesuffix("Identity CA").strip()
+    base = re.sub(r"(^| )G[0-9]+$", "", base)
+    return f"{base} G{number}".strip()
+
+
+def next_identity_ca(
+    keystore: Keystore, certificate: Certificate, passphrase: bytes | None
+) -> Authority:
+    """The CA with that certificate, which issues next; PassphraseError for a wrong passphrase."""
+    private, second = keystore.root / layout.PRIVATE, certificate.alternative_key
+    authority = Authority(
+        certificate,
+        load_ca_key(private / layout.NEXT_KEY, passphrase),
+        load_ca_key(private / layout.NEXT_ALT_KEY, passphrase) if second else None,
+    )
+    check_pair(authority)
+    return authority
+
+
+# The steps of an overlap that reissue no participant
+
+
+def begin_overlap(
+    keystore: Keystore,
+    plan: RolloverPlan,
+    transaction: Transaction,
+    passphrase: bytes | None,
+    now: datetime,
+) -> Overlap:
+    """Stage a CA that all trust beside the old one; UsageError if it has the old CA's name."""
+    new = new_cas(plan, now).identity
+    certificate = new.certificate
+    if certificate.subject_der == plan.issuing.subject_der:
+        raise UsageError(  # issuers are found by name
+            f"{certificate.subject_name} is the name of the old identity CA",
+            hint="choose another --name",
+        )
+    private = transaction.folder(layout.PRIVATE, private=True)
+    for name, key in ((layout.NEXT_KEY, new.key), (layout.NEXT_ALT_KEY, new.alternative_key)):
+        if key:
+            private.private(name, private_key_pem(key, passphrase))
+    if plan.drop_list:
+        _drop_list(keystore, transaction)
+    _link_all(keystore, transaction)
+    overlap = Overlap(Phase.BEGUN, plan.issuing, certificate)
+    transaction.record(certificate_entry("identity-ca", certificate.subject_name, certificate, now))
+    _trust(transaction, overlap.issuing, overlap.other)
+    transaction.record(trust_entry(overlap, now))
+    return overlap
+
+
+def finish_overlap(overlap: Overlap, transaction: Transaction, now: datetime) -> None:
+    """Stage the end of the trust in the old CA."""
+    _trust(transaction, overlap.issuing)
+    transaction.record(trust_entry(overlap, now, end="finished"))
+
+
+def cancel_overlap(overlap: Overlap, transaction: Transaction, now: datetime) -> None:
+    """Stage the end of the trust in the new CA; its key is overwritten with zeros."""
+    _trust(transaction, overlap.issuing)
+    transaction.record(trust_entry(overlap, now, end="cancelled"))
+    for key in (layout.NEXT_KEY, layout.NEXT_ALT_KEY):
+        transaction.shred(f"{layout.PRIVATE}/{key}")
+        transaction.remove(f"{layout.PRIVATE}/{key}")
+
+
+def _trust(transaction: Transaction, *authorities: Certificate) -> None:
+    """Stage the file of trusted identity CAs; the first one issues."""
+    public = transaction.folder(layout.PUBLIC, private=False)
+    public.public(layout.IDENTITY_CA, trust_file(authorities))
+
+
+def _link_all(keystore: Keystore, transaction: Transaction) -> None:
+    """Link to that file in enclaves that have their own copy, as adopted ones may."""
+    shared = {layout.IDENTITY_CA: layout.CA_TARGETS[layout.IDENTITY_CA]}
+    for name in keystore.names():
+        folder = layout.enclave_folder(name)
+        [(link, target)] = layout.shared_links(name, shared).items()
+        there = keystore.root / folder / link
+        if not (there.is_symlink() and str(there.readlink()) == target):
+            transaction.folder(folder, private=False).link(link, target)
+
+
+def _drop_list(keystore: Keystore, transaction: Transaction) -> None:
+    """Remove the list: stacks with one CA's list refuse certificates of the other CA."""
+    transaction.remove(f"{layout.PUBLIC}/{layout.CA_LIST}")
+    for name in keystore.names():
+        transaction.remove(f"{layout.enclave_folder(name)}/{layout.LIST}")

@@ -1,0 +1,246 @@
+"""Executes the plan of a rollover, in one change.
+
+All participants are reissued and all documents signed again. The keys of the old CAs are not
+needed, unless one of the two stays: their signatures are verified with their certificates. The
+old CAs are archived in private/generations/, or their keys destroyed.
+"""
+
+import hashlib
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki._files import read
+from pqsec_pki._processes import shared_out
+from pqsec_pki.errors import KeystoreError, UsageError, located
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    Ledger,
+    Overlap,
+    Phase,
+    StagedFolder,
+    Transaction,
+    change,
+    document_entry,
+    layout,
+    settings_file,
+    trust_entry,
+)
+from pqsec_pki.lifecycle._ca_changes import (
+    begin_overlap,
+    cancel_overlap,
+    finish_overlap,
+    new_cas,
+    next_identity_ca,
+)
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import Issued, Issuer
+from pqsec_pki.lifecycle.renewing import Renewal, Renewer
+from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
+from pqsec_pki.lifecycle.rollover import OverlapStep, RolloverPlan, Scope
+
+_IDENTITY = (
+    f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
+    f"{layout.PUBLIC}/{layout.CA_LIST}",
+    f"{layout.PRIVATE}/{layout.IDENTITY_KEY}",
+    f"{layout.PRIVATE}/{layout.IDENTITY_ALT_KEY}",
+)
+_PERMISSIONS = (
+    f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}",
+    f"{layout.PUBLIC}/{layout.PERMISSIONS_ALT_CA}",
+    f"{layout.PRIVATE}/{layout.PERMISSIONS_KEY}",
+    f"{layout.PRIVATE}/{layout.PERMISSIONS_ALT_KEY}",
+)
+# SROS2's one CA, to which the names above are links.
+_SROS2 = (f"{layout.PUBLIC}/ca.cert.pem", f"{layout.PRIVATE}/ca.key.pem")
+_PLACES = {
+    Scope.BOTH: (*_IDENTITY, *_PERMISSIONS, *_SROS2),
+    Scope.IDENTITY: _IDENTITY,
+    Scope.PERMISSIONS: _PERMISSIONS,
+}
+"""Scope -> the files of the CAs that are replaced."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RolloverResult:
+    """The result of an executed plan."""
+
+    plan: RolloverPlan
+    keystore: Keystore
+    """With the new profile."""
+    issued: list[Issued]
+    overlap: Overlap | None
+    """The overlap that began, went on or ended."""
+
+
+def apply_rollover(
+    keystore: Keystore,
+    plan: RolloverPlan,
+    *,
+    kept: Authorities | None = None,
+    passphrase: bytes | None = None,
+    now: datetime,
+) -> RolloverResult:
+    """Execute the plan, or do nothing.
+
+    `kept` are the keystore's CAs, if the plan's terms need them. New keys are encrypted under
+    `passphrase`, which is also that of the key that an overlap has made. KeystoreError if the
+    keystore was changed after the plan was made; VerificationError for documents that the old
+    permissions CA did not sign.
+    """
+    if plan.terms.needs_old_cas and kept is None:
+        raise UsageError("the key of the CA that stays is needed")
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        if kept:
+            kept.refuse_outdated(keystore.root)
+        if ledger.head != plan.head:
+            raise KeystoreError(
+                "the keystore was changed after the plan was made", hint="run the command again"
+            )
+        new, issued, overlap = keystore, [], plan.overlap
+        if plan.terms.reissues:
+            new = replace(keystore, profile=plan.terms.profile)
+            cas = _authorities(keystore, plan, kept, passphrase, now)
+            issued = _Execution(keystore, new, plan, cas, transaction, ledger, now).run(passphrase)
+        elif overlap is None:
+            overlap = begin_overlap(keystore, plan, transaction, passphrase, now)
+        elif plan.terms.overlap is OverlapStep.FINISH:
+            finish_overlap(overlap, transaction, now)
+        else:
+            cancel_overlap(overlap, transaction, now)
+    return RolloverResult(plan=plan, keystore=new, issued=issued, overlap=overlap)
+
+
+def _authorities(
+    keystore: Keystore,
+    plan: RolloverPlan,
+    kept: Authorities | None,
+    passphrase: bytes | None,
+    now: datetime,
+) -> Authorities:
+    """The CAs that issue and sign from now on."""
+    if kept and plan.overlap:
+        return replace(kept, identity=next_identity_ca(keystore, plan.overlap.other, passphrase))
+    new = new_cas(plan, now)
+    if kept and plan.terms.scope is Scope.IDENTITY:
+        return replace(kept, identity=new.identity)
+    if kept and plan.terms.scope is Scope.PERMISSIONS:
+        return replace(new, identity=kept.identity)
+    return new
+
+
+@dataclass(frozen=True, slots=True)
+class _Execution:
+    """A rollover that reissues participants, while the keystore is locked."""
+
+    old: Keystore
+    new: Keystore
+    plan: RolloverPlan
+    authorities: Authorities
+    transaction: Transaction
+    ledger: Ledger
+    now: datetime
+
+    def run(self, passphrase: bytes | None) -> list[Issued]:
+        inspector = Inspector.of(self.old, self.ledger, now=self.now)
+        self._archive()
+        self._write_authorities(passphrase)
+        enclaves = self.transaction.folder(layout.ENCLAVES, private=False)
+        self._sign_governance(inspector, self.old.root / layout.ENCLAVES, enclaves, "")
+        issued = self._reissue(inspector)
+        if self.plan.new_list:
+            publisher = Publisher(self.new, self.authorities.identity, self.ledger, self.now)
+            publisher.stage(self.transaction, [], LIST_VALIDITY)
+        return issued
+
+    def _archive(self) -> None:
+        """Copy the replaced files to the archive; destroy private keys if wanted."""
+        archive = self.plan.archive.relative_to(self.old.root)
+        folder = self.transaction.folder(archive.as_posix(), private=True)
+        for place in self._replaced_files():
+            path = self.old.root / place
+            if not place.startswith(layout.PRIVATE):
+                folder.public(path.name, read(path))
+            elif not self.plan.terms.destroy:
+                folder.private(path.name, read(path))
+            elif path.resolve().parent != path.parent.resolve():
+                raise KeystoreError(f"{path} is a link: pqsec does not destroy its target")
+            else:
+                self.transaction.shred(place)
+
+    def _write_authorities(self, passphrase: bytes | None) -> None:
+        """Write the new CAs and the settings; remove files of the old CAs without a successor."""
+        public = self.transaction.folder(layout.PUBLIC, private=False)
+        private = self.transaction.folder(layout.PRIVATE, private=True)
+        overlap = self.plan.overlap
+        trusted = overlap.issuing if overlap else None
+        self.authorities.write(public, private, passphrase, trusted=trusted)
+        for key in (layout.NEXT_KEY, layout.NEXT_ALT_KEY):  # now stored under its final name
+            self.transaction.remove(f"{layout.PRIVATE}/{key}")
+        written = {layout.CA_LIST, *public.names, *private.names}
+        for place in self._replaced_files():
+            if Path(place).name not in written:
+                self.transaction.remove(place)
+        settings = self.transaction.folder(".", private=False)
+        settings.public(layout.SETTINGS, settings_file(self.new.profile, self.new.domains))
+        self.transaction.record(*self.authorities.entries(self.now))
+        if overlap:
+            switched = Overlap(Phase.SWITCHED, overlap.other, overlap.issuing)
+            self.transaction.record(trust_entry(switched, self.now))
+
+    def _reissue(self, inspector: Inspector) -> list[Issued]:
+        """Reissue participants; add missing links, and remove files that they need no more."""
+        issuer = Issuer(self.new, self.authorities, self.now)
+        names = sorted((*self.plan.keeping, *self.plan.rekeyed))
+        rekeyed = frozenset(self.plan.rekeyed)
+
+        def make(name: str, folder: StagedFolder) -> Issued:
+            terms = Renewal(rekey=name in rekeyed)
+            return Renewer(issuer, inspector, terms).make(name, folder)
+
+        folders = [
+            self.transaction.folder(layout.enclave_folder(name), private=False) for name in names
+        ]
+        issued = shared_out(make, names, folders)
+        for each, folder in zip(issued, folders, strict=True):
+            self.transaction.record(*each.entries)
+            there = self.old.root / layout.enclave_folder(each.name)
+            governance = there / layout.GOVERNANCE
+            if governance.exists() and not governance.is_symlink():  # its own copy, when adopted
+                self._sign_governance(inspector, there, folder, each.name)
+            self._tidy(each.name, folder)
+        return issued
+
+    def _replaced_files(self) -> list[str]:
+        places = _PLACES[self.plan.terms.scope]
+        return [place for place in places if (self.old.root / place).exists()]
+
+    def _sign_governance(
+        self, inspector: Inspector, there: Path, folder: StagedFolder, name: str
+    ) -> None:
+        """Sign the governance in the folder `there` again, into `folder`."""
+        old = read(there / layout.GOVERNANCE)
+        with located(there / layout.GOVERNANCE):
+            document = inspector.verified(old)
+        signed = self.authorities.sign(document, now=self.now)
+        folder.public(layout.GOVERNANCE, signed)
+        sha256 = hashlib.sha256(old).hexdigest()
+        lines = {each.sha256: each.details for each in self.ledger.of_kind("governance")}
+        entry = document_entry("governance", name, signed, self.now)
+        self.transaction.record(replace(entry, details=lines.get(sha256, {})))
+
+    def _tidy(self, name: str, staged: StagedFolder) -> None:
+        """Add missing links, and remove files of keys that the profile does not have."""
+        folder = layout.enclave_folder(name)
+        shared = layout.CA_TARGETS | (layout.LIST_TARGET if self.old.has_revocation_list else {})
+        if self.authorities.countersigner:
+            shared |= layout.ALT_TARGET
+        else:
+            self.transaction.remove(f"{folder}/{layout.PERMISSIONS_ALT_CA}")
+        if not self.new.profile.alternative_key:
+            self.transaction.remove(f"{folder}/{layout.ALT_KEY}")
+        for link, target in layout.shared_links(name, shared).items():
+            there = self.old.root / folder / link
+            if not (there.is_symlink() and str(there.readlink()) == target):
+                staged.link(link, target)  # replaces the file of an adopted enclave
