@@ -69,7 +69,7 @@ def _lines(step: OverlapStep, plan: RolloverPlan) -> Iterator[str]:
     yield from _printing.numbered(plan.steps)
     yield from ("", "Then you:")
     yield from _printing.numbered(_ROBOTS[step])
-    yield from ("", "Stacks that trust both CAs during the overlap (docs/rollover.md):")
+    yield from ("", "Stacks that trust both CAs during the overlap (docs/how-to/rollover.md):")
     yield from (f"  {row.stack}: {row.how or f'no ({row.evidence})'}" for row in TRUST)
 
 
