@@ -147,7 +147,10 @@ def _apply(
         kept = keystore.unlock(passphrase)
     if not terms.overlap:  # the keys of an overlap have the passphrase of the old ones
         passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
-    done = apply_rollover(keystore, plan, kept=kept, passphrase=passphrase, now=_settings.now())
+    with keystore.hold():
+        if keystore.head != plan.head:  # another command changed it; nothing was shown yet
+            plan = plan_rollover(keystore, terms, now=_settings.now())
+        done = apply_rollover(keystore, plan, kept=kept, passphrase=passphrase, now=_settings.now())
     for name, reason in plan.left_out.items():
         _printing.note(f"{name} is not reissued: {reason}")
     if terms.overlap:

@@ -67,7 +67,8 @@ def adopt(keystore, other, name):
 
 def rotate(keystore, terms, *, now, **keys):
     """Replace the CAs as the plan says."""
-    return apply_rollover(keystore, plan_rollover(keystore, terms, now=now), now=now, **keys)
+    with keystore.hold():
+        return apply_rollover(keystore, plan_rollover(keystore, terms, now=now), now=now, **keys)
 
 
 def begin_overlap(keystore, terms, **how):

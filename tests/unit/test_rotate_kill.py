@@ -4,8 +4,11 @@ import errno
 import hashlib
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -49,7 +52,7 @@ def empty_list_in(root):
     renew_list(keystore, keystore.unlock(None), now=NOW)
 
 
-def state_of(root):
+def state_of(root, now=NOW):
     """All fingerprints, after everything was found to fit together."""
     keystore = Keystore.open(root, to_change=True)
     authorities = keystore.unlock(None)
@@ -60,7 +63,7 @@ def state_of(root):
         one = keystore.participant(name)
         assert one.key.public_key.spki == one.certificate.spki
         assert (one.alternative_key is not None) == twice
-        verify_chain(one.certificate, one.identity_ca, now=NOW, require_alternative=twice)
+        verify_chain(one.certificate, one.identity_ca, now=now, require_alternative=twice)
         for document in (one.permissions, one.governance):
             verified = verify(
                 document,
@@ -272,11 +275,18 @@ def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, 
         state_of(root)
 
 
-def test_two_rollovers_at_once_are_one_after_the_other(place, prepared):
+def rotate_by_command(root):
+    words = ["-k", str(root), "ca", "rotate", "--apply", "--no-passphrase"]
+    subprocess.run([sys.executable, "-m", "pqsec_pki", *words], check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("command", [False, True])
+def test_two_rollovers_at_once_are_one_after_the_other(place, prepared, command):
     root = place / "keystore"
     shutil.copytree(prepared(BOTH), root, symlinks=True)
-    assert killing.at_once(*[lambda: rotate_in(root)] * 2) == [0, 0]
-    state_of(root)
+    rotate_one = rotate_by_command if command else rotate_in
+    assert killing.at_once(*[lambda: rotate_one(root)] * 2) == [0, 0]
+    state_of(root, datetime.now(UTC) if command else NOW)
     assert sorted(path.name for path in (root / "private/generations").iterdir()) == ["1", "2"]
 
 
