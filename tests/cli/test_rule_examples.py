@@ -74,7 +74,7 @@ AND_ALSO = {
 
 
 def kind(rule):
-    return {"": None, "<": "XML", "$": "commands", "i": "YAML"}[rule.bad[:1]]
+    return {"<": "XML", "$": "commands"}.get(rule.bad[:1], "YAML")
 
 
 def rules(wanted):
@@ -106,26 +106,25 @@ def element(tag, document):
 
 def children(found):
     whole = etree.fromstring(found[0].strip()) if found else ()
-    return {each.tag: etree.tostring(each, encoding="unicode") for each in whole}
+    return [(each.tag, etree.tostring(each, encoding="unicode")) for each in whole]
 
 
 def filled(part, document):
     """The part of a document, with the elements that `...` stands for."""
     lines = part.splitlines()
-    result, left = [], {}
+    result, left = [], []
     for line, following in zip(lines, [*lines[1:], ""], strict=True):
+        tags = [tag for tag, _ in left]
         if found := TAG.match(line):
             left = children(element(found[1], document))
-        elif found := INNER_TAG.match(line):
-            left = dict(list(left.items())[[*left, found[1]].index(found[1]) + 1 :] or left)
+        elif (found := INNER_TAG.match(line)) and found[1] in tags:
+            left = left[tags.index(found[1]) + 1 :]
         if line.strip() != "...":
             result.append(line)
             continue
         end = INNER_TAG.match(following)
-        for tag, text in left.items():
-            if end and tag == end[1]:
-                break
-            result.append(text)
+        number = tags.index(end[1]) if end and end[1] in tags else len(tags)
+        result += [text for _, text in left[:number]]
     return "\n".join(result)
 
 

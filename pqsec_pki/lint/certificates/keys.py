@@ -49,10 +49,12 @@ _BROKEN = {
     ),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
     bad="""
-        $ openssl req -x509 -newkey rsa:3072 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+        $ openssl ecparam -genkey -noout -name secp384r1 -out key.pem
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
     """,
     good="""
-        $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+        $ openssl ecparam -genkey -noout -name prime256v1 -out key.pem
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
     """,
 )  # fmt: skip
 def unsupported_by_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
@@ -76,9 +78,13 @@ def unsupported_by_cyclonedds(file: CertificateFile) -> Iterator[Violation]:
         "permissions CA Ed25519 (CMS by OpenSSL 3.5)",
     ),
     measured=SIX_STACKS,
-    bad="$ openssl req -x509 -newkey ed25519 -noenc -keyout key.pem -subj /CN=talker -out cert.pem",
+    bad="""
+        $ openssl genpkey -algorithm ed25519 -out key.pem
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
+    """,
     good="""
-        $ openssl req -x509 -newkey rsa:2048 -noenc -keyout key.pem -subj /CN=talker -out cert.pem
+        $ openssl ecparam -genkey -noout -name prime256v1 -out key.pem
+        $ openssl req -x509 -key key.pem -subj /CN=talker -out cert.pem
     """,
 )  # fmt: skip
 def unsupported_by_all(file: CertificateFile) -> Iterator[Violation]:
