@@ -24,6 +24,11 @@ class Command(click.Command):
         self.examples = dict(examples)
         self.exit_codes = dict(sorted({**exit_codes, 2: USAGE}.items()))
 
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """The first sentence, not shortened: a group's help wraps it."""
+        del limit
+        return " ".join((self.help or "").partition("\n\n")[0].split())
+
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, each on one line so that it can be copied, and the exit codes."""
         del ctx

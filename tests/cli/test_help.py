@@ -169,6 +169,14 @@ def test_help_ends_with_the_examples_and_the_exit_codes(pqsec):
     assert faults == []
 
 
+def test_a_group_lists_its_commands_with_their_whole_first_sentences(pqsec):
+    told = " ".join(pqsec("ca --help").done().out.split())
+    assert (
+        "rotate Replace the CAs and reissue everything they signed, or change the profile." in told
+    )
+    assert "..." not in told.partition("Commands:")[2]
+
+
 ELSEWHERE = {
     "agent log": "needs an agent: tests/cli/test_plugin.py",
     "agent run": "does not end: tests/cli/test_plugin.py",
