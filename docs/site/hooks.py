@@ -89,9 +89,10 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 def on_post_page(output: str, *, page: Page, config: MkDocsConfig) -> str:
     """Warn of what a browser would fetch from elsewhere: the reader's network may be closed."""
-    del config
+    own = config.site_url or "its address is not known"
     for address in _FETCHED.findall(output):
-        _log.warning("%s fetches %s", page.file.src_uri, address)
+        if not address.startswith(own):
+            _log.warning("%s fetches %s", page.file.src_uri, address)
     return output
 
 
