@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -12,52 +11,19 @@ from pqsec_pki.access import INTERPRETATIONS, Interpretation, interpretation_nam
 from pqsec_pki.access.everywhere import (
     Placed,
     domains_said,
-    domains_ungoverned,
-    is_known,
-    topics_asked,
-    who_may_anywhere,
 )
-from pqsec_pki.access.matrix import Row, topics_named
+from pqsec_pki.access.matrix import Row
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import DomainSet, ros
-from pqsec_pki.errors import UsageError, meant
-from pqsec_pki.policy import Fleet, fleet_in, fleet_of
+from pqsec_pki.errors import UsageError
+from pqsec_pki.policy import Fleet, fleet_in, fleet_of, who_may_use
 
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 _MOST = 6
 """The most names in a cell of the text table."""
 _PATTERN = re.compile(r"[*?\[]")
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
-
-
-@dataclass(frozen=True, slots=True)
-class _Question:
-    """The domains, the time, and the interpretation of the documents."""
-
-    domains: DomainSet | None
-    now: datetime
-    interpretation: Interpretation
-
-    def rows(
-        self, fleet: Fleet, topics: tuple[str, ...], asked: dict[str, str | None]
-    ) -> list[Placed]:
-        """The rows for `topics`, on all domains if none is named."""
-        if self.domains and (ungoverned := domains_ungoverned(fleet.governance, self.domains)):
-            _printing.note(
-                f"the governance does not name {domains_said(ungoverned)}: no participant can join"
-                " it"
-            )
-        found = who_may_anywhere(
-            fleet.governance,
-            fleet.members,
-            topics,
-            domains=self.domains,
-            now=self.now,
-            interpretation=self.interpretation,
-            asked=asked,
-        )
-        return list(found)
 
 
 @_help.command(
@@ -137,14 +103,17 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     wanted = (*topics, *map(_ros_topic, ros_topics))
     if "" in wanted:
         raise UsageError("the topic is empty")
-    near = _unknown(fleet, wanted)
-    for topic, instead in near.items():
+    found = who_may_use(fleet, wanted, domains=where, now=now, interpretation=interpretation)
+    for topic, instead in found.unknown.items():
         _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
-    rows = _rows(fleet, wanted, _Question(where, now, interpretation))
+    if found.ungoverned:
+        _printing.note(
+            f"the governance does not name {domains_said(found.ungoverned)}: no participant can"
+            " join it"
+        )
     form = "json" if _settings.settings().json else form
     _settings.settings().json = form == "json"
-    value = _as_json(fleet, rows, where, stack) | {"unknown_topics": near}
-    _printing.emit(value, _FORMS[form](rows, len(fleet.members)))
+    _printing.emit(found.to_json(), _FORMS[form](found.rows, len(fleet.members)))
 
 
 def _fleet(
@@ -157,17 +126,6 @@ def _fleet(
     return fleet_in(_settings.open_keystore(), now, interpretation)
 
 
-def _rows(fleet: Fleet, wanted: tuple[str, ...], question: _Question) -> list[Placed]:
-    """The rows for the topics `wanted`, or for all topics in the rules."""
-    named = topics_named(fleet.members)
-    asked = topics_asked(fleet.members, wanted) if wanted else dict[str, str | None]()
-    rows = question.rows(fleet, tuple(asked) if wanted else named, asked)
-    # A pattern has its own row for topics that it matches and no rule names.
-    beside = {topic for topic in wanted if _PATTERN.search(topic)}.difference(named)
-    used = [each for each in rows if each.is_used or each.row.topic not in beside]
-    return used or rows
-
-
 def _ros_topic(name: str) -> str:
     """The DDS topic of a ROS 2 name, or the DDS pattern of a ROS 2 pattern."""
     if name.startswith("/") and _PATTERN.search(name):
@@ -175,36 +133,7 @@ def _ros_topic(name: str) -> str:
     return ros.topic(name)
 
 
-def _unknown(fleet: Fleet, wanted: tuple[str, ...]) -> dict[str, str]:
-    """Topics and patterns that no rule names or matches -> similar names as a text."""
-    named = topics_named(fleet.members) if wanted else ()
-    unknown = (topic for topic in wanted if topic not in named and not is_known(topic, named))
-    return {topic: meant(topic, named) for topic in unknown}
-
-
 # Printing
-
-
-def _as_json(
-    fleet: Fleet, rows: Sequence[Placed], domains: DomainSet | None, stack: str
-) -> dict[str, object]:
-    return {
-        "domains": None if domains is None else str(domains),
-        "as": stack,
-        "participants": [member.name for member in fleet.members],
-        "left_out": fleet.refused,
-        "topics": [
-            {
-                "topic": each.row.topic,
-                "domains": str(each.domains),
-                "pattern": each.row.is_pattern,
-                "asked": each.row.asked,
-                "publish": list(each.row.publishers),
-                "subscribe": list(each.row.subscribers),
-            }
-            for each in rows
-        ],
-    }
 
 
 def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:

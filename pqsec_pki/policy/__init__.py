@@ -4,6 +4,7 @@
     participants   a participant's verified documents, from its keystore
     answers        the answer of each stack to one access question, on each domain
     fleet          the participants of a keystore, or of permissions documents
+    who_may        who may publish and subscribe to each topic
     differences    the rights that a change of documents or keystores grants and removes
 
 The decisions are made in the room `access`; here are the documents that they are made by.
@@ -25,6 +26,7 @@ from pqsec_pki.policy.participants import (
     policy_input_of,
     shared_governance,
 )
+from pqsec_pki.policy.who_may import WhoMay, who_may_use
 
 __all__ = [
     "Answer",
@@ -33,6 +35,7 @@ __all__ = [
     "Fleet",
     "Loaded",
     "PolicyInput",
+    "WhoMay",
     "answers_by_domain",
     "differences_between",
     "fleet_in",
@@ -44,4 +47,5 @@ __all__ = [
     "policy_input_of",
     "shared_governance",
     "signed_by",
+    "who_may_use",
 ]

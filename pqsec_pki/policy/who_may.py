@@ -1,0 +1,94 @@
+"""Which participants may publish and subscribe to each topic."""
+
+import re
+from dataclasses import dataclass
+from datetime import datetime
+
+from pqsec_pki.access import Interpretation
+from pqsec_pki.access.everywhere import (
+    Placed,
+    domains_ungoverned,
+    is_known,
+    topics_asked,
+    who_may_anywhere,
+)
+from pqsec_pki.access.matrix import topics_named
+from pqsec_pki.documents import DomainRange, DomainSet
+from pqsec_pki.errors import meant
+from pqsec_pki.policy.fleet import Fleet
+
+_PATTERN = re.compile(r"[*?\[]")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhoMay:
+    """The answer for some topics, or for all that the rules name."""
+
+    fleet: Fleet
+    domains: DomainSet | None
+    """The domains that were asked about; None for all."""
+    interpretation: Interpretation
+    rows: list[Placed]
+    unknown: dict[str, str]
+    """Topics and patterns that no rule names or matches -> similar names as a text."""
+    ungoverned: list[DomainRange]
+    """Those of `domains` that the governance does not name."""
+
+    def to_json(self) -> dict[str, object]:
+        """With one object for each row."""
+        return {
+            "domains": None if self.domains is None else str(self.domains),
+            "as": self.interpretation.name,
+            "participants": [member.name for member in self.fleet.members],
+            "left_out": self.fleet.refused,
+            "topics": [
+                {
+                    "topic": each.row.topic,
+                    "domains": str(each.domains),
+                    "pattern": each.row.is_pattern,
+                    "asked": each.row.asked,
+                    "publish": list(each.row.publishers),
+                    "subscribe": list(each.row.subscribers),
+                }
+                for each in self.rows
+            ],
+            "unknown_topics": self.unknown,
+        }
+
+
+def who_may_use(
+    fleet: Fleet,
+    topics: tuple[str, ...] = (),
+    *,
+    domains: DomainSet | None = None,
+    now: datetime,
+    interpretation: Interpretation,
+) -> WhoMay:
+    """Who may publish and subscribe to these DDS topics and patterns, on these domains.
+
+    Without topics, to all that the rules name; without domains, on all.
+    """
+    named = topics_named(fleet.members)
+    asked = topics_asked(fleet.members, topics) if topics else dict[str, str | None]()
+    placed = who_may_anywhere(
+        fleet.governance,
+        fleet.members,
+        tuple(asked) if topics else named,
+        domains=domains,
+        now=now,
+        interpretation=interpretation,
+        asked=asked,
+    )
+    rows = list(placed)
+    # A pattern has its own row for topics that it matches and no rule names.
+    beside = {topic for topic in topics if _PATTERN.search(topic)}.difference(named)
+    used = [each for each in rows if each.is_used or each.row.topic not in beside]
+    unknown = (each for each in topics if each not in named and not is_known(each, named))
+    return WhoMay(
+        fleet=fleet,
+        domains=domains,
+        interpretation=interpretation,
+        rows=used or rows,
+        unknown={topic: meant(topic, named) for topic in unknown},
+        ungoverned=domains_ungoverned(fleet.governance, domains) if domains else [],
+    )
