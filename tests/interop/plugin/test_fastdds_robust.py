@@ -1,0 +1,100 @@
+"""The adapter for Fast DDS under sanitizers and valgrind: all of its functions, with an agent and
+without one."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES
+from tests.interop.conftest import TOPIC
+
+pytestmark = pytest.mark.interop
+
+PROGRAM = Path(__file__).with_name("fastdds_every_function.cpp")
+SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+WARNINGS = ("-Wall", "-Wextra", "-Werror")
+OF_2 = ("-std=c++17", "-O0", "-DPQSEC_FASTDDS=2", "-I", SOURCES, "-I", FASTDDS_SOURCES)
+
+
+OVERRIDE = re.compile(r"(?m)^  [\w:<>*]+ (\w+)\([^;]*?\) (?:const )?override")
+
+
+def compiled(*command: str | Path, where: Path) -> None:
+    done = subprocess.run(command, cwd=where, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def sanitized(fastdds_here, compiler, tmp_path_factory) -> list[str]:
+    """The program with all of the adapter in it."""
+    folder = tmp_path_factory.mktemp("sanitized")
+    python = f'-DPQSEC_PYTHON="{sys.executable}"'
+    shim = [SOURCES / f"{name}.c" for name in ("wire", "frames", "link", "agent")]
+    compiled(compiler, "-std=c11", "-g", *SANITIZERS, python, "-c", *shim, where=folder)
+    objects = sorted(folder.glob("*.o"))
+    sources = [PROGRAM, *sorted(FASTDDS_SOURCES.glob("*.cpp"))]
+    words = [*OF_2, *SANITIZERS, *WARNINGS, '-DPQSEC_BUILD_ID="00"', "-o", "program"]
+    compiled("g++", *words, *sources, *objects, "-lfastrtps", "-lfastcdr", where=folder)
+    return [str(folder / "program")]
+
+
+@pytest.fixture(scope="module")
+def installed(requires, fastdds_here, adapter, tmp_path_factory) -> list[str]:
+    """The program under valgrind, with the adapter as it is installed."""
+    valgrind = requires(shutil.which("valgrind"), "valgrind", "apt-get install valgrind")
+    folder = tmp_path_factory.mktemp("installed")
+    library = adapter / ADAPTER.format(fastdds_here.library.build_id)
+    words = [*OF_2, "-o", "program", PROGRAM, library, f"-Wl,-rpath,{adapter}"]
+    compiled("g++", *words, "-lfastrtps", "-lfastcdr", where=folder)
+    kinds = "--errors-for-leak-kinds=definite,indirect,possible"
+    options = ("-q", "--error-exitcode=99", "--leak-check=full", kinds)
+    return [valgrind, *options, str(folder / "program")]
+
+
+@pytest.fixture
+def every_function(shim, labs, tmp_path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """every_function(program, "agent") runs it; with "none", no agent can be trusted."""
+    lab = labs("pq")
+    (tmp_path / "pqsec").mkdir()
+    (tmp_path / "pqsec").chmod(0o755)
+
+    def run(program: list[str], agent: str) -> subprocess.CompletedProcess[str]:
+        runtime = {"XDG_RUNTIME_DIR": str(tmp_path)} if agent == "none" else {}
+        return subprocess.run(
+            [*program, lab.alice, lab.bob, TOPIC, agent],
+            env=os.environ | runtime,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.mark.parametrize("agent", ["agent", "none"])
+@pytest.mark.parametrize("how", ["sanitized", "installed"])
+def test_each_function_does_no_harm(request, every_function, how, agent):
+    done = every_function(request.getfixturevalue(how), agent)
+    said = [line for line in done.stderr.splitlines() if "not a folder of this user's" not in line]
+    assert (done.returncode, said) == (0, [])
+    assert int(done.stdout) > 60
+
+
+def test_no_function_is_forgotten():
+    text = PROGRAM.read_text()
+    functions = set()
+    for name in ("authentication", "access_control"):
+        source = (FASTDDS_SOURCES / f"{name}.cpp").read_text()
+        functions |= set(
+            re.findall(r"(?m)^  [\w:<>\*]+ (\w+)\([^;]*?\) (?:const )?override", source)
+        )
+    assert len(functions) == 16 + 17
+    assert [name for name in functions if not re.search(rf"\b{name}\b", text)] == []
