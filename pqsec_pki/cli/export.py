@@ -64,7 +64,14 @@ from pqsec_pki.vendors import export as make_export
     " search for it]",
 )
 @click.option(
-    "--plugin", is_flag=True, help="Run pqsec's plugin in Cyclone DDS, for post-quantum keys."
+    "--plugin",
+    is_flag=True,
+    help="Run pqsec's plugin in Cyclone DDS or Fast DDS, for post-quantum keys.",
+)
+@click.option(
+    "--rmw",
+    type=click.Choice(["cyclonedds", "fastrtps"]),
+    help="With ros2 and --plugin: run it in this middleware. [default: cyclonedds]",
 )
 @click.option(
     "--password-file",
@@ -86,6 +93,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     plugins: Path | None,
     crypto: Path | None,
     password_file: Path | None,
+    rmw: str | None,
     *,
     plugin: bool,
     loopback: bool,
@@ -111,6 +119,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         at=PurePosixPath(at) if at is not None else None,
         plugins=None if plugin else plugins,
         plugin=(plugins or default_folder()) if plugin else None,
+        rmw=rmw,
         crypto=crypto,
         anyway=anyway,
         environment=dict(os.environ),

@@ -2,7 +2,8 @@
 
 rmw_cyclonedds names the libraries itself, whatever is configured (rmw_node.cpp), so the folder
 where ours have these names goes first where the loader looks. It takes a configuration for the
-rest: a post-quantum handshake in datagrams that fit a frame of Ethernet.
+rest: a post-quantum handshake in datagrams that fit a frame of Ethernet. Under rmw_fastrtps a
+library is preloaded.
 """
 
 import shlex
@@ -12,13 +13,21 @@ from pathlib import Path
 from pqsec_pki.credentials import ALT_KEY, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.plugin.settings import FILE as SETTINGS
+from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import Options
-from pqsec_pki.vendors.own_plugin import PATH, folder_in
+from pqsec_pki.vendors.own_plugin import FASTRTPS, PATH, folder_in
 from pqsec_pki.vendors.ros2_check import Check
 
-RMW, CYCLONE = "RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp"
-NOTE = "ROS 2 must have its package rmw_cyclonedds_cpp, and a Cyclone DDS with security"
+RMW, CYCLONE, FAST = "RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp"
+_NOTES = {
+    CYCLONE: ("ROS 2 must have its package rmw_cyclonedds_cpp, and a Cyclone DDS with security",),
+    FAST: (
+        "the plugin must be installed for ROS 2's own libfastrtps or libfastdds: --library PATH",
+        "nodes of ROS 2 were not run with pqsec's plugin in Fast DDS, only programs of Fast DDS",
+        _preload.NOTE,
+    ),
+}
 EXTRA = (ALT_KEY, PERMISSIONS_ALT_CA, SETTINGS)
 """What the plugin reads beside the files that ROS 2 knows, where it is there."""
 _URI = "CYCLONEDDS_URI"
@@ -32,7 +41,17 @@ _UNFIT = set(":;$")
 
 def variables(options: Options) -> dict[str, str]:
     """Those that hold one value, whatever was there."""
-    return {RMW: CYCLONE} if options.plugin else {}
+    return {RMW: middleware(options)} if options.plugin else {}
+
+
+def middleware(options: Options) -> str:
+    """The value of RMW_IMPLEMENTATION that runs the plugin."""
+    return FAST if options.rmw == FASTRTPS else CYCLONE
+
+
+def notes(options: Options) -> tuple[str, ...]:
+    """What to know about it, a sentence each."""
+    return (*_NOTES[middleware(options)], own_plugin.NOTE)
 
 
 def assignments(enclave: Enclave, options: Options) -> tuple[str, ...]:
@@ -42,6 +61,9 @@ def assignments(enclave: Enclave, options: Options) -> tuple[str, ...]:
     """
     if options.plugin is None:
         return ()
+    if options.rmw == FASTRTPS:
+        path = shlex.quote(str(_preload.preloaded(options.plugin, options)))
+        return (f'{_preload.VARIABLE}={path}"${{{_preload.VARIABLE}:+:${_preload.VARIABLE}}}"',)
     folder = str(options.plugin.absolute())
     if unfit := sorted(_UNFIT & set(folder)):
         raise UsageError(
@@ -60,11 +82,24 @@ def files(enclave: Enclave) -> Iterator[Path]:
 
 def loaded(environment: Mapping[str, str], participant: str) -> Iterator[Check]:
     """Whether who finds the plugin also loads it; nothing where it is not to be found."""
-    folder = folder_in(environment)
-    if folder is None:
-        return
-    export = f"pqsec export ros2 {participant} --plugin --plugins {shlex.quote(str(folder))}"
     value = environment.get(RMW)
     found = "is not set" if value is None else f"is {shown(value)!r}"
-    problem = "" if value == CYCLONE else f"{found}, and only {CYCLONE} loads pqsec's plugin"
-    yield Check(what=RMW, problem=problem, fix=f'eval "$({export})"')
+    export = f"pqsec export ros2 {participant} --plugin"
+    if value in {None, FAST} and _preload.preloaded_in(environment):
+        yield Check(what=RMW)  # rmw_fastrtps is ROS 2's default
+    elif folder := folder_in(environment):
+        problem = "" if value == CYCLONE else f"{found}, and only {CYCLONE} loads pqsec's plugin"
+        fix = f'eval "$({export} --plugins {shlex.quote(str(folder))})"'
+        yield Check(what=RMW, problem=problem, fix=fix)
+    elif folder := _preload.preloaded_in(environment):
+        fix = f'eval "$({export} --rmw {FASTRTPS} --plugins {shlex.quote(str(folder))})"'
+        problem = f"{found}, and {FAST} is what runs the preloaded plugin"
+        yield Check(what=RMW, problem=problem, fix=fix)
+
+
+def folder_of(environment: Mapping[str, str]) -> Path | None:
+    """Where the plugin is that a node with this environment runs."""
+    preloaded = _preload.preloaded_in(environment)
+    if preloaded and environment.get(RMW) in {None, FAST}:
+        return preloaded
+    return folder_in(environment)

@@ -47,6 +47,8 @@ class Options:
     """The folder with the security plugins, for stacks that load them by path."""
     plugin: Path | None = None
     """The folder with pqsec's own plugin, if that is to run in place of the stack's."""
+    rmw: str | None = None
+    """Of ROS 2, what runs our plugin: `cyclonedds`, the default, or `fastrtps`."""
     crypto: Path | None = None
     """The stack's own plugin for encryption, where it is not with `plugins`, or ours runs."""
     anyway: bool = False

@@ -10,7 +10,6 @@ the names of Fast DDS's, which refuse post-quantum keys.
 """
 
 import re
-from pathlib import Path
 
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -21,14 +20,12 @@ from pqsec_pki.credentials import (
     PERMISSIONS_CA,
     REVOCATION_LIST,
 )
-from pqsec_pki.errors import FileError, UsageError, shown
+from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import Finding, Severity
-from pqsec_pki.vendors import own_plugin
+from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors._render import render
-from pqsec_pki.vendors.cyclone_plugins import agree, in_words
 from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import FOLDER, Export, Options
-from pqsec_pki.vendors.fastdds_adapter import installed
 
 FILE = "fastdds.xml"
 NAMESPACES = {
@@ -43,12 +40,6 @@ LIMITED = ((2, 14, 4), (3, 0, 2), (3, 1, 1), (3, 1, 2), (3, 1, 3), (3, 2, 0), (3
 
 _AUTH, _ACCESS = "dds.sec.auth.builtin.PKI-DH", "dds.sec.access.builtin.Access-Permissions"
 _UNREAD = "Fast DDS runs unsecured, with a message only, where it cannot read that file"
-_UNFIT = re.compile(r"[\s:$]")
-"""What separates paths in LD_PRELOAD, or is replaced there (ld.so(8))."""
-_CAPABLE = (
-    "programs with file capabilities or setuid preload nothing: there Fast DDS refuses"
-    " post-quantum keys"
-)
 _REPLACED = re.compile(r"\$\{[A-Z_][A-Z0-9_]*\}")
 
 
@@ -59,8 +50,9 @@ def export(enclave: Enclave, options: Options) -> Export:
     environment = {VARIABLES[each]: f"{FOLDER}/{FILE}" for each in generations}
     notes: tuple[str, ...] = (_UNREAD,)
     if options.plugin:
-        environment[own_plugin.PRELOAD_VARIABLE] = str(_preloaded(options.plugin, options))
-        notes += (own_plugin.NOTE, _CAPABLE)
+        path = _preload.preloaded(options.plugin, options, options.release)
+        environment[_preload.VARIABLE] = str(path)
+        notes += (own_plugin.NOTE, _preload.NOTE)
     if any(map(_REPLACED.search, properties.values())):
         raise UsageError(
             "a path or the passphrase holds ${NAME}, which Fast DDS would replace",
@@ -82,29 +74,6 @@ def export(enclave: Enclave, options: Options) -> Export:
         notes=notes,
         is_private=options.password is not None,
     )
-
-
-def _preloaded(folder: Path, options: Options) -> Path:
-    """The preload library; UsageError where the loader cannot be told of it, FileError if it is
-    not for the Fast DDS that is installed."""
-    path = folder.absolute() / own_plugin.PRELOAD
-    if unfit := _UNFIT.search(str(path)):
-        raise UsageError(
-            f"{shown(str(folder))}: the loader preloads nothing from a folder with {unfit[0]!r} in"
-            " its name",
-            hint="install the plugin elsewhere: `pqsec plugin install fastdds --dir DIR`",
-        )
-    if options.at is None:  # what another machine has is not to be seen here
-        there = [each for each in installed(folder) if agree(each.release, options.release)]
-        if not any(not each.problem for each in there):
-            why = "; ".join(f"{each.library}: {each.problem}" for each in there)
-            meant = f" {in_words(options.release)}" if options.release else ""
-            raise FileError(
-                f"the plugin in {shown(str(folder))} is not for the Fast DDS{meant} that is"
-                f" installed{': ' if why else ''}{why}",
-                hint="`pqsec plugin install fastdds` compiles it for that one",
-            )
-    return path
 
 
 def severity(finding: Finding, options: Options) -> Severity | None:

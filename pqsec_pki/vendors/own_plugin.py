@@ -17,9 +17,11 @@ from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.vendors.enclave import Enclave, standard_properties
 from pqsec_pki.vendors.export import Options
 
+FASTRTPS = "fastrtps"
+"""ROS 2's middleware on Fast DDS."""
 PRELOAD = "libpqsec_fastdds.so"
 """What a process of Fast DDS preloads."""
-PATH, PRELOAD_VARIABLE = "LD_LIBRARY_PATH", "LD_PRELOAD"
+PATH = "LD_LIBRARY_PATH"
 NOTE = (
     "the process starts pqsec's agent, or finds it by XDG_RUNTIME_DIR;"
     " PQSEC_AGENT=private gives it one of its own"

@@ -67,6 +67,7 @@ def export(enclave: Enclave, options: Options) -> Export:
         domain=domain,
         loopback=options.loopback,
         plugin=plugin,
+        middleware=_ros2_plugin.middleware(options),
     )
     return Export(
         stack="ros2",
@@ -103,7 +104,7 @@ def preflight(
         yield Check(what="files", problem=str(error), fix=error.hint or "")
         return
     yield Check(what="files")
-    yield from _credentials(enclave, Options(plugin=own_plugin.folder_in(variables)), now)
+    yield from _credentials(enclave, Options(plugin=_ros2_plugin.folder_of(variables)), now)
     yield from _life(needs, domain_in(variables))
 
 
@@ -142,8 +143,7 @@ def _notes(enclave: Enclave, keystore: str, options: Options) -> Iterator[str]:
     if options.at:
         yield f"with -o DIR, copy what is in DIR to {keystore} there"
     if options.plugin:
-        yield _ros2_plugin.NOTE
-        yield own_plugin.NOTE
+        yield from _ros2_plugin.notes(options)
     elif enclave.has_large_handshake and options.environment.get(RMW) != CYCLONE:
         yield FAST_DDS_NOTE
 

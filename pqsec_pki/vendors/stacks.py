@@ -12,7 +12,7 @@ from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors.enclave import Enclave
 from pqsec_pki.vendors.export import Export, Options, Version
-from pqsec_pki.vendors.own_plugin import PRELOAD
+from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,15 +199,20 @@ def _refuse_place(stack: Stack, options: Options) -> None:
 
 
 def _refuse_plugin(stack: Stack, options: Options) -> None:
+    if options.rmw and (stack.target is not Target.ROS2 or options.plugin is None):
+        raise UsageError(
+            "--rmw is for ros2 with --plugin", hint="it says which middleware runs the plugin"
+        )
     if options.plugin is None:
         return
     if not stack.loads_ours:
         able = ", ".join(each.name for each in STACKS if each.loads_ours)
         raise UsageError(f"{stack.title} cannot load pqsec's plugin", hint=f"it is for {able}")
+    names = (PRELOAD,) if options.rmw == FASTRTPS else stack.loads_ours
     if options.at and not options.plugin.is_absolute():
         raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")
     if not options.at:  # what another machine has is not to be seen here
-        own_plugin.refuse_missing(options.plugin, stack.loads_ours)
+        own_plugin.refuse_missing(options.plugin, names)
 
 
 def _told(finding: Finding) -> str:

@@ -4,6 +4,7 @@ The libraries are small ones of our own, with the names that Fast DDS has in its
 """
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -20,6 +21,7 @@ from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, installed
 from pqsec_pki.vendors.fastdds_library import AdapterError, examine, find_fastdds, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
+from pqsec_pki.vendors.ros2 import preflight
 from tests.unit.keystores import NOW, TWO, made
 
 SPACE = "_ZN8eprosima8fastrtps4rtps8security"
@@ -243,6 +245,44 @@ def test_a_folder_that_the_loader_cannot_be_told_of_is_refused(keystore, compile
     folder = _put(tmp_path / name, compiled(CALLED + TABLES))
     with pytest.raises(UsageError, match="preloads nothing"):
         exported(keystore, folder)
+
+
+def test_ros_2_preloads_it_under_rmw_fastrtps(keystore, folder):
+    chosen = Options(plugin=folder, rmw="fastrtps", anyway=True)
+    made = export(stack_named("ros2"), keystore, "/talker", chosen, now=NOW)
+    assert made.environment["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
+    script = str(made.files["ros2.sh"])
+    command = ["sh", "-euc", f'{script}\nprintf %s "$LD_PRELOAD"']
+    for before, after in (("", ""), ("/other.so", ":/other.so")):
+        environment = {"PATH": os.environ["PATH"]} | ({"LD_PRELOAD": before} if before else {})
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout == f"{folder / PRELOAD}{after}"
+    assert "CYCLONEDDS_URI" not in script
+    assert "not run" in str(made.notes)
+
+
+@pytest.mark.parametrize("stack", ["cyclonedds", "fastdds", "ros2"])
+def test_a_middleware_is_chosen_only_for_ros_2_with_the_plugin(keystore, folder, stack):
+    plugin = None if stack == "ros2" else folder
+    with pytest.raises(UsageError, match="--rmw is for ros2 with --plugin"):
+        export(
+            stack_named(stack),
+            keystore,
+            "/talker",
+            Options(plugin=plugin, rmw="fastrtps"),
+            now=NOW,
+        )
+
+
+@pytest.mark.parametrize("rmw", [None, "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"])
+def test_the_check_of_a_shell_knows_what_is_preloaded(keystore, folder, rmw):
+    variables = {"LD_PRELOAD": f"/other.so:{folder / PRELOAD}"}
+    variables |= {"RMW_IMPLEMENTATION": rmw} if rmw else {}
+    found = {each.what: each for each in preflight(keystore, "/talker", variables, now=NOW)}
+    assert found["RMW_IMPLEMENTATION"].ok is (rmw != "rmw_cyclonedds_cpp")
+    assert any("PQS6" in what for what in found) is (rmw == "rmw_cyclonedds_cpp")
+    if rmw == "rmw_cyclonedds_cpp":
+        assert "--rmw fastrtps" in found["RMW_IMPLEMENTATION"].fix
 
 
 def test_the_sources_are_beside_those_of_the_shim():
