@@ -112,6 +112,16 @@ def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
     return {link: up + target for link, target in shared.items()}
 
 
+def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, str]:
+    """Of `shared_links`, those that are missing in the keystore at `root`, or lead elsewhere."""
+    folder = root / enclave_folder(name)
+    return {
+        link: target
+        for link, target in shared_links(name, shared).items()
+        if not ((folder / link).is_symlink() and str((folder / link).readlink()) == target)
+    }
+
+
 def incomplete_in(root: Path) -> list[str]:
     """The enclaves under `root` with files of a participant but no certificate, sorted.
 

@@ -116,11 +116,8 @@ def _link_all(keystore: Keystore, transaction: Transaction) -> None:
     """Link to that file in enclaves that have their own copy, as adopted ones may."""
     shared = {layout.IDENTITY_CA: layout.CA_TARGETS[layout.IDENTITY_CA]}
     for name in keystore.names():
-        folder = layout.enclave_folder(name)
-        [(link, target)] = layout.shared_links(name, shared).items()
-        there = keystore.root / folder / link
-        if not (there.is_symlink() and str(there.readlink()) == target):
-            transaction.folder(folder, private=False).link(link, target)
+        for link, target in layout.missing_links(keystore.root, name, shared).items():
+            transaction.folder(layout.enclave_folder(name), private=False).link(link, target)
 
 
 def _drop_list(keystore: Keystore, transaction: Transaction) -> None:

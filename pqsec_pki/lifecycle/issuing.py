@@ -22,12 +22,7 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_compromised, refuse_shared
 
-_SHARED = {
-    layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}",
-    layout.IDENTITY_CA: f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
-    layout.PERMISSIONS_CA: f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}",
-}
-_SHARED_ALT = {layout.PERMISSIONS_ALT_CA: f"{layout.PUBLIC}/{layout.PERMISSIONS_ALT_CA}"}
+_SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +118,7 @@ def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
 
 def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
     """The shared files that all enclaves link to."""
-    shared = _SHARED | (_SHARED_ALT if authorities.countersigner else {})
+    shared = _SHARED | (layout.ALT_TARGET if authorities.countersigner else {})
     return shared | (layout.LIST_TARGET if keystore.has_revocation_list else {})
 
 

@@ -241,11 +241,8 @@ def _revoked(entry: Entry) -> RevokedCertificate:
 def _missing_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
     """The place and the target of each missing link to the list."""
     for name in keystore.names():
-        [(link, target)] = layout.shared_links(name, layout.LIST_TARGET).items()
-        place = f"{layout.enclave_folder(name)}/{link}"
-        there = keystore.root / place
-        if not (there.is_symlink() and str(there.readlink()) == target):
-            yield place, target
+        for link, target in layout.missing_links(keystore.root, name, layout.LIST_TARGET).items():
+            yield f"{layout.enclave_folder(name)}/{link}", target
 
 
 def _result(entry: Entry, listed: Collection[int], *, before: bool) -> Revoked:

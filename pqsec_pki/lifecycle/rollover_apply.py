@@ -102,7 +102,10 @@ def apply_rollover(
         if plan.terms.reissues:
             new = replace(keystore, profile=plan.terms.profile)
             cas = _authorities(keystore, plan, kept, passphrase, now)
-            issued = _Execution(keystore, new, plan, cas, transaction, ledger, now).run(passphrase)
+            inspector = Inspector.of(keystore, ledger, now=now)
+            lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
+            execution = _Execution(keystore, new, plan, cas, transaction, inspector, lines, now)
+            issued = execution.run(passphrase, ledger)
         elif overlap is None:
             overlap = begin_overlap(keystore, plan, transaction, passphrase, now)
         elif plan.terms.overlap is OverlapStep.FINISH:
@@ -139,18 +142,19 @@ class _Execution:
     plan: RolloverPlan
     authorities: Authorities
     transaction: Transaction
-    ledger: Ledger
+    inspector: Inspector
+    governances: dict[str, dict[str, str]]
+    """SHA-256 of each signed governance -> the details of its ledger line."""
     now: datetime
 
-    def run(self, passphrase: bytes | None) -> list[Issued]:
-        inspector = Inspector.of(self.old, self.ledger, now=self.now)
+    def run(self, passphrase: bytes | None, ledger: Ledger) -> list[Issued]:
         self._archive()
         self._write_authorities(passphrase)
         enclaves = self.transaction.folder(layout.ENCLAVES, private=False)
-        self._sign_governance(inspector, self.old.root / layout.ENCLAVES, enclaves, "")
-        issued = self._reissue(inspector)
+        self._sign_governance(self.old.root / layout.ENCLAVES, enclaves, "")
+        issued = self._reissue()
         if self.plan.new_list:
-            publisher = Publisher(self.new, self.authorities.identity, self.ledger, self.now)
+            publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
             publisher.stage(self.transaction, [], LIST_VALIDITY)
         return issued
 
@@ -189,7 +193,7 @@ class _Execution:
             switched = Overlap(Phase.SWITCHED, overlap.other, overlap.issuing)
             self.transaction.record(trust_entry(switched, self.now))
 
-    def _reissue(self, inspector: Inspector) -> list[Issued]:
+    def _reissue(self) -> list[Issued]:
         """Reissue participants; add missing links, and remove files that they need no more."""
         issuer = Issuer(self.new, self.authorities, self.now)
         names = sorted((*self.plan.keeping, *self.plan.rekeyed))
@@ -197,7 +201,7 @@ class _Execution:
 
         def make(name: str, folder: StagedFolder) -> Issued:
             terms = Renewal(rekey=name in rekeyed)
-            return Renewer(issuer, inspector, terms).make(name, folder)
+            return Renewer(issuer, self.inspector, terms).make(name, folder)
 
         folders = [
             self.transaction.folder(layout.enclave_folder(name), private=False) for name in names
@@ -208,7 +212,7 @@ class _Execution:
             there = self.old.root / layout.enclave_folder(each.name)
             governance = there / layout.GOVERNANCE
             if governance.exists() and not governance.is_symlink():  # its own copy, when adopted
-                self._sign_governance(inspector, there, folder, each.name)
+                self._sign_governance(there, folder, each.name)
             self._tidy(each.name, folder)
         return issued
 
@@ -216,19 +220,16 @@ class _Execution:
         places = _PLACES[self.plan.terms.scope]
         return [place for place in places if (self.old.root / place).exists()]
 
-    def _sign_governance(
-        self, inspector: Inspector, there: Path, folder: StagedFolder, name: str
-    ) -> None:
+    def _sign_governance(self, there: Path, folder: StagedFolder, name: str) -> None:
         """Sign the governance in the folder `there` again, into `folder`."""
         old = read(there / layout.GOVERNANCE)
         with located(there / layout.GOVERNANCE):
-            document = inspector.verified(old)
+            document = self.inspector.verified(old)
         signed = self.authorities.sign(document, now=self.now)
         folder.public(layout.GOVERNANCE, signed)
         sha256 = hashlib.sha256(old).hexdigest()
-        lines = {each.sha256: each.details for each in self.ledger.of_kind("governance")}
         entry = document_entry("governance", name, signed, self.now)
-        self.transaction.record(replace(entry, details=lines.get(sha256, {})))
+        self.transaction.record(replace(entry, details=self.governances.get(sha256, {})))
 
     def _tidy(self, name: str, staged: StagedFolder) -> None:
         """Add missing links, and remove files of keys that the profile does not have."""
@@ -240,7 +241,5 @@ class _Execution:
             self.transaction.remove(f"{folder}/{layout.PERMISSIONS_ALT_CA}")
         if not self.new.profile.alternative_key:
             self.transaction.remove(f"{folder}/{layout.ALT_KEY}")
-        for link, target in layout.shared_links(name, shared).items():
-            there = self.old.root / folder / link
-            if not (there.is_symlink() and str(there.readlink()) == target):
-                staged.link(link, target)  # replaces the file of an adopted enclave
+        for link, target in layout.missing_links(self.old.root, name, shared).items():
+            staged.link(link, target)  # replaces the file of an adopted enclave
