@@ -25,6 +25,7 @@ from pqsec_pki.handshake import (
     Reply,
     Request,
     RequestSent,
+    adjusted_guid,
     begin,
     initiates,
     reply_to,
@@ -213,6 +214,18 @@ class Authentication:
         """
         return Result.OK, self._revocation_watch.next()
 
+    def check_guid_comes_from(
+        self, handle: int, adjusted: bytes, candidate: bytes
+    ) -> tuple[Result]:
+        """Whether that identity, ours or an authenticated peer's, made the one GUID of the other.
+
+        Fast DDS asks, for discovery servers that are configured by their GUID. VerificationError
+        if not.
+        """
+        if adjusted_guid(self._certificate(handle).subject_der, candidate) != adjusted:
+            raise VerificationError("the GUID was not made of the other by this identity")
+        return (Result.OK,)
+
     def return_handshake_handle(self, handle: int) -> tuple[Result]:
         """Cyclone DDS never calls it: a handshake goes with its identities."""
         self._peers.drop_handshake(handle)
@@ -222,6 +235,16 @@ class Authentication:
         """The participant is gone, or the peer."""
         self._peers.drop(handle)
         return (Result.OK,)
+
+    def _certificate(self, handle: int) -> Certificate:
+        """Of a participant or an authenticated peer; VerificationError if it is not one."""
+        local = self._handles.find(handle, Local)
+        if local is not None:
+            return local.certificate
+        for _, remote, certificate in self._peers.authenticated():
+            if remote == handle:
+                return certificate
+        raise VerificationError("the peer has not authenticated")
 
     def _finish(self, local: Local, state: RequestSent, reply: Reply) -> tuple[Final, Done]:
         certificate = Peer.read(reply.introduction).certificate

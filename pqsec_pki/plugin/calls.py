@@ -58,6 +58,7 @@ CALLS: Mapping[str, Mapping[str, Call]] = MappingProxyType(
                 "get_shared_secret": "h>hxcco",
                 "get_authenticated_peer_credential_token": "h>t",
                 "find_revoked": ">h",
+                "check_guid_comes_from": "hgg>",
                 "return_handshake_handle": "h>",
                 "return_identity_handle": "h>",
             }

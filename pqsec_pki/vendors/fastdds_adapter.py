@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from os import environ
 from pathlib import Path
 
-from pqsec_pki import __version__, _files
+from pqsec_pki import _files
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.build import SOURCES, CompileError, compiler
+from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.elf import read_library
 from pqsec_pki.vendors.export import Version
@@ -130,11 +131,12 @@ def _refuse_unlike(stack: FastDds, adapter: Path) -> None:
 def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool = False) -> Path:
     """Compile both into `folder`, with a record of the library; the path of the preload library.
 
-    What was installed for an earlier build at the same path is removed. ExistsError if it is
-    installed for this build, unless `force`; else as compile_adapter.
+    What was installed for an earlier build at the same path is removed. ExistsError if what is
+    installed for this build runs, unless `force`; else as compile_adapter.
     """
     adapter, record = (folder / name.format(stack.library.build) for name in (ADAPTER, RECORD))
-    if not force:
+    runs = [each.build for each in installed(folder) if not each.problem]
+    if not force and stack.library.build in runs:
         _files.refuse_existing(adapter)
     with tempfile.TemporaryDirectory(prefix="pqsec-", dir=compilers.folder) as name:
         compile_adapter(stack, Path(name), compilers)
@@ -143,7 +145,8 @@ def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool =
         "library": str(stack.library.path),
         "build": stack.library.build,
         "version": stack.version,
-        "pqsec": __version__,
+        "protocol": VERSION,
+        "python": sys.executable,
     }
     with _files.disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -164,6 +167,10 @@ class Installed:
     library: Path
     build: str
     release: Version
+    protocol: int
+    """Version of the protocol that it speaks to the agent."""
+    python: Path
+    """What starts the agent."""
 
     @property
     def problem(self) -> str:
@@ -172,7 +179,11 @@ class Installed:
             build = read_library(self.library).build
         except PqsecError as error:
             return str(error)
-        return "" if build == self.build else "the library was updated since"
+        if build != self.build:
+            return "the library was updated since"
+        if self.protocol != VERSION:
+            return "pqsec was updated since"
+        return "" if self.python.is_file() else f"{self.python} is gone"
 
 
 def installed(folder: Path) -> list[Installed]:
@@ -184,6 +195,13 @@ def installed(folder: Path) -> list[Installed]:
             build = str(value["build"])
             if path.name == RECORD.format(build) and (folder / ADAPTER.format(build)).is_file():
                 release = tuple(int(number) for number in value["version"])
-                library = Path(str(value["library"]))
-                found.append(Installed(library=library, build=build, release=release))
+                found.append(
+                    Installed(
+                        library=Path(str(value["library"])),
+                        build=build,
+                        release=release,
+                        protocol=int(value["protocol"]),
+                        python=Path(str(value["python"])),
+                    )
+                )
     return found

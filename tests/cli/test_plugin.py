@@ -51,6 +51,7 @@ def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
     pqsec(f"plugin install --systemd --dir {folder}").done()
     (folder / "libpqsec_fastdds.so").touch()
     record = {"library": str(tmp_path / "libfastrtps.so"), "build": "00ff", "version": [2, 9, 1]}
+    record |= {"protocol": 2, "python": sys.executable}
     (folder / "pqsec-fastdds-00ff.json").write_text(json.dumps(record))
     (folder / "pqsec-fastdds-00ff.so").touch()
     listed = pqsec(f"plugin status --dir {folder}")

@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import pytest
 
 from pqsec_pki.errors import FileError, MalformedError, UsageError
 from pqsec_pki.plugin.build import SOURCES
-from pqsec_pki.plugin.calls import CALLS
+from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.vendors import Options, export, stack_named
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, installed
@@ -196,7 +197,8 @@ def folder(compiled, tmp_path) -> Path:
 def _put(folder: Path, library: Path) -> Path:
     folder.mkdir()
     build = examine(library).library.build_id
-    record = {"library": str(library), "build": build, "version": [2, 9, 1], "pqsec": "0"}
+    record = {"library": str(library), "build": build, "version": [2, 9, 1]}
+    record |= {"protocol": VERSION, "python": sys.executable}
     (folder / PRELOAD).touch()
     (folder / ADAPTER.format(build)).touch()
     (folder / RECORD.format(build)).write_text(json.dumps(record))
@@ -227,6 +229,21 @@ def test_an_export_for_a_library_that_was_updated_is_refused(keystore, folder, c
     with pytest.raises(FileError, match="the library was updated since") as refusal:
         exported(keystore, folder)
     assert "pqsec plugin install fastdds" in refusal.value.hint
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("protocol", VERSION - 1, "pqsec was updated since"),
+        ("python", "/nowhere/python", "/nowhere/python is gone"),
+        ("library", "/nowhere/libfastrtps.so", "/nowhere/libfastrtps.so"),
+    ],
+)
+def test_what_must_be_installed_again_is_told(folder, name, value, words):
+    [path] = folder.glob("*.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    [found] = installed(folder)
+    assert words in found.problem
 
 
 def test_an_export_for_another_version_or_without_any_is_refused(keystore, folder, tmp_path):

@@ -46,6 +46,7 @@ def test_the_shim_asks_for_each_call_once_and_with_these_kinds(plugin):
     asked = ASK.findall(SHIM[plugin])
     assert len(asked) == len(dict(asked)) == SHIM[plugin].count("ask(")
     table = {name: f"{call.takes}>{call.gives}" for name, call in CALLS[plugin].items()}
+    table.pop("check_guid_comes_from", None)  # Fast DDS asks, and Cyclone DDS does not
     assert dict(asked) == table
 
 

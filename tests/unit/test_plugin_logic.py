@@ -425,3 +425,28 @@ def test_builtin_topics_are_for_the_participant_itself_not_for_its_peers(folders
     _, peers, _ = shim.call("validate_remote_permissions", 1, 2, TOKEN, _credential(folder))
     with pytest.raises(RefusedError, match="'DCPSParticipant'"):
         shim.call("check_remote_datareader", peers, 0, "DCPSParticipant", (), ())
+
+
+def test_a_guid_comes_from_the_identity_that_made_it_and_from_a_peer_once_authenticated(folders):
+    """DDS-Security 1.1, 9.3.3, table 52; Fast DDS asks, for discovery servers."""
+    candidates = [os.urandom(12) + b"\0\0\1\xc1" for _ in TWO]
+    sides = []
+    for folder, candidate in zip(folders["pq"], candidates, strict=True):
+        shim, (pairs, where) = Shim("authentication"), properties(folder)
+        _, handle, guid, *_ = shim.call("validate_local_identity", 0, where, pairs, candidate)
+        sides.append((shim, handle, guid))
+        assert shim.call("check_guid_comes_from", handle, guid, candidate) == [Result.OK]
+        for wrong in ((guid, os.urandom(16)), (os.urandom(16), candidate), (guid, guid)):
+            with pytest.raises(RefusedError, match="was not made of"):
+                shim.call("check_guid_comes_from", handle, *wrong)
+        with pytest.raises(RefusedError, match="has not authenticated"):
+            shim.call("check_guid_comes_from", handle + 1, guid, candidate)
+    made_of = dict(zip((guid for _, _, guid in sides), candidates, strict=True))
+    for shim, _, peer in shaken(*sides):
+        [(other, candidate)] = [
+            (guid, each) for guid, each in made_of.items()
+            if guid != next(guid for mine, _, guid in sides if mine is shim)
+        ]  # fmt: skip
+        assert shim.call("check_guid_comes_from", peer, other, candidate) == [Result.OK]
+        with pytest.raises(RefusedError, match="was not made of"):
+            shim.call("check_guid_comes_from", peer, other, os.urandom(16))

@@ -229,11 +229,16 @@ class PqsecAuthentication : public Authentication {
     return pqsec::drop(token);
   }
 
-  // Whether `adjusted` was made of `original` for this identity: asked where a discovery server is
-  // configured by its GUID. The agent is not asked: a GUID comes from none but itself. Fast DDS 2.9
-  // does not have this function.
-  bool check_guid_comes_from(Handle*, const GUID_t& adjusted, const GUID_t& original) {
-    return adjusted == original;
+  // Whether this identity made `adjusted` of `original`: asked where a discovery server is configured
+  // by its GUID. Fast DDS 2.9 does not have this function.
+  bool check_guid_comes_from(Handle* identity, const GUID_t& adjusted, const GUID_t& original) {
+    if (identity == nullptr) return false;
+    const auto made = pqsec::octets_of(adjusted), candidate = pqsec::octets_of(original);
+    SecurityException exception{std::string()};
+    return guarded(exception, false, [&] {
+      return link_.ask(exception, "check_guid_comes_from", "hgg>", number_of(*identity), &made,
+                       &candidate) >= 0;
+    });
   }
 
  private:
