@@ -1,4 +1,4 @@
-"""Writes man/, one manual page for each command, from its help: `python tests/docs/man_pages.py`.
+"""Writes docs/man/: each command's manual page, from its help. `python tests/docs/man_pages.py`.
 
 The pages are in the repository, so that building a wheel needs no more than hatchling;
 tests/docs/test_man_pages.py compares them with the code.
@@ -18,7 +18,7 @@ import click  # noqa: E402 -- after the path
 
 from pqsec_pki.cli import COMMANDS, GROUPS, pqsec  # noqa: E402
 
-FOLDER = ROOT / "man"
+FOLDER = ROOT / "docs/man"
 ENVIRONMENT = {
     "PQSEC_KEYSTORE": "The keystore, if -k does not name one.",
     "ROS_SECURITY_KEYSTORE": "The keystore, if neither -k nor PQSEC_KEYSTORE names one.",
