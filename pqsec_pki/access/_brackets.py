@@ -1,7 +1,7 @@
-"""Bracket expressions of patterns, each kind as its stack reads it.
+"""Bracket expressions of patterns, as each stack reads them.
 
-A set of octets is a number of 256 bits. A reader takes the pattern and the place after
-the `[`, and gives the set and the place after the `]`, or None if the bracket is open.
+A set of octets is an integer of 256 bits. A reader takes the pattern and the place after the
+`[`. It returns the set and the place after the `]`, or None if the bracket is not closed.
 """
 
 import re
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 Bracket: TypeAlias = Callable[[str, int, str], tuple[int, int] | None]
-"""The reader of a kind of brackets: pattern, place, and the escape character or nothing."""
+"""A reader of brackets: takes the pattern, the place, and the escape character or an empty text."""
 
 ANY = (1 << 256) - 1
 
@@ -31,11 +31,11 @@ _CLASSES = {
 }
 _CLASS = re.compile(r"\[:(?P<name>[a-y]+):\]")
 _SYMBOL = re.compile(r"\[\.(?P<character>.)\.\]", re.DOTALL)
-_ALIKE = re.compile(r"\[=(?P<character>.)=\]", re.DOTALL)  # only itself, in the C locale
+_ALIKE = re.compile(r"\[=(?P<character>.)=\]", re.DOTALL)  # in the C locale: only itself
 
 
 def of(characters: str) -> int:
-    """The set of these."""
+    """The set of these characters."""
     found = 0
     for character in characters:
         found |= 1 << ord(character)
@@ -43,7 +43,7 @@ def of(characters: str) -> int:
 
 
 def between(low: str, high: str) -> int:
-    """The set of all from one to the other; of none, if they are the wrong way round."""
+    """The set of all characters from `low` to `high`; empty if `high` is less."""
     return max(0, (2 << ord(high)) - (1 << ord(low)))
 
 
@@ -57,14 +57,14 @@ def posix_bracket(pattern: str, place: int, escape: str) -> tuple[int, int] | No
             return members ^ (ANY * negated), place + 1
         found = _posix_members(pattern, place, escape)
         if found is None:
-            return 0, len(pattern)  # [[:nonsense:]] spoils the pattern: it covers nothing
+            return 0, len(pattern)  # with [[:nonsense:]] the whole pattern covers nothing
         members |= found[0]
         place = found[1]
     return None
 
 
 def _posix_members(pattern: str, place: int, escape: str) -> tuple[int, int] | None:
-    """A class, a range or a character; None for a class that is none."""
+    """A class, a range or a character; None for an unknown class."""
     if named := _CLASS.match(pattern, place):
         known = _CLASSES.get(named["name"])
         return (of(known), named.end()) if known else None
@@ -85,10 +85,10 @@ def _character(pattern: str, place: int, escape: str) -> tuple[str, int]:
 
 
 def cyclonedds_bracket(pattern: str, place: int, _escape: str) -> tuple[int, int]:
-    """As Cyclone DDS reads it: `[^a]` is `^` or `a`, and an open one covers nothing.
+    """As Cyclone DDS reads it: `[^a]` is `^` or `a`; a bracket that is not closed covers nothing.
 
-    The `]` that ends it is read as a member before: `[ab]` has `]` in it too, and
-    `[0-9]-f` is one bracket, of digits and of `]` to `f`.
+    It reads the closing `]` as a member first: `[ab]` also contains `]`, and `[0-9]-f` is one
+    bracket, with the digits and `]` to `f`.
     """
     negated = pattern.startswith("!", place)
     place += negated

@@ -1,6 +1,6 @@
 """The checks of the standard: DDS-Security 1.1, table 63, in its order.
 
-Each answers for the case of one question; `decide` makes them one after the other.
+Each checks one question; `decide` calls them in sequence.
 """
 
 from pqsec_pki.access import _expressions
@@ -10,7 +10,7 @@ from pqsec_pki.access.question import Action
 from pqsec_pki.documents import Criteria, DefaultAction, Rule, TopicRule
 
 _MOST_SAID = 4
-"""Partitions in a sentence: an endpoint may have a thousand."""
+"""Most partitions that a sentence names: an endpoint may have a thousand."""
 _VERBS = {Action.PUBLISH: "publish", Action.SUBSCRIBE: "subscribe to", Action.RELAY: "relay"}
 
 
@@ -32,7 +32,8 @@ def in_force(context: EvaluationContext) -> Decision:
 
 
 def own_participant(context: EvaluationContext) -> Decision:
-    """check_create_participant: a topic open to all lets in too, which peers do not accept."""
+    """check_create_participant: a topic without access control also suffices to join, for the
+    own stack but not for peers."""
     for rule in context.domain_rules[:1]:
         for topic_rule in rule.topic_rules:
             if not (
@@ -45,28 +46,27 @@ def own_participant(context: EvaluationContext) -> Decision:
 def remote_participant(context: EvaluationContext) -> Decision:
     """check_remote_participant.
 
-    An allow_rule for the domain suffices, even one without topics. Where there is none,
-    the default of the grant decides, as in Cyclone DDS and OpenDDS (OMG issue
-    DDSSEC12-85).
+    An allow_rule for the domain suffices, even without topics. If there is none, the default
+    of the grant decides, as in Cyclone DDS and OpenDDS (OMG issue DDSSEC12-85).
     """
     domain, grant = context.question.domain, context.grant
     # 1: is_access_protected is false.
     for governing in context.domain_rules[:1]:
         if not governing.enable_join_access_control:
             return yes(f"join access control is off on domain {domain}", governing)
-    # 2, the plugin names in the permissions tokens, is for the handshake to compare.
+    # 2: the handshake compares the plugin names in the permissions tokens.
     # 3: the grant has an allow rule for the domain.
     for rule in context.rules:
         if rule.allow:
             return yes(f"grant '{grant.name}' has an allow_rule for domain {domain}", rule)
-    # 4: otherwise no, but for the default.
+    # 4: otherwise the default decides.
     if grant.default is DefaultAction.ALLOW:
         return yes(f"the default of grant '{grant.name}' is ALLOW", grant)
     return no(f"grant '{grant.name}' has no allow_rule for domain {domain}", grant)
 
 
 def endpoint(context: EvaluationContext) -> Decision:
-    """check_create_datawriter and its three siblings, for the own endpoint and a peer's."""
+    """check_create_datawriter, check_create_datareader and the two for a peer's endpoint."""
     rule = next(context.topic_rules, None)
     if rule is None:
         return ungoverned(context)
@@ -76,7 +76,7 @@ def endpoint(context: EvaluationContext) -> Decision:
 
 
 def by_rules(context: EvaluationContext) -> Decision:
-    """The first rule for the domain whose criteria are met decides, else the default."""
+    """The first rule for the domain whose criteria match decides, otherwise the default."""
     action, missed = context.question.action, None
     for rule in context.rules:
         for criteria in context.criteria(rule, action):
@@ -88,7 +88,7 @@ def by_rules(context: EvaluationContext) -> Decision:
 
 
 def met(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
-    """Whether partitions and data tags meet these criteria too."""
+    """Whether the partitions and data tags match these criteria."""
     interpretation = context.interpretation
     return interpretation.partitions_met(context, criteria, rule) and interpretation.tags_met(
         context, criteria, rule
@@ -102,7 +102,7 @@ def ungoverned(context: EvaluationContext) -> Decision:
 
 
 def is_open(context: EvaluationContext, rule: TopicRule) -> bool:
-    """Whether governance lets every participant do that, whatever its permissions."""
+    """Whether governance allows the action to every participant, whatever its permissions."""
     if context.question.action is Action.PUBLISH:
         return not rule.enable_write_access_control
     return not rule.enable_read_access_control
@@ -114,7 +114,7 @@ def opened(context: EvaluationContext, rule: TopicRule) -> Decision:
 
 
 def ruled(context: EvaluationContext, rule: Rule, criteria: Criteria | None) -> Decision:
-    """As the rule says, of which these criteria are met."""
+    """The decision by a rule, whose `criteria` match."""
     by = f"{name_of(rule)} of grant '{context.grant.name}'"
     if rule.allow:
         return yes(f"an {by} lets it {said(context)}", rule, criteria)
@@ -122,7 +122,7 @@ def ruled(context: EvaluationContext, rule: Rule, criteria: Criteria | None) -> 
 
 
 def by_default(context: EvaluationContext, missed: Rule | None) -> Decision:
-    """As the default says; `missed` is a rule that has the topic but asks for more."""
+    """The decision by the default; `missed` is a rule with the topic but other criteria."""
     grant = context.grant
     start = f"no rule of grant '{grant.name}' says whether it may {said(context)}"
     if missed:
@@ -132,7 +132,7 @@ def by_default(context: EvaluationContext, missed: Rule | None) -> Decision:
 
 
 def said(context: EvaluationContext) -> str:
-    """What is asked, as in "publish 'rt/chatter' on domain 0"."""
+    """The question as text: "publish 'rt/chatter' on domain 0"."""
     question = context.question
     where = f" in {_partitions(question.partitions)}" if any(question.partitions) else ""
     return f"{_VERBS[question.action]} '{question.topic}'{where} on domain {question.domain}"

@@ -1,6 +1,6 @@
-"""When the partitions and data tags of an endpoint meet those of criteria.
+"""Whether the partitions and data tags of an endpoint match those of criteria.
 
-An endpoint without a partition is in the default one, whose name is empty.
+An endpoint without a partition is in the default partition, whose name is empty.
 """
 
 from pqsec_pki.access._expressions import meets, within
@@ -12,10 +12,10 @@ _DEFAULT = ("",)
 
 
 def standard_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
-    """9.4.1.3.2.3.1.4: all of them lie within those allowed, by default the default one.
+    """9.4.1.3.2.3.1.4: an allow_rule must cover all of them, by default the default partition.
 
-    9.4.1.3.2.3.2.4: one of them meets those denied, by default all. They are expressions
-    as those of the rule are: see `_expressions`.
+    9.4.1.3.2.3.2.4: a deny_rule must match one of them, and by default matches all. Both sides
+    are expressions: see `_expressions`.
     """
     if not rule.allow and not criteria.partitions:
         return True
@@ -30,14 +30,14 @@ def standard_partitions(context: EvaluationContext, criteria: Criteria, rule: Ru
 
 
 def named_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
-    """The same of names, with wildcards or without: what an expression stands for are names."""
+    """As `standard_partitions`, but the endpoint's partitions are taken as plain names."""
     if not rule.allow and not criteria.partitions:
         return True
     return cyclonedds_partitions(context, criteria, rule)
 
 
 def cyclonedds_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
-    """As names, and a deny_rule that names no partition denies only the default one.
+    """As names; a deny_rule that names no partition denies only the default partition.
 
     Cyclone DDS 0.10.2 (measured): its parser puts the default partition in both.
     """
@@ -51,11 +51,11 @@ def _named(context: EvaluationContext, patterns: tuple[str, ...], name: str) -> 
 
 
 def opendds_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
-    """As names, and an endpoint without partitions meets all that allow_rules name.
+    """As names; an endpoint without partitions matches every allow_rule.
 
-    OpenDDS 3.34 (read): partitions_match counts only partitions that the endpoint has,
-    so it finds none that is not allowed, and none that is denied. Where an allow_rule names
-    no partition there must be one at most.
+    OpenDDS 3.34 (read): partitions_match looks only at partitions that the endpoint has, so it
+    finds none that is not allowed, and none that is denied. If an allow_rule names no
+    partition, the endpoint may have one at most.
     """
     if rule.allow and not criteria.partitions:
         return context.question.partitions in {(), _DEFAULT}
@@ -65,9 +65,9 @@ def opendds_partitions(context: EvaluationContext, criteria: Criteria, rule: Rul
 
 
 def standard_tags(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
-    """9.4.1.3.2.3.1.5: all of them are among those allowed, by default none.
+    """9.4.1.3.2.3.1.5: an allow_rule must list all of them, and by default lists none.
 
-    9.4.1.3.2.3.2.5: one of them is among those denied, by default that is no condition.
+    9.4.1.3.2.3.2.5: a deny_rule must list one of them, and by default sets no condition.
     """
     tags = set(context.question.data_tags)
     if rule.allow:

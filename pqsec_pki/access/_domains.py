@@ -8,7 +8,7 @@ from pqsec_pki.documents.domains import MAX_DOMAIN_ID
 
 
 def stretches(sets: Iterable[DomainSet]) -> tuple[DomainRange, ...]:
-    """All domains, cut where one of the sets begins or ends."""
+    """All domains, in ranges that are divided where one of the sets begins or ends."""
     cuts = {0, MAX_DOMAIN_ID + 1}
     for part in (part for each in sets for part in each.parts):
         first, last = (part.first, part.last) if isinstance(part, DomainRange) else (part, part)
@@ -17,7 +17,7 @@ def stretches(sets: Iterable[DomainSet]) -> tuple[DomainRange, ...]:
 
 
 def domains_said(found: Sequence[DomainRange]) -> str:
-    """As in `domain 0`, `domains 0-3, 5`, `every domain`."""
+    """The ranges as text: `domain 0`, `domains 0-3, 5`, `every domain`."""
     joined = _joined(found)
     if [(each.first, each.last) for each in joined] == [(0, MAX_DOMAIN_ID)]:
         return "every domain"
@@ -27,7 +27,7 @@ def domains_said(found: Sequence[DomainRange]) -> str:
 
 
 def domain_set(found: Sequence[DomainRange]) -> DomainSet:
-    """Some of the stretches as one set, whose text is short: 0,2-5."""
+    """Some of the ranges as one set, whose text is short: 0,2-5."""
     return DomainSet(
         parts=tuple(
             each.first
@@ -41,7 +41,7 @@ def domain_set(found: Sequence[DomainRange]) -> DomainSet:
 
 
 def _joined(found: Sequence[DomainRange]) -> list[DomainRange]:
-    """Those that follow one another as one, in order."""
+    """The ranges in order; those that follow one another are joined."""
     joined: list[DomainRange] = []
     for each in sorted(found, key=lambda each: each.first):
         before = joined[-1] if joined else None

@@ -1,4 +1,4 @@
-"""Sets of partitions, or of data tags, that an endpoint may have: those worth asking about."""
+"""The sets of partitions, or of data tags, of an endpoint that suffice to compare policies."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ from typing import Generic, TypeVar
 Item = TypeVar("Item")
 
 MOST_LARGEST = 500
-"""Sets that deny_rules leave of those of allow_rules: they can be exponentially many."""
+"""Most sets that deny_rules leave of those of allow_rules: the number can be exponential."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sets(Generic[Item]):
-    """The sets, as tuples; `complete` if two policies that agree on them agree on all."""
+    """The sets, as tuples; `complete` if two policies that agree on them agree on all sets."""
 
     tried: tuple[tuple[Item, ...], ...]
     complete: bool
@@ -25,11 +25,10 @@ def sets_to_try(
 ) -> Sets[Item]:
     """The empty set, each item alone, and the largest sets that policies can allow.
 
-    `allowed` are the sets of allow_rules, of which an endpoint must have no other item;
-    `denied` those of deny_rules, of which it must have none. So who may do something with
-    a set may do it with every part of that set, and policies that allow the same largest
-    sets allow the same. A largest one is that of an allow_rule, without those of deny_rules
-    that come before it.
+    `allowed` are the sets of allow_rules: an endpoint may have only items of one of them.
+    `denied` are the sets of deny_rules: an endpoint may have none of their items. So a policy
+    that allows a set allows every part of it, and policies that allow the same largest sets are
+    equal. A largest set is the set of an allow_rule without the sets of earlier deny_rules.
     """
     largest, complete = dict.fromkeys(allowed), True
     limit = len(largest) + MOST_LARGEST

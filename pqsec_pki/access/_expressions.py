@@ -1,17 +1,16 @@
-r"""Are the partitions of an endpoint among those of a rule? Both sides are expressions.
+r"""Whether the partitions of an endpoint match those of a rule. Both sides are expressions.
 
-The PARTITION QoS holds fnmatch expressions (DDS 1.4, 2.2.3.13), as the rules do
-(DDS-Security 1.1, 9.4.1.3.2.3). An endpoint in `s*` talks to all in a partition that begins
-with s, so a name is not enough: allowed is what lies within the expressions of a rule,
-denied what meets one of them.
+The PARTITION QoS contains fnmatch expressions (DDS 1.4, 2.2.3.13), as the rules do (DDS-Security
+1.1, 9.4.1.3.2.3). An endpoint in `s*` communicates in every partition that begins with s. So an
+allow_rule must cover every name that the endpoint's expression covers; a deny_rule applies if
+there is one name that both cover.
 
-Stacks do not agree on brackets in a QoS: Cyclone DDS has none there, and `[ab]` is a name.
-What begins with `[` or `\` in an expression of an endpoint is therefore taken for a `*`: it may
-stand for anything.
+Stacks do not agree on brackets in a QoS: in Cyclone DDS `[ab]` is a name. In an expression of an
+endpoint, everything from a `[` or `\` on is therefore taken as `*`.
 
-Whether an expression lies within several others is a question that takes exponential time in
-the worst case. Here the steps are counted, and those of one question end at MAX_STEPS. What
-is not known by then is not allowed, and is denied.
+To find out whether several expressions together cover another takes exponential time in the
+worst case. Here the steps of one question are limited to MAX_STEPS. If the answer is not known
+by then, an allow_rule does not match, and a deny_rule does.
 """
 
 import re
@@ -22,9 +21,9 @@ from pqsec_pki.access._brackets import ANY
 from pqsec_pki.access._patterns import LONGEST, Compiled, compiled, read
 
 MAX_STEPS = 50_000
-"""Steps for one question, each of at most WORD places: about a tenth of a second, and 20 MB."""
+"""Steps for one question, each with at most WORD places: about a tenth of a second, and 20 MB."""
 WORD = 1024
-"""Places of patterns that one step moves: numbers of as many bits."""
+"""Places of patterns, and so bits of a number, that one step handles."""
 
 _UNSURE = re.compile(r"[\[\\].*", re.DOTALL)
 
@@ -37,11 +36,11 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether the answer is one in doubt."""
+        """Whether the steps ran out, so that the answer is not certain."""
         return self.left < 0
 
     def take(self, places: int) -> bool:
-        """Whether there was one more, of patterns with so many places."""
+        """Count one more step, for patterns of so many places; False if it is beyond the limit."""
         if self.spent:
             return False
         self.left -= 1 + places // WORD
@@ -49,11 +48,10 @@ class Budget:
 
 
 def within(expression: str, patterns: Iterable[str], budget: Budget) -> bool:
-    """Whether each name that the expression covers is covered by one of the patterns.
+    """Whether the patterns together cover every name that the expression covers.
 
-    False in doubt. Subsets of the places of all patterns are walked through, one for each
-    way in which a name that the expression covers can be read: `budget` bounds their number,
-    and with it the memory.
+    False if the steps run out. It visits sets of places of all patterns, one for each way to
+    read a name that the expression covers; `budget` limits their number, and so the memory.
     """
     if budget.spent:
         return False
@@ -64,9 +62,9 @@ def within(expression: str, patterns: Iterable[str], budget: Budget) -> bool:
 
 
 def meets(expression: str, patterns: Iterable[str], budget: Budget) -> bool:
-    """Whether a name is covered by the expression and by one of the patterns.
+    """Whether there is a name that the expression and one of the patterns cover.
 
-    True in doubt. It takes a step or a few for each place of the expression and each pattern.
+    True if the steps run out. It takes a few steps for each place of the expression and pattern.
     """
     if budget.spent:
         return True
@@ -75,19 +73,19 @@ def meets(expression: str, patterns: Iterable[str], budget: Budget) -> bool:
 
 
 def said(expression: str) -> str:
-    """The expression in quotes, with a word on what it is taken for, if that is not plain."""
+    """The expression in quotes, with the expression that it is taken for if that differs."""
     taken = _UNSURE.sub("*", expression)
     return f"{expression!r}" if taken == expression else f"{expression!r} (taken for {taken!r})"
 
 
 def _of_endpoint(expression: str) -> Compiled:
-    return read(_UNSURE.sub("*", expression))  # and not kept: a peer may send any number
+    return read(_UNSURE.sub("*", expression))  # not cached: a peer may send any number
 
 
 def _meet(one: Compiled, other: Compiled, budget: Budget) -> bool:
-    """Whether a name is covered by both: the places of the other, for each place of the one."""
+    """Whether there is a name that both cover: keeps places of `other` for each place of `one`."""
     if other.characters.get(0):
-        return False  # it asks for a character of which there is none
+        return False  # it needs a character of an empty set
     kinds, reached = one.kinds, 1
     for place in range(one.length + 1):
         if not budget.take(other.length * len(other.characters)):
@@ -102,7 +100,7 @@ def _meet(one: Compiled, other: Compiled, budget: Budget) -> bool:
 
 
 def _union(patterns: Iterable[Compiled]) -> tuple[Compiled, int, int]:
-    """Several patterns as one, their places one behind the other, with their starts and ends."""
+    """Several patterns as one, their places in sequence, with their first and last places."""
     start = ends = stars = length = 0
     characters: dict[int, int] = {}
     for each in patterns:
@@ -116,16 +114,16 @@ def _union(patterns: Iterable[Compiled]) -> tuple[Compiled, int, int]:
 
 
 def _all_covered(wanted: Compiled, patterns: Iterable[Compiled], budget: Budget) -> bool:
-    """Whether no name leads `wanted` to its end, and none of the patterns."""
+    """Whether there is no name that `wanted` covers and none of the patterns covers."""
     union, start, ends = _union(patterns)
     kinds, choices = [*wanted.kinds, 0], _choices(wanted, union, budget)
     todo = [(0, start)]
     seen = set(todo)
-    for place, reached in todo:  # grows: breadth first, as a name that is missing is often short
+    for place, reached in todo:  # grows; breadth first: a name that is not covered is often short
         if not reached or (place == wanted.length and not reached & ends):
             return False
         if reached & ends & union.stars:
-            continue  # whatever follows is covered
+            continue  # everything that follows is covered
         for octets, leading in choices:
             if not budget.take(union.length):
                 return False
@@ -138,7 +136,7 @@ def _all_covered(wanted: Compiled, patterns: Iterable[Compiled], budget: Budget)
 
 
 def _choices(wanted: Compiled, union: Compiled, budget: Budget) -> list[tuple[int, int]]:
-    """The sets of octets that nothing tells apart, and the places that each leads on from."""
+    """The sets of octets that no pattern distinguishes, each with the places that it leads from."""
     parts = [ANY]
     for kind in {*wanted.characters, *union.characters}:
         if budget.take(0):

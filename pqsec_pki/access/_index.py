@@ -1,4 +1,4 @@
-"""Many names, and those of them that a pattern covers."""
+"""Finds which of many names a pattern covers."""
 
 from bisect import bisect_left
 from collections.abc import Iterable
@@ -10,14 +10,14 @@ _LAST = "\U0010ffff"
 
 
 class Names:
-    """Names in order, so that only those are looked at that begin as a pattern does."""
+    """Sorted names: a pattern is compared only with names that begin as it does."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self.sorted = sorted(set(names))
         self._all = frozenset(self.sorted)
 
     def covered(self, pattern: str, covers: Covers = posix) -> frozenset[str]:
-        """Those that the pattern covers."""
+        """The names that the pattern covers."""
         if not is_wildcard(pattern):
             return self._all & {pattern}
         begin = pattern[: min(pattern.index(each) for each in "*?[\\" if each in pattern)]

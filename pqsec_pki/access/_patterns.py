@@ -1,9 +1,8 @@
-"""Does a pattern cover a name? The fnmatch of each stack.
+"""Whether a pattern covers a name, by the fnmatch of each stack.
 
-All compare UTF-8 octets, as fnmatch does in the C locale, and none holds `/` or a leading
-`.` to be special. Cyclone DDS tries every way to share a name among `*`, so that a
-pattern as `*a*a*a*a*b` can stop it for hours; here the time is linear in the pattern and in
-the name, whatever they are.
+All compare UTF-8 octets, as fnmatch does in the C locale; `/` and a leading `.` are not special.
+Cyclone DDS tries every way to divide a name among `*`, so a pattern such as `*a*a*a*a*b` can
+stop it for hours. Here the time is always linear in the pattern and in the name.
 """
 
 import re
@@ -16,12 +15,12 @@ from pqsec_pki.access._wild_match import reads_beyond, wild_match
 from pqsec_pki.access.question import MAX_NAME
 
 Covers: TypeAlias = Callable[[str, str], bool]
-"""Whether a pattern covers a name, in that order."""
+"""Arguments: a pattern and a name. Whether the pattern covers the name."""
 
 _CACHED = 1 << 14
-"""Patterns kept: as many as the largest policies have."""
+"""Cached patterns: as many as the largest policies have."""
 LONGEST = 4 * MAX_NAME
-"""Octets of a name. A pattern that asks for more covers none."""
+"""Octets of a name. A pattern that needs more covers no name."""
 _STAR = -1
 _SPECIAL = re.compile(r"[*?\[\\]")
 
@@ -32,12 +31,12 @@ def posix(pattern: str, name: str) -> bool:
 
 
 def posix_without_escapes(pattern: str, name: str) -> bool:
-    r"""The same with FNM_NOESCAPE: `\` is a character like others."""
+    r"""fnmatch of POSIX with FNM_NOESCAPE: `\` is an ordinary character."""
     return _covers(_posix_without_escapes, pattern, name)
 
 
 def either_way(pattern: str, name: str) -> bool:
-    """StringMatching::matchString of Fast DDS: the name may be the pattern too (read)."""
+    """StringMatching::matchString of Fast DDS: either argument may be the pattern (read)."""
     return posix_without_escapes(pattern, name) or posix_without_escapes(name, pattern)
 
 
@@ -47,17 +46,18 @@ def cyclonedds(pattern: str, name: str) -> bool:
 
 
 class Compiled(NamedTuple):
-    """A pattern as places: the one before the first character, and one after each.
+    """A pattern as an automaton: its states are the place before the first character and
+    the place after each.
 
-    From a place a star leads back to it, and a character to the next, which is a shift
-    in a set of places kept as the bits of a number.
+    A star leads from a place to the same place, a character to the next one. A set of places is
+    an integer with a bit for each, so a step is a shift.
     """
 
     length: int
     stars: int
     """The places with a star."""
     characters: dict[int, int]
-    """For a set of octets, the places from which one of these leads on."""
+    """For each set of octets, the places from which one of them leads to the next place."""
 
     def covers(self, name: bytes) -> bool:
         if self.length > len(name):
@@ -69,7 +69,7 @@ class Compiled(NamedTuple):
         return bool(reached >> self.length & 1)
 
     def leading(self, octets: int) -> int:
-        """The places from which one of these octets leads on."""
+        """The places from which one of these octets leads to the next place."""
         places = 0
         for members, having in self.characters.items():
             if members & octets:
@@ -78,7 +78,7 @@ class Compiled(NamedTuple):
 
     @property
     def kinds(self) -> list[int]:
-        """For each place but the last, the set of octets that leads on."""
+        """For each place but the last, the set of octets that lead to the next place."""
         found = [0] * self.length
         for octets, having in self.characters.items():
             for place in bits(having):
@@ -87,7 +87,7 @@ class Compiled(NamedTuple):
 
 
 def bits(number: int) -> Iterator[int]:
-    """The places of the ones."""
+    """The positions of the 1 bits."""
     while number:
         yield (number & -number).bit_length() - 1
         number &= number - 1
@@ -96,7 +96,7 @@ def bits(number: int) -> Iterator[int]:
 def _covers(compiling: Callable[[str], Compiled], pattern: str, name: str) -> bool:
     special = _SPECIAL.search(pattern)
     if special is None or not name.startswith(pattern[: special.start()]):
-        return pattern == name  # as nearly all patterns of a large policy are
+        return pattern == name  # nearly all patterns of a large policy are plain names
     return compiling(pattern).covers(_octets(name))
 
 
@@ -105,7 +105,7 @@ def _octets(text: str) -> bytes:
 
 
 def _characters(text: str) -> str:
-    """One for each octet."""
+    """One character for each octet."""
     return _octets(text).decode("latin-1")
 
 
@@ -116,7 +116,7 @@ def read(pattern: str) -> Compiled:
 
 @lru_cache(_CACHED)
 def compiled(pattern: str) -> Compiled:
-    """The same, kept: for patterns of documents."""
+    """As `read`, cached: for patterns of documents."""
     return read(pattern)
 
 
@@ -144,7 +144,7 @@ def _compiled(pattern: str, bracket: Bracket, escape: str) -> Compiled:
 
 
 def _tokens(pattern: str, bracket: Bracket, escape: str) -> Iterator[int]:
-    """A set of octets for each character of a name, and stars."""
+    """The pattern's tokens: a set of octets for each character of a name, and stars."""
     at = 0
     while at < len(pattern):
         character = pattern[at]
@@ -172,5 +172,5 @@ def opendds(pattern: str, name: str) -> bool:
 
 
 def opendds_reads_beyond(pattern: str) -> bool:
-    """Whether OpenDDS reads memory behind the pattern, since a bracket in it is open."""
+    """Whether OpenDDS reads memory beyond the pattern because a bracket in it is not closed."""
     return reads_beyond(_characters(pattern))

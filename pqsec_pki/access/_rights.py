@@ -1,4 +1,4 @@
-"""All that a few grants let their subject do, asked of the engine."""
+"""Everything that some grants allow their subject, as `decide` answers."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -27,27 +27,27 @@ from pqsec_pki.documents import (
 )
 
 _NAMED = replace(SPEC, partitions_met=named_partitions)
-"""The standard where partitions are names. What an expression stands for is a set of names, so
-grants that agree on all sets of names agree on expressions too."""
+"""The standard, but the partitions of an endpoint are names. An expression matches a set of names,
+so grants that agree on all sets of names also agree on expressions."""
 _ALL = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
 _BEGIN, _THEN, _END = (datetime(year, 1, 1, tzinfo=UTC) for year in (2000, 2001, 2002))
 _ACTIONS = (Action.PUBLISH, Action.SUBSCRIBE, Action.RELAY)
 _ANY = "any topic"
 _DEFAULT = ("",)
-_UNTOLD = ("a tag that no rule names", "")
+_OTHER_TAG = ("a tag that no rule names", "")
 
 _Partitions: TypeAlias = tuple[str, ...]
 _Tag: TypeAlias = tuple[str, str]
 _Tags: TypeAlias = tuple[_Tag, ...]
 Right: TypeAlias = tuple[Action, DomainRange, _Partitions, _Tags]
-"""To do that, on these domains, with an endpoint in these partitions with these tags."""
+"""An action, on these domains, with an endpoint in these partitions with these tags."""
 Rights: TypeAlias = dict[Right, frozenset[str]]
-"""The topics for each; joining has none, and so an empty one."""
+"""The topics for each right; joining needs no topic and has an empty name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Whole:
-    """What several rights have in common: all these actions, in all these places."""
+    """Several rights as one: all these actions, with all these topics, in all these places."""
 
     actions: tuple[Action, ...]
     domains: tuple[DomainRange, ...]
@@ -58,7 +58,7 @@ class Whole:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """All that some grants can tell apart."""
+    """The topics, domains, partitions and tags that some grants distinguish."""
 
     topics: Universe
     domains: tuple[DomainRange, ...]
@@ -68,7 +68,7 @@ class World:
 
     @classmethod
     def of(cls, grants: Iterable[Grant]) -> "World":
-        """What these can."""
+        """Those that these grants distinguish."""
         grants = tuple(grants)
         rules = [rule for grant in grants for rule in grant.rules]
         criteria = list(_criteria(rules))
@@ -84,12 +84,12 @@ class World:
 
     @property
     def complete(self) -> bool:
-        """Whether two grants that agree in this world agree."""
+        """Whether two grants that agree on all of these agree on everything."""
         parts = (self.topics, self.partitions, self.partition_sets, self.tag_sets)
         return all(part.complete for part in parts)
 
     def rights(self, grant: Grant | None) -> Rights:
-        """What a grant gives while it is in force, where governance controls everything."""
+        """What a grant allows while it is valid, if governance controls everything."""
         found: Rights = {}
         if grant:
             always = replace(grant, not_before=_BEGIN, not_after=_END)
@@ -103,7 +103,7 @@ class World:
         here = tuple(rule for rule in grant.rules if domain in rule.domains)
         join = Question(subject=subject, domain=domain, action=Action.JOIN, now=_THEN)
         if not policy.decide(join).allowed:
-            return {}  # who cannot join can do nothing
+            return {}  # a participant that cannot join can do nothing
         found: Rights = {(Action.JOIN, stretch, _DEFAULT, ()): frozenset({""})}
         for action, partitions, tags in product(
             _ACTIONS, self.partition_sets.tried, self.tag_sets.tried
@@ -119,7 +119,7 @@ class World:
         return found
 
     def _allowed(self, context: EvaluationContext) -> frozenset[str]:
-        """As the check `by_rules` decides, but for all topics in one go."""
+        """As the check `by_rules` decides, but for all topics at once."""
         allowed, undecided = set[str](), set(self.topics.names)
         for rule in context.rules:
             for criteria in context.criteria(rule, context.question.action):
@@ -146,7 +146,7 @@ class World:
         return " ".join(words)
 
     def _partitions_said(self, sets: tuple[_Partitions, ...]) -> Iterator[str]:
-        """The partitions that each suffice, and the largest sets that are taken together."""
+        """The partitions that are allowed alone, and the largest sets that are allowed together."""
         alone = frozenset(name for each in sets if len(each) == 1 for name in each)
         several = [frozenset(each) for each in sets if len(each) > 1]
         words = " or ".join(map(str, self.partitions.described(alone)))
@@ -159,7 +159,7 @@ class World:
 
 
 def wholes(rights: Rights) -> Iterator[Whole]:
-    """The same, each set of topics with all its actions and places, as far as they combine."""
+    """The same rights, with actions and places merged where they have the same topics."""
     items: list[tuple[Any, ...]] = [(*right, names) for right, names in rights.items() if names]
     for dimension in (1, 2, 3, 0):
         groups: dict[tuple[Any, ...], list[Any]] = {}
@@ -179,7 +179,7 @@ def _criteria(rules: Iterable[Rule]) -> Iterator[Criteria]:
 
 
 def _partition_sets(partitions: Universe, grants: tuple[Grant, ...]) -> Sets[str]:
-    """Those of criteria; allow_rules without partitions are for the default one."""
+    """Those of the criteria; allow_rules without partitions are for the default partition."""
     allowed = [
         partitions.covered_by(each.partitions or _DEFAULT) for each in _of_rules(grants, allow=True)
     ]
@@ -187,14 +187,15 @@ def _partition_sets(partitions: Universe, grants: tuple[Grant, ...]) -> Sets[str
         allowed.append(frozenset(partitions.names))
     denied = (partitions.covered_by(each.partitions) for each in _of_rules(grants, allow=False))
     found = sets_to_try(partitions.names, allowed, filter(None, denied))
-    return replace(found, tried=tuple(filter(None, found.tried)))  # all are in one, at least
+    # An endpoint is in at least one partition.
+    return replace(found, tried=tuple(filter(None, found.tried)))
 
 
 def _tag_sets(grants: tuple[Grant, ...]) -> Sets[_Tag]:
-    """Those of criteria, and a tag that is in none."""
+    """Those of the criteria, and a tag that is in none of them."""
     allowed = [frozenset(each.data_tags) for each in _of_rules(grants, allow=True)]
     denied = [frozenset(each.data_tags) for each in _of_rules(grants, allow=False)]
-    every = tuple(dict.fromkeys([_UNTOLD, *sorted(frozenset().union(*allowed, *denied))]))
+    every = tuple(dict.fromkeys([_OTHER_TAG, *sorted(frozenset().union(*allowed, *denied))]))
     if any(grant.default is DefaultAction.ALLOW for grant in grants):
         allowed.append(frozenset(every))
     return sets_to_try(every, allowed, filter(None, denied))
@@ -208,6 +209,6 @@ def _of_rules(grants: tuple[Grant, ...], *, allow: bool) -> Iterator[Criteria]:
 def _tags_said(tags: _Tags) -> str:
     if not tags:
         return "no data tags"
-    told = ", ".join(f"{name}={value}" for name, value in tags if (name, value) != _UNTOLD)
-    words = [f"data tags {told}"] if told else []
-    return " and ".join(words + [_UNTOLD[0]] * (_UNTOLD in tags))
+    named = ", ".join(f"{name}={value}" for name, value in tags if (name, value) != _OTHER_TAG)
+    words = [f"data tags {named}"] if named else []
+    return " and ".join(words + [_OTHER_TAG[0]] * (_OTHER_TAG in tags))

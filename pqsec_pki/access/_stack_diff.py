@@ -1,4 +1,4 @@
-"""Changes that only a stack sees: the standard answers both documents alike, and it does not."""
+"""Changes for a stack only: its answers differ, but those of the standard are the same."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,9 +14,9 @@ from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permi
 from pqsec_pki.documents.domains import MAX_DOMAIN
 
 MOST_ASKED = 2_000
-"""Questions: of documents that have more only the first are asked, to be done in a second."""
+"""Most questions for a pair of documents, so that it takes a second."""
 MOST_WORK = 50_000
-"""Questions times rules, for the same reason."""
+"""Most questions times rules, for the same reason."""
 
 _BEGIN, _THEN, _END = (datetime(year, 1, 1, tzinfo=UTC) for year in (2000, 2001, 2002))
 _DOMAINS = DomainSet(parts=(DomainRange(first=0, last=MAX_DOMAIN),))
@@ -24,16 +24,16 @@ _DOMAINS = DomainSet(parts=(DomainRange(first=0, last=MAX_DOMAIN),))
 
 @dataclass(frozen=True, slots=True)
 class StackChange:
-    """A question that a stack answers otherwise than before, though the standard does not."""
+    """A question whose answer changed for a stack, but not for the standard."""
 
     interpretation: Interpretation
     question: Question
     allowed: bool
-    """What it answers now."""
+    """The new answer."""
 
 
 def stack_changes(old: Grant, new: Grant, world: World) -> Iterator[StackChange]:
-    """For each stack the first question it allows, and the first it denies, unlike before."""
+    """For each stack the first question that it now allows, and the first that it now denies."""
     rules = len(old.rules) + len(new.rules) + 1
     questions = list(
         islice(_questions(new.subject_name, world), min(MOST_ASKED, MOST_WORK // rules))

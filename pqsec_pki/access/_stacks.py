@@ -1,7 +1,7 @@
-"""The checks that stacks make otherwise than the standard.
+"""The checks in which stacks differ from the standard.
 
-Cyclone DDS 0.10.2 and Fast DDS 2.9.1 were asked in all of this, through their plugins;
-OpenDDS 3.34 was read, and its access control run.
+All of this was measured with the plugins of Cyclone DDS 0.10.2 and Fast DDS 2.9.1. For OpenDDS
+3.34 it was read in the source, and its access control was run.
 """
 
 from collections.abc import Iterable
@@ -37,10 +37,10 @@ _CYCLONEDDS_BUILTIN = {
 
 
 def cyclonedds_topic(context: EvaluationContext) -> Decision:
-    """check_create_topic: before an endpoint there is a topic, and that is asked first.
+    """check_create_topic: an endpoint needs a topic, which is checked first.
 
-    A rule for the domain that has the topic decides, be it for publishing or subscribing
-    and in whatever partition: so a deny_rule for one partition denies the topic.
+    The first rule for the domain that has the topic decides, for publishing or subscribing and
+    in any partition. So a deny_rule for one partition denies the topic.
     """
     if context.question.topic in _CYCLONEDDS_BUILTIN:
         return _builtin(context)
@@ -57,7 +57,7 @@ def cyclonedds_topic(context: EvaluationContext) -> Decision:
 
 
 def cyclonedds_endpoint(context: EvaluationContext) -> Decision:
-    """check_create_datawriter and its siblings: as the standard, but for some names."""
+    """check_create_datawriter and similar: as the standard, except for builtin topic names."""
     if context.question.topic in _CYCLONEDDS_BUILTIN:
         return _builtin(context)
     return endpoint(context)
@@ -76,10 +76,10 @@ def _topic_ruled(context: EvaluationContext, rule: Rule, criteria: Criteria) -> 
 
 
 def fastdds_own_participant(context: EvaluationContext) -> Decision:
-    """check_create_participant: any allow_rule will do, whatever its domain, and one must be.
+    """check_create_participant: it needs an allow_rule, for whatever domain.
 
-    check_subject_name means to drop the rules for other domains, and drops them from a
-    copy that it has emptied before.
+    check_subject_name intends to remove the rules for other domains, but removes them from a
+    copy that is already empty.
     """
     return _fastdds_participant(context, context.grant.rules, "")
 
@@ -100,15 +100,15 @@ def _fastdds_participant(context: EvaluationContext, rules: Iterable[Rule], wher
 
 
 def fastdds_own_endpoint(context: EvaluationContext) -> Decision:
-    """check_create_datawriter, check_create_datareader: the rules for all domains count."""
+    """check_create_datawriter, check_create_datareader: rules for other domains count too."""
     action = context.question.action
     if action is Action.RELAY:
-        return yes("a participant's own stack is never asked about relaying")
+        return yes("a participant's own stack does not check relaying")
     return _fastdds_endpoint(context, context.grant.rules, (action,))
 
 
 def fastdds_remote_endpoint(context: EvaluationContext) -> Decision:
-    """check_remote_datawriter, check_remote_datareader: a reader may be a relay's."""
+    """check_remote_datawriter, check_remote_datareader: for a reader, relaying suffices too."""
     action = context.question.action
     actions = (action,) if action is Action.PUBLISH else (Action.SUBSCRIBE, Action.RELAY)
     return _fastdds_endpoint(context, context.rules, actions)
@@ -117,10 +117,10 @@ def fastdds_remote_endpoint(context: EvaluationContext) -> Decision:
 def _fastdds_endpoint(
     context: EvaluationContext, rules: Iterable[Rule], actions: tuple[Action, ...]
 ) -> Decision:
-    """The first rule that has the topic decides; then partitions are looked at.
+    """The first rule that has the topic decides; then its partitions are checked.
 
-    Those of all its criteria for the action count together; a deny_rule denies in every
-    partition. Where no rule has the topic it is denied: the default is never used.
+    The partitions of all its criteria for the action count together; a deny_rule denies in
+    every partition. If no rule has the topic, it is denied: the default is never used.
     """
     open_to = next(context.topic_rules, None)
     if open_to is None:
@@ -149,10 +149,10 @@ def _fastdds_ruled(
 
 
 def opendds_own_participant(context: EvaluationContext) -> Decision:
-    """check_create_participant: yes only if something is open (OpenDDS issue 5007).
+    """check_create_participant: allowed only if something is open (OpenDDS issue 5007).
 
-    With join access control on, and read and write access control for every topic, no
-    participant can be made, whatever its permissions.
+    With join access control, and read and write access control for every topic, no
+    participant can be created, whatever its permissions.
     """
     for rule in context.domain_rules:
         if not rule.enable_join_access_control:
@@ -160,12 +160,13 @@ def opendds_own_participant(context: EvaluationContext) -> Decision:
         for topic_rule in rule.topic_rules:
             if _is_half_open(topic_rule):
                 return yes("governance has a topic that is open to all", topic_rule)
-    text = "OpenDDS makes no participant where governance controls joining and every topic"
+    text = "OpenDDS creates no participant if governance controls joining and every topic"
     return no(text, context.domain_rules[0])
 
 
 def opendds_topic(context: EvaluationContext) -> Decision:
-    """check_create_topic: not if both publishing and subscribing are denied before allowed."""
+    """check_create_topic: denied if deny_rules for publishing and subscribing come before
+    any allow_rule."""
     governing = _opendds_topic_rules(context)
     if not governing:
         return ungoverned(context)
@@ -184,9 +185,9 @@ def opendds_topic(context: EvaluationContext) -> Decision:
 
 
 def opendds_endpoint(context: EvaluationContext) -> Decision:
-    """check_create_datawriter and its siblings: any topic rule that is open opens.
+    """check_create_datawriter and similar: any topic rule without access control suffices.
 
-    Only where none is are the times of the grant looked at.
+    It checks the times of the grant only if there is no such rule.
     """
     for rule in _opendds_topic_rules(context):
         if is_open(context, rule):

@@ -1,7 +1,7 @@
-"""Is a grant for this subject? How each stack compares two texts of a name.
+"""Whether a grant is for a subject: how each stack compares two texts of a name.
 
-The subject is always the text of RFC 2253 that Certificate.subject_name gives: the last
-part of the certificate's name first, letters of every language as they are.
+The subject is always the RFC 2253 text of Certificate.subject_name: the last part of the
+certificate's name comes first, and letters of all languages are not escaped.
 """
 
 import re
@@ -13,21 +13,21 @@ from pqsec_pki.documents import Subject, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
 
 IsFor: TypeAlias = Callable[[str, str], bool]
-"""Whether the text of a grant's subject_name is for a subject, in that order."""
+"""Arguments: the text of a grant's subject_name, and a subject. Whether the grant is for it."""
 
 _MOST_PARTS = 20
-"""The most that Cyclone DDS keeps; a name with more of them matches no participant."""
+"""The most parts that Cyclone DDS keeps; a name with more parts matches no participant."""
 
 
 def standard(named: str, subject: str) -> bool:
-    """9.4.1.3.2.1 leaves the form open: any spelling of the whole name will do."""
+    """9.4.1.3.2.1 does not define the form: any spelling of the whole name matches."""
     return same_subject(_parsed(named), _parsed(subject))
 
 
 def cyclonedds(named: str, subject: str) -> bool:
     r"""ac_check_subjects_are_equal, 0.10.2 to 11.0.1 (measured).
 
-    Both are cut at each `,` `/` and `|`, and each piece at its first `=`: the grant must
+    It splits both at each `,` `/` and `|`, and each piece at its first `=`. The grant must
     have all pieces that the certificate has, in any order, and may have more. So
     CN=/robot may use a grant for CN=/robot/admin.
     """
@@ -37,17 +37,17 @@ def cyclonedds(named: str, subject: str) -> bool:
     values: dict[str, str] = {}
     for piece in pieces:
         word, _, value = piece.partition("=")
-        values.setdefault(word, value)  # of two OUs only the first is ever seen
+        values.setdefault(word, value)  # of two OUs, only the first counts
     wanted = _cut("".join(map(_escaped, subject)))
     if wanted[-1] == "":
-        wanted.pop()  # nothing after the last separator is no piece
+        wanted.pop()  # empty text after the last separator is not a piece
     return all(piece and _has(values, piece) for piece in wanted)
 
 
 def fastdds(named: str, subject: str) -> bool:
     """rfc2253_string_compare of 2.9.1: the same parts in the same order (measured).
 
-    Spaces around commas do not count. 3.x also takes the order of the certificate.
+    It ignores spaces around commas. 3.x also accepts the order of the certificate.
     """
     return _parts(named) == _parts(subject)
 
@@ -55,8 +55,8 @@ def fastdds(named: str, subject: str) -> bool:
 def opendds(named: str, subject: str) -> bool:
     r"""SubjectName::operator== (read in 3.34's source, and run): the certificate's order.
 
-    It compares with what OpenSSL prints, so that of letters beyond ASCII only octets such as
-    `\C3\B1` match, never the letters themselves.
+    It compares with the text that OpenSSL prints. So a letter beyond ASCII only matches as
+    escaped octets, such as `\C3\B1`, never as the letter.
     """
     return named.isascii() and bool(_parsed(named)) and _parsed(named) == _parsed(subject)[::-1]
 

@@ -8,11 +8,11 @@ from pqsec_pki.access._index import Names
 from pqsec_pki.access._witnesses import is_wildcard, witnesses
 
 MOST_SAID = 6
-"""Exceptions to a pattern that are named in a sentence."""
+"""Most exceptions to a pattern that a sentence names."""
 
 
 class Extent(StrEnum):
-    """How much of a pattern is meant."""
+    """How many of a pattern's names are meant."""
 
     ONE = "one"
     ALL = "all"
@@ -22,9 +22,9 @@ class Extent(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topics:
-    """A topic, all or some of those that a pattern covers, or those that no pattern does.
+    """A topic, all or some topics that a pattern covers, or the topics that no pattern covers.
 
-    Or partitions, of which one has an empty name.
+    Or partitions; the default partition has an empty name.
     """
 
     name: str
@@ -36,30 +36,29 @@ class Topics:
     what: str = "topic"
 
     def __str__(self) -> str:
-        name = self._said(self.name)
+        name = self._text(self.name)
         words = {
             Extent.ONE: name,
             Extent.ALL: f"every {self.what}" if self.name == "*" else f"all of {name}",
             Extent.SOME: f"some of {name}, such as {_quoted(self.such_as)}",
             Extent.OTHER: f"{self.what}s that no rule names, such as {_quoted(self.such_as)}",
         }[self.extent]
-        but = list(map(self._said, self.but))
+        but = list(map(self._text, self.but))
         if len(but) > MOST_SAID:
             but[MOST_SAID - 1 :] = [f"{len(but) - MOST_SAID + 1} more"]
         return f"{words}, but none of {' and '.join(but)}" if but else words
 
-    def _said(self, name: str) -> str:
+    def _text(self, name: str) -> str:
         if self.what == "topic":
             return f"'{name}'"
         return f"{self.what} '{name}'" if name else f"the default {self.what}"
 
 
 class Universe:
-    """All topics (or else `what`), as far as these patterns can tell them apart.
+    """Names of topics (or of `what`): one for each set of patterns that can cover a name.
 
-    Where it is not `complete` there may be topics that meet the patterns as none of its
-    names does. So nothing is said then of all that a pattern covers. `also` are names that
-    are there beside what the patterns tell apart.
+    If it is not `complete`, some topic may be covered by a set of patterns for which there is
+    no name here; then nothing is claimed of all topics of a pattern. `also` are further names.
     """
 
     def __init__(
@@ -75,17 +74,17 @@ class Universe:
         wildcards = (pattern for pattern in each if is_wildcard(pattern))
         self._wildcards = sorted(wildcards, key=lambda each: -len(self.covered[each]))
         self._covering: dict[str, list[str]] = {}
-        """The wildcards for each name, the widest first."""
+        """The wildcard patterns that cover each name, the widest first."""
         for pattern in self._wildcards:
             for name in self.covered[pattern]:
                 self._covering.setdefault(name, []).append(pattern)
 
     def covered_by(self, patterns: Iterable[str]) -> frozenset[str]:
-        """Those of the names that one of the patterns covers."""
+        """The names that one of the patterns covers."""
         return frozenset[str]().union(*(self.covered[pattern] for pattern in patterns))
 
     def described(self, chosen: frozenset[str]) -> tuple[Topics, ...]:
-        """These of the names, in the fewest words."""
+        """The `chosen` names, described in few words."""
         return tuple(self._described(chosen))
 
     def _described(self, chosen: frozenset[str]) -> Iterator[Topics]:
@@ -102,7 +101,7 @@ class Universe:
         yield from self._parts(chosen, left)
 
     def _parts(self, chosen: frozenset[str], left: set[str]) -> Iterator[Topics]:
-        """Of patterns that are not chosen as a whole, the narrowest first."""
+        """The names that are left, by patterns that are not wholly chosen, the narrowest first."""
         for pattern in reversed(self._wildcards):
             if found := self.covered[pattern] & left:
                 left -= found
@@ -117,7 +116,7 @@ class Universe:
             yield Topics(name="", extent=Extent.OTHER, such_as=_shortest(left), what=self._what)
 
     def _but(self, pattern: str, chosen: frozenset[str]) -> Iterator[str]:
-        """The widest patterns, or else names, within that one of which nothing is chosen."""
+        """The widest patterns within `pattern`, or else names, of which nothing is chosen."""
         within = self.covered[pattern]
         left = set(within - chosen)
         others = dict.fromkeys(other for name in left for other in self._covering[name])

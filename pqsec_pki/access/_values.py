@@ -1,7 +1,7 @@
-"""What stacks make of domains and times, and where their readers give up.
+"""How stacks read domains and times, and which documents they cannot read.
 
-Fast DDS reads times as local ones (measured, all versions), and OpenDDS compares them with
-a clock that is off by the zone (read): both are asked here as on a machine in UTC.
+Fast DDS reads times as local times (measured, all versions), and OpenDDS compares them with a
+clock that is wrong by the zone's offset (read). Here both are taken to run on a machine in UTC.
 """
 
 from collections.abc import Iterator
@@ -25,17 +25,17 @@ _LAST_SECOND = ((1 << 63) - 1) // 10**9
 
 
 def standard_includes(domains: DomainSet, domain: int) -> bool:
-    """9.4.1.2: a range without an end has none."""
+    """9.4.1.2: a range without an end contains all domains from its first."""
     return domain in domains
 
 
 def cyclonedds_includes(domains: DomainSet, domain: int) -> bool:
-    """A range without an end is its first domain (measured)."""
+    """A range without an end contains only its first domain (measured)."""
     return any(_begins_or_holds(part, domain, part.last) for part in _ranges(domains))
 
 
 def fastdds_includes(domains: DomainSet, domain: int) -> bool:
-    """A range without an end, or that ends at 0, is its first domain (measured)."""
+    """A range without an end, or that ends at 0, contains only its first domain (measured)."""
     return any(_begins_or_holds(part, domain, part.last or None) for part in _ranges(domains))
 
 
@@ -54,12 +54,12 @@ def standard_in_force(grant: Grant, now: datetime) -> bool:
 
 
 def fastdds_in_force(grant: Grant, now: datetime) -> bool:
-    """The same by a clock of whole seconds (read)."""
+    """As `standard_in_force`, but with a clock of whole seconds (read)."""
     return standard_in_force(grant, now.replace(microsecond=0))
 
 
 def cyclonedds_in_force(grant: Grant, now: datetime) -> bool:
-    """Between the two, and a time outside 1970 to 2262 is long past (measured)."""
+    """Between the two times; a time outside 1970 to 2262 counts as long past (measured)."""
     return _seconds(grant.not_before) < (now - _EPOCH).total_seconds() < _seconds(grant.not_after)
 
 
@@ -69,12 +69,12 @@ def _seconds(time: datetime) -> float:
 
 
 def no_flaw(_governance: Governance, _permissions: Permissions) -> str:
-    """What is valid by the schema, it reads."""
+    """The standard reads every document that is valid by its schema."""
     return ""
 
 
 def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
-    """Domains above 230 and empty ranges are refused; an empty topic crashes (measured)."""
+    """It refuses domains above 230 and empty ranges; an empty topic crashes it (measured)."""
     governed = [rule.domains for rule in governance.domain_rules]
     for domains in [*governed, *(rule.domains for rule in _rules(permissions))]:
         for part in _ranges(domains):
@@ -94,14 +94,14 @@ def empty_topic_flaw(governance: Governance, permissions: Permissions) -> str:
 
 
 def opendds_flaw(governance: Governance, permissions: Permissions) -> str:
-    """Of a pattern with an open bracket the answers are left to chance (measured)."""
+    """If a bracket in a pattern is not closed, the answers are undefined (measured)."""
     patterns = list(_expressions(governance))
     for criteria in _criteria(permissions):
         patterns += (*criteria.topics, *criteria.partitions)
     found = next(filter(opendds_reads_beyond, patterns), None)
     if found is None:
         return ""
-    return f"OpenDDS reads beyond the open bracket of {found!r}: what it answers is left to chance"
+    return f"a bracket of {found!r} is not closed: OpenDDS reads beyond it, its answer is undefined"
 
 
 def _expressions(governance: Governance) -> Iterator[str]:

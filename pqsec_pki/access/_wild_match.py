@@ -1,8 +1,8 @@
 """ACE::wild_match of ACE 7.0.8, which OpenDDS calls (measured).
 
-Unlike fnmatch it never looks back: after a false match it goes on behind it, so `*ab`
-does not cover `aab`. A bracket that is open makes it read beyond the pattern, so that its
-answers are left to chance (run under AddressSanitizer, with ACE 6.2.1): `reads_beyond` finds them.
+Unlike fnmatch it does not go back in the name after a partial match, so `*ab` does not cover
+`aab`. If a bracket is not closed, it reads memory beyond the pattern, and its answer is undefined
+(run under AddressSanitizer, with ACE 6.2.1): `reads_beyond` finds such patterns.
 """
 
 from pqsec_pki.access._brackets import ANY, between, of
@@ -29,7 +29,7 @@ def wild_match(pattern: str, name: str) -> bool:
 
 
 def _step(pattern: str, place: int, character: str, special: str) -> tuple[bool, int]:
-    """Whether what stands there covers the character, and the place after it."""
+    """Whether the token at `place` covers the character, and the place after the token."""
     if special == "?":
         return True, place + 1
     if special != "[":
@@ -45,7 +45,7 @@ def _after_stars(pattern: str, place: int) -> int:
 
 
 def reads_beyond(pattern: str) -> bool:
-    """Whether a bracket of the pattern is open."""
+    """Whether a bracket of the pattern is not closed."""
     place = 0
     while place < len(pattern):
         if pattern[place] == "[":
@@ -59,9 +59,9 @@ def reads_beyond(pattern: str) -> bool:
 
 
 def _bracket(pattern: str, place: int) -> tuple[int, int] | None:
-    """The set of octets, and the place after the bracket; the wrong end begins no range.
+    """The set of octets, and the place after the bracket; None if the bracket is not closed.
 
-    None if the bracket is open.
+    If the end of a range is not greater than its begin, both are read as single characters.
     """
     negated = pattern.startswith("!", place)
     place += negated

@@ -1,8 +1,8 @@
-"""Names that stand for all names: at least one for each way in which patterns can meet.
+"""Sample names: at least one for each set of patterns that together can cover a name.
 
-Which patterns cover a name is all that a decision knows of it. So where two policies agree
-on a name for each set of patterns that some name can have, they agree on every name. The
-sets are found with one automaton for all patterns, whose states are sets of places in them.
+A decision depends only on which patterns cover a name. So two policies that agree on one name
+for each such set of patterns agree on every name. The sets are found with one automaton for all
+patterns; its states are sets of places in the patterns.
 """
 
 from collections.abc import Container, Iterable, Sequence
@@ -13,37 +13,37 @@ from typing import TypeAlias
 from pqsec_pki.access._patterns import bits, compiled
 
 MAX_WORK = 2_000_000
-"""Places in all states: with more the names are some and not all, since patterns can meet in
-exponentially many ways. It is a second or two."""
+"""Places in all states, a second or two of work. With more, the names are not complete, because the
+number of sets of patterns can be exponential."""
 
 _State: TypeAlias = frozenset[int]
 _OTHER = -1
 
 _UNNAMED = 1
-"""An octet that no pattern names, since XML cannot hold it: what covers all printable ASCII, as
-`[ -~]` does, does not cover what `?` does."""
+"""An octet that no pattern contains, because XML cannot. It distinguishes `?`, which covers it,
+from `[ -~]`, which covers all printable ASCII."""
 
-# Names that are made up are printable ASCII, and have the first of these that fits.
-_LIKED = "".join(
+# Generated names are printable ASCII, and use the first of these characters that fits.
+_PREFERRED = "".join(
     dict.fromkeys(f"xyzw{ascii_letters}{digits}_/-." + "".join(map(chr, range(32, 127))))
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Witnesses:
-    """The names; `complete` if none in ASCII meets the patterns in another way."""
+    """The names; `complete` if the same patterns cover any name in ASCII as cover one of these."""
 
     names: tuple[str, ...]
     complete: bool
 
 
 def is_wildcard(pattern: str) -> bool:
-    """Whether it may cover other names than itself."""
+    """Whether the pattern may cover other names than itself."""
     return any(special in pattern for special in "*?[\\")
 
 
 def witnesses(patterns: Iterable[str]) -> Witnesses:
-    """Names for all ways to meet the patterns, as fnmatch of POSIX reads them."""
+    """Names for all sets of patterns that can cover a name, by fnmatch of POSIX."""
     each = dict.fromkeys(patterns)
     literals = [name for name in each if name and not is_wildcard(name)]
     wildcards = [pattern for pattern in each if is_wildcard(pattern)]
@@ -56,7 +56,7 @@ def witnesses(patterns: Iterable[str]) -> Witnesses:
 
 
 def sample(pattern: str, but: Container[str] = ()) -> str | None:
-    """A name that the pattern covers, rather none of `but`; None if it is not easily made."""
+    """A name that the pattern covers, if possible not in `but`; None if no simple one was found."""
     made = [name for filler in ("x", "xyz", "") if (name := _filled(pattern, filler))]
     return next((name for name in made if name not in but), next(iter(made), None))
 
@@ -79,16 +79,16 @@ def _filled(pattern: str, filler: str) -> str | None:
 
 
 def _first(octets: int) -> list[int]:
-    """The octet of these that looks best in a name, if there is any."""
-    liked = [ord(character) for character in _LIKED if octets >> ord(character) & 1]
-    return liked[:1] or [octet for octet in range(256) if octets >> octet & 1][:1]
+    """The octet of the set that reads best in a name; empty for an empty set."""
+    preferred = [ord(character) for character in _PREFERRED if octets >> ord(character) & 1]
+    return preferred[:1] or [octet for octet in range(256) if octets >> octet & 1][:1]
 
 
 def _search(wildcards: Sequence[str], literals: Sequence[str]) -> list[str] | None:
-    """A name that is no literal for each set of wildcards; None if there are too many.
+    """A name that is not a literal for each set of wildcards; None if there are too many sets.
 
-    Where the name found for a set is a literal, all literals of that set join the
-    automaton, which then finds another, or that there is none.
+    If the name found for a set is a literal, all literals of that set are added to the
+    automaton; it then finds another name, or that there is none.
     """
     automaton, taken = _Automaton(wildcards), set(literals)
     found = automaton.names()
@@ -107,11 +107,11 @@ def _search(wildcards: Sequence[str], literals: Sequence[str]) -> list[str] | No
 
 
 class _Automaton:
-    """All the patterns at once. A state is a set of places in them."""
+    """An automaton for all patterns. A state is a set of places in them."""
 
     def __init__(self, patterns: Sequence[str]) -> None:
         self._kinds: list[int] = []
-        """For each place the octets that lead to the next; none where a pattern ends."""
+        """For each place the octets that lead to the next; none at the end of a pattern."""
         start, stars, ends = list[int](), list[int](), list[int]()
         for pattern in patterns:
             places, first = compiled(pattern), len(self._kinds)
@@ -126,7 +126,7 @@ class _Automaton:
         self._known: dict[_State, dict[int, _State]] = {}
 
     def read(self, name: str) -> _State:
-        """The patterns that cover a name, each by its last place."""
+        """The patterns that cover a name, each as its last place."""
         state = self._start
         for octet in name.encode(errors="surrogatepass"):
             leads = self._leads(state)
@@ -134,7 +134,7 @@ class _Automaton:
         return state & self._ends
 
     def names(self) -> dict[_State, str] | None:
-        """A name for each set of patterns that one can meet; None if there are too many."""
+        """A name for each set of patterns that can cover one; None if there are too many."""
         seen, todo, found, work = set[_State](), [("", self._start)], dict[_State, str](), 0
         for word, state in todo:  # grows: breadth first, so that names are short
             leads = self._leads(state)
@@ -156,7 +156,7 @@ class _Automaton:
             found[met] = f"{word}x" if longer else word
 
     def _leads(self, state: _State) -> dict[int, _State]:
-        """The states that octets lead to; `_OTHER` those that lead no place to the next."""
+        """The next state for each octet; `_OTHER` for octets that lead no place to the next."""
         if state not in self._known:
             found: dict[int, list[int]] = {_OTHER: []}
             for place in state:
@@ -167,16 +167,16 @@ class _Automaton:
         return self._known[state]
 
     def _octets(self, kind: int) -> list[int]:
-        """Those of the alphabet that are of a kind."""
+        """The octets of the alphabet that are in the set `kind`."""
         if kind not in self._members:
             self._members[kind] = [octet for octet in self._alphabet if kind >> octet & 1]
         return self._members[kind]
 
 
 def _alike(kinds: Iterable[int]) -> dict[int, int]:
-    """For each octet that names are made of, the first that is of the same kinds."""
+    """For each octet of generated names, the first octet that is in the same kinds."""
     first: dict[tuple[int, ...], int] = {}
-    octets = [*map(ord, _LIKED), _UNNAMED]
+    octets = [*map(ord, _PREFERRED), _UNNAMED]
     return {
         octet: first.setdefault(tuple(kind for kind in kinds if kind >> octet & 1), octet)
         for octet in octets

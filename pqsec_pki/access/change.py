@@ -1,4 +1,4 @@
-"""What changes from one policy to another, as values with their words."""
+"""The changes from one policy to another, as values and as text."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -8,7 +8,7 @@ from pqsec_pki.access.question import Action
 
 
 class Sense(StrEnum):
-    """Which way something changes."""
+    """The direction of a change."""
 
     GRANTED = "granted"
     TAKEN = "taken away"
@@ -20,25 +20,25 @@ class Sense(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """One change; `text` says all of it, the rest is what a program may ask for."""
+    """One change; `text` says all of it, the other fields are for programs."""
 
     sense: Sense
     text: str
     subject: str = ""
-    """Whose rights change; empty for governance, which is for all."""
+    """The subject whose rights change; empty for governance, which applies to all."""
     actions: tuple[Action, ...] = ()
     topics: tuple[Topics, ...] = ()
     domains: str = ""
     interpretation: str = "spec"
-    """By whose reading of the documents; `stacks` where that is for each stack to say."""
+    """The interpretation that changes; `stacks` if it depends on the stack."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
     """All that changes.
 
-    `complete` is False if the patterns can meet in more ways than were tried: what is told
-    is true, and there may be more. `same_text` says that the two hold equal values.
+    `complete` is False if the patterns can match in more ways than were tried: the changes are
+    real, and there may be more. `same_text` means that both documents have equal values.
     """
 
     changes: tuple[Change, ...]

@@ -1,4 +1,4 @@
-"""May it? Governance, permissions and a question in, a decision out."""
+"""Decide a question by governance and permissions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import DomainRule, Governance, Grant, Permissions, parse_subject
 
-_DOUBT = "its partitions take too many steps to compare with those of the rules: in doubt it is no"
+_DOUBT = "comparing its partitions with those of the rules takes too many steps, so it is denied"
 
 
 def decide(
@@ -21,21 +21,21 @@ def decide(
     *,
     by: Side | None = None,
 ) -> Decision:
-    """The answer of `reading` to `question`: whether it comes to that in a running system.
+    """Whether `interpretation` allows what `question` asks, in a running system.
 
-    For that a participant must be allowed to join, and then to use the topic, by its own
-    stack and by its peers'; `by` asks only the one or the other. The first check to say
-    no decides, else the last. The time it takes is linear in the documents. For many
-    questions about the same documents: Policy.
+    The participant's own stack and its peers' stacks must both allow it to join, and then to
+    use the topic; `by` checks only one side. The first check that denies decides, otherwise
+    the last one. The time is linear in the documents. Use Policy for many questions about
+    the same documents.
 
-    MalformedError if the subject is no name.
+    MalformedError if the subject is not a name.
     """
     return Policy(governance, permissions, interpretation).decide(question, by=by)
 
 
 @dataclass(slots=True)
 class Policy:
-    """Documents as a reading has them, for many questions."""
+    """Two documents and an interpretation, for many questions."""
 
     governance: Governance
     permissions: Permissions

@@ -25,11 +25,11 @@ _HOW = {
 class Protection:
     """What governance adds to traffic that is allowed (DDS-Security 1.1, 9.4.1.2).
 
-    For a topic: how its payload (`data`) and its submessages (`metadata`) travel, its
-    announcements (`discovery`) and its signs of life (`liveliness`); for a whole domain
-    `data` and `metadata` are None. `rtps` is how every message of the domain travels,
-    around all that. `strangers` are participants without credentials: whether they may
-    take part, as far as that is not protected.
+    For a topic: the protection of its payload (`data`), its submessages (`metadata`), its
+    discovery data (`discovery`) and its liveliness messages (`liveliness`). For a whole domain
+    `data` and `metadata` are None. `rtps` is the protection of every whole message of the
+    domain. With `allow_unauthenticated_participants`, participants without credentials may
+    use what is not protected.
     """
 
     data: ProtectionKind | None
@@ -37,11 +37,11 @@ class Protection:
     discovery: ProtectionKind
     liveliness: ProtectionKind
     rtps: ProtectionKind
-    strangers: bool
+    allow_unauthenticated_participants: bool
 
     @classmethod
     def of(cls, domain: DomainRule, topic: TopicRule | None = None) -> Self:
-        """What a domain rule adds, and its topic rule for the topic."""
+        """The protection by a domain rule and, for a topic, by its topic rule."""
         off = ProtectionKind.NONE
         announced = topic is None or topic.enable_discovery_protection
         alive = topic is None or topic.enable_liveliness_protection
@@ -51,12 +51,12 @@ class Protection:
             discovery=domain.discovery_protection_kind if announced else off,
             liveliness=domain.liveliness_protection_kind if alive else off,
             rtps=domain.rtps_protection_kind,
-            strangers=domain.allow_unauthenticated_participants,
+            allow_unauthenticated_participants=domain.allow_unauthenticated_participants,
         )
 
     @property
     def words(self) -> tuple[str, ...]:
-        """A sentence for each, for a user."""
+        """A line of text for each kind of protection."""
         kinds = {
             "payload": self.data,
             "submessages": self.metadata,
@@ -64,19 +64,20 @@ class Protection:
             "liveliness": self.liveliness,
             "whole messages": self.rtps,
         }
-        said = [f"{what}: {_HOW[kind]}" for what, kind in kinds.items() if kind is not None]
-        may = "may take part in what is not protected" if self.strangers else "are shut out"
-        return *said, f"participants without credentials: {may}"
+        lines = [f"{what}: {_HOW[kind]}" for what, kind in kinds.items() if kind is not None]
+        allowed = self.allow_unauthenticated_participants
+        may = "may use what is not protected" if allowed else "may not take part"
+        return *lines, f"participants without credentials: {may}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """Yes or no, and why.
 
-    `decided_by` is the part of a document that decided: a rule, or a grant by its
-    validity or its default; None where the lack of a part did. `criteria` are those of
-    the rule that were met, if any had to be. `protection` is None where no governance
-    covers the question.
+    `decided_by` is the part of a document that decided: a rule, or a grant with its
+    validity or its default. It is None if the answer is no because a part is missing.
+    `criteria` are the criteria of the rule that applied, if it has any. `protection` is None
+    if no governance rule covers the question.
     """
 
     allowed: bool

@@ -1,10 +1,10 @@
-"""What a change of permissions grants and takes away, in meaning and not in text.
+"""The rights that a change of permissions grants and takes away; not the change of text.
 
-Both documents are asked about the same topics, partitions, data tags and domains: at least
-one for each way in which their patterns can meet. So what is said to change does, with a
-witness; and where nothing is found nothing changes, within the limits of
-`Difference.complete`. Governance is taken to control everything. All this is by the
-standard; what changes for a stack alone is looked for among the same questions.
+Both documents answer the same questions, with at least one topic, partition, data tag and domain
+for each set of patterns that can match together. So every reported change is real, with an
+example, and if there is none, nothing changes, within the limits of `Difference.complete`.
+Governance is taken to control everything. This is by the standard; the same questions are used
+to find changes for single stacks.
 """
 
 from collections.abc import Iterator
@@ -20,17 +20,17 @@ from pqsec_pki.documents import Grant, Permissions, parse_subject
 from pqsec_pki.errors import MalformedError
 
 STACKS = "stacks"
-"""The reading of a change that no row has looked at, and the standard does not see."""
-_SECOND = "one above it counts, but some stacks look further, or for another spelling"
-_NAMELESS = "its subject is no name, but some stacks compare pieces only"
+"""The `interpretation` of a change that the standard ignores and no stack was checked for."""
+_SECOND = "a grant above it is used, but some stacks look further, or for another spelling"
+_NAMELESS = "its subject is not a name, but some stacks compare pieces only"
 MOST_RESHAPED = 8
-"""Patterns of an action that came or went: of more, each with each is no help to anyone."""
+"""Most added or removed patterns of an action to compare in pairs: more would not help a reader."""
 
 
 def permissions_diff(old: Permissions | None, new: Permissions | None) -> Difference:
-    """For each subject, what `new` lets it do and `old` did not, and the other way round.
+    """For each subject, what `new` allows and `old` did not, and the reverse.
 
-    None is a document that is not there. Of several grants for a subject the first counts,
+    None is a document that does not exist. Of several grants for a subject the first counts,
     in force or not.
     """
     before, after = _by_subject(old), _by_subject(new)
@@ -62,25 +62,25 @@ def _passed_over(
 ) -> Iterator[Change]:
     """Grants that apply to no participant by the standard, but may for a stack."""
     had, has = _others(old, before), _others(new, after)
-    for verb, grants, others in (("comes", has, had), ("goes", had, has)):
+    for verb, grants, others in (("added", has, had), ("removed", had, has)):
         for grant in (each for each in grants if each not in others):
             yield Change(
                 sense=Sense.OTHER,
                 subject=grant.subject_name,
-                text=f"a grant {verb} that by the standard is nobody's: {grants[grant]}",
+                text=f"a grant is {verb} that the standard never uses: {grants[grant]}",
                 interpretation=STACKS,
             )
 
 
 def _others(permissions: Permissions | None, first: dict[object, Grant]) -> dict[Grant, str]:
-    """Grants that are not the first of their subject, each with what stacks make of it."""
+    """Grants that are not the first of their subject, each with how stacks treat it."""
     counted = {id(grant) for grant in first.values()}
     grants = [each for each in permissions.grants if id(each) not in counted] if permissions else []
     return {each: _SECOND if _subject(each) else _NAMELESS for each in grants}
 
 
 def _subject(grant: Grant) -> object:
-    """Its name in either order; None if it is none, as no certificate has."""
+    """The grant's subject name in both orders; None if its text is not a name."""
     try:
         subject = parse_subject(grant.subject_name)
     except MalformedError:
@@ -150,7 +150,7 @@ def _spelling_changes(old: Grant, new: Grant) -> Iterator[Change]:
         yield Change(
             sense=Sense.OTHER,
             subject=new.subject_name,
-            text=f"written '{old.subject_name}' before, which not all stacks take for the same",
+            text=f"written '{old.subject_name}' before, which some stacks take for another subject",
             interpretation=STACKS,
         )
 
@@ -165,17 +165,17 @@ def _validity_changes(old: Grant, new: Grant) -> Iterator[Change]:
             yield Change(
                 sense=Sense.GRANTED if longer else Sense.TAKEN,
                 subject=new.subject_name,
-                text=f"validity {verb} {_said(after)} instead of {_said(before)}",
+                text=f"validity {verb} {_time_text(after)} instead of {_time_text(before)}",
             )
 
 
 def _reshaped(old: Grant, new: Grant, action: Action, topics: Universe) -> Iterator[Change]:
-    """Patterns of allow rules that took the place of wider or narrower ones."""
+    """Patterns of allow_rules that replace wider or narrower ones."""
     before, after = _patterns(old, action), _patterns(new, action)
-    gone, come = sorted(before - after), sorted(after - before)
-    if max(len(gone), len(come)) > MOST_RESHAPED:
+    removed, added = sorted(before - after), sorted(after - before)
+    if max(len(removed), len(added)) > MOST_RESHAPED:
         return
-    for was, now in product(gone, come):
+    for was, now in product(removed, added):
         one, other = topics.covered[was], topics.covered[now]
         if one < other or other < one:
             word = "wider" if one < other else "narrower"
@@ -188,5 +188,5 @@ def _patterns(grant: Grant, action: Action) -> set[str]:
     return {topic for each in criteria for topic in each.topics}
 
 
-def _said(time: datetime) -> str:
+def _time_text(time: datetime) -> str:
     return f"{time:%Y-%m-%d %H:%M:%S} UTC"

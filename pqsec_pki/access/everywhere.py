@@ -1,11 +1,11 @@
-"""Answers questions without a domain, or with a pattern of topics: who may do what, and where."""
+"""Answers who may do what on which domains: questions without a domain, or with a topic pattern."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 -- for those who ask
+from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 -- callers use it
 from pqsec_pki.access._domains import domains_said as domains_said  # noqa: PLC0414 -- likewise
 from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
@@ -30,26 +30,26 @@ class Placed:
 
     @property
     def is_used(self) -> bool:
-        """Whether anybody may publish or subscribe."""
+        """Whether any participant may publish or subscribe."""
         return bool(self.row.publishers or self.row.subscribers)
 
 
 def domains_apart(
     governance: Governance, every: Iterable[Permissions], *more: DomainSet
 ) -> tuple[DomainRange, ...]:
-    """All domains, in stretches that none of the documents tells apart, as any stack reads them.
+    """All domains, in ranges. Within a range, all documents and `more` treat all domains alike.
 
-    Nor does one of the sets that are `more`.
+    This holds for every stack's interpretation.
     """
     sets = {*more, *(rule.domains for rule in governance.domain_rules)}
     sets |= {rule.domains for each in every for grant in each.grants for rule in grant.rules}
-    # Some stacks read a range without an end as its first domain alone.
+    # Some stacks read a range without an end as its first domain only.
     firsts = {DomainSet(parts=(part.first,)) for each in sets for part in _endless(each)}
     return stretches(sets | firsts)
 
 
 def domains_named(governance: Governance, permissions: Permissions) -> tuple[DomainRange, ...]:
-    """Those stretches that one of the two names; if none does, the first of all."""
+    """The ranges that one of the two documents names; if there is none, the first of all ranges."""
     sets = [rule.domains for rule in governance.domain_rules]
     sets += [rule.domains for grant in permissions.grants for rule in grant.rules]
     every = domains_apart(governance, [permissions])
@@ -57,7 +57,7 @@ def domains_named(governance: Governance, permissions: Permissions) -> tuple[Dom
 
 
 def domains_ungoverned(governance: Governance, domains: DomainSet) -> list[DomainRange]:
-    """Those of `domains` that the governance does not name, in stretches."""
+    """Those of `domains` that the governance does not name, in ranges."""
     return [
         each
         for each in stretches([domains, *(rule.domains for rule in governance.domain_rules)])
@@ -75,11 +75,12 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     interpretation: Interpretation = SPEC,
     asked: Mapping[str, str | None],
 ) -> tuple[Placed, ...]:
-    """For each topic a row for each way in which it may be used, and the domains of that.
+    """For each topic the different rows of the matrix, each with its domains.
 
-    Only `domains` that the governance names, or all of those. Domains on which nobody may use
-    it are left out; if there are no others it has one row, of all that were asked. Where
-    none was, there are no rows. `asked` has a topic for each pattern.
+    Looks at those `domains` that the governance names; None means all that it names. Domains on
+    which no participant may use the topic are left out. If no domain is left, the topic has one
+    empty row with all domains. If the governance names none of `domains`, there are no rows.
+    `asked` has a topic for each pattern.
     """
     every = (each.permissions for each in members)
     apart = domains_apart(governance, every, *(() if domains is None else (domains,)))
@@ -116,11 +117,11 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
 
 
 def topics_asked(members: Sequence[Member], topics: Iterable[str]) -> dict[str, str | None]:
-    """What to ask about for those topics, each with the topic that stands for it.
+    """The topics and patterns to answer for `topics`, each with a sample topic for the question.
 
-    In place of a pattern comes all that it matches: topics that rules name, and patterns of
-    rules with a topic that both cover; and the pattern itself, for topics that none of those
-    covers.
+    A pattern is replaced by everything that it matches: topics that rules name, patterns of
+    rules, each with a topic that both cover, and the pattern itself, for topics that none of
+    those covers.
     """
     named = topics_named(members)
     literals = frozenset(name for name in named if not is_wildcard(name))
@@ -134,7 +135,7 @@ def topics_asked(members: Sequence[Member], topics: Iterable[str]) -> dict[str, 
 
 
 def is_known(topic: str, named: Sequence[str]) -> bool:
-    """Whether one of the topics and patterns that are `named` covers it; or a pattern, meets it."""
+    """Whether one of the `named` topics and patterns covers the topic, or overlaps the pattern."""
     wildcards = [each for each in named if is_wildcard(each)]
     if not is_wildcard(topic):
         return topic in named or any(posix(each, topic) for each in wildcards)
@@ -155,7 +156,7 @@ def _matching(wanted: str, named: Sequence[str], literals: frozenset[str]) -> di
 
 
 def _of_both(one: str, other: str, matched: Sequence[str]) -> str | None:
-    """A topic that both patterns cover and is not `matched` by one already; None without any."""
+    """A topic that both patterns cover and that is not in `matched`; None if there is none."""
     begins = [_SPECIAL.split(each, maxsplit=1)[0] for each in (one, other)]
     if not begins[0].startswith(begins[1]) and not begins[1].startswith(begins[0]):
         return None

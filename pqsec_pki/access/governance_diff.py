@@ -1,4 +1,4 @@
-"""What a change of governance makes stronger and weaker."""
+"""The protection that a change of governance makes stronger and weaker."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from pqsec_pki.documents import (
 )
 
 Means: TypeAlias = tuple[frozenset[str], str]
-"""What a setting gives, and the words for it: of two settings, more gives is stronger."""
+"""The protections of a setting, and its text. A setting with more protections is stronger."""
 
 _KINDS: dict[object, Means] = {
     ProtectionKind.NONE: (frozenset(), "in the clear"),
@@ -43,7 +43,7 @@ _PROTECTED = _flag("protected as the domain says", "in the clear")
 
 @dataclass(frozen=True, slots=True)
 class _Aspect:
-    """A setting: what it is about, and what its values mean."""
+    """A setting, with what it concerns and the meaning of each value."""
 
     about: str
     setting: str
@@ -53,16 +53,18 @@ class _Aspect:
         return self.means[getattr(rule, self.setting)]
 
 
-_STRANGERS: dict[object, Means] = {
-    True: (frozenset(), "may take part in what is not protected"),
-    False: (frozenset({"on"}), "are shut out"),
+_UNAUTHENTICATED: dict[object, Means] = {
+    True: (frozenset(), "may use what is not protected"),
+    False: (frozenset({"on"}), "may not take part"),
 }
 _DOMAIN = (
-    _Aspect("participants without credentials", "allow_unauthenticated_participants", _STRANGERS),
+    _Aspect(
+        "participants without credentials", "allow_unauthenticated_participants", _UNAUTHENTICATED
+    ),
     _Aspect(
         "joining",
         "enable_join_access_control",
-        _flag("takes a grant for the domain", "takes a certificate only"),
+        _flag("needs a grant for the domain", "needs only a certificate"),
     ),
     _Aspect("discovery", "discovery_protection_kind", _KINDS),
     _Aspect("liveliness", "liveliness_protection_kind", _KINDS),
@@ -78,11 +80,11 @@ _TOPIC = (
 )
 
 _Found: TypeAlias = dict[tuple[Sense, str], dict[Any, list[DomainRange]]]
-"""Sense and words -> what is governed so -> where."""
+"""(sense, text) -> topics, empty for the domain itself -> domains."""
 
 
 def governance_diff(old: Governance, new: Governance) -> Difference:
-    """For every domain and topic, what changes in its protection."""
+    """The changes of protection for every domain and topic."""
     rules = (*old.domain_rules, *new.domain_rules)
     topics = Universe(
         topic_rule.topic_expression for rule in rules for topic_rule in rule.topic_rules
@@ -92,14 +94,14 @@ def governance_diff(old: Governance, new: Governance) -> Difference:
         one, other = old.rule_for(stretch.first), new.rule_for(stretch.first)
         for sense, text, names in _changes(one, other, topics):
             found.setdefault((sense, text), {}).setdefault(names, []).append(stretch)
-    return Difference(tuple(_told(found, topics)), topics.complete, old == new)
+    return Difference(tuple(_as_changes(found, topics)), topics.complete, old == new)
 
 
 _Item: TypeAlias = tuple[Sense, str, frozenset[str]]
 
 
 def _changes(old: DomainRule | None, new: DomainRule | None, topics: Universe) -> Iterator[_Item]:
-    """Sense, words, and the topics; no topics if the domain itself changes."""
+    """(sense, text, topics) of each change; no topics if the domain itself changes."""
     nothing = frozenset[str]()
     if old and new:
         for sense, text in _compared(old, new, _DOMAIN):
@@ -109,7 +111,7 @@ def _changes(old: DomainRule | None, new: DomainRule | None, topics: Universe) -
     elif new:
         yield Sense.GRANTED, "governed, so that participants can join", nothing
     elif old:
-        yield Sense.TAKEN, "no longer governed: nobody can join", nothing
+        yield Sense.TAKEN, "no longer governed: no participant can join", nothing
 
 
 def _topic_changes(old: DomainRule, new: DomainRule, topics: Universe) -> Iterator[_Item]:
@@ -128,7 +130,7 @@ def _of_topic(old: TopicRule | None, new: TopicRule | None) -> Iterator[tuple[Se
     elif new:
         yield Sense.GRANTED, "governed, so that it can be used"
     elif old:
-        yield Sense.TAKEN, "no longer governed: nobody can use it"
+        yield Sense.TAKEN, "no longer governed: no participant can use it"
 
 
 def _compared(
@@ -142,7 +144,7 @@ def _compared(
 
 
 def _governing(domain: DomainRule, topics: Universe) -> dict[str, TopicRule]:
-    """The rule for each name that has one: the first that covers it."""
+    """For each name the first rule that covers it, if there is one."""
     found: dict[str, TopicRule] = {}
     left = set(topics.names)
     for rule in domain.topic_rules:
@@ -152,7 +154,7 @@ def _governing(domain: DomainRule, topics: Universe) -> dict[str, TopicRule]:
     return found
 
 
-def _told(found: _Found, topics: Universe) -> Iterator[Change]:
+def _as_changes(found: _Found, topics: Universe) -> Iterator[Change]:
     for (sense, text), places in found.items():
         for names, domains in places.items():
             where = domains_said(domains)

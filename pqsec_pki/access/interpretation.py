@@ -1,4 +1,4 @@
-"""What a reading of the documents is, and a question as it looks to one."""
+"""What an interpretation of the documents consists of, and what a check receives."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from pqsec_pki.documents import (
 
 
 class Side(StrEnum):
-    """Who judges: a participant's own stack, and every peer that meets it."""
+    """The stack that checks: the participant's own, or a peer's."""
 
     OWN = "own"
     PEER = "peer"
@@ -32,36 +32,36 @@ class Side(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Interpretation:
-    """How one stack understands the documents; a row that acts.
+    """How one stack understands the documents.
 
-    The checks of `join` are made for each question, those of `use` for each that has a
-    topic; all must say yes. Of the two sides each matters: the own stack makes the
-    endpoint, and its peers talk to it.
+    The checks of `join` are made for each question, those of `use` for each question with a
+    topic; all must allow. Both sides count: the own stack creates the endpoint, and peers
+    match with it.
     """
 
     name: str
-    """As in `--as`."""
+    """The value of `--as`."""
     title: str
-    """Whose reading it is, with the version it was compared with."""
+    """The standard or stack, with the version that it was compared with."""
     covers: Covers
-    """A topic or partition pattern of permissions, and a name."""
+    """Whether a topic or partition pattern of permissions covers a name."""
     governs: Covers
-    """A topic_expression of governance, and a name."""
+    """Whether a topic_expression of governance covers a name."""
     is_for: IsFor
     includes: Callable[[DomainSet, int], bool]
     in_force: Callable[[Grant, datetime], bool]
     skips_grants_out_of_force: bool
-    """Whether a later grant for the subject takes the place of one not in force."""
+    """Whether a later grant for the subject is used if the first is not in force."""
     knows_relay: bool
     partitions_met: "Callable[[EvaluationContext, Criteria, Rule], bool]"
     tags_met: "Callable[[EvaluationContext, Criteria, Rule], bool]"
     flaw: Callable[[Governance, Permissions], str]
-    """Why the stack cannot read these documents at all; empty if it can."""
+    """Why the stack cannot read these documents; empty if it can."""
     join: "dict[Side, tuple[Check, ...]]"
     use: "dict[Side, tuple[Check, ...]]"
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
-        """The grant that counts for the subject, if there is one."""
+        """The grant that applies to the subject, if there is one."""
         own = [
             each for each in permissions.grants if self.is_for(each.subject_name, question.subject)
         ]
@@ -72,20 +72,20 @@ class Interpretation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvaluationContext:
-    """A question, and what a reading finds for it in the documents."""
+    """A question, and what an interpretation finds for it in the documents."""
 
     question: Question
     interpretation: Interpretation
     domain_rules: tuple[DomainRule, ...]
-    """Those that name the domain; the first governs."""
+    """The domain rules that name the domain; the first one governs it."""
     grant: Grant
-    """The subject's."""
+    """The grant that applies to the subject."""
     budget: Budget = field(default_factory=Budget)
     """Steps that are left for comparing partitions."""
 
     @property
     def topic_rules(self) -> Iterator[TopicRule]:
-        """Those of the first governing rule that cover the topic."""
+        """The topic rules of the first domain rule that cover the topic."""
         for rule in self.domain_rules[:1]:
             yield from self.covering(rule)
 
@@ -103,7 +103,7 @@ class EvaluationContext:
                 yield rule
 
     def criteria(self, rule: Rule, action: Action) -> tuple[Criteria, ...]:
-        """What the rule says of an action."""
+        """The criteria of the rule for an action."""
         match action:
             case Action.PUBLISH:
                 return rule.publish

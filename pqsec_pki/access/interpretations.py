@@ -1,7 +1,7 @@
-"""How the standard and the stacks read the documents: a row each.
+"""How the standard and the stacks interpret the documents: one row each.
 
-Where a row has a function of its own, the function says how it differs and how that is
-known: measured with the stack itself, or read in its source.
+If a row has its own function, the function says how it differs and how that is known:
+measured with the stack itself, or read in its source.
 """
 
 from pqsec_pki.access import _criteria, _patterns, _stacks, _subjects, _values
@@ -73,7 +73,7 @@ FASTDDS = Interpretation(
     partitions_met=_criteria.cyclonedds_partitions,
     tags_met=_criteria.no_tags,
     flaw=_values.empty_topic_flaw,
-    # A domain that governance does not name counts as one with join access control.
+    # A domain that governance does not name is treated as one with join access control.
     join={
         Side.OWN: (in_force, _stacks.fastdds_own_participant),
         Side.PEER: (in_force, _stacks.fastdds_remote_participant),
@@ -97,7 +97,7 @@ OPENDDS = Interpretation(
     partitions_met=_criteria.opendds_partitions,
     tags_met=_criteria.no_tags,
     flaw=_values.opendds_flaw,
-    # The times of a grant are looked at for endpoints only, and within their checks.
+    # The times of a grant are checked only for endpoints, within their checks.
     join={
         Side.OWN: (governed, _stacks.opendds_own_participant),
         Side.PEER: (governed, _stacks.opendds_remote_participant),
@@ -109,9 +109,9 @@ INTERPRETATIONS = (SPEC, CYCLONEDDS, FASTDDS, OPENDDS)
 
 
 def interpretation_named(name: str) -> Interpretation:
-    """The row of that name; UsageError with the names there are."""
+    """The interpretation with that `name`; UsageError, with all names, if there is none."""
     for interpretation in INTERPRETATIONS:
         if interpretation.name == name:
             return interpretation
     names = ", ".join(interpretation.name for interpretation in INTERPRETATIONS)
-    raise UsageError(f"no reading is named '{name}'", hint=f"they are {names}")
+    raise UsageError(f"'{name}' is not an interpretation", hint=f"choose from {names}")

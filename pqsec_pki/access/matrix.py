@@ -29,8 +29,8 @@ class Member:
 class Row:
     """Who may use a topic, by name.
 
-    A pattern is asked with one topic of it, `asked`, rather one that no rule names; None if
-    none was found.
+    For a pattern, `asked` is the topic that the question was about: one that the pattern covers,
+    if possible one that no rule names; None if none was found.
     """
 
     topic: str
@@ -40,7 +40,7 @@ class Row:
 
     @property
     def is_pattern(self) -> bool:
-        """Whether it stands for several topics."""
+        """Whether `topic` is a pattern of several topics."""
         return is_wildcard(self.topic)
 
 
@@ -61,10 +61,10 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
 ) -> tuple[Row, ...]:
     """A row for each topic, with the members in their order.
 
-    `asked` has the topics that stand for patterns; for others one is made up.
+    `asked` has a sample topic for each pattern; for a pattern that is not in it, one is generated.
 
-    A member is asked only about topics that its rules or governance may let it use, so
-    that a thousand of them take seconds.
+    For each member only topics are checked that its rules or the governance may allow, so a
+    thousand members take seconds.
     """
     wanted = tuple(dict.fromkeys(topics))
     literals = frozenset((*wanted, *topics_named(members)))
@@ -93,7 +93,7 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
 
 @dataclass(frozen=True, slots=True)
 class _Asking:
-    """What all questions have in common."""
+    """The values that all questions share."""
 
     governance: Governance
     interpretation: Interpretation
@@ -101,14 +101,14 @@ class _Asking:
     now: datetime
 
     def do(self, policy: Policy, subject: str, action: Action, topic: str) -> bool:
-        """Whether it may."""
+        """Whether `policy` allows the action with the topic."""
         question = Question(
             subject=subject, domain=self.domain, action=action, now=self.now, topic=topic
         )
         return policy.decide(question).allowed
 
     def everyone(self, topics: Iterable[str]) -> frozenset[str]:
-        """Of `topics`, those that every member may use, as governance leaves them open."""
+        """Those of `topics` that every member may use, because governance does not control them."""
         rule = Rule(allow=True, domains=DomainSet(parts=(self.domain,)))
         day = timedelta(days=1)
         grant = Grant(
@@ -128,20 +128,20 @@ class _Asking:
 
 
 class _Index:
-    """The topics that are asked about, and who is worth asking about which."""
+    """The topics of all questions; finds those that a member may be allowed."""
 
     def __init__(
         self, names: Iterable[str], interpretation: Interpretation, free: frozenset[str]
     ) -> None:
         self._known = Names(names)
-        self._reading = interpretation
+        self._interpretation = interpretation
         self._free = free
 
     def worth_asking(self, member: Member) -> Iterable[str]:
-        """The topics that this member might be allowed."""
+        """The topics that this member's rules, default or the governance may allow."""
         if any(grant.default is DefaultAction.ALLOW for grant in member.permissions.grants):
             return self._known.sorted
-        covers = self._reading.covers
+        covers = self._interpretation.covers
         found = (self._known.covered(each, covers) for each in _own_patterns(member))
         return sorted(self._free.union(*found))
 

@@ -1,4 +1,4 @@
-"""A question about access: may this subject do that, there and then?"""
+"""A question about access: may this subject do this action, on this domain, at this time?"""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -7,11 +7,11 @@ from enum import StrEnum
 from pqsec_pki.errors import UsageError
 
 MAX_NAME = 256
-"""Characters of a topic name, as RTPS has it (2.3, table 9.12), and here of a partition."""
+"""Characters of a topic name (RTPS 2.3, table 9.12), and in pqsec also of a partition."""
 
 
 class Action(StrEnum):
-    """What a participant wants to do; all but `join` are done with a topic."""
+    """What a participant wants to do; all actions but `join` need a topic."""
 
     PUBLISH = "publish"
     SUBSCRIBE = "subscribe"
@@ -23,13 +23,13 @@ class Action(StrEnum):
 class Question:
     """May `subject` do `action` on `domain` at the time `now`?
 
-    `subject` is the subject of the identity certificate in the text of RFC 2253, as
-    Certificate.subject_name has it. `topic` is the name in DDS (`rt/chatter`) and is
-    None for `join` alone. `partitions` and `data_tags` are those of the endpoint; no
-    partition means the default one, whose name is empty.
+    `subject` is the subject of the identity certificate, as RFC 2253 text, as in
+    Certificate.subject_name. `topic` is the name in DDS (`rt/chatter`), and None only for
+    `join`. `partitions` and `data_tags` are those of the endpoint; no partition means the
+    default partition, whose name is empty.
 
-    UsageError for a time without a zone, a topic that is missing, empty or superfluous,
-    and a name longer than 256 characters.
+    UsageError if the time has no zone, if the topic is missing, empty or given for `join`,
+    and if a name is longer than 256 characters.
     """
 
     subject: str
@@ -46,9 +46,9 @@ class Question:
         object.__setattr__(self, "now", self.now.astimezone(UTC))
         if (self.topic is None) is not (self.action is Action.JOIN):
             raise UsageError(
-                f"`{self.action}` is asked {'of' if self.topic is None else 'without'} a topic"
+                f"`{self.action}` {'needs a' if self.topic is None else 'has no'} topic"
             )
         if self.topic == "":
-            raise UsageError("a topic has a name")
+            raise UsageError("the topic's name is empty")
         if any(len(name) > MAX_NAME for name in (self.topic or "", *self.partitions)):
             raise UsageError(f"a name is longer than {MAX_NAME} characters")

@@ -1,6 +1,6 @@
 """The topics that one participant may publish and another may subscribe to.
 
-Two that authenticate each other need not have one: to meet is not to talk.
+Two participants can authenticate each other without having such a topic.
 """
 
 from collections.abc import Iterable, Iterator
@@ -26,7 +26,7 @@ from pqsec_pki.documents import (
 )
 
 _CACHED = 1 << 12
-"""Pairs of patterns; a fleet has few roles."""
+"""Pairs of patterns in the cache; a fleet has few roles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +38,7 @@ class ParticipantDocuments:
     permissions: Permissions
 
     def criteria(self, action: Action, domain: int) -> list[Criteria]:
-        """Those of its rules that may allow that there; of which grant, the engine decides."""
+        """The criteria, of any of its grants, that may allow the action on the domain."""
         rules = (rule for rule in self._rules(domain) if rule.allow)
         return [
             each
@@ -47,7 +47,7 @@ class ParticipantDocuments:
         ]
 
     def topics(self, action: Action, domain: int) -> list[str]:
-        """Topics and patterns that a rule may allow there, or a default, or the governance."""
+        """Topics and patterns that a rule, a default or the governance may allow on the domain."""
         found = [topic for each in self.criteria(action, domain) for topic in each.topics]
         for rule in self._topic_rules(domain):
             writing, interpretation = (
@@ -61,7 +61,7 @@ class ParticipantDocuments:
         return list(dict.fromkeys(found))
 
     def limits(self, domain: int) -> Iterator[str]:
-        """Patterns that tell some topics of a pattern from others."""
+        """Patterns that distinguish topics which another pattern covers."""
         for rule in self._rules(domain):
             for each in () if rule.allow else (*rule.publish, *rule.subscribe):
                 yield from each.topics
@@ -79,10 +79,10 @@ class ParticipantDocuments:
 def topics_between(
     publisher: ParticipantDocuments, subscriber: ParticipantDocuments, *, domain: int, now: datetime
 ) -> tuple[str, ...]:
-    """What the one may publish and the other may subscribe to, by the standard.
+    """What one may publish and the other may subscribe to, by the standard.
 
-    A topic; or a pattern that both have; or of two patterns that meet, a topic of both. Not
-    the topic on which the nodes of ROS 2 announce themselves: all of them share it.
+    Each is a topic, a pattern that both have, or, for two different patterns, a topic that both
+    cover. The discovery topic of ROS 2 is left out: all nodes share it.
     """
     sending = _End.of(publisher, subscriber, Action.PUBLISH, domain, now)
     receiving = _End.of(subscriber, publisher, Action.SUBSCRIBE, domain, now)
@@ -102,7 +102,7 @@ def topics_between(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _End:
-    """One end of a way between two: what it may do, by its own stack and by its peer."""
+    """One of two participants: what its own stack and its peer allow it."""
 
     subject: str
     action: Action
@@ -122,7 +122,7 @@ class _End:
         domain: int,
         now: datetime,
     ) -> Self:
-        """The default partition and no data tags come first."""
+        """The rights of `own`, with the default partition and no data tags first."""
         criteria = own.criteria(action, domain)
         names = (sample(name) for each in criteria for name in each.partitions)
         return cls(
@@ -140,7 +140,7 @@ class _End:
         )
 
     def may(self, topic: str, partitions: tuple[str, ...]) -> bool:
-        """Whether an endpoint may be there, with some data tags."""
+        """Whether an endpoint with the topic and partitions is allowed with some data tags."""
         return any(self._may(topic, partitions, tags) for tags in self.tags)
 
     def _may(
@@ -159,7 +159,7 @@ class _End:
 
 
 def _of_both(one: str, other: str, limits: tuple[str, ...]) -> Iterable[str]:
-    """Topics that both cover: one for each way in which the limits can tell them apart."""
+    """Topics that both patterns cover: one for each set of `limits` that can cover a topic."""
     if not is_wildcard(one) or not is_wildcard(other):
         literal, pattern = (other, one) if is_wildcard(one) else (one, other)
         return (literal,) if posix(pattern, literal) else ()

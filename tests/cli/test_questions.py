@@ -160,7 +160,7 @@ def test_governance_that_opens_a_topic_decides(pqsec, put, tmp_path):
 def test_what_governance_adds_is_told(pqsec, policy):
     said = pqsec(f"{FILES} --publish chatter").done().out
     assert "payload: encrypted: only members can read it" in said
-    assert "participants without credentials: are shut out" in said
+    assert "participants without credentials: may not take part" in said
     assert pqsec(f"{FILES} --publish other --json").json["protection"] == []
 
 

@@ -288,8 +288,8 @@ def test_of_two_grants_for_a_subject_the_first_counts():
     assert told(permissions_diff(old, new)) == []
 
 
-SECOND = "that by the standard is nobody's: one above it counts"
-NAMELESS = "that by the standard is nobody's: its subject is no name"
+SECOND = "that the standard never uses: a grant above it is used"
+NAMELESS = "that the standard never uses: its subject is not a name"
 
 
 @pytest.mark.parametrize(
@@ -297,10 +297,10 @@ NAMELESS = "that by the standard is nobody's: its subject is no name"
     [
         (["CN=/a"], ["/CN=/a"], ["written 'CN=/a' before"]),
         (["CN=/a,O=Lab"], ["O=Lab,CN=/a"], ["written 'CN=/a,O=Lab' before"]),
-        (["CN=/a"], ["CN=/a", "CN=/a"], [f"a grant comes {SECOND}"]),
-        (["CN=/a,O=b", "O=b,CN=/a"], ["CN=/a,O=b"], [f"a grant goes {SECOND}"]),
-        (["CN=/a"], ["a|CN=", "CN=/a"], [f"a grant comes {NAMELESS}"]),
-        (["CN=/a", "nobody"], ["CN=/a"], [f"a grant goes {NAMELESS}"]),
+        (["CN=/a"], ["CN=/a", "CN=/a"], [f"a grant is added {SECOND}"]),
+        (["CN=/a,O=b", "O=b,CN=/a"], ["CN=/a,O=b"], [f"a grant is removed {SECOND}"]),
+        (["CN=/a"], ["a|CN=", "CN=/a"], [f"a grant is added {NAMELESS}"]),
+        (["CN=/a", "nobody"], ["CN=/a"], [f"a grant is removed {NAMELESS}"]),
         (["CN=/a", "nobody"], ["nobody", "CN=/a"], []),
     ],
 )
@@ -428,15 +428,15 @@ def test_a_policy_of_a_namespace_for_each_robot_is_told_whole(count):
         (
             {"enable_join_access_control": False},
             (
-                "weaker: domain 0: joining: takes a certificate only, before: takes a grant for the"
+                "weaker: domain 0: joining: needs only a certificate, before: needs a grant for the"
                 " domain"
             ),
         ),
         (
             {"allow_unauthenticated_participants": True},
             (
-                "weaker: domain 0: participants without credentials: may take part in what is not"
-                " protected, before: are shut out"
+                "weaker: domain 0: participants without credentials: may use what is not"
+                " protected, before: may not take part"
             ),
         ),
     ],
@@ -466,7 +466,7 @@ def test_a_setting_of_a_domain_is_stronger_or_weaker(settings, words):
             [
                 (
                     "taken away: domain 0, some of '*', such as 'x', but none of 'rt/*':"
-                    " no longer governed: nobody can use it"
+                    " no longer governed: no participant can use it"
                 )
             ],
         ),
@@ -483,7 +483,7 @@ def test_a_domain_comes_and_goes():
         "granted: domain 1: governed, so that participants can join"
     ]
     assert governance_told(wide, STRICT) == [
-        "taken away: domain 1: no longer governed: nobody can join"
+        "taken away: domain 1: no longer governed: no participant can join"
     ]
 
 

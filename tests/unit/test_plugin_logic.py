@@ -402,7 +402,7 @@ def test_a_partition_is_for_who_is_granted_all_that_its_wildcards_stand_for(tmp_
         else:
             wrong += [(name, partition)] if partition in kept_out else []
     assert not wrong
-    with pytest.raises(RefusedError, match="in doubt it is no: no rule of grant"):
+    with pytest.raises(RefusedError, match="so it is denied: no rule of grant"):
         shim.call("check_remote_datawriter", peers, 0, "x", hostile, ())
 
 
