@@ -43,7 +43,8 @@ CHANGING = {
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "explain-error", "profiles"),
-    *("sign-request export", "sign-request import", "plugin install", "algorithms"),
+    *("sign-request export", "sign-request import", "algorithms"),
+    *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),
     *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),
     *(f"permissions {each}" for each in ("import", "new", "read", "render", "schema")),
