@@ -9,7 +9,9 @@ import shutil
 import stat
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,11 +20,13 @@ from pqsec_pki.plugin import AgentFolder
 from pqsec_pki.trial import (
     Act,
     Installation,
+    MissingStackError,
     Plugin,
     Role,
     Trial,
     built,
     credentialed,
+    find,
     plugin,
     unauthenticated,
     unique_text,
@@ -34,6 +38,7 @@ from pqsec_pki.vendors.own_plugin import PRELOAD
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.conftest import Shim
 from tests.interop.plugin.test_plugin_impostors import BEHAVIOURS, listening
+from tests.interop.plugin.test_plugin_try import ROOTS
 
 pytestmark = pytest.mark.interop
 
@@ -91,19 +96,33 @@ class Outcome:
 
 
 @pytest.fixture(scope="module")
-def ours(fastdds_here) -> Iterator[Plugin]:
-    with plugin(fastdds=fastdds_here) as found:
-        yield found
+def plugins(requires) -> Iterator[Callable[[str], tuple[Installation, Plugin]]]:
+    """plugins("trixie") are the Fast DDS that is there, and our plugin for it."""
+    with ExitStack() as stack:
+
+        def of(where: str) -> tuple[Installation, Plugin]:
+            try:
+                installation = find("fastdds", ROOTS[where])
+            except MissingStackError as error:
+                return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
+            return installation, stack.enter_context(plugin(fastdds=installation))
+
+        yield cache(of)
 
 
 @pytest.fixture
-def stage(fastdds_here, ours, labs, now, tmp_path) -> Stage:
+def stage(request, plugins, labs, now, tmp_path) -> Stage:
+    """Of Debian 12, or of the parameter's."""
+    installation, ours = plugins(getattr(request, "param", "bookworm"))
     lab = labs("pq")
     trial = Trial(
-        installation=fastdds_here, keystore=lab.keystore, timeout=LONGEST, plugin=ours, now=now
+        installation=installation, keystore=lab.keystore, timeout=LONGEST, plugin=ours, now=now
     )
     role = credentialed(trial, "/lab/alice", Act.RECEIVE, tmp_path / "alice", unique_text())
-    return Stage(fastdds_here, ours, role, tmp_path)
+    return Stage(installation, ours, role, tmp_path)
+
+
+EVERYWHERE = pytest.mark.parametrize("stage", ROOTS, indirect=True)
 
 
 @pytest.fixture
@@ -120,14 +139,17 @@ def refused(outcome: Outcome, *words: str) -> bool:
     return outcome.code == 3
 
 
+@EVERYWHERE
 def test_with_the_plugin_it_joins(stage):
     assert stage.run().joined
 
 
+@EVERYWHERE
 def test_without_the_preload_library_its_own_plugin_refuses_post_quantum_keys(stage):
     assert refused(stage.run(without="LD_PRELOAD"))
 
 
+@EVERYWHERE
 def test_without_an_adapter_for_this_build_it_is_refused_with_the_way_out(stage, copied):
     build = stage.installation.library.build_id
     (copied / ADAPTER.format(build)).unlink()
@@ -135,6 +157,7 @@ def test_without_an_adapter_for_this_build_it_is_refused_with_the_way_out(stage,
     assert refused(outcome, "was not compiled for this build of", "pqsec plugin install fastdds")
 
 
+@EVERYWHERE
 def test_an_adapter_of_another_build_under_this_ones_name_is_refused(stage, copied):
     build = stage.installation.library.build_id
     path = copied / ADAPTER.format(build)
@@ -166,6 +189,7 @@ def test_after_an_update_of_fast_dds_it_is_refused_until_installed_again(stage, 
     assert found.problem == "the library was updated since"
 
 
+@EVERYWHERE
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", ["pqsec", ""])
 def test_a_plugin_that_fast_dds_does_not_know_is_refused(stage, name, value):
@@ -182,11 +206,13 @@ def test_a_plugin_that_fast_dds_does_not_know_is_refused(stage, name, value):
     assert refused(stage.run(), said)
 
 
+@EVERYWHERE
 def test_a_participant_without_any_security_is_left_alone(stage):
     open_to_all = unauthenticated(stage.installation, Act.RECEIVE, stage.folder)
     assert stage.run(**open_to_all.environment).joined
 
 
+@EVERYWHERE
 @pytest.mark.parametrize("how", ["hangs up", "says nothing"])
 def test_an_agent_that_does_not_answer_makes_it_fail(stage, tmp_path_factory, how):
     runtime = tmp_path_factory.mktemp("run")
