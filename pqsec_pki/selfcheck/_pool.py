@@ -1,20 +1,22 @@
 """Worker processes that share the work of one all-pairs job.
 
-Fresh processes, because a fork of a process that has threads may hang. If one is killed, the
-job ends with an error; all end with the process that started them.
+Each has its own pipe and gets every n-th block of work, so results come in order without
+locks. No process can hang because another was killed, and all end with the parent.
+
+`concurrent.futures` does not replace this: before Python 3.14 its executor waits for the blocks
+in work when the user interrupts, up to a minute with many processes.
 """
 
-import os
 import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process, resource_tracker
-from typing import TypeVar
+from itertools import cycle
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, NamedTuple, TypeVar
 
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.selfcheck._worker import AllPairsJob, Worker
@@ -26,36 +28,49 @@ Block = TypeVar("Block")
 Done = TypeVar("Done")
 
 
+class _Member(NamedTuple):
+    process: BaseProcess
+    pipe: "Connection[Any, Any]"
+
+    def answer(self) -> Any:
+        """The result of its oldest block. PqsecError of its work, or if it was killed."""
+        # This process holds both ends of the pipe, so sending to a dead process does not
+        # raise SIGPIPE; its sentinel shows that it has ended.
+        if self.pipe not in wait([self.pipe, self.process.sentinel]):
+            raise PqsecError(
+                "a worker process was killed",
+                hint="if memory ran out, use fewer processes: --jobs 1",
+            )
+        found = self.pipe.recv()
+        if isinstance(found, PqsecError):
+            raise found
+        return found
+
+
 @dataclass(frozen=True, slots=True)
 class WorkerPool:
     """Several worker processes, or only the current process."""
 
     worker: Worker
-    executor: ProcessPoolExecutor | None = None
-    size: int = 1
+    members: tuple[_Member, ...] = ()
 
     def map(self, work: Callable[[Worker, Block], Done], blocks: Iterable[Block]) -> Iterator[Done]:
         """The results of `work`, a method of the worker, for each block, in order.
 
-        Few blocks are read ahead. PqsecError if a process is killed.
+        Few blocks are read ahead. Read all results before the next call.
+        PqsecError if a process is killed.
         """
-        if self.executor is None:
+        if not self.members:
             yield from (work(self.worker, block) for block in blocks)
             return
-        waiting: deque[Future[Done]] = deque()
-        try:
-            for block in blocks:
-                with _interrupts_blocked():  # the executor may start a process
-                    waiting.append(self.executor.submit(_work, work, block))
-                if len(waiting) > AHEAD * self.size:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        except BrokenProcessPool as error:
-            raise PqsecError(
-                "a worker process was killed",
-                hint="if memory ran out, use fewer processes: --jobs 1",
-            ) from error
+        waiting: deque[_Member] = deque()
+        for member, block in zip(cycle(self.members), blocks, strict=False):
+            member.pipe.send((work, block))
+            waiting.append(member)
+            if len(waiting) > AHEAD * len(self.members):
+                yield waiting.popleft().answer()
+        while waiting:
+            yield waiting.popleft().answer()
 
 
 @contextmanager
@@ -65,36 +80,45 @@ def worker_pool(job: AllPairsJob, size: int) -> Iterator[WorkerPool]:
     if size == 1:
         yield WorkerPool(worker)
         return
-    executor = ProcessPoolExecutor(size, get_context("spawn"), _start, (job,))
+    pipes = [get_context("spawn").Pipe() for _ in range(size)]
+    # Fresh processes: a fork of one that has threads may hang.
+    members = tuple(
+        _Member(get_context("spawn").Process(target=_serve, args=(theirs, job)), ours)
+        for ours, theirs in pipes
+    )
     try:
-        yield WorkerPool(worker, executor, size)
+        with _interrupts_blocked():
+            for member in members:
+                member.process.start()
+        yield WorkerPool(worker, members)
     finally:
-        executor.shutdown(cancel_futures=True)
+        with _interrupts_blocked():
+            for member in members:
+                _end(member.process)
 
 
-_workers: list[Worker] = []
-"""In a worker process, its worker."""
+def _serve(pipe: "Connection[Any, Any]", job: AllPairsJob) -> None:
+    """Run a worker process: answer until the pipe is closed, or the work fails."""
+    with suppress(EOFError, OSError):
+        try:
+            worker = Worker.of(job)
+            while True:
+                work, block = pipe.recv()
+                pipe.send(work(worker, block))
+        except PqsecError as error:
+            pipe.send(error)
 
 
-def _start(job: AllPairsJob) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _workers.append(Worker.of(job))
-
-
-def _work(work: Callable[[Worker, Block], Done], block: Block) -> Done:
-    return work(_workers[0], block)
-
-
-def _end_with_parent() -> None:
-    """End this process when its parent has ended: the executor's own pipes do not show that."""
-    if parent := parent_process():
-        parent.join()
-        os._exit(0)
+def _end(process: BaseProcess) -> None:
+    """Terminate the process: it only reads files, so this is safe at any time."""
+    if process.pid is not None:
+        process.terminate()
+        process.join()
 
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT for processes that start within: on Ctrl-C the parent ends them."""
+    """Block SIGINT, also for processes that start within: on Ctrl-C the parent ends them."""
     resource_tracker.ensure_running()  # its start would unblock SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

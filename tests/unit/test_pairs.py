@@ -1,13 +1,18 @@
 """Every two of a keystore meet: who, where, how often, and what stands in the way."""
 
 import multiprocessing
+import os
+import signal
+import time
 from contextlib import contextmanager
 from itertools import combinations, islice
+from threading import Timer
 
 import pytest
 
-from pqsec_pki.errors import KeystoreError, PqsecError, UnknownAlgorithmError
+from pqsec_pki.errors import FileError, KeystoreError, PqsecError, UnknownAlgorithmError
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, Step, run_handshake
+from pqsec_pki.selfcheck._pool import worker_pool
 from pqsec_pki.selfcheck._worker import Worker
 from pqsec_pki.selfcheck.pairs import (
     BLOCK,
@@ -320,7 +325,7 @@ def test_two_processes_say_what_one_says(many):
         assert len(multiprocessing.active_children()) == 2
     assert multiprocessing.active_children() == []
     with surveyed(many, jobs=1) as found:
-        assert found._pool.executor is None
+        assert found._pool.members == ()
         one = [(pair_of(each), each.ok, each.result.initiator) for each in found.outcomes()]
     assert one == two
     assert [names for names, _, _ in one] == list(combinations(many.names(), 2))
@@ -347,6 +352,36 @@ def test_who_stops_early_leaves_no_process_behind(many):
     assert multiprocessing.active_children() == []
 
 
+def come_late(_worker, path):
+    time.sleep(10)
+    path.touch()
+
+
+def fail(_worker, path):
+    raise FileError(f"{path} is damaged", hint="restore it")
+
+
+@pytest.mark.slow
+def test_an_interrupt_waits_for_no_work(many, tmp_path):
+    job = AllPairsJob(root=many.root, now=NOW)
+    late = [tmp_path / str(number) for number in range(9)]
+    with pytest.raises(KeyboardInterrupt), worker_pool(job, 2) as pool:  # noqa: PT012 -- it ends within
+        assert list(pool.map(Worker.check_parties, [[], []])) == [[], []]  # they have started
+        Timer(1, os.kill, [os.getpid(), signal.SIGINT]).start()
+        next(pool.map(come_late, late))
+    assert multiprocessing.active_children() == []
+    assert not any(path.exists() for path in late)
+
+
+@pytest.mark.slow
+def test_an_error_in_another_process_is_told_in_full(many):
+    job = AllPairsJob(root=many.root, now=NOW)
+    with pytest.raises(FileError, match="k is damaged") as caught, worker_pool(job, 2) as pool:
+        next(pool.map(fail, ["k", "l"]))
+    assert caught.value.hint == "restore it"
+    assert multiprocessing.active_children() == []
+
+
 @pytest.mark.slow
 def test_a_process_that_is_killed_is_told(many):
     def kill_and_go_on():
@@ -363,7 +398,7 @@ def test_a_process_that_is_killed_is_told(many):
 
 def test_few_pairs_are_not_worth_a_process(keystore):
     with surveyed(keystore(), jobs=8) as found:
-        assert found._pool.executor is None
+        assert found._pool.members == ()
 
 
 def test_results_come_while_the_rest_is_still_to_be_done(keystore, monkeypatch):
