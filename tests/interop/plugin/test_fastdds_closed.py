@@ -13,10 +13,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
-from pqsec_pki.plugin import AgentFolder
+from pqsec_pki.plugin import AgentFolder, stop_agent
 from pqsec_pki.trial import (
     Act,
     Installation,
@@ -37,6 +38,7 @@ from pqsec_pki.vendors.fastdds_library import AdapterError, examine
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.conftest import Shim
+from tests.interop.plugin.test_plugin_dds import ended, hosted, wait_for
 from tests.interop.plugin.test_plugin_impostors import BEHAVIOURS, listening
 from tests.interop.plugin.test_plugin_try import ROOTS
 
@@ -54,6 +56,8 @@ class Stage:
     installation: Installation
     plugin: Plugin
     role: Role
+    other: Role
+    """A peer, that sends."""
     folder: Path
 
     @property
@@ -119,7 +123,8 @@ def stage(request, plugins, labs, now, tmp_path) -> Stage:
         installation=installation, keystore=lab.keystore, timeout=LONGEST, plugin=ours, now=now
     )
     role = credentialed(trial, "/lab/alice", Act.RECEIVE, tmp_path / "alice", unique_text())
-    return Stage(installation, ours, role, tmp_path)
+    other = credentialed(trial, "/lab/bob", Act.SEND, tmp_path / "bob", unique_text())
+    return Stage(installation, ours, role, other, tmp_path)
 
 
 EVERYWHERE = pytest.mark.parametrize("stage", ROOTS, indirect=True)
@@ -224,6 +229,30 @@ def test_an_agent_that_does_not_answer_makes_it_fail(stage, tmp_path_factory, ho
     assert refused(outcome, said)
 
 
+def test_a_host_whose_agent_is_killed_goes_on_and_meets_nobody(stage):
+    """It ends by itself, and another gets a new agent."""
+    with TemporaryDirectory(prefix="pqsec-run-") as runtime:  # a socket's path must be short
+        shim = Shim(stage.folder, AgentFolder.of({"XDG_RUNTIME_DIR": runtime}))
+        environments = [
+            {**each.environment, "XDG_RUNTIME_DIR": runtime} for each in (stage.role, stage.other)
+        ]
+        words = [
+            [*stage.program, act.value, str(DOMAIN), TOPIC, text, "2.5"]
+            for act, text in ((Act.RECEIVE, ""), (Act.SEND, stage.other.text))
+        ]
+        try:
+            with hosted(words[0], environments[0]) as receiver:
+                wait_for(receiver, "joined")
+                shim.kill_agent()
+                with hosted(words[1], environments[1]) as sender:
+                    said = ended(receiver), ended(sender)
+        finally:
+            stop_agent(shim.place)
+    assert "received" not in said[0]
+    assert "the agent is gone" in said[0]
+    assert "joined" in said[1]
+
+
 def test_an_agents_folder_that_others_can_enter_is_refused(stage):
     runtime = stage.folder / "run"
     (runtime / "pqsec").mkdir(parents=True)
@@ -246,8 +275,8 @@ def test_a_program_with_setuid_preloads_nothing_and_is_refused(stage, tmp_path_f
 
 
 @pytest.fixture(scope="module")
-def hosted(fastdds_here, tmp_path_factory) -> Callable[[str], list[str]]:
-    """hosted("deep") is what runs a peer in a library that is opened so."""
+def opened(fastdds_here, tmp_path_factory) -> Callable[[str], list[str]]:
+    """opened("deep") is what runs a peer in a library that is opened so."""
     folder = tmp_path_factory.mktemp("hosted")
     (folder / "peer.cpp").write_bytes(
         source("fastdds.cpp").replace(b"int main(", b'extern "C" int run(')
@@ -258,13 +287,13 @@ def hosted(fastdds_here, tmp_path_factory) -> Callable[[str], list[str]]:
     return lambda how: [str(folder / "host"), how, str(folder / "libpeer.so")]
 
 
-def test_it_runs_in_a_library_that_was_opened_locally(stage, hosted):
+def test_it_runs_in_a_library_that_was_opened_locally(stage, opened):
     """As ROS 2 opens its middleware."""
-    assert stage.run(program=hosted("local")).joined
+    assert stage.run(program=opened("local")).joined
 
 
-def test_a_library_that_binds_to_itself_first_gets_its_own_plugin_which_refuses(stage, hosted):
-    assert refused(stage.run(program=hosted("deep")))
+def test_a_library_that_binds_to_itself_first_gets_its_own_plugin_which_refuses(stage, opened):
+    assert refused(stage.run(program=opened("deep")))
 
 
 def test_a_library_without_the_functions_is_not_fast_dds(library, tmp_path):
