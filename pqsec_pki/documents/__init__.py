@@ -1,6 +1,6 @@
-"""Governance and permissions: reads XML and YAML into values, and writes them.
+"""Governance and permissions: reads XML and YAML as values, and writes them.
 
-It also has the names in these documents: certificate subjects as text, and ROS 2 names in
+It also handles the names in these documents: certificate subjects as text, and ROS 2 names in
 their DDS form (module `ros`). The module `sros2` reads SROS2's policies; import it separately.
 No XML element leaves this package.
 """

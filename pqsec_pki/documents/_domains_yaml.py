@@ -25,7 +25,7 @@ def _parts(item: Item) -> tuple[int | DomainRange, ...]:
         return (_long(item),)
     written = item.text if isinstance(item, Text) else ""
     if re.search(r"(?<![0-9])0[0-9]", written):
-        raise refused(item, f"'{shown(written)}' has a zero in front, an octal number to YAML")
+        raise refused(item, f"'{shown(written)}' begins with 0: YAML reads an octal number")
     return build(item, DomainSet.parse, text=written).parts
 
 
@@ -43,7 +43,7 @@ def _checked_id(domain: int) -> int:
 
 
 def domains_as_yaml(value: DomainSet) -> object:
-    """What `domains` reads as `value`: the short form where there is one."""
+    """The YAML that `domains` reads as `value`, in the short form if there is one."""
     parts = [_part_as_yaml(part) for part in value.parts]
     return parts[0] if len(parts) == 1 else parts
 

@@ -30,11 +30,11 @@ _USES: Mapping[str, Callable[[str], Endpoints]] = {
     "parameters_of": ros.parameter_client,
     "lifecycle_of": ros.lifecycle_client,
 }
-"""Key -> what each name under it lets the node do."""
+"""Key -> function that returns the DDS topics of each name under the key."""
 
 
 def node(item: Item) -> Endpoints:
-    """What one node may publish and subscribe to; its name alone is the minimum."""
+    """What one node may publish and subscribe to; with only a name, what it needs to start."""
     if isinstance(item, Text):
         return build(item, _minimum_of, written=text(item))
     given = fields(
@@ -61,11 +61,11 @@ def _with_line(item: Item) -> tuple[Item, str]:
 
 
 def _node_name(*, written: str, namespace: str) -> str:
-    """The full name: ROS 2 says the namespace apart, people mostly in one."""
+    """The full name; in ROS 2 the namespace is separate, but users often write both as one."""
     if written.startswith("~"):
-        raise UsageError(f"{written!r} is no name of a node, as /talker is")
+        raise UsageError(f"{written!r} is not a node name such as /talker")
     if written.startswith("/") and namespace != "/":
-        raise UsageError(f"{written!r} is a full name: leave the namespace out")
+        raise UsageError(f"{written!r} is a full name: remove `namespace`")
     return ros.resolve(written, f"{namespace.rstrip('/')}/node")
 
 
@@ -86,7 +86,7 @@ def _uses(name: str, given: Mapping[str, Any]) -> Iterator[Endpoints]:
     for key, use in _USES.items():
         for item, written in given.get(key, ()):
             if "*" in written or "?" in written:
-                example = "a pattern is written beside `nodes`, in DDS form: publish: ['rt/chat*']"
+                example = "write patterns outside `nodes`, in DDS form: publish: ['rt/chat*']"
                 raise refused(item, f"{key}: {example}")
             yield build(item, partial(_use, use), name=name, written=written)
 

@@ -61,14 +61,16 @@ def _domain_range(element: "_Element") -> DomainRange:
 def _domain_id(element: "_Element") -> int:
     digits = text(element).strip(_XML_SPACE).lstrip("+-").lstrip("0") or "0"
     if len(digits) > len(str(MAX_DOMAIN_ID)) or int(digits) > MAX_DOMAIN_ID:
-        raise _refused(element, f"{shown(digits, 20)} is above {MAX_DOMAIN_ID}, so no domain id")
+        raise _refused(
+            element, f"{shown(digits, 20)} is not a domain id: it is above {MAX_DOMAIN_ID}"
+        )
     return int(digits)
 
 
 def instant(element: "_Element") -> datetime:
     """An xs:dateTime in UTC; without a zone it is in UTC already (9.4.1.3.2.2).
 
-    A fraction of a second is dropped: no stack but OpenDDS reads it.
+    A fraction of a second is dropped: only OpenDDS reads it.
     InvalidDocumentError for years outside 1 to 9999, and for 24:00:00.
     """
     value = text(element).strip(_XML_SPACE)

@@ -1,4 +1,4 @@
-"""Values to XML, by the templates; the words of XML for strings and times."""
+"""Writes values as XML with the templates, and strings and times in their XML form."""
 
 import re
 from datetime import datetime
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from jinja2 import Environment, Template
 
 LAST_YEAR = 2261
-"""Cyclone DDS counts nanoseconds in 64 bits: to it, a later time has passed."""
+"""Cyclone DDS counts nanoseconds in 64 bits: it treats a later time as past."""
 
-# XML 1.0, production 2. Compiled when it is needed, which takes some milliseconds.
+# XML 1.0, production 2. Compiled only when needed: that takes some milliseconds.
 _NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
-# Written as they are, a parser would make spaces or line feeds of them.
+# A parser would change these to spaces or line feeds if they were not escaped.
 _REFERENCES = {ord("\t"): "&#9;", ord("\n"): "&#10;", ord("\r"): "&#13;"}
 
 
 def render(kind: Kind, **values: object) -> bytes:
-    """The document of that kind with `values` in it, checked against its schema.
+    """The document of that kind with `values` in it, validated against its schema.
 
-    UsageError for a character XML cannot carry and a time no stack would understand.
+    UsageError for a character that XML does not allow, and for a time that no stack understands.
     """
     document = _template(kind).render(values).encode()
     validate(document)
@@ -58,9 +58,9 @@ def _environment() -> "Environment":
 
 def _text(value: str) -> str:
     if value.isprintable():
-        return value  # and nothing but <, > and & need care: autoescape has it
+        return value  # autoescape handles <, > and &; nothing else needs to be escaped
     if found := re.search(_NOT_XML, value):
-        raise UsageError(f"{value!r} holds the character {found[0]!r}, which XML cannot carry")
+        raise UsageError(f"{value!r} has the character {found[0]!r}, which XML cannot carry")
     from markupsafe import Markup, escape  # noqa: PLC0415 - comes and loads with jinja2
 
     # What escape() returned is safe, and the references are constants.
@@ -70,6 +70,6 @@ def _text(value: str) -> str:
 def _instant(value: datetime) -> str:
     if value.year > LAST_YEAR:
         raise UsageError(
-            f"{value:%Y-%m-%d} is too late: Cyclone DDS takes any time after {LAST_YEAR} as expired"
+            f"{value:%Y-%m-%d} is too late: to Cyclone DDS, any time after {LAST_YEAR} is expired"
         )
     return f"{value.replace(tzinfo=None).isoformat()}Z"

@@ -1,4 +1,4 @@
-"""Rules of permissions and their criteria, in YAML, both ways.
+"""Reads and writes rules of permissions and their criteria in YAML.
 
 Topics are a list of DDS names and patterns. An item with partitions or data tags is a
 mapping: {topics: [rt/map], partitions: [floor1], data_tags: {colour: red}}.
@@ -30,33 +30,33 @@ _ACTIONS = ("publish", "subscribe", "relay")
 
 
 def rule(default_domains: DomainSet, item: Item) -> Rule:
-    """One of a list of rules, `allow:` or `deny:`."""
+    """One item of `rules`: either `allow:` or `deny:`."""
     either: Readers = {
         "allow": partial(fields, readers={"domains": domains, **ALLOWED}),
         "deny": partial(fields, readers={"domains": domains, **_DENIED}),
     }
     effects = fields(item, either)
     if len(effects) != 1:
-        raise refused(item, "a rule is either `allow:` or `deny:`, in an item of its own")
-    [(effect, said)] = effects.items()
-    domain_set = said.pop("domains", default_domains)
-    return built_rule(item, domain_set, said, allow=effect == "allow")
+        raise refused(item, "each item of `rules` has either `allow:` or `deny:`, not both")
+    [(effect, values)] = effects.items()
+    domain_set = values.pop("domains", default_domains)
+    return built_rule(item, domain_set, values, allow=effect == "allow")
 
 
-def built_rule(item: Item, domain_set: DomainSet, said: dict[str, Any], *, allow: bool) -> Rule:
-    """Make the rule; the topics of its nodes are added to those it publishes and subscribes to."""
-    nodes: tuple[Endpoints, ...] = said.pop("nodes", ())
+def built_rule(item: Item, domain_set: DomainSet, values: dict[str, Any], *, allow: bool) -> Rule:
+    """The rule; the topics of its nodes are added to those that it publishes and subscribes to."""
+    nodes: tuple[Endpoints, ...] = values.pop("nodes", ())
     for action in ("publish", "subscribe"):
         of_nodes = [topic for node in nodes for topic in getattr(node, action)]
         if of_nodes:
-            said[action] = _with_topics(said.get(action, ()), of_nodes, item.line)
-    return build(item, Rule, allow=allow, domains=domain_set, **said, line=item.line)
+            values[action] = _with_topics(values.get(action, ()), of_nodes, item.line)
+    return build(item, Rule, allow=allow, domains=domain_set, **values, line=item.line)
 
 
 def _with_topics(
     criteria: tuple[Criteria, ...], topics: list[str], line: int
 ) -> tuple[Criteria, ...]:
-    """The criteria and one for `topics`, which plain topics of theirs join."""
+    """`criteria` with `topics`, which are added to the criteria that have only topics."""
     plain = [each for each in criteria if not each.partitions and not each.data_tags][:1]
     others = tuple(each for each in criteria if each not in plain)
     own = [topic for each in plain for topic in each.topics]
@@ -64,7 +64,7 @@ def _with_topics(
 
 
 def _all_criteria(item: Item) -> tuple[Criteria, ...]:
-    """One for all plain topics of the list together, and one for each mapping in it."""
+    """One Criteria for all plain topics of the list, and one for each mapping in it."""
     items = item.items if isinstance(item, Items) else [item]
     plain = [each for each in items if not isinstance(each, Table)]
     rest = [partial(_criteria, each) for each in items if isinstance(each, Table)]
@@ -80,16 +80,16 @@ def _plain_criteria(items: Sequence[Item]) -> Criteria:
 
 def _criteria(item: Item) -> Criteria:
     names = partial(one_or_more, reader=text)
-    said = fields(
+    values = fields(
         item,
         {"topics": names, "partitions": names, "data_tags": _data_tags},
         required=("topics",),
     )
-    return build(item, Criteria, **said, line=item.line)
+    return build(item, Criteria, **values, line=item.line)
 
 
 def _data_tags(item: Item) -> tuple[tuple[str, str], ...]:
-    """`{name: value}`; as a list of such where a name comes twice."""
+    """`{name: value}`, or a list of these if a name occurs twice."""
     if isinstance(item, Items):
         return tuple(pair for pairs in each(item, _data_tags) for pair in pairs)
     pairs = table(item).entries.values()
@@ -102,19 +102,19 @@ def _data_tag(name: Item, value: Item) -> tuple[str, str]:
 
 _DENIED: Readers = dict.fromkeys(_ACTIONS, _all_criteria)
 ALLOWED: Readers = _DENIED | {"nodes": partial(one_or_more, reader=node)}
-"""Key -> reader, of what an allow rule says besides its domains."""
+"""Key -> reader, for the keys of an allow rule besides its domains."""
 
 
 # Writing
 
 
 def rule_as_yaml(rule: Rule) -> dict[str, object]:
-    """What stands under its `allow:` or `deny:`."""
-    said: dict[str, object] = {"domains": domains_as_yaml(rule.domains)}
+    """The mapping under its `allow:` or `deny:`."""
+    written: dict[str, object] = {"domains": domains_as_yaml(rule.domains)}
     for action in _ACTIONS:
         if criteria := getattr(rule, action):
-            said[action] = _all_criteria_as_yaml(criteria)
-    return said
+            written[action] = _all_criteria_as_yaml(criteria)
+    return written
 
 
 def _all_criteria_as_yaml(criteria: tuple[Criteria, ...]) -> list[object]:
@@ -125,11 +125,11 @@ def _all_criteria_as_yaml(criteria: tuple[Criteria, ...]) -> list[object]:
 
 
 def _criteria_as_yaml(criteria: Criteria) -> dict[str, object]:
-    said: dict[str, object] = {"topics": list(criteria.topics)}
+    written: dict[str, object] = {"topics": list(criteria.topics)}
     if criteria.partitions:
-        said["partitions"] = list(criteria.partitions)
+        written["partitions"] = list(criteria.partitions)
     if criteria.data_tags:
         once = dict(criteria.data_tags)
         unique = len(once) == len(criteria.data_tags)
-        said["data_tags"] = once if unique else [{n: v} for n, v in criteria.data_tags]
-    return said
+        written["data_tags"] = once if unique else [{n: v} for n, v in criteria.data_tags]
+    return written

@@ -1,4 +1,4 @@
-"""Does a document keep to its schema, and if not, everything that is wrong with it."""
+"""Validates a document against its schema, and lists everything that is wrong with it."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element, _LogEntry
 
 MAX_PROBLEMS = 100
-"""More of them help nobody, and a hostile document has a million."""
+"""More do not help a reader, and a hostile document has a million."""
 
 
 _ONE_AT_A_TIME = Lock()
-"""A compiled schema has one error log, whoever validates with it, and libxml2's table of
-built-in types, which the first schema to be compiled fills, has no lock of its own."""
+"""All users of a compiled schema share its error log. libxml2's table of built-in types, which is
+filled when the first schema is compiled, has no lock."""
 
 
 class Kind(StrEnum):
@@ -40,7 +40,7 @@ _TYPES = {
     "xs:nonNegativeInteger": "a domain id, 0 or more",
 }
 
-# What libxml2 says (xmlschemas.c) -> what it means.
+# Message of libxml2 (xmlschemas.c) -> message for users.
 _MISPLACED = (
     (r"This element is not expected\. Expected is (?:one of )?\( (?P<right>.*) \)\.",
      "is not expected here; expected: {right}"),
@@ -50,7 +50,7 @@ _OTHERS = (
     (r"Missing child element\(s\)\. Expected is (?:one of )?\( (?P<right>.*) \)\.",
      "is not complete; expected next: {right}"),
     (r"\[facet 'enumeration'\] The value '(?P<wrong>.*)' is not .* the set \{(?P<right>.*)\}\.",
-     "'{wrong}' is none of {right}"),
+     "'{wrong}' is not one of {right}"),
     (r"'(?P<wrong>.*)' is not a valid value of the atomic type '(?P<right>.*)'\.",
      "'{wrong}' is not {right}"),
     (r"The attribute '(?P<wrong>.*)' is not allowed\.", "has no attribute '{wrong}'"),
@@ -70,11 +70,11 @@ _PLACE = re.compile(r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^'
 
 
 def validate(xml: bytes) -> Kind:
-    """Which of the two documents `xml` is; it is valid when this returns.
+    """Validate `xml`, and return which of the two documents it is.
 
-    InvalidDocumentError lists what breaks the schema, each with its line, element and
-    the rule in plain words; of an element with several children out of place, the
-    first. MalformedError if it is not XML.
+    InvalidDocumentError lists everything that breaks the schema, with line, element and
+    rule; if several children of an element are out of place, only the first. MalformedError
+    if it is not XML.
     """
     root = parse(xml)
     kind = _kind(root)
@@ -96,7 +96,7 @@ def _kind(root: "_Element") -> Kind:
     for child in root:
         if found := _KIND_OF_CONTENT.get(child.tag):
             return found
-    message = "is no <dds> with <domain_access_rules> or <permissions> in it"
+    message = "is not a <dds> with <domain_access_rules> or <permissions> in it"
     raise InvalidDocumentError([problem(root, message)])
 
 

@@ -30,7 +30,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Enclave:
-    """One `profiles` of an enclave; SROS2 makes a grant of each."""
+    """One `profiles` element of an enclave; SROS2 writes a grant for each."""
 
     path: str
     blocks: tuple[Block, ...]
@@ -40,11 +40,11 @@ class Enclave:
 
 
 def read_policy(path: Path, *, root: Path | None = None) -> tuple[Enclave, ...]:
-    """The enclaves of the policy, its includes resolved.
+    """The enclaves of the policy, with its includes resolved.
 
-    Includes are refused that lead out of `root`, which is the policy's folder. FileError
-    for files that cannot be read, MalformedError for what is no XML, InvalidDocumentError
-    for what is no policy and for includes that are not taken.
+    An include of a file outside `root` is refused; by default `root` is the policy's folder.
+    FileError for files that cannot be read, MalformedError if a file is not XML,
+    InvalidDocumentError if it is not a policy, and for includes that are not supported.
     """
     policy = assembled(path, root=root)
     with located(path):
@@ -54,7 +54,7 @@ def read_policy(path: Path, *, root: Path | None = None) -> tuple[Enclave, ...]:
 def _enclaves(policy: "_Element") -> Iterator[Enclave]:
     _require(policy, "policy", {"version"})
     if policy.get("version") != _VERSION:
-        raise _refused(policy, f"is not of version {_VERSION}, the only one there is")
+        raise _refused(policy, f"is not of version {_VERSION}, the only one that exists")
     enclaves, *others = _children(policy, "enclaves")
     if others:
         raise _refused(others[0], "comes twice")
@@ -71,7 +71,7 @@ def _enclave(enclave: "_Element", profiles: "_Element") -> Enclave:
     nodes: list[str] = []
     first, *rest = _children(profiles, "profile", "metadata")
     if rest and rest[-1].tag == "metadata":
-        rest.pop()  # may say anything, at the end
+        rest.pop()  # the last element may have any content
     for profile in (first, *rest):
         _require(profile, "profile", {"ns", "node"})
         node = _below(profile.get("ns", ""), profile.get("node", ""))
@@ -105,10 +105,10 @@ def _blocks(profile: "_Element", node: str) -> Iterator[Block]:
 
 
 def _full_name(element: "_Element", profile: "_Element", node: str) -> str:
-    """As SROS2 makes it; what is in a name it does not check, but for white space we do."""
+    """The name as SROS2 writes it. SROS2 does not check names; white space is refused here."""
     name = text(element).strip()
     if not name or len(element) or len(name.split()) > 1:
-        raise _refused(element, "is no name of ROS 2")
+        raise _refused(element, "is not a ROS 2 name")
     if name.startswith("/"):
         return name
     if name.startswith("~"):
@@ -121,7 +121,7 @@ def _below(namespace: str, name: str) -> str:
 
 
 def _children(element: "_Element", *names: str, at_least: int = 1) -> "Iterator[_Element]":
-    """The element's children, which have these names; text between them is refused."""
+    """The element's children, which must have these names; text between them is refused."""
     if len(element) < at_least:
         raise _refused(element, f"lacks <{names[0]}>")
     if any((piece or "").strip() for piece in [element.text, *(e.tail for e in element)]):
@@ -141,7 +141,7 @@ def _require(
     *,
     optional: AbstractSet[str] = frozenset(),
 ) -> None:
-    """The element has that name, the required attributes, and no others but the optional."""
+    """Check that the element has that name, the required attributes, and only optional others."""
     given = {str(key) for key in element.attrib} - {BASE}
     if element.tag != name:
         raise _refused(element, f"is not expected here; expected: {name}")
@@ -152,7 +152,7 @@ def _require(
 
 
 def _refused(element: "_Element", message: str) -> InvalidDocumentError:
-    """The error, in the file where the element stands."""
+    """The error, with the file that contains the element."""
     error = InvalidDocumentError([problem(element, message)])
     files = (each.get(BASE) for each in (element, *element.iterancestors()))
     error.where = next((file for file in files if file), None)

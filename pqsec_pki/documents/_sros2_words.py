@@ -1,6 +1,6 @@
-"""What the words of an SROS2 policy allow, as its own templates have it.
+"""What the elements of an SROS2 policy allow, as in SROS2's own templates.
 
-SROS2 takes patterns as names, so unlike `ros` nothing here checks them.
+SROS2 accepts patterns as names, so names are not checked here, unlike in `ros`.
 """
 
 from collections.abc import Callable
@@ -43,4 +43,4 @@ KINDS: dict[str, tuple[str, dict[str, Callable[[str], Endpoints]]]] = {
         {"call": _call, "execute": lambda name: _reversed(_call(name))},
     ),
 }
-"""Element -> (that of its names, attribute -> what it lets a node do with such a name)."""
+"""Element -> (element of its names, attribute -> DDS topics that it allows for a name)."""

@@ -1,6 +1,6 @@
 """The part of XInclude that SROS2's policies use.
 
-An include names a file below the policy's folder, by a relative path, and its elements to
+An include names a file below the policy's folder, by a relative path, and the elements to
 include: `xpointer(/profile/*)`. The rest of the standard is refused: it could read other files,
 or the network. Files are opened here, never by libxml2.
 """
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from lxml.etree import _Element
 
 MAX_INCLUDES = 1000
-"""Of one policy, in all. A fleet of a hundred nodes has about 400."""
+"""Includes of one policy in total. A fleet of a hundred nodes has about 400."""
 MAX_ELEMENTS = 200_000
-"""Of a policy with its includes: a file that includes another twice doubles it."""
+"""Elements of a policy with its includes: a file that includes another twice doubles it."""
 
 MAX_CHAIN = 16
-"""Includes in includes."""
+"""Nested includes."""
 
 BASE = "{http://www.w3.org/XML/1998/namespace}base"
-# The second is no standard, but SROS2's own samples say it, and libxml2 takes both.
+# The second is not standard, but SROS2's own samples use it, and libxml2 accepts both.
 _INCLUDES = tuple(f"{{http://www.w3.org/{year}/XInclude}}include" for year in (2001, 2003))
 _ATTRIBUTES = {"href", "xpointer", "parse"}
 _POINTER = re.compile(r"xpointer\(((?:/(?:[A-Za-z_][\w.-]*|\*))+)\)", re.ASCII)
@@ -37,16 +37,16 @@ _NO_RELATIVE_PATH = re.compile(r"\A\Z|\A[/\\~]|[\0%#?]|\A[A-Za-z][A-Za-z0-9+.-]*
 def assembled(path: Path, *, root: Path | None = None) -> "_Element":
     """The root element of the file, with its includes in their places.
 
-    Elements that came from another file than `path` have its name in `xml:base`, on them
-    or above. FileError, MalformedError, and InvalidDocumentError for includes not taken.
+    Elements from another file than `path` have its name in `xml:base`, on them or on a parent.
+    FileError, MalformedError, and InvalidDocumentError for includes that are not supported.
     """
-    data = read(path)  # before its folder is looked for: it may not exist
+    data = read(path)  # before its folder is resolved: the file may not exist
     folder = _resolved(root) if root else _resolved(path).parent
     return _Assembly(folder).document(path, data, (_resolved(path),))
 
 
 def _resolved(path: Path) -> Path:
-    """Where links lead; Path.resolve raises where they lead in a circle."""
+    """The path with links resolved; Path.resolve would raise for circular links."""
     return Path(os.path.realpath(path))
 
 
@@ -57,14 +57,16 @@ class _Assembly:
     elements: int = 0
 
     def document(self, path: Path, data: bytes, chain: tuple[Path, ...]) -> "_Element":
-        """The file's root element, its own includes done; `chain` led to it."""
+        """The file's root element, with its includes resolved; `chain` has the including files."""
         with located(path):
             root = parse(data)
             self.elements += sum(1 for _ in root.iter("*"))
             includes = list(root.iter(*_INCLUDES))
             for element in root.iter("*"):
                 if BASE in element.attrib and includes:
-                    raise _refused(element, "has xml:base, which moves includes: not taken")
+                    raise _refused(
+                        element, "has xml:base, which moves includes and is not supported"
+                    )
                 element.attrib.pop(BASE, "")
             for include in includes:
                 self._replace(include, path, chain)
@@ -109,16 +111,16 @@ class _Assembly:
 
 def _check(include: "_Element") -> None:
     if unknown := sorted(set(map(str, include.attrib)) - _ATTRIBUTES):
-        raise _refused(include, f"has {shown(unknown[0])}, which is not taken")
+        raise _refused(include, f"has {shown(unknown[0])}, which is not supported")
     if include.get("parse", "xml") != "xml":
-        raise _refused(include, "asks for something else than XML, which is not taken")
+        raise _refused(include, "includes a file that is not XML, which is not supported")
     pointer = include.get("xpointer")
     if pointer is not None and not _POINTER.fullmatch(pointer):
         raise _refused(include, f"'{shown(pointer)}' is not of the form xpointer(/profile/*)")
     if len(include):
-        raise _refused(include, "has a fallback, which is not taken: the file must be there")
+        raise _refused(include, "has a fallback, which is not supported: the file must exist")
     if include.getparent() is None:
-        raise _refused(include, "is all the document has")
+        raise _refused(include, "is the root element: it must be in an element of a policy")
 
 
 def _selected(root: "_Element", pointer: str | None) -> "list[_Element]":

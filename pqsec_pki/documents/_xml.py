@@ -1,8 +1,8 @@
-"""The one place where XML from outside is parsed.
+"""The only place that parses XML from outside.
 
-Nothing is fetched, no entity is replaced, no DOCTYPE is taken: neither document has a
-use for them, and each has been an attack. Parsing comes to an end on any input: there
-is a limit on size here, and one on depth in libxml2.
+It fetches nothing, replaces no entity and refuses a DOCTYPE: neither document needs them, and
+each has been used for attacks. Parsing ends for any input: there is a limit on size here, and
+one on depth in libxml2.
 """
 
 from functools import cache
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from lxml.etree import XMLParser, _Element
 
 MAX_DOCUMENT = 8 << 20
-"""Bytes. The largest document any stack was measured to take is 0.5 MB."""
+"""Bytes. The largest document that any stack accepted when measured is 0.5 MB."""
 
 
 def parse(xml: bytes) -> "_Element":
     """The root element of `xml`, without its comments and processing instructions.
 
-    The encoding is found as XML 1.0, appendix F, says: byte order mark, declaration,
-    else UTF-8. MalformedError, with the line, for what is not well formed, is too
-    large or too deep, or has a DOCTYPE.
+    The encoding is found as in XML 1.0, appendix F: by byte order mark, by declaration, else
+    UTF-8. MalformedError, with the line, if it is not well formed, too large or too deep, or
+    has a DOCTYPE.
     """
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
@@ -34,7 +34,7 @@ def parse(xml: bytes) -> "_Element":
     except etree.XMLSyntaxError as error:
         raise MalformedError(_not_well_formed(error)) from None
     if root.getroottree().docinfo.internalDTD is not None:
-        raise MalformedError("has a DOCTYPE, which is never needed and not read here")
+        raise MalformedError("has a DOCTYPE, which is not allowed: remove it")
     return root
 
 
@@ -54,11 +54,11 @@ def _parser() -> "XMLParser":
 
 
 def _not_well_formed(error: SyntaxError) -> str:
-    reason, _, _ = (error.msg or "no XML").partition(", line ")
+    reason, _, _ = (error.msg or "not XML").partition(", line ")
     return f"line {error.lineno or 1}: not well-formed XML: {shown(reason.strip())}"
 
 
 def problem(element: "_Element", message: str) -> Problem:
-    """What is wrong with an element, and where that is."""
+    """The problem `message`, with the element and its line."""
     line: int = element.sourceline  # type: ignore[assignment] # lxml-stubs leave its type open
     return Problem(message, line=line, element=shown(element.tag))

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     import yaml
 
 MAX_DOCUMENT = 8 << 20
-"""Bytes, as of an XML document."""
+"""Bytes; the same limit as for an XML document."""
 MAX_DEPTH = 24
-"""Lists and mappings inside one another; a policy needs eleven."""
+"""Nested lists and mappings; a policy needs eleven levels."""
 MAX_ITEMS = 500_000
-"""Of a document. A policy of 10 000 rules has about 150 000."""
+"""Values in a document. A policy of 10 000 rules has about 150 000."""
 
 _CODECS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"),
            (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
@@ -72,7 +72,7 @@ def refused(place: Item | int | None, message: str) -> InvalidDocumentError:
 
 
 def parse(data: bytes) -> Item:
-    """The document's one item; InvalidDocumentError, with the line, if it is not YAML."""
+    """The document's root item; InvalidDocumentError, with the line, if it is not YAML."""
     import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
 
     loader = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
@@ -96,17 +96,17 @@ def _decoded(data: bytes) -> str:
 
 def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "no YAML"
+    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
     if "alias" in f"{reason} {getattr(error, 'context', '')}":
         reason = "a name with * at its start must be in quotes, as '*' or '*/status'"
     line = text.splitlines()[mark.line :][:1] if mark else []
     if any("\t" in each[: len(each) - len(each.lstrip())] for each in line):
-        reason = "a tab, and YAML is indented with spaces only"
+        reason = "a tab: indent YAML with spaces only"
     return refused(mark.line + 1 if mark else None, f"not well-formed YAML: {shown(reason)}")
 
 
 def _tree(events: Iterable["yaml.Event"]) -> Item:
-    """The document's tree, built with a stack of its own, so that depth cannot exhaust Python's."""
+    """The document's tree, built without recursion, so that depth cannot exhaust Python's stack."""
     grower = _Grower()
     for event in events:
         kind = type(event).__name__
@@ -118,24 +118,22 @@ def _tree(events: Iterable["yaml.Event"]) -> Item:
 
 
 class _Grower:
-    """Builds a tree from YAML's events, each with the method of its name."""
+    """Builds a tree from YAML's events; each event has a method with its name."""
 
     def __init__(self) -> None:
         self.root: Item | None = None
         self._open: list[Items | Table] = []
-        self._keys: list[Text | None] = []  # of the open ones, the key that awaits its value
+        self._keys: list[Text | None] = []  # for each open item, the key without a value yet
         self._count = 0
 
     def on_DocumentStartEvent(self, event: "yaml.Event", line: int) -> None:  # noqa: N802 - YAML's
         del event
         if self.root is not None:
-            raise refused(line, "a second document begins with ---; only one is taken")
+            raise refused(line, "a second document begins with ---; only one is allowed")
 
     def on_AliasEvent(self, event: "yaml.Event", line: int) -> None:  # noqa: N802 - YAML's
         name = shown(getattr(event, "anchor", ""))
-        message = (
-            f"*{name} is an alias to YAML, which is not taken; a name goes in quotes: '*{name}'"
-        )
+        message = f"YAML reads *{name} as an alias, which is not allowed; in quotes: '*{name}'"
         raise refused(line, message)
 
     def on_ScalarEvent(self, event: "yaml.ScalarEvent", line: int) -> None:  # noqa: N802 - YAML's
@@ -160,16 +158,16 @@ class _Grower:
         self._open.append(item)
         self._keys.append(None)
         if len(self._open) > MAX_DEPTH:
-            raise refused(item.line, f"more than {MAX_DEPTH} lists and mappings in one another")
+            raise refused(item.line, f"more than {MAX_DEPTH} nested lists and mappings")
 
     def _check(self, event: Any, line: int) -> None:
         self._count += 1
         if self._count > MAX_ITEMS:
             raise refused(line, f"more than {MAX_ITEMS} values, so not a policy")
         if event.tag is not None:
-            raise refused(line, f"the tag {shown(event.tag)} is not taken; ! starts one")
+            raise refused(line, f"the tag {shown(event.tag)} is not allowed; ! begins a tag")
         if event.anchor is not None:
-            raise refused(line, f"the anchor &{shown(event.anchor)} is not taken")
+            raise refused(line, f"the anchor &{shown(event.anchor)} is not allowed")
 
     def _put(self, item: Item) -> None:
         holder = self._open[-1] if self._open else None
@@ -192,7 +190,7 @@ class _Grower:
 
 
 def dump(value: object) -> bytes:
-    """`value` as a YAML document; UsageError for text that no encoding has."""
+    """`value` as a YAML document; UsageError for text that cannot be encoded."""
     import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
 
     written: str = yaml.dump(
@@ -224,8 +222,8 @@ def _dumper() -> "type[yaml.SafeDumper]":
 
 
 def _represented(dumper: Any, text: str) -> Any:
-    """Text as a scalar; yaml itself would lose U+0085 and U+2028 but in double quotes."""
+    """Text as a scalar; outside double quotes, yaml would lose U+0085 and U+2028."""
     if found := _SURROGATE.search(text):
-        raise UsageError(f"{found[0]!a} is a character that no file can hold")
+        raise UsageError(f"{found[0]!a} is a character that cannot be written to a file")
     style = None if text.isprintable() else '"'
     return dumper.represent_scalar(f"{TAG}str", text, style)

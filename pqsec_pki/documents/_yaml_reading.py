@@ -28,11 +28,11 @@ def read(data: bytes, reader: Callable[[Item], Value]) -> Value:
 
     InvalidDocumentError lists the problems, each with its line, and its key if there is one.
     """
-    return told(lambda: reader(parse(data)))
+    return readable_problems(lambda: reader(parse(data)))
 
 
-def told(reading: Callable[[], Value]) -> Value:
-    """The result; problems of InvalidDocumentError are worded for users and limited in number."""
+def readable_problems(reading: Callable[[], Value]) -> Value:
+    """The result; problems of InvalidDocumentError are limited in number and made readable."""
     try:
         return reading()
     except InvalidDocumentError as error:
@@ -64,7 +64,7 @@ def all_of(readings: Iterable[Callable[[], Value]]) -> tuple[Value, ...]:
 def each(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...]:
     """The values that `reader` returns for the items of a list."""
     if not isinstance(item, Items):
-        raise refused(item, f"a list is wanted here, and this is {_described(item)}")
+        raise refused(item, f"expected a list here, found {_described(item)}")
     return all_of(partial(reader, each) for each in item.items)
 
 
@@ -78,14 +78,14 @@ def table(item: Item) -> Table:
     if not isinstance(item, Table):
         # The text is not quoted: in another file it may be a key or a passphrase.
         what = "a text" if isinstance(item, Text) and item.text else _described(item)
-        raise refused(item, f"`key: value` is wanted here, and this is {what}")
+        raise refused(item, f"expected `key: value` here, found {what}")
     return item
 
 
 def fields(
     item: Item, readers: Mapping[str, Callable[[Item], Any]], *, required: Collection[str] = ()
 ) -> dict[str, Any]:
-    """The values of the keys that are there, read by their readers.
+    """The values of the keys that the mapping has, read by their readers.
 
     Other keys are refused, with the nearest correct key; so are missing required keys.
     """
@@ -100,9 +100,9 @@ def fields(
 
 
 def peeked(item: Item, key: str, reader: Callable[[Item], Value], default: Value) -> Value:
-    """The value of the key, which others need before all are read; the default if it is bad.
+    """The value of a key that other readers need first; the default if it cannot be read.
 
-    What is wrong with it `fields` will tell.
+    `fields` then reports what is wrong with it.
     """
     try:
         return reader(table(item).entries[key][1])
@@ -126,7 +126,7 @@ def _field(key: Text, value: Item, readers: Mapping[str, Callable[[Item], Any]])
 
 
 def build(item: Item, make: Callable[..., Value], **values: object) -> Value:
-    """make(**values), whose UsageError is the item's."""
+    """make(**values); a UsageError becomes an error at the item's line."""
     try:
         return make(**values)
     except UsageError as error:
@@ -135,13 +135,13 @@ def build(item: Item, make: Callable[..., Value], **values: object) -> Value:
 
 
 def text(item: Item) -> str:
-    """A text, in quotes where YAML would make something else of it."""
+    """A text; it must be in quotes if YAML would read it as another type."""
     if not isinstance(item, Text):
-        raise refused(item, f"a text is wanted here, and this is {_described(item)}")
+        raise refused(item, f"expected a text here, found {_described(item)}")
     if item.plain and not item.text:
         raise refused(item, "no value; for an empty text write ''")
     if item.plain and (meant := guess(item.text)):
-        raise refused(item, f"{shown(item.text)} is {meant} to YAML; put it in quotes")
+        raise refused(item, f"YAML reads {shown(item.text)} as {meant}; put it in quotes")
     return item.text
 
 
@@ -157,7 +157,7 @@ def chosen(item: Item, names: Collection[str]) -> str:
     if isinstance(item, Text) and item.text in names:
         return item.text
     wrong = item.text if isinstance(item, Text) else ""
-    raise refused(item, f"{_quoted(item)} is not taken{_meant(wrong, names)}")
+    raise refused(item, f"{_quoted(item)} is not allowed{_meant(wrong, names)}")
 
 
 def one_of(kind: type[Chosen], item: Item) -> Chosen:
@@ -169,7 +169,7 @@ def number(item: Item) -> int:
     """A whole number, 0 or more."""
     if isinstance(item, Text) and item.plain and re.fullmatch(r"0|[1-9][0-9]{0,9}", item.text):
         return int(item.text)
-    zeros = " (YAML takes a number with 0 in front for an octal one)"
+    zeros = " (YAML reads a number that begins with 0 as octal)"
     octal = zeros if isinstance(item, Text) and re.fullmatch("0[0-9]+", item.text) else ""
     raise refused(item, f"{_quoted(item)} is not a number from 0 on{octal}")
 
@@ -185,7 +185,7 @@ def time(item: Item) -> datetime:
             return datetime.fromisoformat(written).astimezone(UTC)
     except (ValueError, OverflowError):
         pass
-    raise refused(item, f"{_quoted(item)} is no time with a zone, such as 2030-01-31T00:00:00Z")
+    raise refused(item, f"{_quoted(item)} is not a time with a zone, such as 2030-01-31T00:00:00Z")
 
 
 def _quoted(item: Item) -> str:

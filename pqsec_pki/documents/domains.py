@@ -1,4 +1,4 @@
-"""Which DDS domains a rule speaks of."""
+"""The DDS domains of a rule."""
 
 import re
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ MAX_DOMAIN_ID = (1 << 31) - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainRange:
-    """Domains `first` to `last`, both included; without `last` there is no end.
+    """Domains `first` to `last`, both included; without `last` the range has no end.
 
-    Cyclone DDS and Fast DDS read a range without an end as `first` alone, against
+    Cyclone DDS and Fast DDS read a range without an end as only `first`, contrary to
     DDS-Security 1.1, 9.4.1.2.
     """
 
@@ -51,9 +51,9 @@ class DomainSet:
 
     @classmethod
     def of(cls, *parts: int | DomainRange) -> Self:
-        """The set of `parts`, as every stack reads it.
+        """The set of `parts`, in a form that every stack reads alike.
 
-        UsageError above domain 230 and for a range without an end or with none in it.
+        UsageError for a domain above 230, a range without an end and an empty range.
         """
         for part in parts:
             _readable_everywhere(part)
@@ -68,7 +68,7 @@ class DomainSet:
         return cls.of(*(_part(part) for part in text.split(",")))
 
     def ids(self) -> list[int]:
-        """The domains a stack can join (0 to 230) that are in the set, ascending."""
+        """The domains in the set that a stack can join (0 to 230), ascending."""
         return [domain for domain in range(MAX_DOMAIN + 1) if domain in self]
 
     def __contains__(self, domain: int) -> bool:
@@ -91,17 +91,17 @@ def _part(text: str) -> int | DomainRange:
 
 def _check_id(domain: int) -> None:
     if not 0 <= domain <= MAX_DOMAIN_ID:
-        raise UsageError(f"a domain id lies between 0 and {MAX_DOMAIN_ID}")
+        raise UsageError(f"a domain id is between 0 and {MAX_DOMAIN_ID}")
 
 
 def _readable_everywhere(part: int | DomainRange) -> None:
     last = part.last if isinstance(part, DomainRange) else part
     if last is None:
         raise UsageError(
-            f"domains {part} has no end, and Cyclone DDS and Fast DDS take it for one domain",
+            f"domains {part} has no end: Cyclone DDS and Fast DDS read it as one domain",
             hint=f"end it with {MAX_DOMAIN}, the largest domain id",
         )
     if last > MAX_DOMAIN:
-        raise UsageError(f"domain {last} is above {MAX_DOMAIN}, the largest Cyclone DDS takes")
+        raise UsageError(f"domain {last} is above {MAX_DOMAIN}, Cyclone DDS's largest")
     if isinstance(part, DomainRange) and part.first > last:
         raise UsageError(f"domains {part} is an empty range")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class ProtectionKind(StrEnum):
-    """What is done to a message; the last two give every receiver a key of its own."""
+    """The protection of a message; the last two use a separate key for each receiver."""
 
     NONE = "NONE"
     SIGN = "SIGN"
@@ -29,8 +29,8 @@ _PAYLOAD_KINDS = {ProtectionKind.NONE, ProtectionKind.SIGN, ProtectionKind.ENCRY
 class TopicRule:
     """How topics whose name matches `topic_expression` (fnmatch) are protected (9.4.1.2).
 
-    UsageError if `data_protection_kind` asks for origin authentication, which payloads
-    do not have.
+    UsageError if `data_protection_kind` is one with origin authentication: payloads have
+    none.
     """
 
     topic_expression: str
@@ -41,7 +41,7 @@ class TopicRule:
     metadata_protection_kind: ProtectionKind
     data_protection_kind: ProtectionKind
     line: int | None = field(default=None, compare=False, repr=False)
-    """Where it stands in the document it was read from."""
+    """Its line in the document; None if it was not read from one."""
 
     def __post_init__(self) -> None:
         if self.data_protection_kind not in _PAYLOAD_KINDS:
@@ -50,7 +50,7 @@ class TopicRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainRule:
-    """How some domains are protected (9.4.1.2); the first topic rule to match governs."""
+    """How some domains are protected (9.4.1.2); the first topic rule that matches applies."""
 
     domains: DomainSet
     allow_unauthenticated_participants: bool
@@ -60,7 +60,7 @@ class DomainRule:
     rtps_protection_kind: ProtectionKind
     topic_rules: tuple[TopicRule, ...]
     line: int | None = field(default=None, compare=False, repr=False)
-    """Where it stands in the document it was read from."""
+    """Its line in the document; None if it was not read from one."""
 
     def __post_init__(self) -> None:
         if not self.topic_rules:
@@ -81,12 +81,11 @@ class Governance:
     def protected(cls, domains: DomainSet) -> Self:
         """Everything on these domains is authenticated and encrypted.
 
-        What SROS2 writes, and what every stack takes but OpenDDS, which makes no
-        participant unless some topic is open to all (its issue 5007). The whole RTPS
-        message is signed and not encrypted: what it carries is encrypted already
-        (discovery, liveliness, each submessage and its payload), so ENCRYPT would cost
-        twice and hide no more than submessage headers, while SIGN still refuses what
-        outsiders send.
+        SROS2 writes the same. Every stack accepts it, but OpenDDS creates no participant unless
+        some topic is open to all (its issue 5007). The whole RTPS message is signed and not
+        encrypted, because discovery, liveliness, each submessage and its payload already are.
+        ENCRYPT would cost twice and hide only submessage headers; SIGN is enough to refuse
+        messages of outsiders.
         """
         topics = TopicRule(
             topic_expression="*",
@@ -110,7 +109,7 @@ class Governance:
 
     @classmethod
     def from_xml(cls, xml: bytes) -> Self:
-        """What the document says.
+        """The governance in the XML document.
 
         MalformedError if it is not XML; InvalidDocumentError if it breaks its schema,
         or names a domain id of more than 31 bits.
@@ -119,9 +118,9 @@ class Governance:
         return cls(domain_rules=tuple(map(_domain_rule, rules)))
 
     def to_xml(self) -> bytes:
-        """The document in the one form every stack takes, schema-valid UTF-8.
+        """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a topic expression with a character XML cannot carry.
+        UsageError for a topic expression with a character that XML does not allow.
         """
         return _render.render(_schema.Kind.GOVERNANCE, domain_rules=self.domain_rules)
 
@@ -130,7 +129,7 @@ class Governance:
         return next((rule for rule in self.domain_rules if domain in rule.domains), None)
 
 
-# The schema has fixed the number and order of the children: they are told by their place.
+# The schema fixes the number and order of the children, so they are found by position.
 
 
 def _domain_rule(element: "_Element") -> DomainRule:

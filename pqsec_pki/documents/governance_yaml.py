@@ -1,4 +1,4 @@
-"""Governance as people write it: YAML, with a preset for all that is not said.
+"""Governance in YAML, for people to write, with a preset for all settings that are not given.
 
     preset: strict
     domains: 0-3
@@ -7,8 +7,8 @@
         data_protection_kind: NONE
       - "*"
 
-The keys are those of DDS-Security 1.1, 9.4.1.2. What differs between domains is written
-as a list of such rules under `rules`.
+The keys are those of DDS-Security 1.1, 9.4.1.2. If domains differ, a list under `rules` has such a
+rule for each.
 """
 
 from collections.abc import Callable, Mapping
@@ -63,21 +63,21 @@ _NAMES: Mapping[str, Callable[[str], tuple[str, ...]]] = {
     "ros_service": ros.service_topics,
     "ros_action": ros.action_topics,
 }
-"""Key -> the topic expressions of its name. Each topic rule has one of these keys."""
+"""Key -> function: name to topic expressions. Each topic rule has one of these keys."""
 
 
 def governance_from_yaml(data: bytes) -> Governance:
-    """What the document says; InvalidDocumentError with all that is wrong in it."""
+    """The governance in the YAML document; InvalidDocumentError lists everything that is wrong."""
     return read(data, governance_in)
 
 
 def governance_to_yaml(value: Governance) -> bytes:
-    """The document, in full, that `governance_from_yaml` reads as `value`."""
+    """The complete document that `governance_from_yaml` reads as `value`."""
     return dump({"rules": [_rule_as_yaml(rule) for rule in value.domain_rules]})
 
 
 def new_governance(preset: Preset, domains: DomainSet) -> bytes:
-    """A commented document with this preset spelled out, for people to edit."""
+    """A commented document with all settings of the preset, for people to edit."""
     settings = {
         key: str(getattr(row, key)).lower() if reader is boolean else str(getattr(row, key))
         for row, keys in ((preset.rule, _DOMAIN_KEYS), (preset.topic_rule, _TOPIC_KEYS))
@@ -92,7 +92,7 @@ def new_governance(preset: Preset, domains: DomainSet) -> bytes:
 
 
 def governance_in(item: Item, default_domains: DomainSet = _DOMAIN_0) -> Governance:
-    """What the item says; for `default_domains` where it names none."""
+    """The governance in the item; for `default_domains` if it names no domains."""
     if "rules" not in table(item).entries:
         return Governance(domain_rules=(_rule(STRICT, item, default_domains),))
     preset = peeked(item, "preset", _preset, STRICT)
@@ -110,7 +110,7 @@ def _preset(item: Item) -> Preset:
 
 def _rule(preset: Preset, item: Item, domain_set: DomainSet | None = None) -> DomainRule:
     preset = peeked(item, "preset", _preset, preset)
-    said = fields(
+    given = fields(
         item,
         {
             "preset": _preset,
@@ -120,10 +120,10 @@ def _rule(preset: Preset, item: Item, domain_set: DomainSet | None = None) -> Do
         },
         required=() if domain_set else ("domains",),
     )
-    said.pop("preset", None)
+    given.pop("preset", None)
     values = {key: getattr(preset.rule, key) for key in _DOMAIN_KEYS}
-    values |= {"domains": domain_set, "topic_rules": said.pop("topics", preset.rule.topic_rules)}
-    return build(item, DomainRule, **(values | said), line=item.line)
+    values |= {"domains": domain_set, "topic_rules": given.pop("topics", preset.rule.topic_rules)}
+    return build(item, DomainRule, **(values | given), line=item.line)
 
 
 def _topic_rules(preset: Preset, item: Item) -> tuple[TopicRule, ...]:
@@ -138,12 +138,12 @@ def _topic_rule(preset: Preset, item: Item) -> tuple[TopicRule, ...]:
         expressions: tuple[str, ...] = (text(item),)
     else:
         readers: _Readers = {key: partial(_named, key) for key in _NAMES}
-        said = fields(item, readers | _TOPIC_KEYS)
-        names = [said.pop(key) for key in _NAMES if key in said]
+        given = fields(item, readers | _TOPIC_KEYS)
+        names = [given.pop(key) for key in _NAMES if key in given]
         if len(names) != 1:
             raise refused(item, f"a topic rule has one of the keys {', '.join(_NAMES)}")
         [expressions] = names
-        values |= said
+        values |= given
     return tuple(
         build(item, TopicRule, topic_expression=each, **values, line=item.line)
         for each in expressions

@@ -1,7 +1,7 @@
-"""Parts of a policy in YAML, for a file of another room that holds some.
+"""Parts of a policy in YAML, for another room's file that contains some.
 
-What parses YAML safely, and what reads a value and says with its line what is wrong with
-it; above that whole parts: domains, a governance, the rules of a grant.
+Functions that parse YAML safely, that read a value and report errors with its line, and that
+read whole parts: domains, a governance, the rules of a grant.
 """
 
 from pqsec_pki.documents._domains_yaml import domains
@@ -19,14 +19,14 @@ from pqsec_pki.documents._yaml_reading import (
     one_or_more,
     peeked,
     read,
+    readable_problems,
     table,
     text,
-    told,
 )
 from pqsec_pki.documents.governance_yaml import governance_in
 from pqsec_pki.documents.permissions_yaml import duration, rules_in
 
-__all__ = [  # what another room takes from here is defined elsewhere
+__all__ = [  # defined in other modules, for other rooms
     "ALLOWED",
     "Item",
     "Items",
@@ -47,9 +47,9 @@ __all__ = [  # what another room takes from here is defined elsewhere
     "one_or_more",
     "peeked",
     "read",
+    "readable_problems",
     "refused",
     "rules_in",
     "table",
     "text",
-    "told",
 ]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class DefaultAction(StrEnum):
-    """What holds where no rule of a grant does."""
+    """What applies if no rule of a grant matches."""
 
     ALLOW = "ALLOW"
     DENY = "DENY"
@@ -23,17 +23,17 @@ class DefaultAction(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Criteria:
-    """Topics (fnmatch patterns, at least one), narrowed by partitions and data tags.
+    """Topics (fnmatch patterns, at least one), restricted by partitions and data tags.
 
-    A data tag is a (name, value) pair. No partitions means the default partition in an
-    allow rule. Only these three together are met (9.4.1.3.2.3).
+    A data tag is a (name, value) pair. No partitions means the default partition in an allow
+    rule. All three must match (9.4.1.3.2.3).
     """
 
     topics: tuple[str, ...]
     partitions: tuple[str, ...] = ()
     data_tags: tuple[tuple[str, str], ...] = ()
     line: int | None = field(default=None, compare=False, repr=False)
-    """Where it stands in the document it was read from."""
+    """Its line in the document; None if it was not read from one."""
 
     def __post_init__(self) -> None:
         if not self.topics:
@@ -42,7 +42,7 @@ class Criteria:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """What is allowed, or denied, on some domains; any one of the criteria suffices."""
+    """What is allowed, or denied, on some domains; one matching criteria suffices."""
 
     allow: bool
     domains: DomainSet
@@ -50,16 +50,16 @@ class Rule:
     subscribe: tuple[Criteria, ...] = ()
     relay: tuple[Criteria, ...] = ()
     line: int | None = field(default=None, compare=False, repr=False)
-    """Where it stands in the document it was read from."""
+    """Its line in the document; None if it was not read from one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
     """What one subject may do, and when; the first rule that matches decides.
 
-    Times are aware and kept in UTC, in whole seconds, which is what a document holds;
-    a fraction is dropped. White space around the subject name is dropped too: Fast DDS
-    finds no match with it. UsageError for a time without a zone.
+    Times are aware, and kept in UTC and whole seconds, as in a document; a fraction is dropped.
+    White space around the subject name is dropped too: Fast DDS would not match it.
+    UsageError for a time without a zone.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Grant:
     rules: tuple[Rule, ...] = ()
     default: DefaultAction = DefaultAction.DENY
     line: int | None = field(default=None, compare=False, repr=False)
-    """Where it stands in the document it was read from."""
+    """Its line in the document; None if it was not read from one."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "subject_name", self.subject_name.strip(" \t\r\n"))
@@ -77,7 +77,7 @@ class Grant:
         object.__setattr__(self, "not_after", _whole_seconds(self.not_after))
 
     @classmethod
-    def least(  # noqa: PLR0913 - one argument for each thing a grant must say, all by name
+    def least(  # noqa: PLR0913 - one argument for each part of a grant, all by name
         cls,
         *,
         subject_name: str,
@@ -88,11 +88,11 @@ class Grant:
         subscribe: Iterable[str] = (),
         name: str | None = None,
     ) -> Self:
-        """Leave to publish and subscribe to these topics on these domains, no more.
+        """A grant that allows only to publish and subscribe to these topics on these domains.
 
-        Without any topic the grant denies all of them, and the subject cannot join a
-        domain with join access control. `name` is the subject name unless given. For a
-        second spelling of the subject: dataclasses.replace(grant, subject_name=...).
+        Without any topic the grant denies all topics, and the subject cannot join a domain
+        with join access control. `name` is by default the subject name. For a second spelling
+        of the subject: dataclasses.replace(grant, subject_name=...).
         UsageError for an empty subject, topic or time span.
         """
         if not subject_name.strip():
@@ -121,19 +121,18 @@ class Permissions:
 
     @classmethod
     def from_xml(cls, xml: bytes) -> Self:
-        """What the document says.
+        """The permissions in the XML document.
 
-        MalformedError if it is not XML; InvalidDocumentError if it breaks its schema,
-        or holds a year outside 1 to 9999, the hour 24 or a domain id of more than 31
-        bits.
+        MalformedError if it is not XML; InvalidDocumentError if it breaks its schema, or has
+        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits.
         """
         [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
         return cls(grants=tuple(map(_grant, grants)))
 
     def to_xml(self) -> bytes:
-        """The document in the one form every stack takes, schema-valid UTF-8.
+        """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a time after the year 2261 and for a character XML cannot carry.
+        UsageError for a time after the year 2261 and for a character that XML does not allow.
         """
         return _render.render(_schema.Kind.PERMISSIONS, grants=self.grants)
 
@@ -163,7 +162,7 @@ def _least_rule(
     return Rule(allow=False, domains=domains, publish=everything, subscribe=everything)
 
 
-# The schema has fixed the number and order of the children: they are told by their place.
+# The schema fixes the number and order of the children, so they are found by position.
 
 
 def _grant(element: "_Element") -> Grant:
@@ -197,7 +196,7 @@ def _rule(element: "_Element") -> Rule:
 
 
 def _criteria(element: "_Element") -> Criteria:
-    parts = {child.tag: child for child in element}  # in any order, each once at most
+    parts = {child.tag: child for child in element}  # in any order, each at most once
     return Criteria(
         topics=_reading.texts(parts["topics"]),
         partitions=_reading.texts(parts["partitions"]) if "partitions" in parts else (),
@@ -207,7 +206,7 @@ def _criteria(element: "_Element") -> Criteria:
 
 
 def _data_tags(element: "_Element") -> tuple[tuple[str, str], ...]:
-    """Its (name, value) pairs; a tag may hold several, which means the same as several tags."""
+    """Its (name, value) pairs; a tag with several pairs means the same as several tags."""
     pairs: list[tuple[str, str]] = []
     for tag in element:
         words = _reading.texts(tag)

@@ -1,4 +1,4 @@
-"""Permissions as people write them: YAML, one grant for each participant.
+"""Permissions in YAML, for people to write, with one grant for each participant.
 
     validity: 1y
     grants:
@@ -9,8 +9,8 @@
           - node: /listener
             subscribe: [chatter]
 
-A grant that says `publish`, `subscribe`, `relay` or `nodes` is one allow rule; any other
-has a list of `rules`, each `allow:` or `deny:`. Nothing else is allowed, unless it says
+A grant with `publish`, `subscribe`, `relay` or `nodes` is one allow rule; any other grant has a
+list of `rules`, each `allow:` or `deny:`. Nothing else is allowed, unless the grant has
 `default: ALLOW`.
 """
 
@@ -41,15 +41,15 @@ from pqsec_pki.documents.permissions import DefaultAction, Grant, Permissions, R
 from pqsec_pki.errors import UsageError
 
 BACKDATE = timedelta(days=1)
-"""How far back a validity begins that is given as a duration: certificates begin so too,
-for clocks that are slow, and Fast DDS takes the times for local ones."""
+"""How long before now a validity begins that is given as a duration, as with certificates: clocks
+may be slow, and Fast DDS reads the times as local times."""
 
 _UNITS = {"y": timedelta(365), "w": timedelta(7), "d": timedelta(1), "h": timedelta(hours=1)}
 
 
 @dataclass(frozen=True, slots=True)
 class _Defaults:
-    """What the grants have in common."""
+    """The values that all grants share."""
 
     now: datetime
     domains: DomainSet
@@ -57,9 +57,9 @@ class _Defaults:
 
 
 def permissions_from_yaml(data: bytes, *, now: datetime) -> Permissions:
-    """What the document says; a validity such as `1y` counts from `now`.
+    """The permissions in the YAML document; a validity such as `1y` counts from `now`.
 
-    InvalidDocumentError with all that is wrong in it.
+    InvalidDocumentError lists everything that is wrong.
     """
     return read(data, partial(_permissions, now))
 
@@ -74,7 +74,7 @@ def new_permissions(
 ) -> bytes:
     """A commented document with a grant for each name, for people to edit.
 
-    With `nodes` each is a ROS 2 node; without, it has empty lists of topics.
+    With `nodes`, each grant has a ROS 2 node; otherwise it has empty lists of topics.
     """
     whole = asset("templates", "permissions.yaml").read_text("utf-8")
     head, of_node, of_topics = whole.split("---\n")
@@ -99,8 +99,8 @@ def _permissions(now: datetime, item: Item) -> Permissions:
         "validity": validity,
         "grants": partial(each, reader=partial(_grant, defaults)),
     }
-    said = fields(item, readers, required=("grants",))
-    return build(item, Permissions, grants=said["grants"])
+    given = fields(item, readers, required=("grants",))
+    return build(item, Permissions, grants=given["grants"])
 
 
 def _grant(defaults: _Defaults, item: Item) -> Grant:
@@ -111,20 +111,20 @@ def _grant(defaults: _Defaults, item: Item) -> Grant:
         "domains": domains,
         "default": partial(one_of, DefaultAction),
     }
-    rules, said = rules_in(defaults.domains, item, common)
-    if not said.keys() & {"name", "subject"}:
+    rules, given = rules_in(defaults.domains, item, common)
+    if not given.keys() & {"name", "subject"}:
         raise refused(item, "a grant needs a name, the enclave path of its participant: /talker")
-    subject = said.get("subject", f"CN={said.get('name')}")
-    before, after = said.get("validity", defaults.validity)
+    subject = given.get("subject", f"CN={given.get('name')}")
+    before, after = given.get("validity", defaults.validity)
     return build(
         item,
         Grant,
-        name=said.get("name", subject),
+        name=given.get("name", subject),
         subject_name=subject,
         not_before=before,
         not_after=after,
         rules=rules,
-        default=said.get("default", DefaultAction.DENY),
+        default=given.get("default", DefaultAction.DENY),
         line=item.line,
     )
 
@@ -132,29 +132,29 @@ def _grant(defaults: _Defaults, item: Item) -> Grant:
 def rules_in(
     default_domains: DomainSet, item: Item, common: Readers
 ) -> tuple[tuple[Rule, ...], dict[str, Any]]:
-    """The rules of a grant, and what else it says: what the readers in `common` make of it."""
+    """The rules of a grant, and the values of its other keys, read by the readers in `common`."""
     keys = table(item).entries
     short = [key for key in ALLOWED if key in keys]
     if "rules" not in keys and not short:
         raise refused(item, "the grant allows nothing: give it publish, subscribe or nodes")
     if "rules" in keys and short:
         key, _ = keys[short[0]]
-        raise refused(key, f"with `rules`, `{key.text}` stands in one of them, under `allow:`")
+        raise refused(key, f"the grant has `rules`: write `{key.text}` in one, under `allow:`")
     if "rules" not in keys:
-        said = fields(item, common | ALLOWED)
-        allowed = {key: said.pop(key) for key in ALLOWED if key in said}
-        domain_set = said.get("domains", default_domains)
-        return (built_rule(item, domain_set, allowed, allow=True),), said
+        given = fields(item, common | ALLOWED)
+        allowed = {key: given.pop(key) for key in ALLOWED if key in given}
+        domain_set = given.get("domains", default_domains)
+        return (built_rule(item, domain_set, allowed, allow=True),), given
     domain_set = peeked(item, "domains", domains, default_domains)
-    said = fields(item, {**common, "rules": partial(each, reader=partial(rule, domain_set))})
-    return said.pop("rules"), said
+    given = fields(item, {**common, "rules": partial(each, reader=partial(rule, domain_set))})
+    return given.pop("rules"), given
 
 
 # Validity
 
 
 def _validity(now: datetime, item: Item) -> tuple[datetime, datetime]:
-    """A duration, or its two ends; without a beginning it is in force already."""
+    """A duration, or its two ends; without a beginning the validity has begun already."""
     if isinstance(item, Text):
         return build(item, lasting, now=now, duration=duration(item))
     ends = fields(item, {"not_before": time, "not_after": time}, required=("not_after",))
@@ -167,12 +167,12 @@ def duration(item: Item) -> timedelta:
     written = item.text if isinstance(item, Text) else ""
     found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", written)
     if not found:
-        raise refused(item, f"'{written}' is no duration; write 1y, 26w, 90d or 12h")
+        raise refused(item, f"'{written}' is not a duration: write 1y, 26w, 90d or 12h")
     return int(found[1]) * _UNITS[found[2]]
 
 
 def lasting(now: datetime, duration: timedelta) -> tuple[datetime, datetime]:
-    """From BACKDATE before now until the duration is over; UsageError if that is never."""
+    """From BACKDATE before now to the end of the duration; UsageError for an end after 9999."""
     try:
         return now - BACKDATE, now + duration
     except OverflowError:
@@ -183,16 +183,16 @@ def lasting(now: datetime, duration: timedelta) -> tuple[datetime, datetime]:
 
 
 def _grant_as_yaml(grant: Grant) -> dict[str, object]:
-    said: dict[str, object] = {"name": grant.name}
+    given: dict[str, object] = {"name": grant.name}
     if grant.subject_name != f"CN={grant.name}":
-        said["subject"] = grant.subject_name
-    said["validity"] = {"not_before": grant.not_before, "not_after": grant.not_after}
+        given["subject"] = grant.subject_name
+    given["validity"] = {"not_before": grant.not_before, "not_after": grant.not_after}
     if grant.default is not DefaultAction.DENY:
-        said["default"] = grant.default.value
+        given["default"] = grant.default.value
     match grant.rules:
         case [Rule(allow=True) as only] if only.publish or only.subscribe or only.relay:
-            said |= rule_as_yaml(only)
+            given |= rule_as_yaml(only)
         case rules:
             effects = [("allow" if each.allow else "deny", rule_as_yaml(each)) for each in rules]
-            said["rules"] = [dict([effect]) for effect in effects]
-    return said
+            given["rules"] = [dict([effect]) for effect in effects]
+    return given

@@ -1,9 +1,9 @@
 """Governance for the common cases, each with what it protects and what it costs.
 
-What every stack takes: no element of DDS-Security 1.2, no payload with origin
-authentication, and unauthenticated participants only where RTPS messages are unprotected
-(Fast DDS 3 refuses the one with the other). OpenDDS makes no participant under any of
-them until a topic rule opens some topic to all (its issue 5007).
+Every stack accepts them: no element of DDS-Security 1.2, no payload with origin authentication,
+and unauthenticated participants only where RTPS messages are not protected (Fast DDS 3 refuses
+both together). With any of them, OpenDDS creates no participant until a topic rule opens some
+topic to all (its issue 5007).
 """
 
 from collections.abc import Iterable
@@ -19,20 +19,20 @@ _NONE, _SIGN, _ENCRYPT = ProtectionKind.NONE, ProtectionKind.SIGN, ProtectionKin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preset:
-    """A level of protection under a name."""
+    """A named level of protection."""
 
     name: str
     summary: str
-    """What it is for, one line."""
+    """Its purpose, in one line."""
     protects: str
     costs: str
-    """What is left open, and what the network and the processor pay."""
+    """What it does not protect, and its cost in bytes and processing."""
     rule: DomainRule
     """For domain 0, with one topic rule for all topics."""
 
     @property
     def topic_rule(self) -> TopicRule:
-        """How it protects any topic."""
+        """The rule for every topic."""
         return self.rule.topic_rules[-1]
 
     def governance(self, domains: DomainSet) -> Governance:
@@ -50,8 +50,8 @@ STRICT = Preset(
     name="strict",
     summary="Everything is authenticated and encrypted. The default.",
     protects=(
-        "Who is not on the list joins nothing, and a listener on the network learns no data, no"
-        " topic and no type. What SROS2 writes, and what `pqsec ca init` does."
+        "Only participants with credentials join, and a listener on the network learns no data, no"
+        " topic and no type. SROS2 and `pqsec ca init` write this governance."
     ),
     costs=(
         "About 70 bytes for each message, 56 for each submessage and 44 for each sample, and"
@@ -64,8 +64,8 @@ AUTHENTICATED = Preset(
     name="authenticated",
     summary="Everything is authenticated, nothing is secret.",
     protects=(
-        "Only participants on the list join, publish and subscribe, and nobody can forge or alter"
-        " what they send. Captures stay readable, which helps while a system is built."
+        "Only participants with permissions join, publish and subscribe, and nobody else can forge"
+        " or alter what they send. Captures stay readable, which helps while a system is built."
     ),
     costs=(
         "Anyone on the network reads all data. About 70 bytes for each message and 48 for each"
@@ -80,9 +80,9 @@ AUTHENTICATED = Preset(
 )
 OPEN_DISCOVERY = Preset(
     name="open-discovery",
-    summary="Data is encrypted; who is there and which topics exist can be seen.",
+    summary="Data is encrypted; participants and topics can be seen.",
     protects=(
-        "Data as in strict: only participants on the list join, publish, subscribe and read."
+        "Data as in strict: only participants with permissions join, publish, subscribe and read."
         " Monitors, recorders of traffic and discovery tools see participants, topics, types and"
         " QoS, and large systems start faster, without key exchanges for discovery."
     ),
@@ -125,9 +125,9 @@ MIGRATION = Preset(
         " let in, and use the topics whose own rule turns all access control and protection off."
     ),
     costs=(
-        "Whoever is on the network is in the domain and sees who is there and which topics exist;"
-        " opened topics have no protection at all. Whole messages cannot be signed, for the"
-        " unsecured could not read them. Meant for the time of change only."
+        "Anyone on the network can join the domain and see its participants and topics; opened"
+        " topics have no protection at all. Whole messages cannot be signed, because unsecured"
+        " participants could not read them. Use it only during the migration."
     ),
     rule=replace(
         _PROTECTED,
@@ -144,10 +144,10 @@ PRESETS = (STRICT, AUTHENTICATED, OPEN_DISCOVERY, LOSSY_NETWORK, MIGRATION)
 
 
 def preset_named(name: str, presets: Iterable[Preset] = PRESETS) -> Preset:
-    """The preset of that name; UsageError, with the nearest, if there is none."""
+    """The preset `name`; UsageError, with the nearest name, if there is none."""
     rows = {preset.name: preset for preset in presets}
     if name in rows:
         return rows[name]
     near = get_close_matches(name, rows, n=1)
     hint = f"did you mean {near[0]}?" if near else "`pqsec governance presets` explains them"
-    raise UsageError(f"no preset {name!r}; there are {', '.join(rows)}", hint=hint)
+    raise UsageError(f"{name!r} is not a preset: choose from {', '.join(rows)}", hint=hint)

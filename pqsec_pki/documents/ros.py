@@ -1,7 +1,7 @@
-"""ROS 2 names as DDS topics, and what a node needs to live.
+"""ROS 2 names as DDS topics, and the topics that a node needs to run.
 
-ROS 2 names here are fully qualified: `/chatter`, `/ns/node`. UsageError for any that
-ROS 2 would not take, with the reason.
+ROS 2 names here are fully qualified: `/chatter`, `/ns/node`. UsageError, with the reason, for a
+name that ROS 2 does not accept.
 """
 
 import re
@@ -11,16 +11,16 @@ from typing import NamedTuple
 from pqsec_pki.errors import UsageError
 
 DISCOVERY = "ros_discovery_info"
-"""Where the nodes of a participant are announced; every participant needs both sides."""
+"""The topic that announces a participant's nodes; every participant publishes and subscribes."""
 
 MAX_NAME = 247
-"""rmw: 255 less the eight characters that the DDS form may add."""
+"""rmw: 255 minus the eight characters that the DDS form may add."""
 
 _NODE_SERVICES = (
     "describe_parameters",
     "get_parameter_types",
     "get_parameters",
-    "get_type_description",  # since Iron; sros2's own sample policy lacks it, and Jazzy nodes die
+    "get_type_description",  # since Iron; sros2's sample policy lacks it, and Jazzy nodes exit
     "list_parameters",
     "set_parameters",
     "set_parameters_atomically",
@@ -56,9 +56,9 @@ class Endpoints(NamedTuple):
 
 
 def resolve(name: str, node: str) -> str:
-    """The full name of what `node`, a full name itself, calls `name`.
+    """The full name of `name` as the node `node`, a full name, resolves it.
 
-    `/x` is full already; `x` is in the node's namespace; `~/x` is private, below the node.
+    `/x` is a full name; `x` is in the node's namespace; `~/x` is private, below the node.
     """
     if name.startswith("/"):
         return _checked(name)
@@ -69,7 +69,7 @@ def resolve(name: str, node: str) -> str:
 
 
 def fault(name: str) -> str | None:
-    """Why ROS 2 does not take the full `name`; None if it does."""
+    """Why ROS 2 does not accept the full `name`; None if it does."""
     return next((reason for pattern, reason in _FAULTS if pattern.search(name)), None)
 
 
@@ -89,59 +89,59 @@ def service_reply(name: str) -> str:
 
 
 def service_server(name: str) -> Endpoints:
-    """What the node that offers the service needs."""
+    """The topics of the node that offers the service."""
     return Endpoints(publish=(service_reply(name),), subscribe=(service_request(name),))
 
 
 def service_client(name: str) -> Endpoints:
-    """What a node that calls the service needs."""
+    """The topics of a node that calls the service."""
     return Endpoints(publish=(service_request(name),), subscribe=(service_reply(name),))
 
 
 def action_server(name: str) -> Endpoints:
-    """What the node that offers the action needs."""
+    """The topics of the node that offers the action."""
     requests, replies, topics = _action(name)
     return Endpoints(publish=(*replies, *topics), subscribe=requests)
 
 
 def action_client(name: str) -> Endpoints:
-    """What a node that uses the action needs."""
+    """The topics of a node that uses the action."""
     requests, replies, topics = _action(name)
     return Endpoints(publish=requests, subscribe=(*replies, *topics))
 
 
 def topic_publisher(name: str) -> Endpoints:
-    """What a node that publishes the topic needs."""
+    """The topics of a node that publishes the topic."""
     return Endpoints(publish=(topic(name),), subscribe=())
 
 
 def topic_subscriber(name: str) -> Endpoints:
-    """What a node that subscribes to the topic needs."""
+    """The topics of a node that subscribes to the topic."""
     return Endpoints(publish=(), subscribe=(topic(name),))
 
 
 def parameter_client(node_name: str) -> Endpoints:
-    """What a node needs that reads and sets the parameters of the node of that name."""
+    """The topics of a node that reads and sets the parameters of the node `node_name`."""
     inside = [f"{_checked(node_name)}/{service}" for service in _PARAMETER_SERVICES]
     return _joined(map(service_client, inside))
 
 
 def lifecycle_node(node_name: str) -> Endpoints:
-    """What a managed (lifecycle) node needs besides `node_minimum`."""
+    """The topics that a managed (lifecycle) node needs besides `node_minimum`."""
     services = [f"{_checked(node_name)}/{service}" for service in _LIFECYCLE_SERVICES]
     event = topic_publisher(f"{node_name}/transition_event")
     return _joined([*map(service_server, services), event])
 
 
 def lifecycle_client(node_name: str) -> Endpoints:
-    """What a node needs that manages the lifecycle node of that name."""
+    """The topics of a node that manages the lifecycle node `node_name`."""
     services = [f"{_checked(node_name)}/{service}" for service in _LIFECYCLE_SERVICES]
     event = topic_subscriber(f"{node_name}/transition_event")
     return _joined([*map(service_client, services), event])
 
 
 def simulated_time() -> Endpoints:
-    """What a node with `use_sim_time` needs."""
+    """The topics of a node with `use_sim_time`."""
     return topic_subscriber("/clock")
 
 
@@ -156,10 +156,10 @@ def action_topics(name: str) -> tuple[str, ...]:
 
 
 def node_minimum(node_name: str) -> Endpoints:
-    """What a Jazzy node needs before any topic of its own; without one of them it dies.
+    """The topics that a Jazzy node needs to start; without any one of them it exits.
 
-    Measured with rclpy 7.1 on Cyclone DDS. Clients of its own services are not needed,
-    nor is `/clock` unless it uses simulated time.
+    Measured with rclpy 7.1 on Cyclone DDS. It needs no clients of its own services, and `/clock`
+    only if it uses simulated time.
     """
     services = [f"{_checked(node_name)}/{service}" for service in _NODE_SERVICES]
     return Endpoints(
@@ -189,6 +189,6 @@ def _joined(parts: Iterable[Endpoints]) -> Endpoints:
 def _checked(name: str) -> str:
     if reason := fault(name):
         raise UsageError(
-            f"{name!r} is no full ROS 2 name: {reason}", hint="write it in full, as /chatter"
+            f"{name!r} is not a full ROS 2 name: {reason}", hint="write a full name, as /chatter"
         )
     return name

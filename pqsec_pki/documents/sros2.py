@@ -1,8 +1,8 @@
 """Policies of SROS2 (`*.policy.xml`, version 0.2.0) as permissions.
 
-The grants are those that SROS2's own templates make: for each enclave what is denied, then
-what is allowed, topics sorted as there. Includes (XInclude) are taken from the folder of
-the policy only.
+The grants are those of SROS2's own templates: for each enclave first what is denied, then what
+is allowed, with topics in the same order. Includes (XInclude) may only name files in the policy's
+folder.
 """
 
 from collections.abc import Iterable, Iterator
@@ -29,8 +29,8 @@ def permissions_of(  # noqa: PLR0913 - each has a name
 ) -> Permissions:
     """The grants of the enclaves.
 
-    With `discovery` a last rule lets each use ros_discovery_info, as SROS2 adds it for
-    every RMW of today; with `node_minimum` that rule has what Jazzy nodes need to start.
+    With `discovery` a last rule allows each to use ros_discovery_info, as SROS2 adds for all
+    current RMWs; with `node_minimum` that rule has everything that Jazzy nodes need to start.
     """
     grants = [
         Grant(
@@ -93,6 +93,6 @@ def _rule(
 
 
 def _merged(blocks: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
-    """The topics of the blocks, which stand in the order of their first topics, each once."""
+    """The topics of the blocks, without duplicates; blocks are ordered by their first topics."""
     ordered = sorted((block for block in blocks if block), key=lambda block: block[0])
     return tuple(dict.fromkeys(topic for block in ordered for topic in block))

@@ -1,9 +1,9 @@
-"""Certificate subjects as text: telling whether two spellings are one name.
+"""Certificate subjects as text: parses them, and compares two spellings.
 
-A permissions document names its participant by the subject of the identity certificate,
-in a text form the standard leaves open (9.4.1.3.2.1). Four are in use: RFC 2253
-(`CN=x,O=Lab,C=ES`, last part first), the order of the certificate, either of them with
-spaces after the commas, and OpenSSL's `/C=ES/O=Lab/CN=x`.
+A permissions document names its participant by the subject of the identity certificate, in a
+text form that the standard does not define (9.4.1.3.2.1). Four forms are in use: RFC 2253
+(`CN=x,O=Lab,C=ES`, last part first), the order of the certificate, both of these with spaces
+after the commas, and OpenSSL's `/C=ES/O=Lab/CN=x`.
 """
 
 import re
@@ -13,10 +13,10 @@ from typing import TypeAlias
 from pqsec_pki.errors import MalformedError, shown
 
 Subject: TypeAlias = tuple[frozenset[tuple[str, str]], ...]
-"""The parts (RDNs) as written; each a set, mostly of one, of (type, value)."""
+"""The parts (RDNs) in the order of the text; each is a set, mostly of one, of (type, value)."""
 
 MAX_SUBJECT = 4096
-"""Characters. No certificate in use comes near this."""
+"""Characters. Subject names of real certificates are much shorter."""
 
 _SPACE = " \t\r\n"
 _TYPE = r"(?P<type>[A-Za-z][A-Za-z0-9-]*+|\d++(?:\.\d++)++)\s*+=\s*+"
@@ -25,16 +25,16 @@ _COMMA_PART = re.compile(
     re.DOTALL | re.ASCII,
 )
 _SLASH_PART = re.compile(rf"\s*+{_TYPE}(?P<value>.*)", re.DOTALL | re.ASCII)
-# A slash starts a part only where a type and "=" follow: CN=/ns/node is one part.
+# A slash starts a part only if a type and "=" follow: CN=/ns/node is one part.
 _SLASH = re.compile(r"(?<!\\)/(?=\s*+[A-Za-z0-9][A-Za-z0-9.-]*+\s*+=)", re.ASCII)
 _COMMA_FORM = re.compile(r"\\(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>.)|(?P<raw>.)", re.DOTALL)
 _SLASH_FORM = re.compile(r"\\x(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>/)|(?P<raw>.)", re.DOTALL)
 
 
 def parse_subject(text: str) -> Subject:
-    """The parts of the name, in the order of the text. MalformedError if it is none.
+    """The parts of the name, in the order of the text. MalformedError if it is not a name.
 
-    Types keep their case and spelling: no stack takes `cn=` or `2.5.4.3=` for `CN=`.
+    Types keep their case and spelling: no stack accepts `cn=` or `2.5.4.3=` as `CN=`.
     """
     if len(text) > MAX_SUBJECT:
         raise MalformedError(f"longer than {MAX_SUBJECT} characters, so not a subject name")
@@ -45,10 +45,10 @@ def parse_subject(text: str) -> Subject:
 
 
 def same_subject(one: Subject, other: Subject) -> bool:
-    """Whether these are one name, in the same order or the one in reverse of the other.
+    """Whether both are the same name, in the same or in reverse order.
 
-    All parts count, exactly: a name with fewer parts, as Cyclone DDS would accept, is
-    another name.
+    All parts must be equal: a name with fewer parts, which Cyclone DDS would accept, is a
+    different name.
     """
     return bool(one) and (one == other or one == other[::-1])
 
@@ -99,5 +99,5 @@ def _unescaped(characters: Iterable[re.Match[str]]) -> str:
 
 def _no_subject(text: str) -> MalformedError:
     return MalformedError(
-        f"'{shown(text)}' is no subject name", hint="write it as in CN=x,O=Lab,C=ES"
+        f"'{shown(text)}' is not a subject name", hint="write it as in CN=x,O=Lab,C=ES"
     )

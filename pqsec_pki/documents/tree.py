@@ -1,7 +1,7 @@
-"""Any XML as a plain tree: for those who must see what values cannot hold.
+"""Any XML as a plain tree, with everything that the values of documents do not contain.
 
-Order, white space, comments, unknown elements and attributes are all here, each with its
-line, and nothing of them is judged. It is made by the same careful parser as all else.
+It has order, white space, comments, unknown elements and attributes, each with its line, and
+validates none of them. The same safe parser reads it.
 """
 
 from collections.abc import Iterator
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from lxml.etree import _Element
 
 MAX_ELEMENTS = 400_000
-"""A policy of 10,000 rules has 80,000; each costs memory here."""
+"""Elements of a document: each needs memory. A policy of 10,000 rules has 80,000."""
 
 MAX_ATTRIBUTES = 100
-"""Of one element. lxml takes a time that grows with their square."""
+"""Attributes of one element. The time of lxml is quadratic in their number."""
 
 _WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _MARKS = (b"\xef\xbb\xbf", *_WIDE_MARKS)
@@ -32,12 +32,12 @@ class Node:
     tag: str
     line: int
     text: str
-    """What stands in it outside its children, comments left out, spaces and all."""
+    """Its text outside its children, with white space, without comments."""
     attributes: tuple[tuple[str, str], ...]
     children: "tuple[Node, ...]"
 
     def walk(self) -> "Iterator[Node]":
-        """This element and all in it, in document order."""
+        """This element and all elements in it, in document order."""
         yield self
         for child in self.children:
             yield from child.walk()
@@ -52,17 +52,17 @@ class Node:
 
     @property
     def value(self) -> str:
-        """Its text without the spaces around it."""
+        """Its text without surrounding white space."""
         return self.text.strip(" \t\r\n")
 
 
 @dataclass(frozen=True, slots=True)
 class Comment:
-    """A comment, and where it stands."""
+    """A comment, and its position."""
 
     line: int
     inside: str
-    """The tag of the element around it."""
+    """The tag of the element that contains it."""
     after: str | None
     """The tag of the element before it, if there is one in the same element."""
     is_last: bool
@@ -75,17 +75,17 @@ class Tree:
 
     root: Node
     comments: tuple[Comment, ...]
-    """Those inside the root element; of the others no stack takes notice."""
+    """The comments in the root element; all stacks ignore the others."""
     encoding: str
-    """As declared, or as the byte order mark says; in upper case."""
+    """The declared encoding, or that of the byte order mark; in upper case."""
     byte_order_mark: bool
 
 
 def read_tree(xml: bytes) -> Tree:
-    """All that is in `xml`.
+    """The whole content of `xml`.
 
-    MalformedError as when a document is read, for more than MAX_ELEMENTS elements, and for
-    one with more than MAX_ATTRIBUTES attributes.
+    MalformedError as for other documents, for more than MAX_ELEMENTS elements, and for an
+    element with more than MAX_ATTRIBUTES attributes.
     """
     root = parse(xml)
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
@@ -99,7 +99,7 @@ def read_tree(xml: bytes) -> Tree:
 
 
 def _encoding(xml: bytes, root: "_Element") -> str:
-    """As declared; lxml does not tell the one that a byte order mark stands for."""
+    """The declared encoding, or that of the byte order mark, which lxml does not report."""
     if xml.startswith(_WIDE_MARKS):
         return "UTF-16"
     return (root.getroottree().docinfo.encoding or "UTF-8").upper()
@@ -108,7 +108,7 @@ def _encoding(xml: bytes, root: "_Element") -> str:
 def _node(element: "_Element") -> Node:
     if len(element.attrib) > MAX_ATTRIBUTES:
         raise MalformedError(f"an element has more than {MAX_ATTRIBUTES} attributes")
-    # No deeper than the parser lets pass: 256.
+    # The parser limits the depth to 256.
     return Node(
         tag=element.tag,
         line=_reading.line(element) or 0,
@@ -119,14 +119,14 @@ def _node(element: "_Element") -> Node:
 
 
 def _comments(xml: bytes) -> Iterator[Comment]:
-    """Those in a document that was read before, and so is safe to read again."""
+    """The comments of a document that was already parsed, so that it is safe to parse."""
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
-    if b"<!--" not in xml.replace(b"\0", b""):  # UTF-16 has them between
+    if b"<!--" not in xml.replace(b"\0", b""):  # UTF-16 has zero bytes between characters
         return
     parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_pis=True)
-    last: dict[_Element, str] = {}  # parent -> the element seen last in it
-    waiting: dict[_Element, list[Comment]] = {}  # those no element has followed yet
+    last: dict[_Element, str] = {}  # parent -> the last element in it so far
+    waiting: dict[_Element, list[Comment]] = {}  # comments that no element has followed yet
     for count, node in enumerate(etree.fromstring(xml, parser).iterdescendants()):
         if count > MAX_ELEMENTS:
             raise MalformedError(f"more than {MAX_ELEMENTS} elements and comments")

@@ -16,9 +16,9 @@ from pqsec_pki.documents.parts_yaml import (
     Table,
     duration,
     one_of,
+    readable_problems,
     refused,
     rules_in,
-    told,
 )
 from pqsec_pki.domain._placeholders import filled, own_values
 from pqsec_pki.errors import located
@@ -89,7 +89,7 @@ class Member:
     def spec(self) -> ParticipantSpec:
         """The input of `issue` and `sign_permissions`; InvalidDocumentError for a bad role."""
         with located(self.source):
-            grant = told(lambda: self.role.grant(self.name, self.domains, self.values))
+            grant = readable_problems(lambda: self.role.grant(self.name, self.domains, self.values))
         return ParticipantSpec(
             name=self.name,
             domains=self.domains,

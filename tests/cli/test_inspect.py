@@ -243,7 +243,7 @@ def test_xml_that_breaks_its_schema_is_a_no(pqsec, keystore, tmp_path):
     (tmp_path / "broken.xml").write_text(text.replace(">ENCRYPT<", ">encrypt<"))
     said = pqsec("inspect broken.xml").refused(1, problems=text.count(">ENCRYPT<"))
     assert all(error.startswith("broken.xml: line ") for error in said.errors)
-    assert all("'encrypt' is none of" in error for error in said.errors)
+    assert all("'encrypt' is not one of" in error for error in said.errors)
 
 
 @pytest.mark.parametrize("option", ["", "--json"])

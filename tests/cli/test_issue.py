@@ -215,7 +215,7 @@ def test_ros_names_are_mangled(pqsec, keystore, option, publish, subscribe):
 @pytest.mark.parametrize("option", ["--ros-publish", "--ros-action-client", "--ros-node"])
 def test_a_name_that_ros_would_not_take_is_refused(pqsec, keystore, option, name):
     k = keystore()
-    pqsec(f"-k k issue /a {option}", name).refused(2, "is no full ROS 2 name")
+    pqsec(f"-k k issue /a {option}", name).refused(2, "is not a full ROS 2 name")
     assert not (k / "enclaves/a").exists()
 
 

@@ -152,7 +152,7 @@ def test_the_wrong_kind_of_document_is_refused(pqsec):
     [
         ("governance new --preset stric", "'stric' is not one of"),
         ("governance new --domain 300", "domain 300 is above 230"),
-        ("permissions new talker", "'talker' is no full ROS 2 name"),
+        ("permissions new talker", "'talker' is not a full ROS 2 name"),
         ("permissions new /a --validity x", "'x' is not a duration"),
         ("permissions new", "Missing argument"),
     ],

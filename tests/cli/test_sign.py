@@ -23,7 +23,7 @@ SIGNING = {
 # What is done to the XML -> the element and the rule that a person is told.
 BREAKS = {
     "governance": [
-        (">ENCRYPT<", ">encrypt<", "<discovery_protection_kind>: 'encrypt' is none of"),
+        (">ENCRYPT<", ">encrypt<", "<discovery_protection_kind>: 'encrypt' is not one of"),
         (">false<", ">FALSE<", "<allow_unauthenticated_participants>: 'FALSE' is not true or"),
         ("<id>0</id>", "<id>-1</id>", "<id>: "),
         ("<id>0</id>", "", "<domains>: is not complete; expected next: "),
@@ -32,7 +32,7 @@ BREAKS = {
         ("<domain_rule>", "<domain_rule>text", "<domain_rule>: holds elements only, no text"),
     ],
     "permissions": [
-        (">DENY<", ">Deny<", "<default>: 'Deny' is none of"),
+        (">DENY<", ">Deny<", "<default>: 'Deny' is not one of"),
         ("<not_before>20", "<not_before>2O", "<not_before>: "),
         ("not_after", "not_later", "<not_later>: is not expected here; expected: not_after"),
         (' name="/talker"', "", "<grant>: lacks its attribute 'name'"),
@@ -109,7 +109,7 @@ def test_everything_that_is_wrong_is_said_at_once(pqsec, keystore, tmp_path):
     assert len(broken) == text.count("ENCRYPT")
     for number, error in zip(broken, said.errors, strict=True):
         assert error.startswith(f"broken.xml: line {number}: <")
-        assert ">: 'encrypt' is none of 'NONE', " in error
+        assert ">: 'encrypt' is not one of 'NONE', " in error
 
 
 @pytest.mark.parametrize(("kind", "other"), [KINDS, KINDS[::-1]])

@@ -38,14 +38,14 @@ def test_a_broken_document_is_told_with_file_line_element_and_rule(pqsec, keysto
     number = text[: text.index(">SIGN<")].count("\n") + 1
     said = pqsec("validate broken.xml")
     assert said.code == 1
-    start = f"broken.xml: line {number}: <rtps_protection_kind>: 'SIGNED' is none of "
+    start = f"broken.xml: line {number}: <rtps_protection_kind>: 'SIGNED' is not one of "
     assert said.out.startswith(start)
     [result] = pqsec("validate broken.xml --json").json["files"]
     assert result["valid"] is False
     [problem] = result["problems"]
     assert problem["line"] == number
     assert problem["element"] == "rtps_protection_kind"
-    assert problem["rule"].startswith("'SIGNED' is none of")
+    assert problem["rule"].startswith("'SIGNED' is not one of")
     assert problem["text"] == said.out.removeprefix("broken.xml: ").rstrip("\n")
 
 
@@ -54,7 +54,7 @@ def test_the_xml_inside_a_signed_file_is_checked(pqsec, keystore, tmp_path):
     (tmp_path / "broken.p7s").write_text(signed.replace(">SIGN<", ">SIGNED<"))
     said = pqsec("validate broken.p7s")
     assert said.code == 1
-    assert "<rtps_protection_kind>: 'SIGNED' is none of" in said.out
+    assert "<rtps_protection_kind>: 'SIGNED' is not one of" in said.out
 
 
 def test_all_files_are_told_and_one_that_is_broken_makes_it_a_no(pqsec, keystore, tmp_path):

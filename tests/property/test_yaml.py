@@ -53,7 +53,7 @@ def test_permissions_written_as_yaml_are_read_as_equal_values(value):
 def test_text_that_no_file_can_hold_is_refused(character):
     [grant] = read_permissions("grants: [{name: a, publish: x}]").grants
     value = Permissions(grants=(replace(grant, name=character),))
-    with pytest.raises(UsageError, match="no file can hold"):
+    with pytest.raises(UsageError, match="cannot be written to a file"):
         permissions_to_yaml(value)
 
 

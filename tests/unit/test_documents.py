@@ -345,7 +345,7 @@ def test_everything_wrong_is_listed_with_line_element_and_rule():
         "line 5: <not_before>: 'soon' is not a time such as 2030-01-31T00:00:00Z",
         "line 6: <id>: 'x' is not a domain id, 0 or more",
         "line 7: <id_range>: is not complete; expected next: max, min",
-        "line 7: <default>: 'no' is none of 'ALLOW', 'DENY'",
+        "line 7: <default>: 'no' is not one of 'ALLOW', 'DENY'",
     ]
 
 
@@ -359,14 +359,14 @@ def test_everything_wrong_is_listed_with_line_element_and_rule():
         (document(grants='<grant name="" x="1"/>'), "<grant>: has no attribute 'x'"),
         (document(rules="stray"), "<grant>: holds elements only, no text"),
         (document(default="<default><b/></default>"), "<default>: holds text only, no elements"),
-        (document(head="<dds xmlns='urn:x'>"), "<{urn:x}dds>: is no <dds>"),
+        (document(head="<dds xmlns='urn:x'>"), "<{urn:x}dds>: is not a <dds>"),
         (document(head="<other>").replace(b"/dds", b"/other"), "<other>: is not the root element"),
         (
             document(default="<default xsi:type='x'>DENY</default>"),
             "<default>: The QName value 'x'",
         ),
-        (b"<dds/>", "<dds>: is no <dds> with <domain_access_rules> or <permissions> in it"),
-        (b"<html><body/></html>", "<html>: is no <dds> with"),
+        (b"<dds/>", "<dds>: is not a <dds> with <domain_access_rules> or <permissions> in it"),
+        (b"<html><body/></html>", "<html>: is not a <dds> with"),
     ],
 )
 def test_a_broken_rule_is_told_in_plain_words(xml, expected):
@@ -413,7 +413,7 @@ def test_the_other_document_is_told_apart():
 
 def test_control_characters_of_a_document_do_not_reach_a_terminal():
     [problem] = problems_of(document(default="<default>\u009b2J\u202e</default>"))
-    assert problem.message == "'\\u009b2J\\u202e' is none of 'ALLOW', 'DENY'"
+    assert problem.message == "'\\u009b2J\\u202e' is not one of 'ALLOW', 'DENY'"
 
 
 @pytest.mark.parametrize(

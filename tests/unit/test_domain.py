@@ -433,7 +433,9 @@ participants:
 
 def test_a_slip_in_one_participants_values_leaves_the_others_done(tmp_path):
     scene = Scene(tmp_path, SLIP)
-    with pytest.raises(InvalidDocumentError, match=r"line 2: .*'/no good' is no full ROS 2 name"):
+    with pytest.raises(
+        InvalidDocumentError, match=r"line 2: .*'/no good' is not a full ROS 2 name"
+    ):
         scene.apply()
     assert scene.steps() == [(Action.ISSUE, "/b")]
     scene.change("no good", "lab")

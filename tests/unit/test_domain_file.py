@@ -229,22 +229,22 @@ def test_the_edition_is_that_of_what_roles_mean_today(read):
 
 SHAPE_FAULTS = [
     ("nam: x", "domain.yaml: line 1: nam: no such key here; did you mean name?"),
-    ("profile: rsa", "domain.yaml: line 1: profile: 'rsa' is not taken"),
-    ("\nvalidity: 1 year", "domain.yaml: line 2: validity: '1 year' is no duration"),
-    ("governance: stric", "line 1: governance: 'stric' is not taken; did you mean strict?"),
+    ("profile: rsa", "domain.yaml: line 1: profile: 'rsa' is not allowed"),
+    ("\nvalidity: 1 year", "domain.yaml: line 2: validity: '1 year' is not a duration"),
+    ("governance: stric", "line 1: governance: 'stric' is not allowed; did you mean strict?"),
     ("governance:\n  topcs: a", "line 2: topcs: no such key here; did you mean topics?"),
-    ("governance: [strict]", "line 1: governance: `key: value` is wanted"),
+    ("governance: [strict]", "line 1: governance: expected `key: value`"),
     ("roles: {r: {}}", "line 1: r: allows nothing"),
     ("roles:\n  r:\n    publich: a", "line 3: publich: no such key here; did you mean publish?"),
     ("roles:\n  r:\n    nodes: [7b]", "line 3: nodes: "),
-    ("participants: [/a]", "line 1: participants: `key: value` is wanted here"),
+    ("participants: [/a]", "line 1: participants: expected `key: value` here"),
     ("participants: [{role: r}]", "line 1: role: there are no roles in the file"),
     (f"{HEAD}- role: r", "line 3: participants: an item must have exactly one of"),
     (f"{HEAD}- {{name: /a, csv: b, role: r}}", "line 3: participants: an item must have"),
     (f"{HEAD}- name: /a", "line 3: participants: it has no rules"),
     (f"{HEAD}- {{name: /a, role: r, publish: x}}", "line 3: participants: it has a role: put"),
     (f"{HEAD}- {{name: /a, role: r, values: {{base: x}}}}", "line 3: values: $base is a reserved"),
-    ("a: &a b", "domain.yaml: line 1: the anchor &a is not taken"),
+    ("a: &a b", "domain.yaml: line 1: the anchor &a is not allowed"),
 ]  # fmt: skip
 """What the JSON Schema sees too."""
 OTHER_FAULTS = [
@@ -252,7 +252,7 @@ OTHER_FAULTS = [
     (f"renew_before: 999999y\n{HEAD}- {{name: /a, role: r}}", "line 4: /a would be due when"),
     ("prune: yes", "line 1: prune: 'yes' is not true or false"),
     ("roles:\n  r:\n    publish: rt/$", "line 3: r: a $ without a name after it; write $$"),
-    (f"{HEAD}- {{name: /a, role: s}}", "line 3: role: 's' is not taken"),
+    (f"{HEAD}- {{name: /a, role: s}}", "line 3: role: 's' is not allowed"),
     (f"{HEAD}- name: '/a{{1-3}}'\n  role: r", "line 3: '/a{1-3}': write {001..100}"),
     (f"{HEAD}- name: '/a{{3..1}}'\n  role: r", "line 3: '/a{3..1}': {3..1} ends below"),
     (f"{HEAD}- name: '/a{{1..999999999}}'\n  role: r", "gives 999999999 names"),
@@ -282,8 +282,8 @@ OTHER_FAULTS = [
     (f"{HEAD}- {{csv: quote.csv, role: r}}", "quote.csv: line 2: not CSV: "),
     (f"{HEAD}- {{csv: latin.csv, role: r}}", "latin.csv: line 2: not UTF-8 text"),
     (f"{HEAD}- csv: roles.csv", "roles.csv: line 3: /b has no role"),
-    (f"{HEAD}- csv: unknown.csv", "unknown.csv: line 2: 's' is not taken"),
-    (f"{HEAD}- {{csv: when.csv, role: r}}", "when.csv: line 3: '1 day' is no duration"),
+    (f"{HEAD}- csv: unknown.csv", "unknown.csv: line 2: 's' is not allowed"),
+    (f"{HEAD}- {{csv: when.csv, role: r}}", "when.csv: line 3: '1 day' is not a duration"),
     ("governance: {file: bad.yaml}", "bad.yaml: line 2: topcs: no such key here"),
 ]  # fmt: skip
 FILES = {

@@ -365,7 +365,7 @@ def test_a_preset_is_told_only_what_it_is_made_for(preset, tmp_path):
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        (governance(">SIGN<", ">SIGNED<"), ">SIGNED<", "'SIGNED' is none of"),
+        (governance(">SIGN<", ">SIGNED<"), ">SIGNED<", "'SIGNED' is not one of"),
         (topic("rt/[^a]"), "[^a]", "write [!...]"),
         (domains("<id_range><min>0</min></id_range>"), "<id_range>", "no <max>"),
         (permissions(ALLOW, ALLOW + DENY), None, "the allow_rule in line 10 covers it"),

@@ -103,6 +103,6 @@ def test_only_migration_lets_strangers_in():
 
 @pytest.mark.parametrize(("name", "hint"), [("stric", "strict"), ("x", "governance presets")])
 def test_an_unknown_preset_is_refused_with_the_way_on(name, hint):
-    with pytest.raises(UsageError, match="no preset") as refusal:
+    with pytest.raises(UsageError, match="is not a preset") as refusal:
         preset_named(name)
     assert hint in refusal.value.hint
