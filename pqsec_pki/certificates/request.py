@@ -117,11 +117,11 @@ class CertificateRequest:
         try:
             self.public_key.verify(self.signature, self.info, self.identifier)
         except PqsecError as error:
-            problems.append(f"no proof that whoever asks has the key: {error}")
+            problems.append(f"no proof that the requester has the private key: {error}")
         try:
             self._verify_alternative()
         except PqsecError as error:
-            problems.append(f"no proof that whoever asks has the alternative key: {error}")
+            problems.append(f"no proof that the requester has the alternative private key: {error}")
         if problems:
             raise VerificationError(*problems)
 

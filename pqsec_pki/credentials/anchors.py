@@ -223,20 +223,20 @@ class TrustAnchors:
     def _find_role_problems(self) -> Iterator[Problem]:
         keys = [each.spki for each in self.identity_cas]
         if len(set(keys)) < len(keys):
-            yield Problem("the same CA stands in it twice", Code.CA_DOUBLED, IDENTITY_CA)
+            yield Problem("it contains the same CA twice", Code.CA_DOUBLED, IDENTITY_CA)
         for (one, first), (other, second) in combinations(self.roles.items(), 2):
             if not _keys_of(first).isdisjoint(_keys_of(second)):
                 yield Problem(
-                    f"one key is this CA's and that of {one}: whoever is issued a certificate"
+                    f"this CA has the same key as {one}: any participant with a certificate"
                     " could sign permissions (CVE-2023-24010)"
                     if one == IDENTITY_CA
-                    else f"one key is this CA's and that of {one}",
+                    else f"this CA has the same key as {one}",
                     Code.ONE_KEY_TWO_ROLES,
                     other,
                 )
         classical = _family(self.permissions_ca) is Family.CLASSICAL
         if self.signed_twice and classical and self.countersigner is None:
-            words = "the identity CA signs everything twice, and the countersigner is missing"
+            words = "the identity CA has an alternative key, but the countersigner is missing"
             yield Problem(words, Code.COUNTERSIGNER_MISSING, PERMISSIONS_ALT_CA)
 
     def _authority_problems(self, now: datetime) -> Iterator[Problem]:

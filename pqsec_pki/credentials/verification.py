@@ -166,7 +166,7 @@ def grant_of(certificate: Certificate, permissions: Permissions, now: datetime) 
     )  # the choice of the grant does not depend on the domain
     grant = SPEC.grant_for(permissions, question)
     if grant is None:
-        words = f"nothing in them is granted to {certificate.subject_name}"
+        words = f"they have no grant for {certificate.subject_name}"
         raise VerificationError(Problem(words, Code.NO_GRANT, PERMISSIONS))
     if SPEC.in_force(grant, now):
         return grant

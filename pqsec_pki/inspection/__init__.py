@@ -1,7 +1,7 @@
-"""What a file is, in words: certificates, keys, requests, revocation lists, documents.
+"""Describes a file in words: certificates, keys, requests, revocation lists, documents.
 
-For an engineer who is handed a file and is no expert in it. Nothing is verified here
-that needs another file, and nothing private is ever told.
+For an engineer who gets a file and is not an expert in its format. It verifies nothing that
+needs another file, and shows nothing of a private key.
 """
 
 from pqsec_pki.inspection.description import Description, Fact

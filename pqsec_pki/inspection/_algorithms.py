@@ -1,4 +1,4 @@
-"""Keys and signature algorithms in words, also those that are none of ours."""
+"""Describes keys and signature algorithms, including those that pqsec does not support."""
 
 import hashlib
 
@@ -34,11 +34,11 @@ _OTHERS = {
     "2.16.840.1.101.3.4.4.2": "ML-KEM-768",
     "2.16.840.1.101.3.4.4.3": "ML-KEM-1024",
 }
-"""What one meets beside the table's rows. A row whose OID is its own goes by its name."""
+"""Common algorithms that are not in the table. A row with an OID of its own has the row's name."""
 
 
 def algorithm_name(oid: str) -> str:
-    """What the OID of a key or signature is called; itself where that is not known."""
+    """The name for the OID of a key or signature; the OID itself if it is not known."""
     return _own_names().get(oid) or _OTHERS.get(oid, oid)
 
 
@@ -52,13 +52,13 @@ def oid_of(identifier: bytes) -> str:
 
 
 def row_words(row: SignatureAlgorithm) -> str:
-    """A row's name and what it is worth."""
+    """A row's name and its security."""
     level = f", NIST level {row.level}" if row.level else ""
     return f"{row.name} ({_FAMILIES[row.family]}{level})"
 
 
 def key_fact(label: str, spki: bytes) -> Fact:
-    """The public key in DER SubjectPublicKeyInfo `spki`; of no row, if need be."""
+    """The public key in DER SubjectPublicKeyInfo `spki`, also if its algorithm is unsupported."""
     digest = hashlib.sha256(spki).hexdigest()
     try:
         row = load_public_key(spki).algorithm
@@ -69,12 +69,12 @@ def key_fact(label: str, spki: bytes) -> Fact:
 
 
 def row_value(row: SignatureAlgorithm) -> dict[str, Value]:
-    """A row for programs."""
+    """A row as a JSON value."""
     return {"algorithm": row.name, "family": row.family.value, "nist_level": row.level}
 
 
 def spki_digest(spki: bytes) -> Fact:
-    """What tells which private key belongs to this public key."""
+    """The digest by which to find the private key of this public key."""
     return Fact.of("public key SHA-256", hashlib.sha256(spki).hexdigest(), key="public_key_sha256")
 
 

@@ -1,4 +1,4 @@
-"""A certificate in words."""
+"""Describes a certificate."""
 
 from datetime import datetime
 
@@ -12,7 +12,7 @@ CA, PARTICIPANT, UNMARKED = "ca", "participant", "unmarked"
 
 
 def describe_certificate(der: bytes, now: datetime) -> Description:
-    """What the certificate in `der` says; MalformedError if it is none."""
+    """The description of the certificate in `der`; MalformedError if it is not a certificate."""
     certificate = Certificate.from_der(der)
     role, title, words = _role(certificate)
     facts = (
@@ -42,7 +42,7 @@ def _role(certificate: Certificate) -> tuple[str, str, str]:
     if is_ca and _may_sign_certificates(certificate):
         return CA, "CA certificate", "identity CA or permissions CA: may sign certificates"
     if is_ca:
-        words = "marked as a CA, but its key usage lets it sign no certificates"
+        words = "marked as a CA, but its key usage does not allow signing certificates"
         return UNMARKED, "CA certificate that cannot issue", words
     if certificate.is_self_issued:
         words = "its own issuer, but not marked as a CA: cannot be an identity CA"
@@ -74,7 +74,7 @@ def _stacks(certificate: Certificate, role: str) -> tuple[Fact, ...]:
     found = _algorithms.identity_stacks(certificate.spki, certificate.identifier)
     words = found or "none"
     if found and certificate.alternative is not None:
-        words += "; all but pqsec skip what is alternative in it"
+        words += "; all but pqsec ignore its alternative key and signature"
     label = "stacks (as identity CA)" if role == CA else "stacks"
     return (Fact("runs_in", found, rows=((label, words),)),)
 

@@ -1,4 +1,4 @@
-"""Governance and permissions, bare or signed, in words."""
+"""Describes governance and permissions, signed or not."""
 
 from datetime import datetime
 
@@ -10,11 +10,11 @@ from pqsec_pki.inspection.description import Description, Fact, Value
 from pqsec_pki.smime import Listed, ListedSigner, document_in, signers_in
 
 NOT_VERIFIED = "not verified; `pqsec verify` does that"
-UNSIGNED = "none: no DDS stack takes it before it is signed (`pqsec sign-{kind}`)"
+UNSIGNED = "none: no DDS stack accepts it until it is signed (`pqsec sign-{kind}`)"
 
 
 def describe_document(xml: bytes, now: datetime) -> Description:
-    """What the XML says; InvalidDocumentError if it breaks its schema."""
+    """The description of the XML document; InvalidDocumentError if it breaks its schema."""
     kind, fact = _content(xml, now)
     unsigned = Fact.of("signatures", (), UNSIGNED.format(kind=kind))
     return Description(
@@ -23,7 +23,7 @@ def describe_document(xml: bytes, now: datetime) -> Description:
 
 
 def describe_signed(message: bytes, now: datetime) -> Description:
-    """What the signed document says, and what signatures it carries, unverified."""
+    """The description of the signed document and its signatures, which are not verified."""
     listed = signers_in(message)
     try:
         kind, fact = _content(document_in(message), now)
@@ -58,7 +58,7 @@ def _signatures(listed: Listed) -> tuple[Fact, ...]:
 
 def _signer_words(signer: ListedSigner) -> list[str]:
     name = _algorithms.algorithm_name(_algorithms.oid_of(signer.identifier))
-    when = f", says it signed on {_times.moment(signer.signed_at)}" if signer.signed_at else ""
+    when = f", signing time {_times.moment(signer.signed_at)}" if signer.signed_at else ""
     lines = [f"{name}, digest {signer.digest}{when}", f"by {_who(signer)}"]
     for counter in signer.countersigners:
         first, *rest = _signer_words(counter)
@@ -87,7 +87,7 @@ def _signer_value(signer: ListedSigner) -> dict[str, Value]:
 
 def _certificates(listed: Listed) -> tuple[Fact, ...]:
     subjects = tuple(map(_subject, listed.certificates))
-    words = subjects or ("none; stock DDS stacks want the signer's",)
+    words = subjects or ("none; stock DDS stacks need the signer's",)
     return (Fact.of("embedded certificates", subjects, *words),)
 
 

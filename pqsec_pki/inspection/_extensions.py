@@ -1,4 +1,4 @@
-"""X.509 extensions in words."""
+"""Describes X.509 extensions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,7 @@ from pqsec_pki.inspection.description import Fact, Value
 
 _USES = (
     ("digital_signature", "sign data"),
-    ("content_commitment", "sign beyond denial"),
+    ("content_commitment", "sign with non-repudiation"),
     ("key_encipherment", "receive encrypted keys"),
     ("data_encipherment", "receive encrypted data"),
     ("key_agreement", "agree on keys"),
@@ -45,7 +45,7 @@ _NAMES_OF = {
 
 
 def extensions_fact(label: str, extensions: x509.Extensions) -> Fact:
-    """All extensions as a fact: what each says, as far as it is known here."""
+    """All extensions as a fact, with the meaning of each known one."""
     found = [(_name(each), _words(each), each) for each in extensions]
     value: tuple[Value, ...] = tuple(
         {"oid": each.oid.dotted_string, "name": name, "critical": each.critical, "says": words}

@@ -1,4 +1,4 @@
-"""A governance document in words: who may join, and how everything is protected."""
+"""Describes a governance document: who may join, and how everything is protected."""
 
 from collections.abc import Iterator
 
@@ -9,20 +9,20 @@ _PROTECTION = {
     ProtectionKind.NONE: "not protected",
     ProtectionKind.SIGN: "signed",
     ProtectionKind.ENCRYPT: "encrypted",
-    ProtectionKind.SIGN_WITH_ORIGIN_AUTHENTICATION: "signed, with proof of the one sender",
-    ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION: "encrypted, with proof of the one sender",
+    ProtectionKind.SIGN_WITH_ORIGIN_AUTHENTICATION: "signed, with origin authentication",
+    ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION: "encrypted, with origin authentication",
 }
 _JOINING = {
     (False, True): "only participants with a certificate and permissions for the domain",
-    (False, False): "any participant with a certificate; permissions are not asked for joining",
-    (True, True): "anyone, even without a certificate; those with one need permissions too",
+    (False, False): "any participant with a certificate; joining needs no permissions",
+    (True, True): "anyone, even without a certificate; those with one also need permissions",
     (True, False): "anyone, even without a certificate",
 }
 """By (allow_unauthenticated_participants, enable_join_access_control)."""
 
 
 def governance_fact(governance: Governance) -> Fact:
-    """All that the document says."""
+    """The whole content of the document."""
     rows: list[Row] = []
     for number, rule in enumerate(governance.domain_rules, 1):
         first, *rest = _rule_words(rule)
@@ -43,10 +43,10 @@ def _rule_words(rule: DomainRule) -> Iterator[str]:
 
 
 def _topic_words(rule: TopicRule, domain: DomainRule) -> Iterator[str]:
-    free, asked = "anyone who joined", "only with permission"
-    yield f"write: {asked if rule.enable_write_access_control else free}"
-    yield f"read: {asked if rule.enable_read_access_control else free}"
-    # The topic says whether, the domain how (9.4.1.2.6).
+    free, controlled = "every participant that joined", "only with permission"
+    yield f"write: {controlled if rule.enable_write_access_control else free}"
+    yield f"read: {controlled if rule.enable_read_access_control else free}"
+    # The topic rule enables protection, and the domain rule has its kind (9.4.1.2.6).
     protects = rule.enable_discovery_protection
     yield f"discovery: {_protection(domain.discovery_protection_kind, wanted=protects)}"
     protects = rule.enable_liveliness_protection

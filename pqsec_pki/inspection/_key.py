@@ -1,4 +1,4 @@
-"""Public and private keys in words. Of a private key only what its public half tells."""
+"""Describes public and private keys. Of a private key it shows only facts of its public key."""
 
 from typing import TypeVar
 
@@ -39,7 +39,7 @@ _FORMS = {
 _TRADITIONAL = {"EC PRIVATE KEY": "SEC 1", "RSA PRIVATE KEY": "PKCS#1"}
 SEED_SIZE = 32
 FEW_ITERATIONS = 100_000
-"""OpenSSL writes 2048, pqsec 600,000."""
+"""Fewer iterations than this are reported; OpenSSL uses 2048, pqsec 600,000."""
 _GUARD = Fact("private", value=True, rows=(("keep", "readable by its owner only (mode 0600)"),))
 
 
@@ -50,7 +50,7 @@ def describe_public_key(spki: bytes) -> Description:
 
 
 def describe_private_key(der: bytes) -> Description | None:
-    """The unencrypted private key in `der`, PKCS#8 or traditional; None if it is none."""
+    """The unencrypted private key in `der`, PKCS#8 or traditional; None if it is not one."""
     if info := shape(OneAsymmetricKey, der):
         oid = info.algorithm.algorithm.dotted_string
         return _private(der, _pkcs8_form(oid, info.private_key), _algorithms.algorithm_name(oid))
@@ -62,20 +62,20 @@ def describe_private_key(der: bytes) -> Description | None:
 
 
 def describe_encrypted_key(der: bytes) -> Description | None:
-    """The encrypted private key in PKCS#8 `der`; None if it is none."""
+    """The encrypted private key in PKCS#8 `der`; None if it is not one."""
     info = shape(EncryptedPrivateKeyInfo, der)
     encryption = _encryption(info.algorithm) if info is not None else None
     return _encrypted("PKCS#8", encryption) if encryption else None
 
 
 def describe_traditional_encrypted_key(label: str) -> Description:
-    """A PEM block with the encryption in its header lines (RFC 1421), as OpenSSL 0.9 wrote."""
+    """A PEM block with the encryption in its header lines (RFC 1421), as OpenSSL 0.9 wrote it."""
     form = _TRADITIONAL.get(label, label)
-    return _encrypted(form, "OpenSSL's old way, easily guessed through: re-encrypt it as PKCS#8")
+    return _encrypted(form, "OpenSSL's old format, weak against guessing: re-encrypt it as PKCS#8")
 
 
 def shape(kind: type[T], der: bytes) -> T | None:
-    """`der` as a `kind`, or None. The decoder's words, which could quote a key, are lost."""
+    """`der` as a `kind`, or None. The decoder's message is dropped: it could quote a key."""
     try:
         return decode(kind, der, kind.__name__)
     except MalformedError:
@@ -101,7 +101,7 @@ def _unusable(name: str, reason: str) -> tuple[Fact, ...]:
 
 def _encrypted(form: str, encryption: str) -> Description:
     facts = (
-        Fact.of("key", None, "which algorithm it is for is inside, under the passphrase"),
+        Fact.of("key", None, "its algorithm is encrypted too: the passphrase is needed"),
         Fact.of("form", form),
         Fact("encrypted", value=True, rows=(("", f"encrypted: {encryption}"),)),
         _GUARD,
@@ -117,13 +117,13 @@ def _loaded(data: bytes) -> PrivateKey | PqsecError:
 
 
 def _reason(error: PqsecError) -> str:
-    """Why a key cannot be used; what follows a colon could be a decoder's, and quote."""
+    """Why a key cannot be used, up to a colon: text after it could quote the key."""
     reason = str(error).partition(":")[0]
     return f"{reason}; {error.hint}" if error.hint else reason
 
 
 def _pkcs8_form(oid: str, octets: bytes) -> str:
-    """Which of the forms of RFC 9881 6 a post-quantum key has, by size and first byte."""
+    """The form (RFC 9881, 6) of a post-quantum key, by its size and first byte."""
     if not any(row.key_oid == oid and row.family is Family.PQ for row in SIGNATURES):
         return "PKCS#8"
     form = None if len(octets) == SEED_SIZE else _FORMS.get(octets[:1])
@@ -131,13 +131,13 @@ def _pkcs8_form(oid: str, octets: bytes) -> str:
 
 
 def _encryption(identifier: AlgorithmIdentifier) -> str | None:
-    """How it is encrypted; None if that is no encryption of private keys."""
+    """How the key is encrypted; None if the algorithm does not encrypt private keys."""
     oid = identifier.algorithm.dotted_string
     if not oid.startswith(_ENCRYPTIONS):
         return None
     parameters = shape(PBES2Params, encode(identifier.parameters)) if oid == _PBES2 else None
     if parameters is None:
-        return f"an outdated way ({oid})"
+        return f"an outdated algorithm ({oid})"
     cipher = parameters.encryption.algorithm.dotted_string
     return f"{_derivation(parameters.key_derivation)}, {_CIPHERS.get(cipher, cipher)}"
 
@@ -149,5 +149,5 @@ def _derivation(identifier: AlgorithmIdentifier) -> str:
     found = shape(PBKDF2Params, encode(identifier.parameters)) if oid == _PBKDF2 else None
     if found is None:
         return f"key derivation {oid}"
-    few = ", which is few" if found.iteration_count < FEW_ITERATIONS else ""
+    few = ", which is too few" if found.iteration_count < FEW_ITERATIONS else ""
     return f"PBKDF2 with {found.iteration_count} iterations{few}"

@@ -1,4 +1,4 @@
-"""A permissions document in words: what each participant may do, and when."""
+"""Describes a permissions document: what each participant may do, and when."""
 
 from collections.abc import Iterator
 from datetime import datetime
@@ -9,7 +9,7 @@ from pqsec_pki.inspection.description import Fact, Row, Value
 
 
 def permissions_fact(permissions: Permissions, now: datetime) -> Fact:
-    """All that the document says."""
+    """The whole content of the document."""
     rows: list[Row] = []
     for number, grant in enumerate(permissions.grants, 1):
         first, *rest = _grant_words(grant, now)

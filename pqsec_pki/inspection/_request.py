@@ -1,4 +1,4 @@
-"""A certification request in words. It carries its own proof, so that is checked."""
+"""Describes a certificate request, and verifies its proof of possession."""
 
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import VerificationError
@@ -7,7 +7,7 @@ from pqsec_pki.inspection.description import Description, Fact
 
 
 def describe_request(der: bytes) -> Description:
-    """What is asked for in `der`; MalformedError if it is no request."""
+    """The description of the request in `der`; MalformedError if it is not a request."""
     request = CertificateRequest.from_der(der)
     signature = _algorithms.algorithm_name(_algorithms.oid_of(request.identifier))
     facts = (
@@ -16,7 +16,7 @@ def describe_request(der: bytes) -> Description:
         *_alternative_key(request),
         Fact.of("signature", signature),
         _proof(request),
-        _extensions.extensions_fact("asks for", request.extensions),
+        _extensions.extensions_fact("requests", request.extensions),
         _algorithms.spki_digest(request.spki),
     )
     return Description("certificate request", f"Request for {request.subject_name}", facts)
@@ -34,5 +34,5 @@ def _proof(request: CertificateRequest) -> Fact:
     except VerificationError as error:
         return Fact.of("proof", {"holds": False, "problems": error.lines}, *error.lines)
     both = " and the alternative key" if request.alternative else ""
-    words = f"checked: whoever asks has the key{both}"
+    words = f"verified: the requester has the private key{both}"
     return Fact.of("proof", {"holds": True, "problems": ()}, words)

@@ -1,4 +1,4 @@
-"""A revocation list in words."""
+"""Describes a revocation list."""
 
 import hashlib
 from datetime import datetime
@@ -22,7 +22,7 @@ _REASONS = {
 
 
 def describe_list(der: bytes, now: datetime) -> Description:
-    """What the revocation list in `der` says; MalformedError if it is none."""
+    """The description of the revocation list in `der`; MalformedError if it is not one."""
     crl = RevocationList.from_der(der)
     issuer = name_text(crl.issuer)
     facts = (

@@ -1,4 +1,4 @@
-"""Times in words: when something is valid, and how long it still is."""
+"""Describes times: when something is valid, and how long it remains valid."""
 
 from datetime import datetime, timedelta
 
@@ -12,7 +12,7 @@ _UNITS = (
 
 
 def moment(when: datetime) -> str:
-    """`when`, in UTC, as people write it."""
+    """`when`, in UTC, for people."""
     return f"{when:%Y-%m-%d %H:%M:%S} UTC"
 
 
@@ -25,7 +25,7 @@ def span(length: timedelta) -> str:
 
 
 def standing(not_before: datetime, not_after: datetime, now: datetime) -> str:
-    """Where `now` lies in that validity: 364 days left, expired 3 days ago."""
+    """The state of that validity at `now`: 364 days left, expired 3 days ago."""
     if not_before > not_after:
         return "never valid: it ends before it starts"
     if now < not_before:
@@ -36,13 +36,13 @@ def standing(not_before: datetime, not_after: datetime, now: datetime) -> str:
 
 
 def window(not_before: datetime, not_after: datetime, now: datetime) -> str:
-    """That validity in one line."""
+    """The validity as one line of text."""
     where = standing(not_before, not_after, now)
     return f"{moment(not_before)} to {moment(not_after)} ({where})"
 
 
 def window_value(not_before: datetime, not_after: datetime, now: datetime) -> dict[str, Value]:
-    """The same for programs."""
+    """The validity as a JSON value."""
     return {
         "not_before": not_before.isoformat(),
         "not_after": not_after.isoformat(),

@@ -1,20 +1,20 @@
-"""What is told of a file: facts, each in words for people and as a value for programs."""
+"""The description of a file: facts, each as text for people and as a value for programs."""
 
 from dataclasses import dataclass
 from typing import Any, Self, TypeAlias
 
 Value: TypeAlias = "str | int | tuple[Value, ...] | dict[str, Value] | None"
-"""What JSON can hold. A bool is an int."""
+"""A JSON value. A bool is an int."""
 Row: TypeAlias = tuple[str, str]
-"""A label and a line of words; the label is empty where the line goes on."""
+"""A label and a line of text; the label is empty if the line continues the one before."""
 
 MAX_LABEL = 24
-"""Columns; longer labels push their words to the right."""
+"""Columns; after a longer label the text begins further right."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One thing that is known of a file."""
+    """One fact about a file."""
 
     key: str
     """Its name in JSON."""
@@ -23,7 +23,7 @@ class Fact:
 
     @classmethod
     def of(cls, label: str, value: Value, *words: str, key: str | None = None) -> Self:
-        """A fact with one label; its words are the value, and its key the label, unless given."""
+        """A fact with one label; its words default to the value, and its key to the label."""
         lines = words or (str(value),)
         rows = tuple((label if line == 0 else "", text) for line, text in enumerate(lines))
         return cls(label.replace(" ", "_") if key is None else key, value, rows)
@@ -31,7 +31,7 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a file is: a kind, a title, facts; and parts, where it holds several things."""
+    """What a file is: a kind, a title and facts; and parts, if it contains several things."""
 
     kind: str
     title: str

@@ -1,4 +1,4 @@
-"""What are these bytes? Found out by what is in them, not by a file's name."""
+"""Recognises what a file is by its content, not by its name."""
 
 import re
 from collections.abc import Iterator
@@ -29,10 +29,10 @@ _BYTE_ORDER_MARKS = (b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")
 
 
 def describe(data: bytes, *, now: datetime) -> Description:
-    """What `data` is. MalformedError, with a hint, if it is nothing known here.
+    """The description of `data`. MalformedError, with a hint, if its kind is not known.
 
-    InvalidDocumentError if it is XML that breaks the schemas of DDS-Security. Nothing
-    is verified but the proof that a certification request carries.
+    InvalidDocumentError if it is XML that breaks the schemas of DDS-Security. It verifies only
+    the proof of possession of a certificate request.
     """
     if is_signed(data):
         return _document.describe_signed(data, now)
@@ -50,7 +50,7 @@ def describe(data: bytes, *, now: datetime) -> Description:
 def _der(der: bytes, now: datetime) -> Description | None:
     if signed := shape(Signed, der):
         tbs = encode(signed.tbs)
-        # In this order: a list of version 1 would pass for a certificate of version 1.
+        # In this order: a list of version 1 could be read as a certificate of version 1.
         if shape(TBSCertList, tbs):
             return _revocation.describe_list(der, now)
         if shape(CertificationRequestInfo, tbs):
@@ -66,14 +66,14 @@ def _pem(data: bytes, now: datetime) -> Description:
     parts = tuple(_block(label, block, now) for label, block in _blocks(data))
     known = [part for part in parts if part.kind != "unknown"]
     if not known:
-        raise MalformedError(f"nothing known in it: {parts[0].title}", hint=_HINT)
+        raise MalformedError(f"it contains nothing of a known kind: {parts[0].title}", hint=_HINT)
     if len(parts) == 1:
         return parts[0]
     return Description("several", f"{len(parts)} things in one file", parts=parts)
 
 
 def _blocks(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """(label, whole block) of each PEM block; each byte is looked at a few times only."""
+    """(label, whole block) of each PEM block; each byte is read only a few times."""
     place = 0
     while begin := _BEGIN.search(data, place):
         end = b"-----END " + begin[1] + b"-----"
@@ -90,15 +90,15 @@ def _block(label: str, block: bytes, now: datetime) -> Description:
     for _, der in unpem(block, label):
         if found := _der(der, now):
             return found
-    return Description("unknown", f"a PEM block {label}, which is not what it says or unknown here")
+    return Description("unknown", f"a PEM block {label}, of an unknown kind or with other content")
 
 
 def _other_der(der: bytes) -> str:
     if shape(ContentInfo, der):
         return "a bare CMS signature: DDS documents and their signature are one S/MIME file"
     if b"\x02\x01\x03\x30" in der[:10]:
-        return "PKCS#12, perhaps: `openssl pkcs12 -nodes` takes it apart into PEM"
-    return "DER, or damaged DER, of nothing known here"
+        return "PKCS#12, perhaps: `openssl pkcs12 -nodes` converts it to PEM"
+    return "DER of an unknown kind, or damaged"
 
 
 def _other_text(data: bytes) -> str:
@@ -106,4 +106,4 @@ def _other_text(data: bytes) -> str:
         return "an empty file"
     if re.search(rb"(?im)^content-type:[ \t]*application/(x-)?pkcs7-mime", data[:4096]):
         return "an opaque S/MIME file: DDS documents are multipart/signed, in clear text"
-    return "nothing known here"
+    return "its content is of no known kind"

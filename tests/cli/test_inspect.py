@@ -235,7 +235,7 @@ def test_what_is_not_known_is_an_error_that_names_the_file(pqsec, tmp_path, cont
 def test_what_is_known_is_said_where_nothing_is(pqsec, tmp_path):
     (tmp_path / "file").write_text("hello\n")
     said = pqsec("inspect file").refused(3, hint="known are: certificates, private and public keys")
-    assert said.errors == ["file: nothing known here"]
+    assert said.errors == ["file: its content is of no known kind"]
 
 
 def test_xml_that_breaks_its_schema_is_a_no(pqsec, keystore, tmp_path):
@@ -253,7 +253,7 @@ def test_one_file_that_cannot_be_told_is_named_and_nothing_is_printed(
     keystore("transition")
     (tmp_path / "other").write_text("hello\n")
     said = pqsec(f"inspect {option}", *WHAT, "other").refused(3)
-    assert said.errors == ["other: nothing known here"]
+    assert said.errors == ["other: its content is of no known kind"]
     said = pqsec(f"inspect {option}", "nowhere", *WHAT).refused(3)
     assert said.errors == ["nowhere: no such file or directory"]
 

@@ -96,7 +96,7 @@ def test_credentials_that_cannot_be_trusted_are_not_tried(pqsec, keystore, tmp_p
     ca.write_bytes(ca.read_bytes() * 2)
     line = f"-k k try cyclonedds /talker /listener --root root {topic}"
     cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-    told = "/talker: identity_ca.cert.pem: the same CA stands in it twice"
+    told = "/talker: identity_ca.cert.pem: it contains the same CA twice"
     pqsec(line, **cache).refused(1, told, hint="pqsec check", problems=2)
     assert not (tmp_path / "cache").exists()
     pqsec(f"{line} --anyway", **cache).refused(3, "")

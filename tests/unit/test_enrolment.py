@@ -192,7 +192,7 @@ def test_a_request_with_keys_of_another_profile_is_refused(profile):
 def test_a_request_whose_proof_is_not_its_keys_is_refused():
     asked, other = signed_request(), signed_request()
     bad = replace(asked, signature=other.signature)
-    with pytest.raises(VerificationError, match="no proof that whoever asks has the key"):
+    with pytest.raises(VerificationError, match="no proof that the requester has the private key"):
         validate_csrs([bad], PROFILES[0], names=[ROBOT])
     bad = replace(asked, alternative=replace(asked.alternative, signature=bytes(3309)))
     with pytest.raises(VerificationError, match=r"no proof .* the alternative key"):
@@ -482,7 +482,7 @@ def test_a_certificate_and_permissions_for_another_participant_are_refused(keyst
     assert f"{ROBOT}: cert.pem: the certificate is for CN=/listener" in problems(bad, good.roles)
     bad = with_files(good, permissions_p7s=other["permissions.p7s"])
     assert problems(bad, good.roles) == (
-        f"{ROBOT}: permissions.p7s: nothing in them is granted to CN={ROBOT}",
+        f"{ROBOT}: permissions.p7s: they have no grant for CN={ROBOT}",
     )
 
 

@@ -712,4 +712,4 @@ def test_credentials_that_cannot_be_trusted_are_exported_only_if_told_to(own, st
         checked(stack, keystore)
     assert Code.CA_DOUBLED in refusal.value.codes
     if stack != "ros2":  # which has its own reasons too
-        assert "stands in it twice" in str(checked(stack, keystore, anyway=True).warnings)
+        assert "contains the same CA twice" in str(checked(stack, keystore, anyway=True).warnings)

@@ -112,7 +112,7 @@ def test_an_alternative_key_and_signature_are_told():
     text = told(participant(alternative="ml-dsa-65").pem)
     assert "alternative key        ml-dsa-65 (post-quantum, NIST level 3)" in text
     assert "alternative signature  ml-dsa-65 (not verified)" in text
-    assert "all stock stacks; all but pqsec skip" in text
+    assert "all stock stacks; all but pqsec ignore" in text
     assert "alternative key        none" in told(participant().pem)
 
 
@@ -180,7 +180,7 @@ def test_an_encrypted_key_is_told_without_its_passphrase():
     assert "PBKDF2 with 600000 iterations, AES-256-CBC" in text
     handle, encryption = key("p256").handle, BestAvailableEncryption(b"pass")
     der = handle.private_bytes(Encoding.DER, PrivateFormat.PKCS8, encryption)
-    assert "2048 iterations, which is few" in told(der)
+    assert "2048 iterations, which is too few" in told(der)
 
 
 @pytest.mark.parametrize(("name", "form"), [("p256", "SEC 1"), ("rsa-2048", "PKCS#1")])
@@ -237,9 +237,9 @@ def test_a_ca_that_may_not_sign_certificates_is_told():
 
 def test_a_request_is_told_with_whether_its_proof_holds():
     text = told(request(key("p256"), key("ml-dsa-65")))
-    assert "checked: whoever asks has the key and the alternative key" in text
+    assert "verified: the requester has the private key and the alternative key" in text
     stolen = request(key("p256"), key("ml-dsa-65"), signer=key("ml-dsa-44"))
-    assert "no proof that whoever asks has the alternative key" in told(stolen)
+    assert "no proof that the requester has the alternative private key" in told(stolen)
     assert fields(stolen)["proof"]["holds"] is False
 
 
@@ -339,7 +339,7 @@ def test_a_signed_document_that_breaks_its_schema_is_told_with_what_is_wrong():
     ("data", "words"),
     [
         (b"", "an empty file"),
-        (b"hello", "nothing known"),
+        (b"hello", "of no known kind"),
         (b"0\x03\x02\x01\x01", "DER, or damaged DER"),
         (b"-----BEGIN DH STUFF-----\nMAA=\n-----END DH STUFF-----\n", "DH STUFF"),
         (b"-----BEGIN CERTIFICATE-----\nMAA=\n", "no END line"),
@@ -377,11 +377,11 @@ def test_what_openssl_makes_is_told(requires, tmp_path):
     private = fields((tmp_path / "key").read_bytes())
     assert private["public_key_sha256"] == fields(certificate)["public_key_sha256"]
     request = run("req", "-new", "-key", "key", "-subj", "/CN=talker")
-    assert "checked: whoever asks has the key" in told(request)
+    assert "verified: the requester has the private key" in told(request)
     (tmp_path / "ca").write_bytes(certificate)
     (tmp_path / "xml").write_bytes(governance())
     words = ("cms", "-sign", "-text", "-keyid", "-nocerts", "-signer", "ca", "-inkey", "key")
     text = told(run(*words, "-in", "xml"))
     assert "by the certificate with key identifier" in text
-    assert "none; stock DDS stacks want" in text
+    assert "none; stock DDS stacks need" in text
     assert "EC PARAMETERS" in told(run("ecparam", "-name", "prime256v1", "-genkey"))

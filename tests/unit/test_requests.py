@@ -168,7 +168,7 @@ def test_a_request_with_an_alternative_key_proves_possession_of_both():
 
 def test_a_request_signed_with_another_key_proves_nothing():
     der = signed(request_info(key("p256"), []), other_key("p256"))
-    with pytest.raises(VerificationError, match="no proof that whoever asks has the key"):
+    with pytest.raises(VerificationError, match="no proof that the requester has the private key"):
         CertificateRequest.from_der(der).verify()
 
 

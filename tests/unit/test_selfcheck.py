@@ -123,7 +123,7 @@ def test_one_ca_for_both_is_refused(made):
     sign_all_again(keystore, Signer(identity.certificate, identity.key))
     step = failing(keystore)
     assert step.name == "documents of /talker"
-    assert "one key is this CA's and that of identity_ca.cert.pem" in step.detail
+    assert "this CA has the same key as identity_ca.cert.pem" in step.detail
 
 
 def test_a_weaker_key_than_the_profile_promises_is_refused(made):

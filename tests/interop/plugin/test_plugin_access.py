@@ -208,7 +208,7 @@ def test_a_grant_for_a_longer_subject_is_not_for_a_shorter_one(shim, plugins, la
     folder = _granted(labs("classical"), enclave, subject_name="CN=/lab/alice/admin")
     with started(plugins / "libdds_security_ac.so", "access_control", WithAttributes) as theirs:
         assert Answers(theirs, folder)
-    refused(shim, folder, "nothing in them is granted to CN=/lab/alice")
+    refused(shim, folder, "they have no grant for CN=/lab/alice")
 
 
 def test_a_grant_that_is_not_in_force_is_refused(shim, labs, enclave):
