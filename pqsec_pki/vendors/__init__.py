@@ -1,7 +1,7 @@
-"""What DDS stacks are configured with: a participant's credentials in the words of each.
+"""Writes the configuration of DDS stacks with a participant's credentials.
 
-For `pqsec export` and for who starts a stack with them. One module for each stack makes an
-`Export`, of a template; `export` asks first whether the stack would take the credentials.
+For `pqsec export`, and for code that starts a stack with them. A module for each stack makes an
+`Export` from a template; `export` first checks whether the stack would accept the credentials.
 """
 
 from pqsec_pki.vendors.enclave import Enclave

@@ -1,4 +1,4 @@
-"""A log as messages are looked for in it: one line, that knows which line of it is where."""
+"""A log in the form that is searched for messages: one line, with the positions of its lines."""
 
 import re
 from bisect import bisect_right
@@ -10,7 +10,7 @@ from string import ascii_lowercase, ascii_uppercase
 from typing import Self
 
 MAX_VALUE = 300
-"""Characters between two parts of a message, as of a path; farther parts do not belong."""
+"""Most characters between two parts of a message, such as a path; more do not match."""
 
 _CODE = re.compile(r"\bcode:? ?([0-9]{3})\b", re.IGNORECASE)
 _END_OF_VALUE = re.compile(r" ?\(code:| \(/| -> |, at |; ")
@@ -28,36 +28,36 @@ class Log:
 
     text: str
     starts: tuple[int, ...]
-    """Where each line of it began."""
+    """The position of the begin of each line."""
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Of a text of any size."""
+        """The log of a text of any size."""
         lines = [" ".join(line.split()) for line in text.split("\n")]
         starts = accumulate((len(line) + 1 for line in lines), initial=0)
         return cls(" ".join(lines), tuple(starts)[:-1])
 
     @cached_property
     def lowered(self) -> str:
-        """For comparing."""
+        """The text in lower case, for comparing."""
         return lowered(self.text)
 
     def line(self, place: int) -> int:
-        """The line, from 1, that this place of the text was in."""
+        """The number, from 1, of the line at position `place`."""
         return bisect_right(self.starts, place)
 
     def codes(self) -> Iterator[tuple[int, int]]:
-        """(line, code) for each code that is called one."""
+        """(line, code) for each number after the word `code`."""
         for found in _CODE.finditer(self.text):
             yield self.line(found.start()), int(found[1])
 
     def word_before(self, place: int) -> str:
-        """The word that ends there."""
+        """The word that ends at position `place`."""
         before = self.text[max(0, place - MAX_VALUE) : place].split()
         return before[-1].strip("'\"") if before else ""
 
     def rest_of_line(self, place: int) -> str:
-        """What its line says from there, without what stacks add to every message."""
+        """The rest of the line from `place`, without what stacks add to every message."""
         line = self.line(place)
         end = self.starts[line] - 1 if line < len(self.starts) else len(self.text)
         rest = self.text[place : min(end, place + MAX_VALUE)]

@@ -1,13 +1,13 @@
-"""Which known texts a text is most like: by the words they share, rare ones for more."""
+"""Finds the known texts nearest to a text, by the words that they share; rare words count more."""
 
 import re
 from collections import Counter
 from collections.abc import Collection
 
 MAX_WORDS = 200
-"""Of the text; a message has fewer."""
+"""Most words of the text; a message has fewer."""
 LEAST = 0.34
-"""Of a known text's weight, to be called near."""
+"""The share of a known text's weight that makes it near."""
 
 
 def nearest_texts(text: str, known: Collection[str]) -> list[str]:

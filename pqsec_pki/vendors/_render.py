@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def render(template: str, **values: object) -> str:
-    """The text of `template`, which holds `values`; in XML they are escaped.
+    """The text of `template` with `values`; in XML they are escaped.
 
-    UsageError for a value that a configuration cannot carry.
+    UsageError for a value that a configuration cannot contain.
     """
     return _environment().get_template(f"{template}.j2").render(values)
 
@@ -43,7 +43,7 @@ def _environment() -> "Environment":
 
 
 def _carried(value: object) -> object:
-    """`value`, unless it is unfit. It is not shown: it may be a passphrase."""
+    """`value`, if a configuration can contain it. It is not shown: it may be a passphrase."""
     if found := UNFIT.search(str(value)):
         raise UsageError(
             f"a path or the passphrase holds {shown(found[0])}, which a configuration cannot carry",

@@ -1,4 +1,4 @@
-"""What ROS 2 makes of the environment: letter by letter, and in silence (measured, Jazzy)."""
+"""How ROS 2 reads the environment: case sensitive, and without messages (measured, Jazzy)."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -13,34 +13,34 @@ KEYSTORE, OVERRIDE = "ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
 DOMAIN = "ROS_DOMAIN_ID"
 
 EXACT = {ENABLE: "true", STRATEGY: "Enforce"}
-"""The one value of each that secures."""
+"""The only value of each variable that enables security."""
 _WITHOUT = {
-    ENABLE: "nodes run unsecured, without a word",
-    STRATEGY: "a node without its files runs unsecured, without a word",
+    ENABLE: "nodes run unsecured, without a message",
+    STRATEGY: "a node without its files runs unsecured, without a message",
 }
-_MEND = 'eval "$(pqsec export ros2 {})"'
+_FIX = 'eval "$(pqsec export ros2 {})"'
 
 
 def environment(
     keystore: PurePath, participant: str, variables: Mapping[str, str]
 ) -> Iterator[Check]:
-    """Each variable that ROS 2 asks about security, as it must be for that participant.
+    """A check of each ROS 2 variable about security, for that participant.
 
     `keystore` is its absolute path.
     """
-    fix = _MEND.format(participant)
+    fix = _FIX.format(participant)
     for name, exact in EXACT.items():
         value = variables.get(name)
         problem = "" if value == exact else f"{_is(value, exact)}: {_WITHOUT[name]}"
         yield Check(what=name, problem=problem, fix=fix)
     yield Check(what=KEYSTORE, problem=_keystore(keystore, variables.get(KEYSTORE)), fix=fix)
     other = variables.get(OVERRIDE, "")
-    problem = f"{_is(other)}, and wins over --enclave" if other not in {"", participant} else ""
+    problem = f"{_is(other)}, and overrides --enclave" if other not in {"", participant} else ""
     yield Check(what=OVERRIDE, problem=problem, fix=f"unset {OVERRIDE}")
 
 
 def near_misses(variables: Mapping[str, str]) -> Iterator[str]:
-    """What is set and looks as if it secured, but does not, a sentence each."""
+    """A sentence for each variable whose value looks right but does not enable security."""
     for name, exact in EXACT.items():
         value = variables.get(name)
         if value and value != exact and _looks_on(value):
@@ -48,7 +48,7 @@ def near_misses(variables: Mapping[str, str]) -> Iterator[str]:
 
 
 def domain_in(variables: Mapping[str, str]) -> int | None:
-    """The domain ROS 2 joins, 0 if none is named; None for text that is not a number."""
+    """The domain that ROS 2 joins, 0 if none is set; None for text that is not a number."""
     text = variables.get(DOMAIN, "") or "0"
     return int(text) if re.fullmatch(r"[0-9]{1,10}", text) else None
 

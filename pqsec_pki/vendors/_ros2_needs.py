@@ -1,4 +1,4 @@
-"""What a ROS 2 participant may do: which domains it can join, and whether a node can live."""
+"""What a ROS 2 participant may do: the domains that it can join, and whether a node can run."""
 
 import re
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ from pqsec_pki.vendors.enclave import Enclave
 _PART = "[A-Za-z_][A-Za-z0-9_]*"
 _REPLIES = [t.rpartition("/")[2] for t in ros.node_minimum("/n").publish if t.startswith("rr/")]
 _OF_A_NODE = re.compile(rf"rr(?P<node>(?:/{_PART})+)/(?:\*(?:Reply)?|{'|'.join(_REPLIES)})")
-"""Replies of the services that every node has; the node can be told from them."""
+"""Reply topics of the services that every node has; they contain the node's name."""
 _OF_NODES = re.compile(rf"rr(?P<nodes>(?:/{_PART})*/(?:{_PART})?\*)(?:Reply)?")
-"""Replies of nodes whose names begin so, such as those of ROS 2's own command line."""
+"""The same for a pattern of node names, such as those of ROS 2's own command line."""
 
 
 @dataclass(frozen=True)
 class Needs:
-    """The documents of a participant, to be asked. Signatures and dates are not looked at."""
+    """A participant's documents, for questions. Signatures and dates are not checked."""
 
     enclave: str
     subject: str
@@ -41,7 +41,7 @@ class Needs:
 
     @classmethod
     def of(cls, enclave: Enclave) -> Self:
-        """Of the files in the enclave; what cannot be read is an error that names it."""
+        """From the files of the enclave; the error for an unreadable file names it."""
         documents = {}
         for name in (GOVERNANCE, PERMISSIONS):
             with located(enclave.folder / name):
@@ -55,7 +55,7 @@ class Needs:
 
     @cached_property
     def _grant(self) -> Grant | None:
-        """The participant's own, the first."""
+        """The participant's first grant."""
         own = parse_subject(self.subject)
         return next((g for g in self.permissions.grants if _is_for(g, own)), None)
 
@@ -64,7 +64,7 @@ class Needs:
         return Policy(self.governance, self.permissions)
 
     def may(self, action: Action, domain: int, topic: str | None = None) -> str:
-        """Why not; empty if it may, at a time when the grant holds."""
+        """Why it may not do that while the grant is valid; empty if it may."""
         if self._grant is None:
             return f"no grant is for {self.subject}"
         question = Question(
@@ -79,15 +79,15 @@ class Needs:
 
     @cached_property
     def domains(self) -> tuple[int, ...]:
-        """Those it may join, ascending."""
+        """The domains that it may join, ascending."""
         governed = {d for rule in self.governance.domain_rules for d in rule.domains.ids()}
         return tuple(d for d in sorted(governed) if not self.may(Action.JOIN, d))
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """The nodes that the permissions are for; the enclave's own name if none can be told.
+        """The nodes that the permissions are for; the enclave's own name if they show none.
 
-        A name may end in `*`, where any nodes are meant whose names begin so.
+        A name that ends in `*` means all nodes whose names begin so.
         """
         topics = [
             topic
@@ -100,14 +100,14 @@ class Needs:
         return tuple(found) or tuple(any_of) or (self.enclave,)
 
     def lack(self, node: str, domain: int) -> str:
-        """What the node misses to live on that domain; empty if it has all."""
+        """What the node lacks to run on that domain; empty if nothing."""
         needed = ros.node_minimum(node.replace("*", "x"))
         missing = {
             "publish": [t for t in needed.publish if self.may(Action.PUBLISH, domain, t)],
             "subscribe to": [t for t in needed.subscribe if self.may(Action.SUBSCRIBE, domain, t)],
         }
-        said = [f"{way} {', '.join(topics)}" for way, topics in missing.items() if topics]
-        return f"it would end as it starts: it may not {' nor '.join(said)}" if said else ""
+        denied = [f"{way} {', '.join(topics)}" for way, topics in missing.items() if topics]
+        return f"it would exit at start: it may not {' nor '.join(denied)}" if denied else ""
 
 
 def _is_for(grant: Grant, own: Subject) -> bool:

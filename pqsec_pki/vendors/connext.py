@@ -1,7 +1,7 @@
 """RTI Connext: a QoS profile in XML.
 
-Names of properties and of variables are those of RTI's documents and public examples; it was
-not run. $(NAME) in a value is replaced by the variable.
+Names of properties and variables are those of RTI's documents and public examples; Connext was
+not run. Connext replaces $(NAME) in a value by the variable.
 """
 
 from pqsec_pki.errors import UsageError
@@ -17,13 +17,13 @@ LOADING = {
 }
 _VARIABLE = "$("
 _NO_CRL = (
-    "crl.pem is not in it, for want of the property's name: Connext lets in who is revoked"
-    " there until you add it"
+    "crl.pem is not in it, because its property's name is not known: Connext accepts revoked"
+    " participants until you add it"
 )
 
 
 def export(enclave: Enclave, options: Options) -> Export:
-    """The file of profiles, and the variable that names it to the process."""
+    """The file of profiles, and the environment variable that names it."""
     properties = LOADING | standard_properties(enclave)
     if _VARIABLE in "".join([*properties.values(), options.password or ""]):
         raise UsageError(
@@ -33,7 +33,7 @@ def export(enclave: Enclave, options: Options) -> Export:
     warnings = ["written by RTI's documents: Connext was not run with it"]
     if enclave.key_is_encrypted:
         properties["dds.sec.auth.password"] = options.password or f"$({PASSWORD_VARIABLE})"
-        warnings += ["how Connext wants passphrases encoded is not known here: it is as it is"]
+        warnings += ["how Connext expects a passphrase to be encoded is not known: it is not"]
     if enclave.has_crl:
         warnings += [_NO_CRL]
     return Export(

@@ -1,8 +1,8 @@
-"""Cyclone DDS's own security plugins: where they are, and whose they are.
+"""Cyclone DDS's own security plugins: where they are, and which Cyclone DDS they belong to.
 
-A plugin is linked to the libddsc that it was built with. A process of another libddsc that loads
-it gets a second one, and dies by SIGSEGV (11.0.1 with the plugins of Debian's 0.10.2, measured).
-So a plugin is looked at before its path is written.
+A plugin is linked to the libddsc that it was built with. If a process with another libddsc loads
+it, both libraries are loaded, and it crashes with SIGSEGV (11.0.1 with the plugins of Debian's
+0.10.2, measured). So a plugin is checked before its path is written.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -44,18 +44,18 @@ class Plugin:
 
     @property
     def release(self) -> Version:
-        """Of that libddsc, as far as names tell it; () if they do not."""
+        """The version of that libddsc, as far as file names show it; () if they do not."""
         return release_in(self.library.name if self.library else self.soname)
 
     @property
     def owner(self) -> str:
-        """Whose it is, in words."""
+        """The Cyclone DDS that it belongs to, in words."""
         of = shown(self.library.name if self.library else self.soname)
         return f"linked to {of} of Cyclone DDS {in_words(self.release)}"
 
 
 def in_words(release: Version) -> str:
-    """As in 0.10.2; `of unknown version` for ()."""
+    """The version as text: 0.10.2; `of unknown version` for ()."""
     return ".".join(map(str, release)) or "of unknown version"
 
 
@@ -77,15 +77,15 @@ def _plugin(found: Library) -> Plugin:
 
 
 def plugins_in(folder: Path) -> dict[str, Path]:
-    """Kind -> path, of all three."""
+    """Kind -> path, for all three plugins."""
     return {kind: folder / f"lib{name}.so" for kind, name in NAMES.items()}
 
 
 def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
     """The folders below `root` that have all plugins, each with its first one.
 
-    Who may not look into a folder does not load from it; what is not a library, or one for another
-    processor, is not loaded.
+    Folders that the user may not read are skipped, as are files that are not libraries or are for
+    another processor.
     """
     found = {resolved(folder) for place in PLACES for folder in root.glob(place)}
     for folder in sorted(found):

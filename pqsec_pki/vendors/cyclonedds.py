@@ -1,9 +1,9 @@
 """Cyclone DDS: one XML file, the same for 0.10 and 11.
 
-Values in it are trimmed, and ${NAME} is replaced by the variable; `${:-}` is nothing, which
-lets "${" stand for itself. A handshake whose certificates carry ML-DSA is up to 22 KB: by
-default it goes out in datagrams of 14 KB, which IP fragments, and one that is lost costs the
-whole message and a second. So there the datagrams are made to fit a frame of Ethernet.
+Cyclone DDS trims values in it, and replaces ${NAME} by the variable; `${:-}` is empty, which is
+used to write a literal "${". A handshake whose certificates carry ML-DSA has up to 22 KB. By
+default it is sent in datagrams of 14 KB, which IP fragments; a lost fragment costs the whole
+message and a second. So in that case the datagrams are limited to fit an Ethernet frame.
 """
 
 from collections.abc import Mapping
@@ -28,11 +28,11 @@ from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 FILE = "cyclonedds.xml"
 CHANGED = frozenset('"\\')
-"""In paths of signed documents it drops the one and takes the other for /: by its source, in
-DDS_Security_normalize_file, and as 0.10.2 was run."""
+"""In paths of signed documents it drops the first and reads the second as /: by its source, in
+DDS_Security_normalize_file, and measured with 0.10.2."""
 _MIXED = (
-    "name the plugins of the version that runs, with --plugins DIR, or --crypto FILE beside"
-    " --plugin; or say which version runs, with --stack-version"
+    "name the plugins of the version that runs, with --plugins DIR, or --crypto FILE with"
+    " --plugin; or give that version, with --stack-version"
 )
 
 
@@ -83,12 +83,12 @@ def _path(path: Path | None, name: str) -> str:
 
 
 def protected(text: str) -> str:
-    """`text` so that Cyclone DDS takes it as it stands."""
+    """`text`, written so that Cyclone DDS reads it unchanged."""
     return text.replace("${", "$${:-}{")
 
 
 def _located(options: Options) -> dict[str, Path | None]:
-    """Where Cyclone DDS's own plugins are, as far as that is said or to be seen."""
+    """The paths of Cyclone DDS's own plugins, if they were given or found."""
     folder = options.plugins
     if folder is None and not options.at:
         folder = installed_plugins(Path("/"), lambda each: agree(each.release, options.release))
@@ -101,7 +101,7 @@ def _located(options: Options) -> dict[str, Path | None]:
 def _looked_at(located: Mapping[str, Path | None], options: Options) -> tuple[str, str]:
     """The version that the located plugins belong to, and what is wrong with loading them.
 
-    Both may be empty: what another machine has is not to be seen here.
+    Both may be empty: another machine cannot be checked from here.
     """
     paths = [] if options.at else [path for path in located.values() if path]
     try:
@@ -112,7 +112,7 @@ def _looked_at(located: Mapping[str, Path | None], options: Options) -> tuple[st
 
 
 def _unlocated(options: Options) -> str:
-    """A note about plugins that are named only, with those that were seen and are not meant."""
+    """A note about plugins without a path, with those that were found but are not used."""
     note = "the plugins are named, not located: the loader must find libdds_security_*.so"
     there = () if options.at else installed(Path("/"))
     others = ", ".join(f"{folder} ({in_words(plugin.release)})" for folder, plugin in there)
@@ -121,11 +121,11 @@ def _unlocated(options: Options) -> str:
 
 
 def _password(enclave: Enclave, options: Options) -> str | None:
-    """What <Password> holds; without the variable, the process stops with these words."""
+    """The value of <Password>; without the variable, the process stops with this message."""
     if not enclave.key_is_encrypted:
         return None
     if options.password is None:
-        return f"${{{PASSWORD_VARIABLE}:?is to hold the passphrase of the key}}"
+        return f"${{{PASSWORD_VARIABLE}:?must contain the passphrase of the key}}"
     if options.password != options.password.strip(" \t"):
         raise UsageError(
             "Cyclone DDS trims the passphrase in its configuration",

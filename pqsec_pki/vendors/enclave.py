@@ -1,4 +1,4 @@
-"""The folder of one participant, as a stack's configuration names it."""
+"""The folder of one participant, which a stack's configuration names."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ from pqsec_pki.vendors.export import PASSWORD_VARIABLE, Options
 
 _INSTALLED = "/etc/dds/current/enclaves"
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
-"""What every stack needs; ROS 2 does not say which one it misses."""
+"""The files that every stack needs; ROS 2 does not report which one is missing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class Enclave:
     has_crl: bool
     """Whether there is a revocation list beside the certificate."""
     has_large_handshake: bool
-    """Whether its messages are three times as large as classical ones: they carry ML-DSA."""
+    """Whether its messages carry ML-DSA, and so are three times as large as classical ones."""
     at: PurePosixPath
     """Where the folder will be when a stack reads it; absolute."""
 
@@ -55,8 +55,8 @@ class Enclave:
     def find(cls, keystore: Keystore, name: str, at: PurePosixPath | None = None) -> Self:
         """The enclave of the participant called `name`.
 
-        KeystoreError if there is none or one of the six files is missing, UsageError for a
-        name that none can have or a relative `at`.
+        KeystoreError if there is none or one of the six files is missing, UsageError for an
+        invalid name or a relative `at`.
         """
         keystore.refuse_unknown(name)
         name, profile, root = regular_name(name), keystore.profile, keystore.root.absolute()
@@ -79,9 +79,9 @@ class Enclave:
         )
 
     def refusals(self, now: datetime) -> tuple[Problem, ...]:
-        """Why its credentials cannot be trusted at `now`, if so (room `credentials`).
+        """Why its credentials cannot be trusted at `now` (room `credentials`); empty if they can.
 
-        A key that is locked, or on its robot, is not looked at. FileError for a file that
+        An encrypted key, or one that is on its robot, is not checked. FileError for a file that
         cannot be read.
         """
         names = [each for each in FILES if not (self.key_is_encrypted and each in KEYS)]
@@ -93,7 +93,7 @@ class Enclave:
         return ()
 
     def uri(self, file: str) -> str:
-        """Where `file` will be, as file:///: the form of a URI that all stacks take.
+        """The future path of `file` as file:///, the form of a URI that all stacks accept.
 
         Nothing is escaped: the stacks use what follows file:// as the path, byte for byte.
         """
@@ -103,7 +103,7 @@ class Enclave:
 def _absolute(where: PurePosixPath) -> PurePosixPath:
     if not where.is_absolute():
         raise UsageError(
-            f"{shown(str(where))}: not an absolute path", hint="stacks want absolute paths"
+            f"{shown(str(where))}: not an absolute path", hint="stacks need absolute paths"
         )
     return where
 
@@ -114,14 +114,14 @@ def _refuse_incomplete(folder: Path, name: str, *, without: Collection[str]) -> 
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}",
             code=Code.FILE_MISSING,
-            hint=f"its keys are on its robot: say where, as in --at {_INSTALLED}{name}"
+            hint=f"its keys are on its robot: give their place, as in --at {_INSTALLED}{name}"
             if missing == [KEY] and exists(folder / REQUEST)
             else "issue the participant again, or restore what links lead to",
         )
 
 
 def password_note(enclave: Enclave, options: Options) -> tuple[str, ...]:
-    """What to know of an encrypted key whose passphrase the stack reads from the environment."""
+    """A note if the key is encrypted and the stack reads its passphrase from the environment."""
     if not enclave.key_is_encrypted or options.password is not None:
         return ()
     return (f"the key is encrypted: set {PASSWORD_VARIABLE} to its passphrase",)

@@ -20,20 +20,20 @@ from pqsec_pki._files import (
 from pqsec_pki.errors import FileError, UsageError, shown
 
 FOLDER = "\0"
-"""In steps and variables: the absolute path of the folder that the export is written to.
-No path and no name has this character."""
+"""In steps and variables it is replaced by the absolute path of the export's folder. No path and no
+name has this character."""
 PASSWORD_VARIABLE = "PQSEC_KEY_PASSWORD"  # noqa: S105 -- a variable's name
-"""Where a stack that can reads the passphrase of an encrypted key."""
+"""The variable from which stacks read the passphrase of an encrypted key, if they can."""
 
 UNFIT = re.compile("[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
-"""What XML cannot carry, or a parser makes something else of; a file's name may hold it."""
+"""Characters that XML does not allow or a parser changes; a file's name may contain them."""
 
 Version = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """What a user may say about an export."""
+    """The options of an export."""
 
     version: str | None = None
     """Of the stack, such as 3.1.2 or 3.1; None if the user does not say."""
@@ -42,7 +42,7 @@ class Options:
     password: str | None = field(default=None, repr=False)
     """Of the participant's encrypted key, to stand in the file as it is."""
     at: PurePosixPath | None = None
-    """Where the enclave's folder will be on the machine it is for; None: where it is now."""
+    """The enclave's folder on the machine that the export is for; None: where it is now."""
     plugins: Path | None = None
     """The folder with the security plugins, for stacks that load them by path."""
     plugin: Path | None = None
@@ -52,13 +52,13 @@ class Options:
     crypto: Path | None = None
     """The stack's own plugin for encryption, where it is not with `plugins`, or ours runs."""
     anyway: bool = False
-    """Whether what the stack is known to refuse is written all the same, with a warning."""
+    """Whether to write, with a warning, what the stack is known to refuse."""
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)
-    """Of the user's shell, for stacks that listen to it."""
+    """The variables of the user's shell, for stacks that read them."""
 
     @property
     def release(self) -> Version:
-        """The version in numbers, () if the user does not say; UsageError for other text."""
+        """The version in numbers, () if none was given; UsageError for other text."""
         if self.version is None:
             return ()
         if not re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,4}){0,3}", self.version):
@@ -74,13 +74,13 @@ class Export:
     participant: str
     files: Mapping[str, str | Path] = field(repr=False)
     """Path below the export's folder -> its text, or the file of the keystore to copy there.
-    The first is a text, the one that a user looks at."""
+    The first is a text, the main file for the user."""
     environment: Mapping[str, str] = field(default_factory=dict)
-    """Variables that the stack's process needs; FOLDER stands for the export's folder."""
+    """Variables that the stack's process needs; FOLDER is replaced by the export's folder."""
     steps: tuple[str, ...] = ()
-    """Shell commands that come after setting the variables; FOLDER likewise."""
+    """Shell commands to run after setting the variables; FOLDER is replaced too."""
     notes: tuple[str, ...] = ()
-    """What to know about it, a sentence each."""
+    """Notes for the user, a sentence each."""
     warnings: tuple[str, ...] = ()
     """What may not work or is a risk."""
     is_private: bool = False
@@ -90,7 +90,7 @@ class Export:
 
     @property
     def main(self) -> str:
-        """The name of the file that a user looks at."""
+        """The name of the main file for the user."""
         return next(iter(self.files))
 
     def variables(self, folder: Path) -> dict[str, str]:
@@ -106,17 +106,17 @@ class Export:
 
 
 def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:
-    """Put the export's files into `folder` and give their paths.
+    """Write the export's files into `folder`, and return their paths.
 
-    A new folder appears in one step; in one that is there, files do, once all are drafted, and
-    none is replaced without `force` (ExistsError). Copies of private keys and texts with a
-    secret are 0600, and folders made for them 0700. FileError if the disk refuses, UsageError
-    for a folder that the stack or a shell cannot be told of.
+    A new folder appears in one step. In an existing folder the files appear when all are
+    written, and none is replaced without `force` (ExistsError). Copies of private keys and texts
+    with a secret are 0600, and folders made for them 0700. FileError if writing fails,
+    UsageError for a folder whose name the stack or a shell cannot use.
     """
     path = str(folder.absolute())
     if unfit := "".join(sorted(set(export.unfit_folder) & set(path) | set(UNFIT.findall(path)))):
         raise UsageError(
-            f"{shown(path)}: the stack cannot be told of a folder with {unfit!r} in its name",
+            f"{shown(path)}: the stack cannot use a folder with {unfit!r} in its name",
             hint="choose another folder",
         )
     with disk_errors(folder):
@@ -161,7 +161,7 @@ def _move(export: Export, draft: Path, folder: Path, *, force: bool) -> None:
         if force:
             new.replace(goal)
         else:
-            goal.hardlink_to(new)  # which replaces nothing that came in the meantime
+            goal.hardlink_to(new)  # replaces no file that was created in the meantime
 
 
 def _is_secret(export: Export, source: str | Path) -> bool:

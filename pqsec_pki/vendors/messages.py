@@ -1,7 +1,7 @@
-"""What a stack's security error means, and the way out: its words or code, looked up.
+"""Explains a stack's security error, by its text or code, and how to fix it.
 
-The table is messages.yaml. A text may be one message or a whole log, its lines wrapped
-anywhere; the time to go through it grows with its length only.
+The table is messages.yaml. A text may be one message or a whole log, with lines wrapped
+anywhere; the time to search it is linear in its length.
 """
 
 import re
@@ -23,7 +23,7 @@ _FIT_FOR_A_COMMAND = re.compile(r"(?!-)[\w./*?:@%+=,-]{1,200}", re.ASCII)
 
 
 class Tells(StrEnum):
-    """What a message is good for; the first are the best."""
+    """What a message shows; the most useful first."""
 
     CAUSE = "cause"
     SYMPTOM = "symptom"
@@ -34,12 +34,12 @@ class Tells(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """A row of the table: what stacks say for one and the same reason."""
+    """A row of the table: the messages of stacks for one reason."""
 
     stacks: tuple[str, ...]
     code: int | None
     texts: tuple[str, ...]
-    """{name} stands for words that change."""
+    """{name} replaces words that vary."""
     tells: Tells
     cause: str
     remedy: str
@@ -47,7 +47,7 @@ class Message:
 
     @property
     def title(self) -> str:
-        """Its words, or its code where it has none."""
+        """Its text, or its code if it has none."""
         return self.texts[0] if self.texts else f"code {self.code}"
 
 
@@ -57,16 +57,16 @@ class Recognised:
 
     message: Message
     text: str
-    """The words it was known by, with {name} for those that change."""
+    """The text of the table that matched, with {name} for words that vary."""
     values: Mapping[str, str]
-    """What stood in the text for each name."""
+    """The value in the text for each {name}."""
     line: int
-    """Of the text where it was first, from 1."""
+    """The first line of the text that has it, from 1."""
     times: int
 
     @property
     def said(self) -> str:
-        """Its words, with the values in."""
+        """Its text, with the values filled in."""
         return _filled(self.text, self._shown)
 
     @property
@@ -80,13 +80,13 @@ class Recognised:
 
     @property
     def remedy(self) -> str:
-        """What to do. Values that are not plain words stay out: it is there to be copied."""
+        """What to do. Values that are not plain words are left out, because users copy it."""
         known = {k: v for k, v in self.values.items() if fit_for_a_command(v)}
         return _filled(self.message.remedy, known)
 
 
 def fit_for_a_command(text: str) -> bool:
-    """Whether `text`, from outside, is one word for a shell, and no option for a command."""
+    """Whether `text`, from outside, is one word for a shell, and not a command's option."""
     return _FIT_FOR_A_COMMAND.fullmatch(text) is not None
 
 
@@ -98,7 +98,7 @@ def messages(stack: str | None = None) -> tuple[Message, ...]:
 def recognise(text: str, *, stack: str | None = None) -> tuple[Recognised, ...]:
     """The known messages in `text`, best first: causes, then symptoms, in the text's order.
 
-    Of `stack` alone if it is given. A text that is only a number is taken for a code.
+    Only of `stack` if it is given. A text that is only a number is read as a code.
     """
     rows = messages(stack)
     if found := _BARE_CODE.fullmatch(text.strip()):
@@ -110,14 +110,14 @@ def recognise(text: str, *, stack: str | None = None) -> tuple[Recognised, ...]:
 
 
 def nearest(text: str, *, stack: str | None = None, limit: int = 3) -> tuple[Message, ...]:
-    """Rows with words that are most like those of a text that none matches; maybe none."""
+    """The rows whose words are most similar to a text that no row matches; may be empty."""
     known = {words: row for row in messages(stack) for words in row.texts}
     return tuple(dict.fromkeys(known[words] for words in nearest_texts(text, known)))[:limit]
 
 
 @cache
 def _table() -> tuple[Message, ...]:
-    import yaml  # noqa: PLC0415 -- only who asks for the table pays for it
+    import yaml  # noqa: PLC0415 -- only users of the table need it
 
     text = files("pqsec_pki.vendors").joinpath("messages.yaml").read_text("utf-8")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -140,7 +140,7 @@ def _filled(template: str, values: Mapping[str, str]) -> str:
 
 
 def _coded(rows: Iterable[Message], places: "list[_Place]", log: Log) -> Iterator[Recognised]:
-    """Codes whose words are not known; one that says little only where no words are."""
+    """Messages known only by code; a vague code counts only if there is no message text."""
     known = {(each.line, each.message.code) for each in places}
     lines = {line for each in places for line in (each.line, each.line + 1)}
     by_code = {row.code: row for row in rows if row.code is not None}
@@ -156,10 +156,10 @@ def _by_code(row: Message, line: int) -> Recognised:
 
 @dataclass(frozen=True, slots=True)
 class _Place(Recognised):
-    """A message somewhere in a log."""
+    """A message, with its position in a log."""
 
     parts: tuple[tuple[int, int], ...] = field(kw_only=True)
-    """Where each of its fixed parts begins and ends."""
+    """Begin and end of each of its fixed parts."""
 
     @property
     def ends(self) -> tuple[int, int]:
@@ -167,7 +167,7 @@ class _Place(Recognised):
 
 
 def _places(row: Message, log: Log) -> Iterator[_Place]:
-    """Where the row's texts stand in the log."""
+    """The positions of the row's texts in the log."""
     for text in row.texts:
         fixed, names = _PLACEHOLDER.split(text)[::2], _PLACEHOLDER.findall(text)
         wanted = [lowered(part) for part in fixed if part]
@@ -178,7 +178,7 @@ def _places(row: Message, log: Log) -> Iterator[_Place]:
 
 
 def _found(wanted: list[str], text: str) -> Iterator[tuple[tuple[int, int], ...]]:
-    """Where all of `wanted` follow each other: begins and ends."""
+    """The positions where all of `wanted` follow each other, as begins and ends."""
     begin = text.find(wanted[0])
     while begin >= 0:
         parts = [(begin, begin + len(wanted[0]))]
@@ -194,7 +194,7 @@ def _found(wanted: list[str], text: str) -> Iterator[tuple[tuple[int, int], ...]
 
 
 def _values(fixed: list[str], parts: tuple[tuple[int, int], ...], log: Log) -> Iterator[str]:
-    """What stands between the fixed parts, and before and behind them."""
+    """The text between the fixed parts, and before and after them."""
     if not fixed[0]:
         yield log.word_before(parts[0][0])
     for (_, end), (begin, _) in pairwise(parts):

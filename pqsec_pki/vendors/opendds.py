@@ -1,7 +1,7 @@
 """OpenDDS: an ini file that turns security on, and a header with the participant's properties.
 
-OpenDDS reads the names of credentials from the participant's QoS alone, which a program fills
-in: no file of its configuration can hold them. 3.13.3 was run with what is written here.
+OpenDDS reads the names of credentials only from the participant's QoS, which the program sets; a
+configuration file cannot contain them. 3.13.3 was run with the files that are written here.
 """
 
 from contextlib import suppress
@@ -17,7 +17,7 @@ from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 INI, HEADER = "opendds.ini", "pqsec_participant.h"
 PROTECTS_RTPS = (3, 14)
-"""The first version that can protect RTPS messages (its source); 3.13.3 makes no participant."""
+"""The first version that can protect RTPS messages (its source); 3.13.3 creates no participant."""
 RUN = (3, 13, 3)
 _NOT_RUN = "run with 3.13.3; later versions were not run with it, their source was read"
 _WAY_OUT = (
@@ -25,8 +25,8 @@ _WAY_OUT = (
     " all participants; or update OpenDDS to 3.14 or later"
 )
 _WRONG = (
-    "OpenDDS makes a participant with a wrong one all the same, and no peer accepts it; without"
-    " one the header ends the program"
+    "with a wrong one OpenDDS creates a participant that no peer accepts; without one the header"
+    " ends the program"
 )
 
 
@@ -45,7 +45,7 @@ def export(enclave: Enclave, options: Options) -> Export:
     if options.release != RUN:
         warnings += [_NOT_RUN]
     if enclave.has_crl:
-        warnings += ["OpenDDS reads no revocation list: it lets in who is revoked in crl.pem"]
+        warnings += ["OpenDDS reads no revocation list (crl.pem): it accepts revoked participants"]
     return Export(
         stack="opendds",
         participant=enclave.name,
@@ -68,15 +68,15 @@ def export(enclave: Enclave, options: Options) -> Export:
 
 
 def _unprotectable(enclave: Enclave, options: Options) -> str:
-    """What an OpenDDS of that version, or of any if it is not said, cannot protect."""
+    """What OpenDDS of that version, or of any version if none is given, cannot protect."""
     if options.release[:2] >= PROTECTS_RTPS:
         return ""
-    with suppress(PqsecError):  # the check tells what is wrong with the document
+    with suppress(PqsecError):  # the check reports what is wrong with the document
         governance = Governance.from_xml(document_in(read(enclave.folder / GOVERNANCE)))
         kinds = {rule.rtps_protection_kind for rule in governance.domain_rules}
         if kinds != {ProtectionKind.NONE}:
             return (
-                "OpenDDS before 3.14 makes no participant where the governance protects RTPS"
+                "OpenDDS before 3.14 creates no participant if the governance protects RTPS"
                 " messages (rtps_protection_kind): 3.13.3 says 'RTPS protection is unsupported'"
             )
     return ""

@@ -1,12 +1,12 @@
-"""Which stacks can trust two identity CAs at once, and how they are told to.
+"""Which stacks can trust two identity CAs at once, and how to configure them.
 
 Measured with real processes of the stacks, in every round of an overlap
 (tests/interop/test_rollover.py), and with their plugins, as an application that sets its
 own properties would call them (tests/interop/test_rotate.py).
 
-Of two permissions CAs, hardly a stack trusts both all the way: Fast DDS takes documents of
-either from one file, but meets only peers whose first CA has the same name. If both have one
-name, 3.1.2 goes over without a gap, and 2.9.1 does not start.
+No stack fully trusts two permissions CAs. Fast DDS accepts documents of both from one file, but
+authenticates only peers whose first CA has the same name. If both CAs have the same name, 3.1.2
+changes over without a gap, and 2.9.1 does not start.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trust:
-    """What a stack makes of two identity CAs."""
+    """How a stack treats two identity CAs."""
 
     stack: str
     how: str | None

@@ -1,7 +1,7 @@
 """ROS 2: a script that sets the environment, and the checks that ROS 2 makes late or not at all.
 
-Measured with rclpy of Jazzy: only `true` and `Enforce`, letter by letter, secure a node; which of
-the six files is missing is not said; there is no way to give the passphrase of a key.
+Measured with rclpy of Jazzy: only `true` and `Enforce`, case sensitive, secure a node; it does not
+report which of the six files is missing; a key's passphrase cannot be given.
 """
 
 import shlex
@@ -44,8 +44,8 @@ RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 def export(enclave: Enclave, options: Options) -> Export:
     """The script; and with `options.at` the enclave's files too, for another machine.
 
-    UsageError for a name that ROS 2 does not take, a passphrase, and an `at` that is not the
-    folder of this enclave in some keystore.
+    UsageError for a name that ROS 2 does not accept, a passphrase, and an `at` that is not the
+    folder of this enclave in a keystore.
     """
     _refuse_name(enclave.name)
     if options.password is not None:
@@ -89,7 +89,7 @@ def preflight(
 ) -> Iterator[Check]:
     """Whether a node would run secured as `name`, if it starts with these variables.
 
-    One check after the other; where a file is missing, none of what is in the files.
+    The checks in order; if a file is missing, the content of the files is not checked.
     KeystoreError if there is no such participant.
     """
     keystore.refuse_unknown(name)
@@ -109,10 +109,10 @@ def preflight(
 
 
 def _refuse_name(name: str) -> None:
-    """UsageError for one that ROS 2 does not take for an enclave; topics have the same rules."""
+    """UsageError for a name that ROS 2 does not accept for an enclave, by the rules for topics."""
     if reason := ros.fault(name):
         raise UsageError(
-            f"ROS 2 takes no enclave called {name}: {reason}",
+            f"ROS 2 does not accept the enclave name {name}: {reason}",
             hint="issue it under a name of letters, digits and _, such as /fleet/robot_1",
         )
 
@@ -130,7 +130,7 @@ def _keystore(enclave: Enclave) -> PurePosixPath:
 
 
 def _copies(enclave: Enclave, options: Options) -> dict[str, Path]:
-    """All of the enclave that ROS 2 reads, or the plugin, and nothing else."""
+    """The files of the enclave that ROS 2 or the plugin reads, and no others."""
     files = [
         enclave.folder / name for name in ((*SIX, REVOCATION_LIST) if enclave.has_crl else SIX)
     ]
@@ -149,7 +149,7 @@ def _notes(enclave: Enclave, keystore: str, options: Options) -> Iterator[str]:
 
 
 def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
-    """The domain that the script must name: none where 0, which needs no word, will do."""
+    """The domain that the script must set; None if it is 0, the default."""
     if 0 in needs.domains or not needs.domains:
         return None
     wanted = domain_in(variables)
@@ -157,7 +157,7 @@ def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
 
 
 def _credentials(enclave: Enclave, options: Options, now: datetime) -> Iterator[Check]:
-    """What `pqsec check` finds that ROS 2 or a stack below it refuses, or our plugin."""
+    """Findings of `pqsec check` that ROS 2, a stack below it or our plugin refuses."""
     report = check([enclave.folder], now=now, targets=[Target.ROS2])
     errors = [
         each for each in report.findings if own_plugin.severity(each, options) is Severity.ERROR
@@ -172,13 +172,13 @@ def _credentials(enclave: Enclave, options: Options, now: datetime) -> Iterator[
 
 
 def _warnings(needs: Needs, domain: int | None, variables: Mapping[str, str]) -> Iterator[str]:
-    """Of a node that starts with the script in a shell with these variables."""
+    """Warnings for a node that is started with the script in a shell with these variables."""
     checks = _life(needs, domain_in(variables) if domain is None else domain)
     return (f"{each.what}: {each.problem}" for each in checks if not each.ok)
 
 
 def _life(needs: Needs, domain: int | None) -> Iterator[Check]:
-    """Whether a participant and its nodes could live on that domain, None for no number."""
+    """Whether a participant and its nodes can run on that domain; None if it is not a number."""
     if domain is None:
         yield Check(what=DOMAIN, problem="is not a number", fix=f"unset {DOMAIN}, or set it to 0")
         return

@@ -1,17 +1,17 @@
-"""One thing that ROS 2 needs, and whether it has it."""
+"""A check of one requirement of ROS 2."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A question that ROS 2 would answer too late, or in silence."""
+    """A requirement that ROS 2 would check too late, or without a message."""
 
     what: str
     problem: str = ""
     """What is wrong; empty if nothing is."""
     fix: str = ""
-    """The way out."""
+    """How to fix it."""
 
     @property
     def ok(self) -> bool:

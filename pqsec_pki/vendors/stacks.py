@@ -1,4 +1,4 @@
-"""The stacks that credentials are exported for, and the check that comes before."""
+"""The stacks that credentials are exported for, and the check before an export."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -17,12 +17,12 @@ from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stack:
-    """A stack, and the module of this room that speaks its words.
+    """A stack, and the module of this room that writes its configuration.
 
     The module has `export(enclave, options) -> Export`, and may have
-    `severity(finding, options) -> Severity | None`: how bad a finding of the check is for
-    the version that is meant, None if not at all. Without, it is as bad as its rule says,
-    but for what does not matter where our own plugin runs.
+    `severity(finding, options) -> Severity | None`: the severity of a finding for the chosen
+    version, None if it does not apply. Otherwise the severity is that of its rule, except for
+    findings that do not apply when our own plugin runs.
     """
 
     name: str
@@ -30,23 +30,23 @@ class Stack:
     title: str
     target: Target
     versions: str
-    """Those whose configuration is known, in words."""
+    """The versions whose configuration is known, in words."""
     first: Version = ()
     end: Version | None = None
     """The first version after them, if there is a limit."""
     has_numbers: bool = True
-    """Whether its versions have them; those of ROS 2 have names."""
+    """Whether its versions have numbers; those of ROS 2 have names."""
     knows_loopback: bool = False
-    """Whether it is known here how it is kept to one machine."""
+    """Whether it is known how to restrict it to one machine."""
     loads_plugins: bool = False
     """Whether its configuration names the security plugins."""
     loads_ours: tuple[str, ...] = ()
     """The files of pqsec's own plugin that it can load in place of its own."""
     evidence: str
-    """How it is known that the stack takes it."""
+    """How it is known that the stack accepts the export."""
 
     def make(self, enclave: Enclave, options: Options) -> Export:
-        """The export, unchecked; UsageError for what the stack cannot be told."""
+        """The export, unchecked; UsageError for an option that the stack cannot have."""
         if options.loopback and not self.knows_loopback:
             able = ", ".join(each.name for each in STACKS if each.knows_loopback)
             raise UsageError(
@@ -69,7 +69,7 @@ class Stack:
             )
 
     def severity(self, finding: Finding, options: Options) -> Severity | None:
-        """How bad that is for this stack; None if not at all."""
+        """The severity for this stack; None if the finding does not apply to it."""
         module = import_module(f"pqsec_pki.vendors.{self.name}")
         judge = getattr(module, "severity", own_plugin.severity)
         judged: Severity | None = judge(finding, options)
@@ -131,7 +131,7 @@ STACKS = (
 
 
 def stack_named(name: str) -> Stack:
-    """The stack a user means; UsageError, with those there are, if none is."""
+    """The stack `name`; UsageError, with all names, if there is none."""
     for stack in STACKS:
         if stack.name == name.lower():
             return stack
@@ -172,12 +172,12 @@ def export(
     if refusal and not options.anyway:
         raise refusal
     refused = map(str, refusal.problems) if refusal else ()
-    return replace(made, warnings=(*made.warnings, *refused, *map(_told, warnings)))
+    return replace(made, warnings=(*made.warnings, *refused, *map(_message_of, warnings)))
 
 
 def _way_out(stack: Stack, errors: list[Finding]) -> str:
     if not errors:
-        return "`pqsec check` tells more"
+        return "`pqsec check` shows more"
     hint = errors[0].rule.fix
     if stack.loads_ours and own_plugin.is_of_others(errors[0]):
         hint += " Or run pqsec's plugin in it: --plugin."
@@ -185,14 +185,14 @@ def _way_out(stack: Stack, errors: list[Finding]) -> str:
 
 
 def _problem(finding: Finding) -> Problem:
-    return Problem(_told(finding), finding.code or Code.OTHER)
+    return Problem(_message_of(finding), finding.code or Code.OTHER)
 
 
 def _refuse_place(stack: Stack, options: Options) -> None:
-    """UsageError for places of the stack's own plugins that it cannot be told of."""
+    """UsageError for paths of the stack's own plugins that cannot be configured."""
     places = [each for each in (options.plugins, options.crypto) if each]
     if places and not stack.loads_plugins:
-        raise UsageError(f"{stack.title} is not told where its security plugins are")
+        raise UsageError(f"the configuration of {stack.title} does not name security plugins")
     for each in places:
         if options.at and not each.is_absolute():
             raise UsageError(f"{each}: not an absolute path", hint="as it is there")
@@ -211,9 +211,9 @@ def _refuse_plugin(stack: Stack, options: Options) -> None:
     names = (PRELOAD,) if options.rmw == FASTRTPS else stack.loads_ours
     if options.at and not options.plugin.is_absolute():
         raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")
-    if not options.at:  # what another machine has is not to be seen here
+    if not options.at:  # another machine cannot be checked from here
         own_plugin.refuse_missing(options.plugin, names)
 
 
-def _told(finding: Finding) -> str:
+def _message_of(finding: Finding) -> str:
     return f"{finding.path}: {finding.message} ({finding.rule.id})"

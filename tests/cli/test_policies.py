@@ -35,7 +35,7 @@ def test_new_permissions_without_ros(pqsec, tmp_path):
     assert [grant.name for grant in value.grants] == names
     assert {rule.allow for grant in value.grants for rule in grant.rules} == {True}
     assert not any(rule.publish or rule.subscribe for g in value.grants for rule in g.rules)
-    pqsec("permissions new robot-1").refused(2, "no full ROS 2 name", hint="use --dds")
+    pqsec("permissions new robot-1").refused(2, "not a full ROS 2 name", hint="use --dds")
 
 
 @every_kind

@@ -159,7 +159,7 @@ def test_cyclone_reads_the_passphrase_from_the_environment(cyclone, own, exporte
     assert cyclone(variables | {"PQSEC_KEY_PASSWORD": "wrong"}).returncode == 1
     without = cyclone(variables)
     assert without.returncode == 1
-    assert "PQSEC_KEY_PASSWORD: is to hold the passphrase" in without.stderr
+    assert "PQSEC_KEY_PASSWORD: must contain the passphrase" in without.stderr
 
 
 @pytest.mark.parametrize("name", ['a"b', "a\\b"])
@@ -236,7 +236,7 @@ def test_opendds_header_compiles_and_holds_the_values_that_were_meant(own, tmp_p
     for unset in ({}, {"PQSEC_KEY_PASSWORD": ""}):  # OpenDDS would make a useless participant
         done = run([program], unset)
         assert (done.returncode < 0, done.stdout) == (True, "")
-        assert "PQSEC_KEY_PASSWORD is to hold the passphrase" in done.stderr
+        assert "PQSEC_KEY_PASSWORD must contain the passphrase" in done.stderr
     said = run([program], {"PQSEC_KEY_PASSWORD": "secret"}).stdout
     folder = f"file://{keystore.root}/enclaves/lab/alice"
     assert said.splitlines() == [

@@ -285,7 +285,7 @@ def test_domain_ids_are_read_as_the_schema_writes_numbers():
 def test_a_number_too_large_for_a_domain_id_is_refused(number):
     [problem] = problems_of(document(rules=allowing(f"<id>{number}</id>")), Permissions.from_xml)
     assert problem.element == "id"
-    assert "no domain id" in problem.message
+    assert "not a domain id" in problem.message
 
 
 @pytest.mark.parametrize(

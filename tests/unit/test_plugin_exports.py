@@ -105,7 +105,7 @@ def test_cyclones_own_encryption_can_be_named_beside_it_and_must_fit(
     with pytest.raises(VerificationError, match=r"libddsc\.so\.11\.0\.1.* can crash") as refusal:
         exported("cyclonedds", keystore, folder, crypto=crypto, version="0.10.2")
     assert "--crypto" in refusal.value.hint
-    with pytest.raises(UsageError, match="is not told where"):
+    with pytest.raises(UsageError, match="does not name security plugins"):
         exported("ros2", keystore, folder, crypto=crypto)
 
 

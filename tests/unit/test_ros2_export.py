@@ -186,10 +186,10 @@ def test_a_place_where_ros_finds_no_enclave_is_refused(domain, at):
 @pytest.mark.parametrize("name", ["/robot-1", "/robot.1", "/1st"])
 def test_a_name_that_ros_does_not_take_is_refused(domain, name):
     domain.issue(name)
-    with pytest.raises(UsageError, match="ROS 2 takes no enclave called"):
+    with pytest.raises(UsageError, match="ROS 2 does not accept the enclave name"):
         domain.export(name)
     *_, last = preflight(domain.keystore, name, {}, now=domain.now)
-    assert "ROS 2 takes no enclave called" in last.problem
+    assert "ROS 2 does not accept the enclave name" in last.problem
 
 
 @pytest.mark.parametrize("file", SIX)
@@ -225,7 +225,7 @@ def test_a_topic_without_which_a_node_ends_is_named(domain, topic):
     domain.issue(needs=without(topic))
     made = domain.export(anyway=True)  # of one of them `pqsec check` knows, and stops there
     way = "publish" if topic in LIFE.publish else "subscribe to"
-    assert f"node /talker: it would end as it starts: it may not {way} {topic}" in made.warnings
+    assert f"node /talker: it would exit at start: it may not {way} {topic}" in made.warnings
 
 
 @pytest.mark.parametrize(
@@ -253,13 +253,13 @@ def test_nodes_that_begin_so_are_told_what_they_lack(domain):
     publish = (ros.DISCOVERY, "rt/rosout", "rt/parameter_events", "rr/lab/cli_*")
     domain.issue(needs=ros.Endpoints(publish=publish, subscribe=(ros.DISCOVERY,)))
     problem = domain.preflight()["node /lab/cli_*"]
-    assert problem.startswith("it would end as it starts: it may not subscribe to rq/lab/cli_x/")
+    assert problem.startswith("it would exit at start: it may not subscribe to rq/lab/cli_x/")
 
 
 @pytest.mark.parametrize("pattern", ["rr/9*", "rr//*", "rr/lab/9*", "rr/lab//cli_*"])
 def test_a_pattern_by_which_no_node_can_be_called_tells_of_no_node(domain, pattern):
     domain.issue(needs=ros.Endpoints(publish=(ros.DISCOVERY, pattern), subscribe=(ros.DISCOVERY,)))
-    assert domain.preflight()["node /talker"].startswith("it would end as it starts")
+    assert domain.preflight()["node /talker"].startswith("it would exit at start")
 
 
 NEAR = {
@@ -324,7 +324,7 @@ def test_preflight_finds_nothing_wrong_where_nothing_is(domain):
         ("ROS_SECURITY_KEYSTORE", "", "is '': ROS 2 stops"),
         ("ROS_SECURITY_KEYSTORE", "k", "not absolute"),
         ("ROS_SECURITY_KEYSTORE", "/other", "this keystore is /"),
-        ("ROS_SECURITY_ENCLAVE_OVERRIDE", "/other", "wins over --enclave"),
+        ("ROS_SECURITY_ENCLAVE_OVERRIDE", "/other", "overrides --enclave"),
     ],
 )
 def test_preflight_sees_every_letter_of_the_environment(domain, what, value, words):
