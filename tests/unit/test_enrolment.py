@@ -195,7 +195,7 @@ def test_a_request_whose_proof_is_not_its_keys_is_refused():
     with pytest.raises(VerificationError, match="no proof that the requester has the private key"):
         validate_csrs([bad], PROFILES[0], names=[ROBOT])
     bad = replace(asked, alternative=replace(asked.alternative, signature=bytes(3309)))
-    with pytest.raises(VerificationError, match=r"no proof .* the alternative key"):
+    with pytest.raises(VerificationError, match=r"no proof .* the alternative private key"):
         validate_csrs([bad], PROFILES[0], names=[ROBOT])
 
 

@@ -688,7 +688,7 @@ def test_a_file_in_the_place_of_the_folder_is_a_refusal(tmp_path):
 )
 def test_a_folder_that_the_variable_cannot_name_is_refused(models, tmp_path, stack, name):
     made = unchecked(stack, models("classical"))
-    with pytest.raises(UsageError, match="cannot be told"):
+    with pytest.raises(UsageError, match="cannot use a folder"):
         write(made, tmp_path / name)
     assert tree(tmp_path) == []
 

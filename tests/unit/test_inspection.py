@@ -340,7 +340,7 @@ def test_a_signed_document_that_breaks_its_schema_is_told_with_what_is_wrong():
     [
         (b"", "an empty file"),
         (b"hello", "of no known kind"),
-        (b"0\x03\x02\x01\x01", "DER, or damaged DER"),
+        (b"0\x03\x02\x01\x01", "DER of an unknown kind"),
         (b"-----BEGIN DH STUFF-----\nMAA=\n-----END DH STUFF-----\n", "DH STUFF"),
         (b"-----BEGIN CERTIFICATE-----\nMAA=\n", "no END line"),
         (b"Content-Type: application/pkcs7-mime\n\nMAA=", "opaque S/MIME"),
