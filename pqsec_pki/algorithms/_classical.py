@@ -47,7 +47,6 @@ _LONGEST_SALT, _ANY_SALT, _HASH_SALT = (
     for salt in (padding.PSS.MAX_LENGTH, padding.PSS.AUTO, hashes.SHA256.digest_size)
 )
 _RSA_ENCRYPTION = encode(algorithm("1.2.840.113549.1.1.1", null=True))
-_EC_PUBLIC_KEY = "1.2.840.10045.2.1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,6 @@ from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey
 from pqsec_pki.errors import MalformedError, VerificationError
 
 _FIRST = b"pqsec sealed bundle 1\n"
-_FINGERPRINT = 32
 
 
 def is_sealed(data: bytes) -> bool:

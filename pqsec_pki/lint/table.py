@@ -2,16 +2,16 @@
 
 from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import rule
 
 _HERE = Path(__file__).parent
-FOLDERS = tuple(sorted(path.parent.name for path in _HERE.glob("*/__init__.py")))
-"""The folders with rules."""
-for _folder in FOLDERS:
-    for _path in sorted((_HERE / _folder).glob("[a-z]*.py")):
-        import_module(f"pqsec_pki.lint.{_folder}.{_path.stem}")
+# Not by the names of files: an installation may have compiled modules only.
+for _folder in iter_modules([str(_HERE)]):
+    for _module in iter_modules([str(_HERE / _folder.name)]) if _folder.ispkg else ():
+        import_module(f"pqsec_pki.lint.{_folder.name}.{_module.name}")
 
 RULES = dict(sorted(rule.RULES.items()))
 """By id, sorted."""

@@ -1,12 +1,17 @@
 """The frame of the check: what it looks at, and what it leaves out for a reason."""
 
+import compileall
 import os
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+import pqsec_pki
 from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.lint import (
     RULES,
@@ -338,3 +343,17 @@ def test_rules_are_found_by_their_id_and_say_what_they_must():
         assert rule.why.endswith(".")
         assert rule.fix.endswith((".", ">", "?"))
         assert rule.stacks or not rule.only_when_asked
+
+
+def test_all_rules_are_found_where_only_compiled_modules_are_installed(tmp_path):
+    """Without its rules a check would find nothing, and say so."""
+    package = Path(pqsec_pki.__file__).parent
+    copy = shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("*.pyc"))
+    assert compileall.compile_dir(copy / "lint", legacy=True, quiet=1)
+    for path in (copy / "lint").rglob("*.py"):
+        path.unlink()
+    script = "from pqsec_pki import lint; print(lint.__file__, *lint.RULES)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [str(copy / "lint/__init__.pyc"), *RULES]
