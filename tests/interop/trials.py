@@ -168,7 +168,7 @@ CASES = {
     "encrypted-key": Case("encrypted private keys", alter=encrypt_the_keys, password=PASSWORD),
     "crl": Case("revocation list, nobody revoked", alter=revoke_nobody),
     "open": Case(
-        "governance that lets strangers in, topic not protected",
+        "governance that allows unauthenticated participants, topic not protected",
         alter=let_strangers_in,
         is_open=True,
         closed_all_the_same=("fastdds 2.9.1",),  # no match in 20 s, three times of three
