@@ -12,13 +12,21 @@ from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.plan import (
     few,
     file_argument,
-    keystore_or_none,
     new_keys_option,
     prune_option,
     show,
     value,
 )
-from pqsec_pki.domain import Action, Desired, Plan, Step, apply_plan, create_keystore, read_domain
+from pqsec_pki.domain import (
+    Action,
+    Desired,
+    Plan,
+    Step,
+    apply_plan,
+    create_keystore,
+    read_domain,
+    refuse_mass_revocation,
+)
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.enrolment import refresh
 from pqsec_pki.errors import PqsecError, UsageError
@@ -89,12 +97,13 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
             "--check and --bundles exclude each other", hint="--check does not write anything"
         )
     desired, now = read_domain(file), _settings.now()
-    keystore = keystore_or_none(to_change=not check)
+    keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     done = list[Step]()
     if found.steps and not check:
         if yes:
-            _refuse_mass_revocation(found, desired, revoke_most=revoke_most)
+            if not revoke_most:
+                refuse_mass_revocation(desired, found)
         else:
             _ask(found, desired)
         keystore, authorities = _opened(desired, keystore, passphrase_file, none=no_passphrase)
@@ -107,16 +116,6 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         show(found, desired)
     if found.blocked or (check and found.steps):
         click.get_current_context().exit(1)
-
-
-def _refuse_mass_revocation(found: Plan, desired: Desired, *, revoke_most: bool) -> None:
-    """UsageError: a truncated list would revoke a fleet, and revocations cannot be undone."""
-    if found.revoked > len(desired.members) and not revoke_most:
-        raise UsageError(
-            f"{found.revoked} participants would be revoked, and {desired.path} names"
-            f" {len(desired.members)}",
-            hint="check that no list in the file is truncated; to do it, use --revoke-most",
-        )
 
 
 def _ask(found: Plan, desired: Desired) -> None:

@@ -242,11 +242,9 @@ def recover() -> None:
 
 def _show_pins(keystore: Keystore) -> None:
     """Print the trusted CAs as options of `pqsec install`."""
-    overlap = Overlap.of(keystore)
-    cas = [("identity", keystore.identity_ca), ("permissions", keystore.permissions_ca)]
-    cas += [("identity", overlap.other)] if overlap else []
-    cas += [("countersigner", each) for each in [keystore.countersigner] if each]
-    pins = [f"{role}:{each.fingerprint}" for role, each in cas]
+    from pqsec_pki.enrolment import pin_texts, pins_in_use  # noqa: PLC0415 -- for --pins alone
+
+    pins = pin_texts(pins_in_use(keystore))
     _printing.emit({"pins": pins}, [f"--ca-fingerprint {each}" for each in pins])
 
 

@@ -12,7 +12,7 @@ from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
+from pqsec_pki.selfcheck import verify_handshake
 
 _YEAR = timedelta(days=365)
 
@@ -56,8 +56,7 @@ def demo(folder: Path | None, profile_name: str) -> None:
         _spec("/listener", domains, subscribe=(ros.topic("/chatter"),)),
     ]
     issue(keystore, keystore.unlock(None), specs, now=now)
-    setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
-    report = run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener"))
+    report = verify_handshake(keystore, "/talker", "/listener", now=now)
     value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
     _printing.emit(
         value, [*_result_lines(keystore), *lines_of(report), "", *_command_lines(keystore)]

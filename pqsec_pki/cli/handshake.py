@@ -7,7 +7,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from pqsec_pki.algorithms import KEY_AGREEMENTS, Profile
+from pqsec_pki.algorithms import KEY_AGREEMENTS, KeyAgreement, Profile
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
 from pqsec_pki.keystore import Keystore
@@ -20,7 +20,8 @@ from pqsec_pki.selfcheck import (
     Stack,
     stack_named,
 )
-from pqsec_pki.selfcheck.shared_domains import JoinableDomains, meet_on
+from pqsec_pki.selfcheck import verify_handshake as run_between
+from pqsec_pki.selfcheck.shared_domains import JoinableDomains
 
 MATRIX_ROUNDS = 5
 _PAIR = 2
@@ -160,29 +161,13 @@ def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
 
 def _report(names: tuple[str, ...], given: dict[str, Any]) -> Report:
-    setup, parties, joinable = _setup(names, given)
-    return meet_on(joinable, setup, *parties, anywhere=given["domain"] is None)
-
-
-def _setup(
-    names: tuple[str, ...], given: dict[str, Any]
-) -> tuple[HandshakeSetup, tuple[HandshakeParty, HandshakeParty], JoinableDomains]:
-    """The setup and the two parties of a handshake, and the domains that both may join."""
-    keystore, now = _keystore(given["kem"]), _settings.now()
-    for name in names:
-        keystore.refuse_unknown(name)
-    joinable = JoinableDomains.of(keystore, names, now)
-    setup = HandshakeSetup(
-        keystore=keystore,
-        domain=joinable.domain if given["domain"] is None else given["domain"],
-        now=now,
-        agreement=None if given["kem"] is None else KEY_AGREEMENTS.named(given["kem"]),
-    )
-    first, second = _stacks(given["stacks"])
-    return (
-        setup,
-        (HandshakeParty(name=names[0], stack=first), HandshakeParty(name=names[1], stack=second)),
-        joinable,
+    return run_between(
+        _keystore(given["kem"]),
+        *names,
+        now=_settings.now(),
+        domain=given["domain"],
+        stacks=_stacks(given["stacks"]),
+        agreement=_agreement(given["kem"]),
     )
 
 
@@ -227,10 +212,18 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    setup, parties, joinable = _setup(names, given)
-    if given["domain"] is None:
+    keystore, now, domain = _keystore(given["kem"]), _settings.now(), given["domain"]
+    joinable = JoinableDomains.of(keystore, names, now)
+    if domain is None:
         joinable.refuse_split()
-    return _handshake_attacks.try_attacks(setup, parties, attacks)
+    setup = HandshakeSetup(
+        keystore=keystore,
+        domain=joinable.domain if domain is None else domain,
+        now=now,
+        agreement=_agreement(given["kem"]),
+    )
+    first, second = (HandshakeParty(name=name) for name in names)
+    return _handshake_attacks.try_attacks(setup, (first, second), attacks)
 
 
 def _keystore(kem: str | None) -> Keystore:
@@ -239,6 +232,10 @@ def _keystore(kem: str | None) -> Keystore:
     if kem is not None:
         _note_broken_promise(kem, keystore.profile)
     return keystore
+
+
+def _agreement(kem: str | None) -> KeyAgreement | None:
+    return None if kem is None else KEY_AGREEMENTS.named(kem)
 
 
 def _stacks(names: tuple[str, ...]) -> tuple[Stack, Stack]:

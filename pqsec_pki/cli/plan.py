@@ -10,7 +10,6 @@ from pqsec_pki import _files
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.domain import Action, Desired, Plan, new_domain, read_domain
 from pqsec_pki.domain import plan as plan_steps
-from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import Keystore
 
 DEFAULT_FILE = Path("domain.yaml")
@@ -55,28 +54,11 @@ def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
         _printing.emit({"written": str(file)}, [f"{file}: edit it, then run `pqsec plan`"])
         return
     desired = read_domain(file)
-    keystore, now = keystore_or_none(), _settings.now()
+    keystore, now = Keystore.find(_settings.keystore_path()), _settings.now()
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     show(found, desired)
     if not found.in_order:
         click.get_current_context().exit(1)
-
-
-def keystore_or_none(*, to_change: bool = False) -> Keystore | None:
-    """The keystore; None if it does not exist yet."""
-    path = _settings.keystore_path()
-    try:
-        return Keystore.open(path, to_change=to_change)
-    except InterruptedChangeError:
-        raise
-    except KeystoreError:
-        try:
-            Keystore.refuse_occupied(path)
-        except ExistsError:
-            pass
-        else:
-            return None
-        raise
 
 
 def show(found: Plan, desired: Desired) -> None:

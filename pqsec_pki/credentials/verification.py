@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeVar
 
-from pqsec_pki.access import SPEC, Action, Question
+from pqsec_pki.access import SPEC, Action, Decision, Interpretation, Question, decide
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials._signed_documents import SignedDocument
@@ -42,6 +42,29 @@ class VerifiedCredentials:
     permissions: SignedDocument[Permissions]
     grant: Grant
     """The participant's own grant that is valid now."""
+
+    def decide(
+        self,
+        action: Action,
+        topic: str | None = None,
+        *,
+        domain: int,
+        now: datetime,
+        interpretation: Interpretation = SPEC,
+    ) -> Decision:
+        """Whether the participant may do `action` with the DDS topic `topic`, and why.
+
+        `topic` is None for `Action.JOIN` only: UsageError otherwise. `access.decide` also has
+        partitions and data tags.
+        """
+        question = Question(
+            subject=self.certificate.subject_name,
+            domain=domain,
+            action=action,
+            topic=topic,
+            now=now,
+        )
+        return decide(self.governance.value, self.permissions.value, question, interpretation)
 
     @property
     def files(self) -> Mapping[str, bytes]:

@@ -4,6 +4,7 @@ If it is killed, a new plan has the steps that are left.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import groupby
 from pathlib import Path
@@ -42,6 +43,47 @@ MAX_FAILURES = 10
 
 _OWN_FAULTS = (InvalidDocumentError, KeystoreError, MalformedError, UsageError, VerificationError)
 """Errors that a participant may cause, unlike errors of the disk."""
+
+
+def apply(  # noqa: PLR0913 -- the choices are the user's, and by name
+    desired: Desired,
+    root: Path,
+    *,
+    passphrase: bytes | None,
+    now: datetime,
+    prune: bool = False,
+    new_keys: bool = False,
+    revoke_most: bool = False,
+) -> Plan:
+    """Bring the keystore at `root` into the desired state; create it if there is none.
+
+    Returns the plan with the steps that were executed; it also has the participants that stay
+    blocked. `passphrase` encrypts or encrypted the CA keys; None if they are not encrypted.
+    `prune` and `new_keys` as in `plan`, `revoke_most` as in `refuse_mass_revocation`; other
+    errors as of `Keystore.open`, `plan` and `apply_plan`.
+    """
+    keystore = Keystore.find(root, to_change=True)
+    found = make_plan(desired, keystore, now=now, prune=prune, new_keys=new_keys)
+    if not found.steps:
+        return found
+    if not revoke_most:
+        refuse_mass_revocation(desired, found)
+    keystore = keystore or create_keystore(desired, root, passphrase=passphrase, now=now)
+    batches = apply_plan(desired, keystore, keystore.unlock(passphrase), found, now=now)
+    return replace(found, steps=tuple(step for batch in batches for step in batch))
+
+
+def refuse_mass_revocation(desired: Desired, plan: Plan) -> None:
+    """UsageError if the plan revokes more participants than the file names.
+
+    A truncated list would revoke a fleet, and revocations cannot be undone.
+    """
+    if plan.revoked > len(desired.members):
+        raise UsageError(
+            f"{plan.revoked} participants would be revoked, and {desired.path} names"
+            f" {len(desired.members)}",
+            hint="check that no list in the file is truncated; to do it, use --revoke-most",
+        )
 
 
 def create_keystore(

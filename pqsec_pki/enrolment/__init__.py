@@ -18,7 +18,7 @@ from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
 from pqsec_pki.enrolment.outbox import refresh
 from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
 from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
-from pqsec_pki.enrolment.trust import Pins, pins_of
+from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
 from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 
 __all__ = [
@@ -43,6 +43,8 @@ __all__ = [
     "make_sealing_key",
     "name_asked_for",
     "open_sealed",
+    "pin_texts",
+    "pins_in_use",
     "pins_of",
     "refresh",
     "request",

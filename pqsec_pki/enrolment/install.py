@@ -103,7 +103,7 @@ def rollback(root: Path, *, older: bool = False) -> InstalledSet:
             _refuse_rollback(earlier, state)
         else:
             seen = _installed(earlier)
-            pins = pins_in(seen)
+            pins = pins_in(*(each.anchors for each in seen))
             if state is None:
                 with suppress(PqsecError):  # an unreadable set raises no marks
                     seen += _installed(current)
@@ -138,7 +138,8 @@ def _trust_state(
         if state or before is None:
             return state
         installed = _installed(before)
-        return _raised(None, installed, pins_in(installed))
+        pins = pins_in(*(each.anchors for each in installed))
+        return _raised(None, installed, pins)
     except PqsecError as error:
         if not needed:
             return None
@@ -195,7 +196,7 @@ def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> No
 
 def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
     credentials = _installed(earlier)
-    problems = list(pin_problems(pins_in(credentials), state.pins))
+    problems = list(pin_problems(pins_in(*(each.anchors for each in credentials)), state.pins))
     problems += [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
         raise VerificationError(

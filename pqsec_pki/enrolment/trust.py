@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Self, TypeAlias
 
@@ -23,8 +23,10 @@ from pqsec_pki.credentials import (
     PERMISSIONS_CA,
     REVOCATION_LIST,
     Credentials,
+    TrustAnchors,
 )
 from pqsec_pki.errors import KeystoreError, UsageError, shown
+from pqsec_pki.keystore import Keystore, Overlap
 from pqsec_pki.problems import Code, Problem
 
 FORMAT = 1
@@ -60,6 +62,20 @@ def pins_of(texts: Iterable[str]) -> Pins:
             )
         found.setdefault(ROLES[match[1]], set()).add(match[2])
     return {file: frozenset(pins) for file, pins in found.items()}
+
+
+def pins_in_use(keystore: Keystore) -> Pins:
+    """The CAs that the robots of `keystore` trust; in an overlap, both identity CAs.
+
+    Errors as of `Overlap.of`.
+    """
+    cas, overlap = keystore.issuing_cas, Overlap.of(keystore)
+    return pins_in(replace(cas, identity_cas=(overlap.issuing, overlap.other)) if overlap else cas)
+
+
+def pin_texts(pins: Pins) -> list[str]:
+    """The pins as `pins_of` reads them, and `pqsec install` after --ca-fingerprint."""
+    return [f"{role}:{each}" for role, file in ROLES.items() for each in sorted(pins.get(file, ()))]
 
 
 def pin_problems(found: Pins, trusted: Pins) -> Iterator[Problem]:
@@ -187,11 +203,11 @@ class TrustState:
         return TrustState(pins=pins, marks=marks)
 
 
-def pins_in(credentials: Iterable[Credentials]) -> Pins:
-    """The fingerprints of the CAs of `credentials`, by their roles."""
+def pins_in(*anchors: TrustAnchors) -> Pins:
+    """The fingerprints of all CAs in `anchors`, by their roles."""
     found: dict[str, set[str]] = {}
-    for each in credentials:
-        for file, authorities in each.anchors.roles.items():
+    for each in anchors:
+        for file, authorities in each.roles.items():
             found.setdefault(file, set()).update(ca.fingerprint for ca in authorities)
     return {file: frozenset(found[file]) for file in CA_FILES if found.get(file)}
 

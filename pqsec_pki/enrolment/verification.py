@@ -50,7 +50,9 @@ def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundl
         for name, files in bundle.enclaves.items()
     )
     problems = [
-        problem.of(each.name) for each in found for problem in pin_problems(pins_in([each]), pins)
+        problem.of(each.name)
+        for each in found
+        for problem in pin_problems(pins_in(each.anchors), pins)
     ]
     if problems:
         raise VerificationError(

@@ -10,9 +10,16 @@ from typing import Self
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
+from pqsec_pki.credentials import (
+    CA_FILES,
+    NEEDED,
+    Credentials,
+    TrustAnchors,
+    VerifiedCredentials,
+    verify_credentials,
+)
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.errors import ExistsError, KeystoreError
+from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _journal, _settings, layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
@@ -20,6 +27,7 @@ from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
 from pqsec_pki.keystore.participant import (
+    enclave_files,
     load_first_certificate,
     load_participant,
     load_revocation_list,
@@ -99,6 +107,16 @@ class Keystore:
             _journal.check(root)
         profile, domains = _settings.read_settings(path)
         return cls(root, profile, domains, to_change)
+
+    @classmethod
+    def find(cls, root: Path, *, to_change: bool = False) -> Self | None:
+        """As `open`, but None if the folder `root` has no part of a keystore."""
+        try:
+            return cls.open(root, to_change=to_change)
+        except KeystoreError as error:
+            if isinstance(error, InterruptedChangeError) or _parts_in(root):
+                raise
+            return None
 
     @staticmethod
     def recover(root: Path) -> bool:
@@ -229,6 +247,23 @@ class Keystore:
     def participant(self, name: str, passphrase: bytes | None = None) -> Credentials:
         """The participant called `name`; KeystoreError if there is none."""
         return load_participant(self.root, layout.enclave_name(name), passphrase)
+
+    def verified(
+        self, name: str, passphrase: bytes | None = None, *, now: datetime
+    ) -> VerifiedCredentials:
+        """The credentials of the participant called `name`, verified at `now`.
+
+        Verified twice: with the CAs of its enclave, as its own stack does, and with those of the
+        keystore. Its private keys may be missing. VerificationError lists everything that is
+        wrong; KeystoreError if there is no such participant, or a file is missing;
+        PassphraseError for an encrypted key without `passphrase`.
+        """
+        name = layout.enclave_name(name)
+        folder = self.root / layout.enclave_folder(name)
+        files = enclave_files(self.root, name)
+        credentials = Credentials.of(name, files, passphrase, folder=folder)
+        verify_credentials(credentials, now=now)
+        return verify_credentials(replace(credentials, anchors=self.anchors), now=now)
 
     def ledger(self) -> list[Entry]:
         """Everything that was ever issued, signed or revoked here, oldest first."""

@@ -7,6 +7,7 @@ from datetime import datetime
 
 from pqsec_pki.access import may_join
 from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
+from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
@@ -21,6 +22,7 @@ from pqsec_pki.selfcheck.handshake_check import (
     run_handshake,
 )
 from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, TopicFlow
+from pqsec_pki.selfcheck.stacks import PQSEC, Stack
 from pqsec_pki.smime import document_in
 
 
@@ -35,9 +37,10 @@ class JoinableDomains:
 
     @classmethod
     def of(cls, keystore: Keystore, names: Sequence[str], now: datetime) -> "JoinableDomains":
-        """FileError if one of them cannot be read."""
+        """KeystoreError if one of them does not exist, FileError if it cannot be read."""
         found = dict[str, frozenset[int]]()
         for name in map(regular_name, names):
+            keystore.refuse_unknown(name)
             found[name] = frozenset()
             with suppress(StoppedError):
                 participant = load_party(keystore, name, Steps())
@@ -76,30 +79,41 @@ class JoinableDomains:
             )
 
 
-def meet_on(
-    joinable: JoinableDomains,
-    setup: HandshakeSetup,
-    first: HandshakeParty,
-    second: HandshakeParty,
+def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by name
+    keystore: Keystore,
+    first: str,
+    second: str,
     *,
-    anywhere: bool,
+    now: datetime,
+    domain: int | None = None,
+    stacks: tuple[Stack, Stack] = (PQSEC, PQSEC),
+    agreement: KeyAgreement | None = None,
 ) -> Report:
-    """Run their handshake, and report the topics that they share.
+    """Run the handshake between two participants, and report its steps and their common topics.
 
-    If any domain will do (`anywhere`) and they share none, each is checked alone, and the
-    step `common domain` fails.
+    The report ends at the first step that fails. Without `domain`, the handshake is on the first
+    domain that both may join; if there is none, each is checked alone, and the step `common
+    domain` fails. `stacks` are those that the two behave like; `agreement` replaces the
+    profile's key agreement. KeystoreError if a participant does not exist.
     """
-    if joinable.is_split and anywhere:
-        return _apart(setup, joinable, (first, second))
-    report = replace(
-        run_handshake(setup, first, second), domain=setup.domain, shared=joinable.shared
+    joinable = JoinableDomains.of(keystore, (first, second), now)
+    setup = HandshakeSetup(
+        keystore=keystore,
+        domain=joinable.domain if domain is None else domain,
+        now=now,
+        agreement=agreement,
     )
+    names = regular_name(first), regular_name(second)
+    parties = [
+        HandshakeParty(name=name, stack=stack) for name, stack in zip(names, stacks, strict=True)
+    ]
+    if joinable.is_split and domain is None:
+        return _apart(setup, joinable, parties)
+    report = replace(run_handshake(setup, *parties), domain=setup.domain, shared=joinable.shared)
     if not report.ok:
         return report
-    keystore = setup.keystore
-    names = tuple(regular_name(party.name) for party in (first, second))
     one, other = ((name, documents_of(keystore.participant(name))) for name in names)
-    return replace(report, talks=talks_between(one, other, setup.domain, setup.now))
+    return replace(report, talks=talks_between(one, other, setup.domain, now))
 
 
 def _apart(

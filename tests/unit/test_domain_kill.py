@@ -8,10 +8,11 @@ import subprocess
 import sys
 import time
 from datetime import UTC, datetime
+from importlib import import_module
 
 import pytest
 
-from pqsec_pki.domain import Action, apply, create_keystore, read_domain
+from pqsec_pki.domain import Action, create_keystore, read_domain
 from pqsec_pki.keystore import audit
 from pqsec_pki.lifecycle import revoke
 from tests.unit.domains import DAY, FILE, NOW, Scene
@@ -24,10 +25,12 @@ NOT_MET = {Action.CREATE_CAS, Action.RENEW_CRL}
 """Of the actions, at the start below."""
 EVERY = 13
 """Of how many calls one is killed: what they belong to has its own sweeps."""
-SMALL_BATCHES = """
+APPLY = "pqsec_pki.domain.apply"
+"""The module, not the function of the room."""
+SMALL_BATCHES = f"""
+from importlib import import_module
 from pqsec_pki.cli import main
-from pqsec_pki.domain import apply
-apply.BATCH = 4
+import_module({APPLY!r}).BATCH = 4
 main()
 """
 
@@ -70,7 +73,7 @@ def check_ended(scene):
 
 
 def test_it_is_ended_by_the_next_whenever_the_kill_comes(place, monkeypatch):
-    monkeypatch.setattr(apply, "BATCH", 1)
+    monkeypatch.setattr(import_module(APPLY), "BATCH", 1)
     (place / "original").mkdir()
     original = Scene(place / "original")
     start(original)
