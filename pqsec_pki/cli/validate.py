@@ -5,11 +5,9 @@ from typing import Any
 
 import click
 
-from pqsec_pki._files import read
 from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.documents import validate as validate_xml
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
-from pqsec_pki.smime import document_in, is_signed
+from pqsec_pki.policy import valid_kind
 
 
 @_help.command(
@@ -35,7 +33,7 @@ from pqsec_pki.smime import document_in, is_signed
 def validate(files: tuple[Path, ...]) -> None:
     """Check governance and permissions documents against their schemas.
 
-    FILE is XML, or a signed file with XML inside. The kind of document is detected.
+    FILE is XML, a signed file with XML inside, or YAML. The kind of document is detected.
     Signatures are not checked: use `pqsec verify`.
     """
     results = [_validated(file) for file in files]
@@ -50,9 +48,8 @@ def validate(files: tuple[Path, ...]) -> None:
 
 
 def _validated(file: Path) -> dict[str, Any]:
-    data = read(file)
     try:
-        kind = validate_xml(document_in(data) if is_signed(data) else data)
+        kind = valid_kind(file, _settings.now())
     except InvalidDocumentError as error:
         problems = [
             {"line": each.line, "element": each.element, "rule": each.message, "text": str(each)}
@@ -60,6 +57,7 @@ def _validated(file: Path) -> dict[str, Any]:
         ]
         return {"file": str(file), "valid": False, "kind": None, "problems": problems}
     except MalformedError as error:
-        problem = {"line": None, "element": None, "rule": str(error), "text": str(error)}
+        text = error.words_at(file)
+        problem = {"line": None, "element": None, "rule": text, "text": text}
         return {"file": str(file), "valid": False, "kind": None, "problems": [problem]}
     return {"file": str(file), "valid": True, "kind": kind.value, "problems": []}

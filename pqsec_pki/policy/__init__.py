@@ -19,6 +19,7 @@ from pqsec_pki.policy.loading import (
     only_subject,
     permissions_in,
     signed_by,
+    valid_kind,
 )
 from pqsec_pki.policy.participants import (
     PolicyInput,
@@ -47,5 +48,6 @@ __all__ = [
     "policy_input_of",
     "shared_governance",
     "signed_by",
+    "valid_kind",
     "who_may_use",
 ]

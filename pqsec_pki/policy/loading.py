@@ -69,7 +69,21 @@ def permissions_in(path: Path, now: datetime, check: Check | None = None) -> Loa
 
 def document_at(path: Path, now: datetime) -> Document:
     """A document of either kind. Reads `path` once, because it may be a pipe."""
+    return _document(path, read(path), now)
+
+
+def valid_kind(path: Path, now: datetime) -> Kind:
+    """The kind of the document at `path`, which is valid: XML by its schema, else its YAML.
+
+    InvalidDocumentError with each problem and its line; MalformedError for another file.
+    """
     data = read(path)
+    if _is_yaml(path, data):
+        return kind_of(_document(path, data, now))
+    return validate(document_in(data) if is_signed(data) else data)
+
+
+def _document(path: Path, data: bytes, now: datetime) -> Document:
     with located(path):
         if _is_yaml(path, data):
             kind = Kind.PERMISSIONS if _GRANTS.search(data) else Kind.GOVERNANCE
@@ -127,4 +141,6 @@ def _loaded(
 
 def _is_yaml(path: Path, data: bytes) -> bool:
     """By the file suffix; without one (a pipe), by whether the data begins like XML."""
-    return path.suffix in _YAML_SUFFIXES or not (path.suffix or _XML.match(data))
+    if path.suffix:
+        return path.suffix in _YAML_SUFFIXES
+    return not (is_signed(data) or _XML.match(data))

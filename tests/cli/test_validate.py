@@ -114,3 +114,18 @@ def test_a_name_of_a_file_does_not_reach_the_terminal_raw(pqsec):
     said = pqsec("validate \x1b[2Jclear.xml").err
     assert "\x1b" not in said
     assert r"\u001b[2Jclear.xml" in said
+
+
+def test_a_document_in_yaml_is_checked_too(pqsec, tmp_path):
+    pqsec("permissions new /camera -o camera.yaml").done()
+    pqsec("governance new -o open.yaml").done()
+    done = pqsec("validate camera.yaml open.yaml").done()
+    assert done.out == (
+        "camera.yaml: valid permissions document\nopen.yaml: valid governance document\n"
+    )
+    text = (tmp_path / "open.yaml").read_text()
+    (tmp_path / "open.yaml").write_text(text.replace("\ndomains:", "\ndomain:"))
+    number = text[: text.index("\ndomains:")].count("\n") + 2
+    said = pqsec("validate open.yaml")
+    assert said.code == 1
+    assert said.out.startswith(f"open.yaml: line {number}: domain: no such key here; did you mean")
