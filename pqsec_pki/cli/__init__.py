@@ -214,9 +214,10 @@ def _print_usage_error(error: click.ClickException) -> None:
         return
     context = error.ctx if isinstance(error, click.UsageError) else None
     command = context.command_path if context else "pqsec"
-    _print_errors(
-        error.format_message(), hint=f"`{command} --help` shows its arguments and options"
-    )
+    is_group = context is None or isinstance(context.command, click.Group)
+    what = "lists its commands" if is_group else "shows its arguments and options"
+    message = " ".join(error.format_message().split())  # click lists choices below each other
+    _print_errors(message, hint=f"`{command} --help` {what}")
 
 
 def _print_errors(*messages: str, hint: str | None = None) -> None:

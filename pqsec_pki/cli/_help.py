@@ -24,6 +24,14 @@ class Command(click.Command):
         self.examples = dict(examples)
         self.exit_codes = dict(sorted({**exit_codes, 2: USAGE}.items()))
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click does it; every usage error knows its command, for the hint."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx
+            raise
+
     def get_short_help_str(self, limit: int = 45) -> str:
         """The first sentence, not shortened: a group's help wraps it."""
         del limit

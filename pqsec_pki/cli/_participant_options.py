@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import click
 
-from pqsec_pki.cli import _completion, _policy, _settings
+from pqsec_pki.cli import _completion, _policy, _printing, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lifecycle import ParticipantSpec
@@ -118,6 +118,9 @@ class ParticipantOptions:
         **ros_names: Any,
     ) -> Self:
         """From the options. UsageError for an invalid ROS name, or topics and --policy."""
+        for option, topics in (("publish", publish), ("subscribe", subscribe)):
+            for topic in topics:
+                _note_ros_name(option, topic)
         publish += tuple(map(ros.topic, ros_publish))
         subscribe += tuple(map(ros.topic, ros_subscribe))
         for option, given in ros_names.items():
@@ -153,3 +156,12 @@ class ParticipantOptions:
         if self.policy:
             specs = _policy.with_grants(specs, self.policy, now=_settings.now())
         return specs
+
+
+def _note_ros_name(option: str, topic: str) -> None:
+    """Note that a DDS topic has the form of a ROS 2 name: ROS 2 nodes do not use it."""
+    if topic.startswith("/") and ros.fault(topic) is None:
+        _printing.note(
+            f"{topic} is a DDS topic here, and ROS 2 nodes use {ros.topic(topic)}: for that, use"
+            f" --ros-{option} {topic}"
+        )

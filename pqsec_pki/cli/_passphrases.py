@@ -51,8 +51,8 @@ def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
 def new(
     passphrase_file: Path | None, *, none: bool, option: str = "--passphrase-file"
 ) -> bytes | None:
-    """The passphrase for new CA keys; None with --no-passphrase only."""
-    if none and passphrase_file:
+    """The passphrase for new CA keys; None with --no-passphrase only, whatever the variable is."""
+    if none and passphrase_file and not _from_variable():
         raise UsageError(f"{option} and --no-passphrase exclude each other")
     if none:
         return None
@@ -64,6 +64,12 @@ def new(
             hint=f"use {option} FILE, or --no-passphrase to leave them unencrypted",
         )
     return _asked("New CA passphrase", twice=True)
+
+
+def _from_variable() -> bool:
+    """Whether --passphrase-file is not on the command line."""
+    source = click.get_current_context().get_parameter_source("passphrase_file")
+    return source is click.core.ParameterSource.ENVIRONMENT
 
 
 def of_key(path: Path | None) -> str | None:

@@ -81,7 +81,13 @@ def keystore_path(context: click.Context | None = None) -> Path:
     for variable in KEYSTORE_VARIABLES:
         if found := os.environ.get(variable):
             return Path(found)
-    raise UsageError("no keystore named", hint="name one: -k DIR, or set PQSEC_KEYSTORE")
+    is_here = Path("pqsec.json").exists()
+    raise UsageError(
+        "no keystore named",
+        hint="the current folder is a keystore: use -k ."
+        if is_here
+        else "name one: -k DIR, or set PQSEC_KEYSTORE",
+    )
 
 
 def open_keystore(*, to_change: bool = False) -> "Keystore":

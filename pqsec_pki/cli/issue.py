@@ -135,7 +135,7 @@ def _policy_names(wanted: ParticipantOptions) -> tuple[str, ...]:
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:
     if not any(spec.publish or spec.subscribe or spec.grants for spec in specs):
-        _printing.note("no topic named: the permissions deny everything, also to join the domain")
+        _printing.note("no topic named: the permissions deny everything, also joining the domain")
     wanted = sorted({domain for spec in specs for domain in spec.domains.ids()})
     ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]
     if ungoverned:

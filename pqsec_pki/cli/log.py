@@ -1,13 +1,16 @@
 """pqsec log: show and verify the ledger."""
 
+import re
+
 import click
 
 from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore, Line, audit
 
 _SHA256 = 64
 """Hexadecimal digits."""
+_HEAD = re.compile(f"[0-9a-f]{{{_SHA256}}}")
 _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 
 
@@ -36,6 +39,11 @@ def log(*, verify: bool, head: str | None) -> None:
     Keep the head that it prints in another place: --head then detects a ledger that was
     truncated or rewritten.
     """
+    if head is not None and not _HEAD.fullmatch(head):
+        raise UsageError(
+            f"{head!r} is not a head: it has {_SHA256} hexadecimal digits",
+            hint="`pqsec log --verify` prints it",
+        )
     keystore = _settings.open_keystore()
     if verify or head is not None:
         _verify(keystore, head)
@@ -51,7 +59,8 @@ def _verify(keystore: Keystore, head: str | None) -> None:
         if _settings.settings().json:
             _printing.emit({"ok": False, "problems": error.lines}, [])
         raise
-    _printing.emit({"ok": True, "lines": count, "head": newest}, [f"{count} lines, head {newest}"])
+    value = {"ok": True, "lines": count, "head": newest}
+    _printing.emit(value, [f"the ledger is complete: {count} lines, head {newest}"])
 
 
 _JSON_ONLY = {"keys"}

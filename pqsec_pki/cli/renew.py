@@ -71,8 +71,11 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     Name participants, or use --due or --all. Either all are renewed or none. If the
     revocation list is due, a new one is issued too.
     """
-    if [bool(names), due is not None, everybody].count(True) != 1:
+    ways = [bool(names), due is not None, everybody].count(True)
+    if not ways:
         raise UsageError("no participant named: give names, --due or --all")
+    if ways > 1:
+        raise UsageError("names, --due and --all exclude each other")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     standing = status_of(keystore, names or None, now=now, due=due or None)
     chosen = standing.due if due is not None else _renewable(standing, names)

@@ -2,6 +2,7 @@
 
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,12 +12,21 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked
 from pqsec_pki.lifecycle import revoke as revoke_subjects
 
+
+class _Reason(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
+    """A reason as RFC 5280 spells it; upper and lower case are the same in what is given."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The reason. Raises click's error for another word."""
+        spelled = {each.lower(): each for each in self.choices}
+        return super().convert(spelled.get(str(value).lower(), value), param, ctx)
+
+
 list_validity_option = click.option(
     "--validity",
     type=_settings.Duration(),
     default=LIST_VALIDITY,
-    show_default="1y",
-    help="Issue a list that is valid this long; stacks refuse all peers after that.",
+    help="Issue a list that is valid this long; stacks refuse all peers after that.  [default: 1y]",
 )
 
 
@@ -39,7 +49,7 @@ list_validity_option = click.option(
 )
 @click.option(
     "--reason",
-    type=click.Choice([reason.value for reason in Reason], case_sensitive=False),
+    type=_Reason([reason.value for reason in Reason]),
     default=Reason.UNSPECIFIED.value,
     show_default=True,
     help="Record this reason in the list (RFC 5280 5.3.1).",

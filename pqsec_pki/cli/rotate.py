@@ -70,8 +70,7 @@ _CAS = {
     "--validity",
     type=_settings.Duration(),
     default=CA_VALIDITY,
-    show_default="10y",
-    help="Issue the CA certificates for this long.",
+    help="Issue the CA certificates for this long.  [default: 10y]",
 )
 @click.option(
     "--rekey", is_flag=True, help="Also replace participants' keys whose kind does not change."

@@ -25,6 +25,7 @@ from pqsec_pki.problems import Code, Problem
 _OLD_LIST = "`pqsec ca crl` issues a new revocation list; copy it to every robot"
 _RENEW = "reissue it: `pqsec renew {name}` keeps its permissions"
 _HINTS = {
+    Code.EXPIRED: "`pqsec renew {name}` renews a participant, `pqsec ca rotate` replaces a CA",
     Code.REVOKED: "to issue {name} again, use `pqsec issue` with --force --after-revocation",
     Code.LIST_EXPIRED: _OLD_LIST,
     Code.LIST_NOT_YET_VALID: _OLD_LIST,

@@ -386,3 +386,54 @@ def test_a_name_in_a_file_is_told_with_the_file_and_in_short(pqsec, keystore, tm
     (tmp_path / "robot").write_text("/talker\n" + "?" * 100_000)
     said = pqsec("-k k bundle --robot robot --plain-key -o out").refused(2, "robot: '???")
     assert len(said.err) < 500
+
+
+# what a wrong command line is told
+
+
+def test_choices_are_listed_on_one_line(pqsec):
+    said = pqsec("export").refused(2, "Choose from: cyclonedds, fastdds, opendds, connext, ros2")
+    assert "\\u000a" not in said.err
+
+
+def test_an_option_without_its_value_names_the_help_of_its_command(pqsec):
+    pqsec("check --explain").refused(2, "requires an argument", hint="`pqsec check --help` shows")
+
+
+def test_an_unknown_command_is_told_where_the_commands_are(pqsec):
+    pqsec("statsu").refused(2, "Did you mean 'status'", hint="`pqsec --help` lists its commands")
+    pqsec("ca shwo").refused(2, "No such command", hint="`pqsec ca --help` lists its commands")
+
+
+def test_inside_a_keystore_its_own_folder_is_suggested(pqsec, run_in, keystore, tmp_path):
+    keystore("classical")
+    run_in(tmp_path / "k", "status").refused(2, "no keystore named", hint="use -k .")
+
+
+def test_a_head_that_cannot_be_one_is_not_called_a_changed_ledger(pqsec, keystore):
+    keystore("classical")
+    pqsec("-k k log --head abc").refused(2, "'abc' is not a head", hint="log --verify")
+
+
+def test_a_path_that_does_not_exist_is_not_called_a_file(pqsec, keystore):
+    keystore("classical")
+    pqsec("diff k nowhere").refused(3, "nowhere: no such file or directory")
+
+
+def test_no_passphrase_on_the_command_line_outranks_the_variable(pqsec, tmp_path):
+    (tmp_path / "passphrase").write_text("secret\n")
+    (tmp_path / "passphrase").chmod(0o600)
+    variable = {"PQSEC_PASSPHRASE_FILE": "passphrase"}
+    done = pqsec("-k open ca init --profile classical --no-passphrase", **variable).done()
+    assert "CA keys        not encrypted" in done.out
+    line = "-k other ca init --no-passphrase --passphrase-file passphrase"
+    pqsec(line).refused(2, "--passphrase-file and --no-passphrase exclude each other")
+
+
+def test_a_dds_topic_that_looks_like_a_ros_2_name_is_noted(pqsec, keystore):
+    keystore("classical")
+    done = pqsec("-k k issue /camera --publish /image --subscribe rt/go").done()
+    assert done.err == (
+        "pqsec: note: /image is a DDS topic here, and ROS 2 nodes use rt/image: for that, use"
+        " --ros-publish /image\n"
+    )

@@ -265,7 +265,8 @@ def test_a_certificate_out_of_its_time_is_refused(fails, old_domain, profile, da
     month = timedelta(days=30)
     spec = ParticipantSpec(name="/late", domains=k.domains, publish=("x",), validity=month)
     issue(k, k.unlock(None), [spec], now=moment)
-    fails("identity of /late", words, line="-k k verify-handshake /talker /late")
+    last = fails("identity of /late", words, line="-k k verify-handshake /talker /late")
+    assert ("`pqsec renew /late` renews" in last.get("hint", "")) == (days < 0)
 
 
 def test_a_ca_that_has_expired_is_refused(fails, old_domain):

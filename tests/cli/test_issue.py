@@ -223,7 +223,7 @@ def test_without_topics_all_is_denied_and_that_is_said(pqsec, keystore):
     k = keystore()
     said = pqsec("-k k issue /a").done()
     assert said.err == (
-        "pqsec: note: no topic named: the permissions deny everything, also to join the domain\n"
+        "pqsec: note: no topic named: the permissions deny everything, also joining the domain\n"
     )
     assert allowed(k / "enclaves/a", "publish") == []
     assert "<default>DENY</default>" in (k / "enclaves/a/permissions.xml").read_text()

@@ -345,7 +345,7 @@ def test_signed_files_are_unverified_unless_a_ca_is_named(pqsec, keystore):
         (f"{FILES} --join --publish a", "ask exactly one question"),
         (f"{FILES} --publish a --tag x", "not a data tag"),
         (f"{FILES} --publish a --subject nobody", "--subject: 'nobody' is not a subject name"),
-        (f"{FILES} --ros-publish chatter", "no full ROS 2 name"),
+        (f"{FILES} --ros-publish chatter", "not a full ROS 2 name"),
         (f"{FILES} --publish a --participant /x", "excludes --governance"),
         ("explain --governance g.xml --publish a", "no participant named"),
         ("explain --publish a", "no participant named"),
