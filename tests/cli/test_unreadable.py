@@ -193,3 +193,10 @@ def test_nobody_is_gone_whose_folder_cannot_be_looked_into(closed, as_nobody):
         os.chown(each, NOBODY, NOBODY)
     for line in ("-k k status", "-k k needs-renewal", "-k k log --verify"):
         assert not wrong(as_nobody(line), "enclaves/talker"), line
+
+
+@pytest.mark.parametrize("line", ["-k k who-may", "who-may k/enclaves"])
+def test_a_participant_whose_permissions_cannot_be_read_is_not_left_out(closed, as_nobody, line):
+    """They may grant any right."""
+    closed("enclaves/talker/permissions.p7s", mode=0o600)
+    assert not wrong(as_nobody(line), "permissions.p7s")
