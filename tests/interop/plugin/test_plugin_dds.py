@@ -1,13 +1,11 @@
 """Cyclone DDS itself with the plugin: processes, discovery, matching, data, and the wire."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,7 +22,6 @@ STOCK_PEERS = 'peers = "stock"\n'
 NO_HANG = 300.0
 """Seconds for a process that has to end by itself within three."""
 TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
-PAGE = Path(__file__).parents[3] / "docs/reference/plugin.md"
 HOST = Path(__file__).with_name("gil_host.py")
 
 
@@ -81,18 +78,6 @@ def test_the_links_take_the_place_of_cyclones_own_by_name(stage, labs):
     """Which is all that can be done where ROS 2 names the libraries."""
     lab = labs("pq")
     went = stage.run_peers(stage.sender(lab.alice, plugins="named named"), stage.receiver(lab.bob))
-    assert met(went), logs(went)
-
-
-def test_the_configuration_in_the_documentation_is_one(stage, labs):
-    (text,) = re.findall(r"(?s)```xml\n(.*?)```", PAGE.read_text())
-    text = re.sub(r"\s*<CRL>[^\n]*", "", text).replace("LIB", str(stage.shim.folder))
-    roles = []
-    for make, folder in ((stage.sender, labs("pq").alice), (stage.receiver, labs("pq").bob)):
-        path = stage.folder / f"{folder.name}.xml"
-        path.write_text(text.replace("ENCLAVE", str(folder)))
-        roles.append(replace(make(folder), environment={"CYCLONEDDS_URI": path.as_uri()}))
-    went = stage.run_peers(*roles)
     assert met(went), logs(went)
 
 
