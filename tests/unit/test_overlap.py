@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from pqsec_pki.algorithms import is_encrypted, load_private_key
-from pqsec_pki.certificates import Certificate, verify_chain
+from pqsec_pki.certificates import Certificate, RevokedCertificate, revocation_list, verify_chain
 from pqsec_pki.errors import KeystoreError, PassphraseError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore, Overlap, Phase, audit, status
 from pqsec_pki.lifecycle import (
@@ -379,6 +379,17 @@ def test_who_is_revoked_is_not_let_in_again_by_an_overlap(keystore, lost):
     with pytest.raises(KeystoreError, match="1 revoked would be accepted again"):
         begin(keystore)
     assert snapshot(keystore.root) == before
+
+
+def test_who_is_revoked_in_the_list_alone_is_not_let_in_again_either(keystore):
+    """As after a ledger was lost."""
+    revoked = RevokedCertificate(4711, NOW, None)
+    made = revocation_list(
+        keystore.unlock(None).identity, [revoked], number=1, now=NOW, validity=90 * DAY
+    )
+    (keystore.root / "public/identity_ca.crl.pem").write_bytes(made.pem)
+    with pytest.raises(KeystoreError, match="1 revoked would be accepted again"):
+        begin(keystore)
 
 
 def test_who_was_revoked_and_has_ended_is_in_nobodys_way(keystore):
