@@ -30,7 +30,7 @@ from pqsec_pki.lifecycle import (
     revoke,
 )
 from pqsec_pki.lint import Severity, check
-from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
+from pqsec_pki.selfcheck import verify_handshake
 from pqsec_pki.smime import verify
 from tests.unit.keystores import DAY, NOW, made, rotate
 from tests.unit.sros2_keystore import NO_CA, SROS2, permissions
@@ -128,10 +128,7 @@ def test_the_way_out_is_to_rotate(sros2, profile, destroy):
         one = new.participant(name)
         verify_chain(one.certificate, new.identity_ca, now=NOW)
         assert (one.certificate.spki == old.spki) == (profile == "classical")
-    setup = HandshakeSetup(keystore=new, domain=0, now=NOW)
-    assert run_handshake(
-        setup, HandshakeParty(name="/talker"), HandshakeParty(name="/fleet/robot1")
-    ).ok
+    assert verify_handshake(new, "/talker", "/fleet/robot1", domain=0, now=NOW).ok
     audit(new)
     assert not list(sros2.root.glob("p*/ca.*")), "SROS2's CA is still there"
     kept = {path.name for path in done.plan.archive.glob("*.key.pem")}

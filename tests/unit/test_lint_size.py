@@ -9,7 +9,7 @@ from pqsec_pki.documents import Criteria, Permissions
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint import Target
 from pqsec_pki.lint.enclaves.size import DATAGRAM, FAST_DDS_LIMIT, FRAGMENT, MANY, reply_size
-from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
+from pqsec_pki.selfcheck import verify_handshake
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab
 
@@ -20,8 +20,7 @@ DER_SLACK = 8
 @pytest.mark.parametrize("profile", PROFILES, ids=lambda profile: profile.name)
 def test_the_reckoned_size_is_what_is_sent(tmp_path, profile):
     keystore = Keystore.open(Lab(tmp_path, profile.name).root)
-    setup = HandshakeSetup(keystore=keystore, domain=0, now=NOW)
-    report = run_handshake(setup, HandshakeParty(name="/listener"), HandshakeParty(name="/talker"))
+    report = verify_handshake(keystore, "/listener", "/talker", domain=0, now=NOW)
     [sent] = [each for each in report.sent if each.name == "reply"]
     reckoned = {size(keystore, name) for name in ("/listener", "/talker")}
     assert any(0 <= each - len(sent.data) <= DER_SLACK for each in reckoned)

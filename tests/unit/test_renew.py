@@ -19,7 +19,7 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import audit, load_certificate, status
 from pqsec_pki.lifecycle import ParticipantSpec, Renewal, issue, renew, renew_list, sign_document
-from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
+from pqsec_pki.selfcheck import verify_handshake
 from pqsec_pki.smime import verify
 from tests.unit.keystores import DAY, NOW, enter, made
 
@@ -76,8 +76,7 @@ def test_a_renewed_participant_is_whole_and_allowed_the_same(tmp_path, profile, 
     assert grant == replace(allowed[0], **window)
     # Past the end of the old ones, it meets the one renewed with it.
     renewed(keystore, "/listener", rekey=rekey)
-    setup = HandshakeSetup(keystore=keystore, domain=3, now=NOW + 120 * DAY)
-    assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")).ok
+    assert verify_handshake(keystore, "/talker", "/listener", domain=3, now=NOW + 120 * DAY).ok
     audit(keystore)
 
 
@@ -87,10 +86,7 @@ def test_a_participant_that_starts_amid_a_renewal_with_old_keys_has_files_that_f
     renewed(keystore, "/talker", rekey=False)
     (folder(keystore) / "cert.pem").write_bytes(certificate)
     for now in (NOW + 59 * DAY, LATER):
-        setup = HandshakeSetup(keystore=keystore, domain=0, now=now + DAY / 2)
-        assert run_handshake(
-            setup, HandshakeParty(name="/talker"), HandshakeParty(name="/listener")
-        ).ok
+        assert verify_handshake(keystore, "/talker", "/listener", domain=0, now=now + DAY / 2).ok
 
 
 def test_a_validity_may_be_named_and_is_cut_at_the_end_of_the_ca(keystore):
