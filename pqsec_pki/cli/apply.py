@@ -35,12 +35,10 @@ from pqsec_pki.keystore import Authorities, Keystore
 
 @_help.command(
     examples={
-        "Make the changes of `pqsec plan`, without a question": (
-            "pqsec apply domain.yaml --yes --no-passphrase"
-        ),
+        "Make the changes of `pqsec plan`, without a question": ("pqsec apply domain.yaml --yes"),
         "Test whether the keystore matches the file": "pqsec apply domain.yaml --check",
         "Also write bundles for robots that generated their own keys": (
-            "pqsec apply domain.yaml --yes --no-passphrase --bundles bundles"
+            "pqsec apply domain.yaml --yes --bundles bundles"
         ),
     },
     exit_codes={

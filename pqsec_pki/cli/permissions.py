@@ -39,9 +39,19 @@ def permissions() -> None:
 )
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @click.option(
-    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+    "--domain",
+    "domains",
+    default="0",
+    show_default=True,
+    help="Allow these DDS domains: 0, or 0-3, or 0,5.",
 )
-@click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
+@click.option(
+    "--validity",
+    type=_settings.Duration(),
+    default="1y",
+    show_default=True,
+    help="Grant the rights for this long: 1y, 26w, 90d or 12h.",
+)
 @click.option(
     "--dds", is_flag=True, help="Write DDS topics only, for participants that are not ROS 2 nodes."
 )
@@ -88,9 +98,19 @@ def new(  # noqa: PLR0913 -- one for each option, by name
     "--enclave", "wanted", multiple=True, metavar="PATH", help="Import only this enclave."
 )
 @click.option(
-    "--domain", "domains", default="0", show_default=True, help="DDS domains: 0, or 0-3, or 0,5."
+    "--domain",
+    "domains",
+    default="0",
+    show_default=True,
+    help="Allow these DDS domains: 0, or 0-3, or 0,5.",
 )
-@click.option("--validity", type=_settings.Duration(), default="1y", show_default=True)
+@click.option(
+    "--validity",
+    type=_settings.Duration(),
+    default="1y",
+    show_default=True,
+    help="Grant the rights for this long: 1y, 26w, 90d or 12h.",
+)
 @click.option(
     "--complete", is_flag=True, help="Add the topics that ROS 2 Jazzy nodes need to start."
 )

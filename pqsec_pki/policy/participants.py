@@ -75,7 +75,9 @@ def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datet
             *subject_problems(regular_name(name), certificate),
         )
         if problems:
-            raise VerificationError(*problems)
+            expired = any(each.code is Code.EXPIRED for each in problems)
+            hint = f"`pqsec renew {regular_name(name)}` issues it again" if expired else None
+            raise VerificationError(*problems, hint=hint)
     return certificate
 
 

@@ -10,7 +10,7 @@ from threading import Thread
 import pytest
 
 from pqsec_pki.access import INTERPRETATIONS
-from pqsec_pki.algorithms import load_private_key
+from pqsec_pki.algorithms import load_private_key, profile_named
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -23,7 +23,8 @@ from pqsec_pki.documents import (
     governance_to_yaml,
     permissions_to_yaml,
 )
-from pqsec_pki.keystore import load_certificate
+from pqsec_pki.keystore import Keystore, load_certificate
+from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.smime import Signer, sign
 
 NOW = datetime.now(UTC)
@@ -904,3 +905,22 @@ def test_a_ros_name_that_is_asked_as_a_dds_topic_is_told_the_option(pqsec, keyst
     asked = "-k k explain --participant /talker"
     assert "--ros-subscribe /odom" in pqsec(f"{asked} --subscribe /odom").err
     assert pqsec(f"{asked} --relay /odom").err == ""  # of ROS names none can be relayed
+
+
+def test_an_expired_participant_is_told_how_to_renew(pqsec, tmp_path):
+    then, domains = datetime.now(UTC) - timedelta(days=90), DomainSet.of(0)
+    k = Keystore.create(
+        tmp_path / "k",
+        profile_named("classical"),
+        name="",
+        domains=domains,
+        validity=timedelta(days=900),
+        passphrase=None,
+        now=then,
+    )
+    spec = ParticipantSpec(
+        name="/late", domains=domains, publish=("x",), validity=timedelta(days=30)
+    )
+    issue(k, k.unlock(None), [spec], now=then)
+    said = pqsec("-k k explain --participant /late --publish x")
+    said.refused(1, "CN=/late expired on", hint="`pqsec renew /late` issues it again")
