@@ -376,8 +376,8 @@ def test_every_command_ends_with_2_for_a_wrong_command_line(pqsec):
 def test_only_documented_exit_codes_pass(run_in, monkeypatch, tmp_path):
     """Every command line of these tests is compared with the help: tests/cli/conftest.py."""
     assert command_of(["-k", "check", "ca", "show", "--pins"]) is ALL["ca show"]
-    monkeypatch.setitem(ALL["profiles"].exit_codes, 0, "")
     run_in(tmp_path, "profiles")
-    monkeypatch.delitem(ALL["profiles"].exit_codes, 0)
+    others = {code: text for code, text in ALL["profiles"].exit_codes.items() if code}
+    monkeypatch.setattr(ALL["profiles"], "exit_codes", others)  # as it was afterwards, in its order
     with pytest.raises(AssertionError, match="not in --help"):
         run_in(tmp_path, "profiles")
