@@ -1,6 +1,7 @@
 """Which participants may publish and subscribe to each topic."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -12,7 +13,7 @@ from pqsec_pki.access.everywhere import (
     topics_asked,
     who_may_anywhere,
 )
-from pqsec_pki.access.matrix import topics_named
+from pqsec_pki.access.matrix import Member, topics_named
 from pqsec_pki.documents import DomainRange, DomainSet
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet
@@ -83,7 +84,8 @@ def who_may_use(
     # A pattern has its own row for topics that it matches and no rule names.
     beside = {topic for topic in topics if _PATTERN.search(topic)}.difference(named)
     used = [each for each in rows if each.is_used or each.row.topic not in beside]
-    unknown = (each for each in topics if each not in named and not is_known(each, named))
+    known = named if _may_all(fleet.members) else tuple(each for each in named if each != "*")
+    unknown = (each for each in topics if each not in named and not is_known(each, known))
     return WhoMay(
         fleet=fleet,
         domains=domains,
@@ -91,4 +93,18 @@ def who_may_use(
         rows=used or rows,
         unknown={topic: meant(topic, named) for topic in unknown},
         ungoverned=domains_ungoverned(fleet.governance, domains) if domains else [],
+    )
+
+
+def _may_all(members: Iterable[Member]) -> bool:
+    """Whether an allow_rule has `*`. In a deny_rule, as a participant without rights has it, it
+    does not show that a topic exists.
+    """
+    return any(
+        "*" in criteria.topics
+        for member in members
+        for grant in member.permissions.grants
+        for rule in grant.rules
+        if rule.allow
+        for criteria in (*rule.publish, *rule.subscribe)
     )

@@ -924,3 +924,11 @@ def test_an_expired_participant_is_told_how_to_renew(pqsec, tmp_path):
     issue(k, k.unlock(None), [spec], now=then)
     said = pqsec("-k k explain --participant /late --publish x")
     said.refused(1, "CN=/late expired on", hint="`pqsec renew /late` issues it again")
+
+
+def test_a_misspelled_topic_is_noted_beside_a_participant_without_rights(pqsec, keystore):
+    keystore("classical")
+    pqsec("-k k issue /camera --publish rt/chatter").done()
+    pqsec("-k k issue /idle").done()
+    done = pqsec("-k k who-may --topic rt/chater").done()
+    assert "no rule names rt/chater; did you mean 'rt/chatter'" in done.err
