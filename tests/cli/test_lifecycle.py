@@ -260,7 +260,7 @@ def test_log_verify_answers_by_its_exit_code(pqsec, k):
     assert good["ok"]
     pqsec("-k k issue /third --publish x")
     pqsec("-k k log --verify --head", good["head"]).done()
-    pqsec("-k k log --head abc").refused(1, "the head is not in the ledger")
+    pqsec("-k k log --head", "a" * 64).refused(1, "the head is not in the ledger")
     with closing(sqlite3.connect(k / "private/ledger.sqlite3")) as database:
         database.execute("DROP TRIGGER ledger_stays")
         database.execute("UPDATE ledger SET operator = 'nobody' WHERE number = 2")
