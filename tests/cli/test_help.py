@@ -253,7 +253,7 @@ NO = {
     "inspect": "bad.xml",
     "install": f"robot1.bundle --dir new --ca-fingerprint identity:{64 * '0'}",
     "issue": "--csr robot2.csr /another",
-    "log": "--head 00",
+    "log": f"--head {'0' * 64}",
     "needs-renewal": "",
     "permissions import": "bad.xml",
     "permissions read": "bad.xml",
