@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki._files import is_folder
+from pqsec_pki._files import is_folder, read
 from pqsec_pki.access.change import Change, Difference
 from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff
 from pqsec_pki.documents import Governance, Permissions
-from pqsec_pki.errors import MissingError, UsageError
+from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.policy.loading import Loaded, document_at, kind_of
 from pqsec_pki.policy.participants import own_governance, own_permissions, shared_governance
@@ -33,13 +33,11 @@ class DocumentDifference:
 def differences_between(old: Path, new: Path, now: datetime) -> list[DocumentDifference]:
     """The differences between two documents, or two keystores. Signatures are not checked.
 
-    MissingError if one does not exist; UsageError for a file and a folder, or documents of
+    FileError if one cannot be read; UsageError for a file and a folder, or documents of
     different kinds.
     """
-    for path in (old, new):
-        if not path.exists():
-            raise MissingError("no such file or directory", where=path)
     if is_folder(old) != is_folder(new):
+        read(new if is_folder(old) else old)  # it may not exist
         raise UsageError(f"one of {old} and {new} is a folder, and the other a file")
     return list(_of_keystores(old, new, now) if is_folder(old) else _of_files(old, new, now))
 
