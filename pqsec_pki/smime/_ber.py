@@ -15,6 +15,7 @@ MAX_SIZE = 1 << 20
 """Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
 _CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
 _SEQUENCE, _SET, _OCTET_STRING = 0x30, 0x31, 0x04
+_NOT_CONSTRUCTED = {_SEQUENCE & ~_CONSTRUCTED, _SET & ~_CONSTRUCTED}
 _CONTENT = {
     0x01: ("boolean", re.compile(rb".", re.DOTALL)),
     0x02: ("integer", re.compile(rb".|(?!\x00[\x00-\x7f]|\xff[\x80-\xff])..+", re.DOTALL)),
@@ -45,6 +46,8 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
         raise MalformedError("a length in the CMS structure runs past its end")
     if not tag & _CONSTRUCTED:
         stop = start + (length or 0)
+        if tag in _NOT_CONSTRUCTED:  # X.690 8.9.1, 8.11.1
+            raise MalformedError("a sequence or set that is not constructed")
         if tag in _CONTENT and not _CONTENT[tag][1].fullmatch(data, start, stop):
             raise MalformedError(f"a broken {_CONTENT[tag][0]}")
         return _value(tag, data[start:stop]), stop

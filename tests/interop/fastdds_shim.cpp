@@ -159,6 +159,13 @@ public:
         return heard;
     }
 
+    // From now on; what another of these heard before, in the same process, it hears no more.
+    void listen() {
+        Log::ClearConsumers();
+        Log::RegisterConsumer(std::make_unique<Consumer>());
+        Log::SetVerbosity(Log::Kind::Warning);
+    }
+
     std::string take() {
         Log::Flush();
         const std::lock_guard<std::mutex> lock(mutex_);
@@ -172,12 +179,6 @@ private:
             add(instance().text_, entry.message);
         }
     };
-
-    Heard() {
-        Log::ClearConsumers();
-        Log::RegisterConsumer(std::make_unique<Consumer>());
-        Log::SetVerbosity(Log::Kind::Warning);
-    }
 
     std::mutex mutex_;
     std::string text_;
@@ -563,6 +564,7 @@ void fastdds_call(
         std::size_t second_size) noexcept {
     Participant& self = *participant;
     Heard& heard = Heard::instance();
+    heard.listen();
     std::string failure;
     self.forget();
     answer->code = VALIDATION_FAILED;

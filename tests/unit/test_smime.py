@@ -770,6 +770,8 @@ def test_a_set_is_put_in_order():
         ("0300", "broken bit string"),
         ("0302 0800", "broken bit string"),
         ("0301 01", "broken bit string"),
+        ("1000", "sequence or set that is not constructed"),
+        ("3104 11020500", "sequence or set that is not constructed"),
     ],
 )
 def test_broken_ber_is_refused(ber, words):
