@@ -16,11 +16,19 @@ from pathlib import Path
 from subprocess import run
 from tempfile import TemporaryDirectory
 
-from pqsec_pki.access import INTERPRETATIONS, Action, Policy, Question, decide
+from pqsec_pki.access import INTERPRETATIONS, Action, InterpretedPolicy, Question, decide
 from pqsec_pki.access.diff import permissions_diff
-from pqsec_pki.access.matrix import Member, topics_named, who_may
+from pqsec_pki.access.matrix import DocumentOwner, topics_named, who_may
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.documents import Criteria, DomainSet, Governance, Grant, Permissions, Rule, ros
+from pqsec_pki.documents import (
+    Criteria,
+    DomainSet,
+    Governance,
+    Grant,
+    PermissionRule,
+    Permissions,
+    ros,
+)
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 
@@ -56,12 +64,13 @@ def policy(size: int) -> Permissions:
     ]
     topics[-1] = ("rt/robot/*", "rt/other")
     made = tuple(
-        Rule(allow=True, domains=ZERO, publish=(Criteria(topics=each),)) for each in topics
+        PermissionRule(allow=True, domains=ZERO, publish=(Criteria(topics=each),))
+        for each in topics
     )
     return Permissions(grants=(grant("/robot", made),))
 
 
-def grant(name: str, rules: tuple[Rule, ...]) -> Grant:
+def grant(name: str, rules: tuple[PermissionRule, ...]) -> Grant:
     return Grant(
         name=name,
         subject_name=f"CN={name}",
@@ -84,7 +93,10 @@ def rules(size: int) -> None:
     floor = milliseconds(lambda: [fnmatch.fnmatchcase(ASKED, each) for each in patterns])
     one = milliseconds(lambda: decide(GOVERNANCE, document, question))
     every = milliseconds(
-        lambda: [Policy(GOVERNANCE, document, each).decide(question) for each in INTERPRETATIONS]
+        lambda: [
+            InterpretedPolicy(GOVERNANCE, document, each).decide(question)
+            for each in INTERPRETATIONS
+        ]
     )
     first, *others = document.grants[0].rules
     changed = Permissions(grants=(replace(document.grants[0], rules=(*others, first)),))
@@ -105,9 +117,9 @@ def members(count: int) -> None:
         needs = ros.node_minimum(name)
         criteria = (Criteria(topics=(*needs.publish, f"rt{name}/odom")),)
         reads = (Criteria(topics=(*needs.subscribe, f"rt/robot{(number + 1) % count}/*")),)
-        own = Rule(allow=True, domains=ZERO, publish=criteria, subscribe=reads)
+        own = PermissionRule(allow=True, domains=ZERO, publish=criteria, subscribe=reads)
         document = Permissions(grants=(grant(name, (own,)),))
-        found.append(Member(name=name, subject=f"CN={name}", permissions=document))
+        found.append(DocumentOwner(name=name, subject=f"CN={name}", permissions=document))
     topics = topics_named(found)
     rows = who_may(GOVERNANCE, found, topics, domain=0, now=NOW)
     rights = sum(len(row.publishers) + len(row.subscribers) for row in rows)

@@ -18,7 +18,7 @@ from pqsec_pki.handshake import (
     Discovered,
     Final,
     Identity,
-    Policy,
+    PeerRequirements,
     Reply,
     Request,
     Terms,
@@ -129,7 +129,7 @@ def handshake(one: Identity, other: Identity, agreement: str) -> Callable[[], Sp
     row = KEY_AGREEMENTS.named(agreement)
     one, other = _noted(one), _noted(other)
     twice = one.certificate.alternative_key is not None
-    policy = Policy(agreements=(row,), require_alternative=twice)
+    policy = PeerRequirements(agreements=(row,), require_alternative=twice)
     ours = Terms(own=one, policy=policy, discovered=Discovered(guid=other.guid))
     theirs = Terms(own=other, policy=policy, discovered=Discovered(guid=one.guid))
 

@@ -5,9 +5,9 @@ There is one interpretation for the standard and one for each stack, because sta
 """
 
 from pqsec_pki.access._patterns import opendds_reads_beyond
-from pqsec_pki.access.decide import Policy, decide
+from pqsec_pki.access.decide import InterpretedPolicy, decide
 from pqsec_pki.access.decision import Decision, Part, Protection
-from pqsec_pki.access.interpretation import Interpretation, Side
+from pqsec_pki.access.interpretation import Interpretation, Viewpoint
 from pqsec_pki.access.interpretations import (
     CYCLONEDDS,
     FASTDDS,
@@ -28,11 +28,11 @@ __all__ = [
     "Action",
     "Decision",
     "Interpretation",
+    "InterpretedPolicy",
     "Part",
-    "Policy",
     "Protection",
     "Question",
-    "Side",
+    "Viewpoint",
     "decide",
     "interpretation_named",
     "may_join",

@@ -7,7 +7,7 @@ from pqsec_pki.access import _expressions
 from pqsec_pki.access.decision import Decision, no, yes
 from pqsec_pki.access.interpretation import EvaluationContext
 from pqsec_pki.access.question import Action
-from pqsec_pki.documents import Criteria, DefaultAction, Rule, TopicRule
+from pqsec_pki.documents import Criteria, DefaultAction, PermissionRule, TopicRule
 
 _MOST_SAID = 4
 """Most partitions that a sentence names: an endpoint may have a thousand."""
@@ -87,7 +87,7 @@ def by_rules(context: EvaluationContext) -> Decision:
     return by_default(context, missed)
 
 
-def met(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
+def met(context: EvaluationContext, criteria: Criteria, rule: PermissionRule) -> bool:
     """Whether the partitions and data tags match these criteria."""
     interpretation = context.interpretation
     return interpretation.partitions_met(context, criteria, rule) and interpretation.tags_met(
@@ -113,7 +113,7 @@ def opened(context: EvaluationContext, rule: TopicRule) -> Decision:
     return yes(f"governance lets every participant {asked}", rule)
 
 
-def ruled(context: EvaluationContext, rule: Rule, criteria: Criteria | None) -> Decision:
+def ruled(context: EvaluationContext, rule: PermissionRule, criteria: Criteria | None) -> Decision:
     """The decision by a rule, whose `criteria` match."""
     by = f"{name_of(rule)} of grant '{context.grant.name}'"
     if rule.allow:
@@ -121,7 +121,7 @@ def ruled(context: EvaluationContext, rule: Rule, criteria: Criteria | None) -> 
     return no(f"a {by} forbids it to {said(context)}", rule, criteria)
 
 
-def by_default(context: EvaluationContext, missed: Rule | None) -> Decision:
+def by_default(context: EvaluationContext, missed: PermissionRule | None) -> Decision:
     """The decision by the default; `missed` is a rule with the topic but other criteria."""
     grant = context.grant
     start = f"no rule of grant '{grant.name}' says whether it may {said(context)}"
@@ -138,7 +138,7 @@ def said(context: EvaluationContext) -> str:
     return f"{_VERBS[question.action]} '{question.topic}'{where} on domain {question.domain}"
 
 
-def name_of(rule: Rule) -> str:
+def name_of(rule: PermissionRule) -> str:
     return "allow_rule" if rule.allow else "deny_rule"
 
 

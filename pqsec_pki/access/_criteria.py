@@ -6,12 +6,14 @@ An endpoint without a partition is in the default partition, whose name is empty
 from pqsec_pki.access._expressions import meets, within
 from pqsec_pki.access._witnesses import is_wildcard
 from pqsec_pki.access.interpretation import EvaluationContext
-from pqsec_pki.documents import Criteria, Rule
+from pqsec_pki.documents import Criteria, PermissionRule
 
 _DEFAULT = ("",)
 
 
-def standard_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
+def standard_partitions(
+    context: EvaluationContext, criteria: Criteria, rule: PermissionRule
+) -> bool:
     """9.4.1.3.2.3.1.4: an allow_rule must cover all of them, by default the default partition.
 
     9.4.1.3.2.3.2.4: a deny_rule must match one of them, and by default matches all. Both sides
@@ -29,14 +31,16 @@ def standard_partitions(context: EvaluationContext, criteria: Criteria, rule: Ru
     return all(among) if rule.allow else any(among)
 
 
-def named_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
+def named_partitions(context: EvaluationContext, criteria: Criteria, rule: PermissionRule) -> bool:
     """As `standard_partitions`, but the endpoint's partitions are taken as plain names."""
     if not rule.allow and not criteria.partitions:
         return True
     return cyclonedds_partitions(context, criteria, rule)
 
 
-def cyclonedds_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
+def cyclonedds_partitions(
+    context: EvaluationContext, criteria: Criteria, rule: PermissionRule
+) -> bool:
     """As names; a deny_rule that names no partition denies only the default partition.
 
     Cyclone DDS 0.10.2 (measured): its parser puts the default partition in both.
@@ -50,7 +54,9 @@ def _named(context: EvaluationContext, patterns: tuple[str, ...], name: str) -> 
     return any(context.interpretation.covers(pattern, name) for pattern in patterns)
 
 
-def opendds_partitions(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
+def opendds_partitions(
+    context: EvaluationContext, criteria: Criteria, rule: PermissionRule
+) -> bool:
     """As names; an endpoint without partitions matches every allow_rule.
 
     OpenDDS 3.34 (read): partitions_match looks only at partitions that the endpoint has, so it
@@ -64,7 +70,7 @@ def opendds_partitions(context: EvaluationContext, criteria: Criteria, rule: Rul
     return named_partitions(context, criteria, rule)
 
 
-def standard_tags(context: EvaluationContext, criteria: Criteria, rule: Rule) -> bool:
+def standard_tags(context: EvaluationContext, criteria: Criteria, rule: PermissionRule) -> bool:
     """9.4.1.3.2.3.1.5: an allow_rule must list all of them, and by default lists none.
 
     9.4.1.3.2.3.2.5: a deny_rule must list one of them, and by default sets no condition.
@@ -75,6 +81,6 @@ def standard_tags(context: EvaluationContext, criteria: Criteria, rule: Rule) ->
     return not criteria.data_tags or bool(tags & set(criteria.data_tags))
 
 
-def no_tags(_case: EvaluationContext, _criteria: Criteria, _rule: Rule) -> bool:
+def no_tags(_case: EvaluationContext, _criteria: Criteria, _rule: PermissionRule) -> bool:
     """No stack looks at data tags (measured for Cyclone DDS and Fast DDS, read for OpenDDS)."""
     return True

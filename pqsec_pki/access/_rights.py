@@ -11,7 +11,7 @@ from pqsec_pki.access._criteria import named_partitions
 from pqsec_pki.access._domains import domains_said, stretches
 from pqsec_pki.access._endpoints import Sets, sets_to_try
 from pqsec_pki.access._topics import Universe
-from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.decide import InterpretedPolicy
 from pqsec_pki.access.interpretation import EvaluationContext
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
@@ -22,8 +22,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 
 _NAMED = replace(SPEC, partitions_met=named_partitions)
@@ -93,12 +93,12 @@ class World:
         found: Rights = {}
         if grant:
             always = replace(grant, not_before=_BEGIN, not_after=_END)
-            policy = Policy(_ALL, Permissions(grants=(always,)))
+            policy = InterpretedPolicy(_ALL, Permissions(grants=(always,)))
             for stretch in self.domains:
                 found |= self._on(policy, grant, stretch)
         return found
 
-    def _on(self, policy: Policy, grant: Grant, stretch: DomainRange) -> Rights:
+    def _on(self, policy: InterpretedPolicy, grant: Grant, stretch: DomainRange) -> Rights:
         subject, domain = grant.subject_name, stretch.first
         here = tuple(rule for rule in grant.rules if domain in rule.domains)
         join = Question(subject=subject, domain=domain, action=Action.JOIN, now=_THEN)
@@ -173,7 +173,7 @@ def wholes(rights: Rights) -> Iterator[Whole]:
         yield Whole(actions=actions, domains=domains, partitions=partitions, tags=tags, names=names)
 
 
-def _criteria(rules: Iterable[Rule]) -> Iterator[Criteria]:
+def _criteria(rules: Iterable[PermissionRule]) -> Iterator[Criteria]:
     for rule in rules:
         yield from (*rule.publish, *rule.subscribe, *rule.relay)
 

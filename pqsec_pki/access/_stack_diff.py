@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from itertools import islice, product
 
 from pqsec_pki.access._rights import World
-from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.decide import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC
 from pqsec_pki.access.question import MAX_NAME, Action, Question
@@ -54,7 +54,7 @@ def _answers(
 ) -> Iterator[tuple[Question, tuple[bool, bool]]]:
     governance = Governance.protected(_DOMAINS)
     before, after = (
-        Policy(governance, Permissions(grants=(_in_force(grant),)), interpretation)
+        InterpretedPolicy(governance, Permissions(grants=(_in_force(grant),)), interpretation)
         for grant in (old, new)
     )
     for question in questions:

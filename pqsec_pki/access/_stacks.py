@@ -22,7 +22,7 @@ from pqsec_pki.access._checks import (
 from pqsec_pki.access.decision import Decision, no, yes
 from pqsec_pki.access.interpretation import EvaluationContext
 from pqsec_pki.access.question import Action
-from pqsec_pki.documents import Criteria, Rule, TopicRule
+from pqsec_pki.documents import Criteria, PermissionRule, TopicRule
 
 _EITHER = (Action.PUBLISH, Action.SUBSCRIBE)
 _CYCLONEDDS_BUILTIN = {
@@ -68,7 +68,7 @@ def _builtin(context: EvaluationContext) -> Decision:
     return yes(f"'{context.question.topic}' is a builtin topic of Cyclone DDS, open to all members")
 
 
-def _topic_ruled(context: EvaluationContext, rule: Rule, criteria: Criteria) -> Decision:
+def _topic_ruled(context: EvaluationContext, rule: PermissionRule, criteria: Criteria) -> Decision:
     if rule.allow:
         return ruled(context, rule, criteria)
     text = f"a deny_rule of grant '{context.grant.name}' names the topic '{context.question.topic}'"
@@ -92,7 +92,9 @@ def fastdds_remote_participant(context: EvaluationContext) -> Decision:
     return _fastdds_participant(context, context.rules, f" for domain {context.question.domain}")
 
 
-def _fastdds_participant(context: EvaluationContext, rules: Iterable[Rule], where: str) -> Decision:
+def _fastdds_participant(
+    context: EvaluationContext, rules: Iterable[PermissionRule], where: str
+) -> Decision:
     for rule in rules:
         if rule.allow:
             return yes(f"grant '{context.grant.name}' has an allow_rule{where}", rule)
@@ -115,7 +117,7 @@ def fastdds_remote_endpoint(context: EvaluationContext) -> Decision:
 
 
 def _fastdds_endpoint(
-    context: EvaluationContext, rules: Iterable[Rule], actions: tuple[Action, ...]
+    context: EvaluationContext, rules: Iterable[PermissionRule], actions: tuple[Action, ...]
 ) -> Decision:
     """The first rule that has the topic decides; then its partitions are checked.
 
@@ -138,7 +140,10 @@ def _fastdds_endpoint(
 
 
 def _fastdds_ruled(
-    context: EvaluationContext, rule: Rule, found: Criteria, criteria: tuple[Criteria, ...]
+    context: EvaluationContext,
+    rule: PermissionRule,
+    found: Criteria,
+    criteria: tuple[Criteria, ...],
 ) -> Decision:
     patterns = [each for one in criteria for each in one.partitions or ("",)]
     for partition in (context.question.partitions or ("",)) if rule.allow else ():

@@ -14,8 +14,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 from pqsec_pki.documents.domains import MAX_DOMAIN
 
@@ -118,6 +118,6 @@ def _is_empty(part: DomainRange) -> bool:
     return part.last is not None and part.last < part.first
 
 
-def _rules(permissions: Permissions) -> Iterator[Rule]:
+def _rules(permissions: Permissions) -> Iterator[PermissionRule]:
     for grant in permissions.grants:
         yield from grant.rules

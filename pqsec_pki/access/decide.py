@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from pqsec_pki.access.decision import Decision, Protection, no
-from pqsec_pki.access.interpretation import Check, EvaluationContext, Interpretation, Side
+from pqsec_pki.access.interpretation import Check, EvaluationContext, Interpretation, Viewpoint
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import DomainRule, Governance, Grant, Permissions, parse_subject
@@ -19,7 +19,7 @@ def decide(
     question: Question,
     interpretation: Interpretation = SPEC,
     *,
-    by: Side | None = None,
+    by: Viewpoint | None = None,
 ) -> Decision:
     """Whether `interpretation` allows what `question` asks, in a running system.
 
@@ -30,11 +30,11 @@ def decide(
 
     MalformedError if the subject is not a name.
     """
-    return Policy(governance, permissions, interpretation).decide(question, by=by)
+    return InterpretedPolicy(governance, permissions, interpretation).decide(question, by=by)
 
 
 @dataclass(slots=True)
-class Policy:
+class InterpretedPolicy:
     """Two documents and an interpretation, for many questions."""
 
     governance: Governance
@@ -48,7 +48,7 @@ class Policy:
     def __post_init__(self) -> None:
         self._flaw = self.interpretation.flaw(self.governance, self.permissions)
 
-    def decide(self, question: Question, *, by: Side | None = None) -> Decision:
+    def decide(self, question: Question, *, by: Viewpoint | None = None) -> Decision:
         """As the function `decide`."""
         parse_subject(question.subject)
         if self._flaw:
@@ -73,7 +73,7 @@ class Policy:
         return tuple(rules), self.interpretation.grant_for(self.permissions, question)
 
 
-def _checked(context: EvaluationContext, by: Side | None) -> Decision:
+def _checked(context: EvaluationContext, by: Viewpoint | None) -> Decision:
     for check in dict.fromkeys(_checks(context, by)):
         decision = check(context)
         if not decision.allowed:
@@ -81,8 +81,8 @@ def _checked(context: EvaluationContext, by: Side | None) -> Decision:
     return decision
 
 
-def _checks(context: EvaluationContext, by: Side | None) -> Iterator[Check]:
-    sides = [by] if by else list(Side)
+def _checks(context: EvaluationContext, by: Viewpoint | None) -> Iterator[Check]:
+    sides = [by] if by else list(Viewpoint)
     for side in sides:
         yield from context.interpretation.join[side]
     for side in sides if context.question.action is not Action.JOIN else ():

@@ -3,9 +3,16 @@
 from dataclasses import dataclass
 from typing import Self, TypeAlias
 
-from pqsec_pki.documents import Criteria, DomainRule, Grant, ProtectionKind, Rule, TopicRule
+from pqsec_pki.documents import (
+    Criteria,
+    DomainRule,
+    Grant,
+    PermissionRule,
+    ProtectionKind,
+    TopicRule,
+)
 
-Part: TypeAlias = DomainRule | TopicRule | Grant | Rule
+Part: TypeAlias = DomainRule | TopicRule | Grant | PermissionRule
 """A part of a document that can decide; each has its line."""
 
 _HOW = {

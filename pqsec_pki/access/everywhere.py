@@ -11,10 +11,10 @@ from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
-from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.decide import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
-from pqsec_pki.access.matrix import Member, Row, topics_named, who_may
+from pqsec_pki.access.matrix import DocumentOwner, TopicRow, topics_named, who_may
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
@@ -25,7 +25,7 @@ _SPECIAL = re.compile(r"[*?\[\\]")
 class Placed:
     """A row of the matrix, and the domains on which it holds."""
 
-    row: Row
+    row: TopicRow
     domains: DomainSet
 
     @property
@@ -67,7 +67,7 @@ def domains_ungoverned(governance: Governance, domains: DomainSet) -> list[Domai
 
 def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     governance: Governance,
-    members: Sequence[Member],
+    members: Sequence[DocumentOwner],
     topics: Iterable[str],
     *,
     domains: DomainSet | None = None,
@@ -90,7 +90,7 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     if not governed:
         return ()
     wanted = tuple(dict.fromkeys(topics))
-    found: dict[str, dict[Row, list[DomainRange]]] = {topic: {} for topic in wanted}
+    found: dict[str, dict[TopicRow, list[DomainRange]]] = {topic: {} for topic in wanted}
     for stretch in apart:
         here = [
             each for each in members if _joins(governance, each, stretch.first, now, interpretation)
@@ -111,12 +111,14 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     for topic, rows_of_it in found.items():
         placed += (Placed(row=row, domains=domain_set(where)) for row, where in rows_of_it.items())
         if not rows_of_it:
-            nobody = Row(topic=topic, asked=asked.get(topic, topic), publishers=(), subscribers=())
+            nobody = TopicRow(
+                topic=topic, asked=asked.get(topic, topic), publishers=(), subscribers=()
+            )
             placed.append(Placed(row=nobody, domains=domain_set(governed)))
     return tuple(placed)
 
 
-def topics_asked(members: Sequence[Member], topics: Iterable[str]) -> dict[str, str | None]:
+def topics_asked(members: Sequence[DocumentOwner], topics: Iterable[str]) -> dict[str, str | None]:
     """The topics and patterns to answer for `topics`, each with a sample topic for the question.
 
     A pattern is replaced by everything that it matches: topics that rules name, patterns of
@@ -167,13 +169,15 @@ def _of_both(one: str, other: str, matched: Sequence[str]) -> str | None:
 
 def _joins(
     governance: Governance,
-    member: Member,
+    member: DocumentOwner,
     domain: int,
     now: datetime,
     interpretation: Interpretation,
 ) -> bool:
     question = Question(subject=member.subject, domain=domain, action=Action.JOIN, now=now)
-    return Policy(governance, member.permissions, interpretation).decide(question).allowed
+    return (
+        InterpretedPolicy(governance, member.permissions, interpretation).decide(question).allowed
+    )
 
 
 def _endless(domains: DomainSet) -> Iterable[DomainRange]:

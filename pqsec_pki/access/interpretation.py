@@ -17,13 +17,13 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
     TopicRule,
 )
 
 
-class Side(StrEnum):
+class Viewpoint(StrEnum):
     """The stack that checks: the participant's own, or a peer's."""
 
     OWN = "own"
@@ -53,12 +53,12 @@ class Interpretation:
     skips_grants_out_of_force: bool
     """Whether a later grant for the subject is used if the first is not in force."""
     knows_relay: bool
-    partitions_met: "Callable[[EvaluationContext, Criteria, Rule], bool]"
-    tags_met: "Callable[[EvaluationContext, Criteria, Rule], bool]"
+    partitions_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
+    tags_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
     flaw: Callable[[Governance, Permissions], str]
     """Why the stack cannot read these documents; empty if it can."""
-    join: "dict[Side, tuple[Check, ...]]"
-    use: "dict[Side, tuple[Check, ...]]"
+    join: "dict[Viewpoint, tuple[Check, ...]]"
+    use: "dict[Viewpoint, tuple[Check, ...]]"
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
         """The grant that applies to the subject, if there is one."""
@@ -96,13 +96,13 @@ class EvaluationContext:
                 yield rule
 
     @property
-    def rules(self) -> Iterator[Rule]:
+    def rules(self) -> Iterator[PermissionRule]:
         """The rules of the grant for the domain, in order."""
         for rule in self.grant.rules:
             if self.interpretation.includes(rule.domains, self.question.domain):
                 yield rule
 
-    def criteria(self, rule: Rule, action: Action) -> tuple[Criteria, ...]:
+    def criteria(self, rule: PermissionRule, action: Action) -> tuple[Criteria, ...]:
         """The criteria of the rule for an action."""
         match action:
             case Action.PUBLISH:

@@ -12,12 +12,12 @@ from pqsec_pki.access._checks import (
     own_participant,
     remote_participant,
 )
-from pqsec_pki.access.interpretation import Check, Interpretation, Side
+from pqsec_pki.access.interpretation import Check, Interpretation, Viewpoint
 from pqsec_pki.errors import UsageError
 
 
-def _both(*checks: Check) -> dict[Side, tuple[Check, ...]]:
-    return dict.fromkeys(Side, checks)
+def _both(*checks: Check) -> dict[Viewpoint, tuple[Check, ...]]:
+    return dict.fromkeys(Viewpoint, checks)
 
 
 SPEC = Interpretation(
@@ -34,8 +34,8 @@ SPEC = Interpretation(
     tags_met=_criteria.standard_tags,
     flaw=_values.no_flaw,
     join={
-        Side.OWN: (governed, in_force, own_participant),
-        Side.PEER: (governed, in_force, remote_participant),
+        Viewpoint.OWN: (governed, in_force, own_participant),
+        Viewpoint.PEER: (governed, in_force, remote_participant),
     },
     use=_both(endpoint),
 )
@@ -54,8 +54,8 @@ CYCLONEDDS = Interpretation(
     tags_met=_criteria.no_tags,
     flaw=_values.cyclonedds_flaw,
     join={
-        Side.OWN: (governed, in_force, own_participant),
-        Side.PEER: (governed, in_force, remote_participant),
+        Viewpoint.OWN: (governed, in_force, own_participant),
+        Viewpoint.PEER: (governed, in_force, remote_participant),
     },
     use=_both(_stacks.cyclonedds_topic, _stacks.cyclonedds_endpoint),
 )
@@ -75,12 +75,12 @@ FASTDDS = Interpretation(
     flaw=_values.empty_topic_flaw,
     # A domain that governance does not name is treated as one with join access control.
     join={
-        Side.OWN: (in_force, _stacks.fastdds_own_participant),
-        Side.PEER: (in_force, _stacks.fastdds_remote_participant),
+        Viewpoint.OWN: (in_force, _stacks.fastdds_own_participant),
+        Viewpoint.PEER: (in_force, _stacks.fastdds_remote_participant),
     },
     use={
-        Side.OWN: (_stacks.fastdds_own_endpoint,),
-        Side.PEER: (_stacks.fastdds_remote_endpoint,),
+        Viewpoint.OWN: (_stacks.fastdds_own_endpoint,),
+        Viewpoint.PEER: (_stacks.fastdds_remote_endpoint,),
     },
 )
 
@@ -99,8 +99,8 @@ OPENDDS = Interpretation(
     flaw=_values.opendds_flaw,
     # The times of a grant are checked only for endpoints, within their checks.
     join={
-        Side.OWN: (governed, _stacks.opendds_own_participant),
-        Side.PEER: (governed, _stacks.opendds_remote_participant),
+        Viewpoint.OWN: (governed, _stacks.opendds_own_participant),
+        Viewpoint.PEER: (governed, _stacks.opendds_remote_participant),
     },
     use=_both(_stacks.opendds_topic, _stacks.opendds_endpoint),
 )

@@ -6,18 +6,25 @@ from datetime import datetime, timedelta
 
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._witnesses import is_wildcard, sample
-from pqsec_pki.access.decide import Policy
+from pqsec_pki.access.decide import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question
-from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, Permissions, Rule
+from pqsec_pki.documents import (
+    DefaultAction,
+    DomainSet,
+    Governance,
+    Grant,
+    PermissionRule,
+    Permissions,
+)
 
 _ANYONE = "CN=anyone"
 _NOTHING: Mapping[str, str | None] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Member:
+class DocumentOwner:
     """A participant and its permissions document."""
 
     name: str
@@ -26,7 +33,7 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class TopicRow:
     """Who may use a topic, by name.
 
     For a pattern, `asked` is the topic that the question was about: one that the pattern covers,
@@ -44,21 +51,21 @@ class Row:
         return is_wildcard(self.topic)
 
 
-def topics_named(members: Iterable[Member]) -> tuple[str, ...]:
+def topics_named(members: Iterable[DocumentOwner]) -> tuple[str, ...]:
     """All topics and patterns for publishing and subscribing in any rule, sorted."""
     return tuple(sorted({topic for each in members for topic in _own_patterns(each)} - {""}))
 
 
 def who_may(  # noqa: PLR0913 -- what is asked, by name
     governance: Governance,
-    members: Sequence[Member],
+    members: Sequence[DocumentOwner],
     topics: Iterable[str],
     *,
     domain: int,
     now: datetime,
     interpretation: Interpretation = SPEC,
     asked: Mapping[str, str | None] = _NOTHING,
-) -> tuple[Row, ...]:
+) -> tuple[TopicRow, ...]:
     """A row for each topic, with the members in their order.
 
     `asked` has a sample topic for each pattern; for a pattern that is not in it, one is generated.
@@ -75,13 +82,13 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     subscribers: dict[str, list[str]] = {name: [] for name in names}
     index = _Index(names, interpretation, may.everyone(names))
     for member in members:
-        policy = Policy(governance, member.permissions, interpretation)
+        policy = InterpretedPolicy(governance, member.permissions, interpretation)
         for topic in index.worth_asking(member):
             for action, found in ((Action.PUBLISH, publishers), (Action.SUBSCRIBE, subscribers)):
                 if may.do(policy, member.subject, action, topic):
                     found[topic].append(member.name)
     return tuple(
-        Row(
+        TopicRow(
             topic=topic,
             asked=name,
             publishers=tuple(publishers.get(name or "", ())),
@@ -100,7 +107,7 @@ class _Asking:
     domain: int
     now: datetime
 
-    def do(self, policy: Policy, subject: str, action: Action, topic: str) -> bool:
+    def do(self, policy: InterpretedPolicy, subject: str, action: Action, topic: str) -> bool:
         """Whether `policy` allows the action with the topic."""
         question = Question(
             subject=subject, domain=self.domain, action=action, now=self.now, topic=topic
@@ -109,7 +116,7 @@ class _Asking:
 
     def everyone(self, topics: Iterable[str]) -> frozenset[str]:
         """Those of `topics` that every member may use, because governance does not control them."""
-        rule = Rule(allow=True, domains=DomainSet(parts=(self.domain,)))
+        rule = PermissionRule(allow=True, domains=DomainSet(parts=(self.domain,)))
         day = timedelta(days=1)
         grant = Grant(
             name=_ANYONE,
@@ -118,7 +125,9 @@ class _Asking:
             not_after=self.now + day,
             rules=(rule,),
         )
-        policy = Policy(self.governance, Permissions(grants=(grant,)), self.interpretation)
+        policy = InterpretedPolicy(
+            self.governance, Permissions(grants=(grant,)), self.interpretation
+        )
         either = (Action.PUBLISH, Action.SUBSCRIBE)
         return frozenset(
             topic
@@ -137,7 +146,7 @@ class _Index:
         self._interpretation = interpretation
         self._free = free
 
-    def worth_asking(self, member: Member) -> Iterable[str]:
+    def worth_asking(self, member: DocumentOwner) -> Iterable[str]:
         """The topics that this member's rules, default or the governance may allow."""
         if any(grant.default is DefaultAction.ALLOW for grant in member.permissions.grants):
             return self._known.sorted
@@ -146,7 +155,7 @@ class _Index:
         return sorted(self._free.union(*found))
 
 
-def _own_patterns(member: Member) -> Iterator[str]:
+def _own_patterns(member: DocumentOwner) -> Iterator[str]:
     for grant in member.permissions.grants:
         for rule in grant.rules:
             for criteria in (*rule.publish, *rule.subscribe):

@@ -12,15 +12,15 @@ from typing import Self
 
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
-from pqsec_pki.access.decide import Policy
-from pqsec_pki.access.interpretation import Side
+from pqsec_pki.access.decide import InterpretedPolicy
+from pqsec_pki.access.interpretation import Viewpoint
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
     Governance,
+    PermissionRule,
     Permissions,
-    Rule,
     TopicRule,
     ros,
 )
@@ -67,7 +67,7 @@ class ParticipantDocuments:
                 yield from each.topics
         yield from (rule.topic_expression for rule in self._topic_rules(domain))
 
-    def _rules(self, domain: int) -> Iterator[Rule]:
+    def _rules(self, domain: int) -> Iterator[PermissionRule]:
         for grant in self.permissions.grants:
             yield from (rule for rule in grant.rules if domain in rule.domains)
 
@@ -111,7 +111,7 @@ class _End:
     topics: list[str]
     partitions: tuple[tuple[str, ...], ...]
     tags: tuple[tuple[tuple[str, str], ...], ...]
-    judges: tuple[tuple[Side, Policy], ...]
+    judges: tuple[tuple[Viewpoint, InterpretedPolicy], ...]
 
     @classmethod
     def of(
@@ -134,8 +134,8 @@ class _End:
             partitions=tuple(dict.fromkeys([(), *((name,) for name in names if name)])),
             tags=tuple(dict.fromkeys([(), *(each.data_tags for each in criteria)])),
             judges=(
-                (Side.OWN, Policy(own.governance, own.permissions)),
-                (Side.PEER, Policy(peer.governance, own.permissions)),
+                (Viewpoint.OWN, InterpretedPolicy(own.governance, own.permissions)),
+                (Viewpoint.PEER, InterpretedPolicy(peer.governance, own.permissions)),
             ),
         )
 

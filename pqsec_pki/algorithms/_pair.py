@@ -16,7 +16,7 @@ from pqsec_pki.algorithms._table import Family
 
 def pair_public(key: PublicKey, alternative: PublicKey) -> PublicKey:
     """`key` and `alternative` as one key whose signatures need both."""
-    pair = Pair.of(key.algorithm, alternative.algorithm)
+    pair = SignaturePair.of(key.algorithm, alternative.algorithm)
     return PublicKey(pair, key.spki, (key.handle, alternative.handle))
 
 
@@ -27,7 +27,7 @@ def pair_private(key: PrivateKey, alternative: PrivateKey) -> PrivateKey:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pair(SignatureAlgorithm):
+class SignaturePair(SignatureAlgorithm):
     """A key and its alternative key: both sign the same octets, both signatures must be valid.
 
     The signature is ML-DSA's, of fixed size, followed by the plain key's. It exists in
@@ -39,7 +39,7 @@ class Pair(SignatureAlgorithm):
 
     @classmethod
     @cache
-    def of(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "Pair":
+    def of(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "SignaturePair":
         """The row for these two."""
         kept = {field.name: getattr(plain, field.name) for field in fields(SignatureAlgorithm)}
         kept |= {

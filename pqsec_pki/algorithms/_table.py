@@ -15,7 +15,7 @@ class Family(StrEnum):
     HYBRID = "hybrid"
 
 
-class Row(Protocol):
+class AlgorithmRow(Protocol):
     """The attributes of rows that a table needs."""
 
     @property
@@ -26,10 +26,10 @@ class Row(Protocol):
     def wire_name(self) -> str: ...
 
 
-RowT = TypeVar("RowT", bound=Row)
+RowT = TypeVar("RowT", bound=AlgorithmRow)
 
 
-class Table(Generic[RowT]):
+class AlgorithmTable(Generic[RowT]):
     """Rows in the given order; each name and alias belongs to one row."""
 
     def __init__(self, kind: str, rows: Sequence[RowT]) -> None:

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, mlkem
 from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement, KeyPair
 from pqsec_pki.algorithms._diffie_hellman import ECDH, MODP, X25519
 from pqsec_pki.algorithms._ml_kem import MLKEM
-from pqsec_pki.algorithms._table import Family, Table
+from pqsec_pki.algorithms._table import AlgorithmTable, Family
 
 __all__ = ["KEY_AGREEMENTS", "MODP_DER", "MODP_RAW", "KeyAgreement", "KeyPair"]
 
@@ -128,7 +128,7 @@ X25519_ML_KEM_768 = _hybrid(
 P256_ML_KEM_768 = _hybrid("SecP256r1MLKEM768", ECDH_P256, ML_KEM_768, "p256-ml-kem-768")
 P384_ML_KEM_1024 = _hybrid("SecP384r1MLKEM1024", ECDH_P384, ML_KEM_1024, "p384-ml-kem-1024")
 
-KEY_AGREEMENTS = Table[KeyAgreement](
+KEY_AGREEMENTS = AlgorithmTable[KeyAgreement](
     "key agreement",
     [
         ECDH_P256,

@@ -14,7 +14,7 @@ from pqsec_pki.algorithms._classical import ECDSA_WITH, RSA_WITH, Ecdsa, Ed25519
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA
 from pqsec_pki.algorithms._row import SignatureAlgorithm
-from pqsec_pki.algorithms._table import Family, Table
+from pqsec_pki.algorithms._table import AlgorithmTable, Family
 from pqsec_pki.algorithms.digest import (
     SHA3_256,
     SHA3_384,
@@ -169,7 +169,7 @@ COMPOSITES = (
     _composite(49, "MLDSA87-ECDSA-P384-SHA512", "mldsa87+p384", ML_DSA_87, ECDSA_P384),
 )
 
-SIGNATURES = Table[SignatureAlgorithm](
+SIGNATURES = AlgorithmTable[SignatureAlgorithm](
     "signature algorithm",
     [
         ECDSA_P256,

@@ -5,7 +5,15 @@ participants' own credentials, attacked on the way, by outsiders and by insiders
 """
 
 from pqsec_pki.attacks.attack import Attack
-from pqsec_pki.attacks.run import AttackReport, Outcome, Result, run_attacks
+from pqsec_pki.attacks.run import AttackOutcome, AttackReport, AttemptResult, run_attacks
 from pqsec_pki.attacks.table import ATTACKS, attack_named
 
-__all__ = ["ATTACKS", "Attack", "AttackReport", "Outcome", "Result", "attack_named", "run_attacks"]
+__all__ = [
+    "ATTACKS",
+    "Attack",
+    "AttackOutcome",
+    "AttackReport",
+    "AttemptResult",
+    "attack_named",
+    "run_attacks",
+]

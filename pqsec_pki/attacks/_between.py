@@ -19,7 +19,7 @@ from pqsec_pki.handshake import (
 )
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.report import MESSAGE
-from pqsec_pki.selfcheck.session import HandshakeSession, Side
+from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
 
 _NAME = "/between"
 
@@ -41,7 +41,7 @@ class _Between:
     """Replier to one side and initiator to the other, without the private key of dh1 or dh2."""
 
     session: HandshakeSession
-    own: Side
+    own: SessionSide
     request: Request | None = None
     reply: Reply | None = None
 

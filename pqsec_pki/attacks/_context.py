@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from pqsec_pki.handshake import DataHolder, GenericMessage
 from pqsec_pki.selfcheck.report import Sent
-from pqsec_pki.selfcheck.session import HandshakeSession, Relay, Side
+from pqsec_pki.selfcheck.session import HandshakeSession, Relay, SessionSide
 
-Impersonation = Callable[[Side, Side], Side]
+Impersonation = Callable[[SessionSide, SessionSide], SessionSide]
 """Takes the side that is impersonated and its peer, and returns the attacker's side."""
 
 
@@ -72,7 +72,7 @@ class AttackContext:
         return Attempt(f"{what}, as replier", impersonated, other.name)
 
 
-def with_identity(side: Side, **changes: Any) -> Side:
+def with_identity(side: SessionSide, **changes: Any) -> SessionSide:
     """`side` with a changed identity: certificate, key, GUID or permissions."""
     own = replace(side.terms.own, **changes)
     return replace(side, terms=replace(side.terms, own=own))

@@ -19,7 +19,7 @@ from pqsec_pki.attacks._relays import Edit, editing
 from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import BACKDATE, Authority, Certificate
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.session import Side
+from pqsec_pki.selfcheck.session import SessionSide
 
 _MOMENT = timedelta(seconds=1)
 _HOUR = timedelta(hours=1)
@@ -44,7 +44,7 @@ def create_own_ca(context: AttackContext) -> Iterator[Attempt]:
 def sign_own_certificate(context: AttackContext) -> Iterator[Attempt]:
     """Use a certificate signed with its own key."""
 
-    def self_signed(side: Side, _: Side) -> Side:
+    def self_signed(side: SessionSide, _: SessionSide) -> SessionSide:
         own = self_signed_authority(side.participant.certificate, context.session.now)
         keys = Keys(plain=own.key, alternative=own.alternative_key)
         return with_identity(side, certificate=own.certificate, key=keys.both)
@@ -100,8 +100,8 @@ def issue_by_unknown_intermediate(context: AttackContext) -> tuple[Authority, At
 
 
 def _certified_for(
-    ca: Authority, begin: datetime, validity: timedelta, side: Side, _: Side
-) -> Side:
+    ca: Authority, begin: datetime, validity: timedelta, side: SessionSide, _: SessionSide
+) -> SessionSide:
     """New keys, and a certificate for them that is valid from a day before `begin`, as usual."""
     keys = _new_keys(side)
     certificate = issued(ca, side.name, keys, begin, validity)
@@ -121,7 +121,7 @@ def sign_plainly(context: AttackContext) -> Iterator[Attempt]:
 def sign_half(context: AttackContext) -> Iterator[Attempt]:
     """Sign as with both keys, but with another key for one half, or without that half."""
 
-    def halves(side: Side, _: Side, half: str) -> Side:
+    def halves(side: SessionSide, _: SessionSide, half: str) -> SessionSide:
         own = {half: getattr(Keys.of(side.participant), half)}
         return with_identity(side, key=replace(_new_keys(side), **own).both)
 
@@ -135,7 +135,7 @@ def sign_half(context: AttackContext) -> Iterator[Attempt]:
             yield context.between(f"the {half} signature alone in the {message}", relay)
 
 
-def _cuts(side: Side) -> dict[str, Edit]:
+def _cuts(side: SessionSide) -> dict[str, Edit]:
     """Edits that keep one half; the alternative signature comes first and has a fixed size."""
     second = side.participant.alternative_key
     cut = second.algorithm.signature_size if second else 0
@@ -148,7 +148,7 @@ def strip_certificate(context: AttackContext) -> Iterator[Attempt]:
     key = Keys.like(genuine_ca).plain
     context = _trusted_by_both(with_broken_key(genuine_ca, key), context)
 
-    def stripped(side: Side, _: Side) -> Side:
+    def stripped(side: SessionSide, _: SessionSide) -> SessionSide:
         genuine = side.participant.certificate
         less = without_alternative_signature(genuine, key)
         return with_identity(side, certificate=less, ca=genuine_ca)
@@ -176,7 +176,7 @@ def _trusted_by_both(ca: Certificate, context: AttackContext) -> AttackContext:
     return replace(context, session=replace(context.session, initiator=one, replier=other))
 
 
-def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
+def _certified_by(ca: Authority, now: datetime, side: SessionSide, _: SessionSide) -> SessionSide:
     """New keys, and a certificate for them by `ca`; the peer is checked with the genuine CA."""
     keys = _new_keys(side)
     certificate = issued(ca, side.name, keys, now)
@@ -184,7 +184,7 @@ def _certified_by(ca: Authority, now: datetime, side: Side, _: Side) -> Side:
     return with_identity(side, certificate=certificate, key=keys.both, ca=genuine)
 
 
-def _new_keys(side: Side) -> Keys:
+def _new_keys(side: SessionSide) -> Keys:
     """New keys of the same algorithms as the participant's."""
     return Keys.like(side.participant.certificate)
 

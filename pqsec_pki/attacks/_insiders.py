@@ -17,14 +17,14 @@ from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import adjusted_guid
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.session import HandshakeSession, Side
+from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
 from pqsec_pki.smime import Signer, document_in, sign
 
 
 def issue_certificates(context: AttackContext) -> Iterator[Attempt]:
     """Issue a certificate for its own name with its own key, as if it were a CA."""
 
-    def prolonged(side: Side, _: Side) -> Side:
+    def prolonged(side: SessionSide, _: SessionSide) -> SessionSide:
         own = side.participant
         ca, keys = (
             Authority(own.certificate, own.key, own.alternative_key),
@@ -39,7 +39,7 @@ def issue_certificates(context: AttackContext) -> Iterator[Attempt]:
 def claim_guid(context: AttackContext) -> Iterator[Attempt]:
     """Use a GUID that belongs to another subject name."""
 
-    def claiming(side: Side, _: Side) -> Side:
+    def claiming(side: SessionSide, _: SessionSide) -> SessionSide:
         another = side.participant.identity_ca.subject_der
         return with_identity(side, guid=adjusted_guid(another, side.guid))
 
@@ -68,7 +68,7 @@ def shared_permissions(session: HandshakeSession) -> str | None:
     return None
 
 
-def _is_for(side: Side, grant: Grant) -> bool:
+def _is_for(side: SessionSide, grant: Grant) -> bool:
     own = parse_subject(side.participant.certificate.subject_name)
     with suppress(MalformedError):  # a text that is not a name matches no subject
         return same_subject(parse_subject(grant.subject_name), own)
@@ -89,7 +89,7 @@ def strip_countersignature(context: AttackContext) -> Iterator[Attempt]:
 
 
 def _permitted(context: AttackContext, what: str, forger: Forger) -> Iterator[Attempt]:
-    def permitted(side: Side, peer: Side) -> Side:
+    def permitted(side: SessionSide, peer: SessionSide) -> SessionSide:
         permissions = forger(side.participant, peer.participant, context.session.now)
         return with_identity(side, permissions=permissions)
 

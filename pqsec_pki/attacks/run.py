@@ -10,20 +10,20 @@ from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UsageError
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.handshake_check import HandshakeCheck, HandshakeParty, HandshakeSetup
-from pqsec_pki.selfcheck.report import Report, Step, Steps, StoppedError
+from pqsec_pki.selfcheck.report import CheckedStep, HandshakeReport, Steps, StoppedError
 from pqsec_pki.selfcheck.run import HandshakeRun
 
 _HINT = "a check of pqsec is broken: please report it as SECURITY.md says"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
+class AttemptResult:
     """The result of one attempt. If neither side refused it, `by` and `step` are None."""
 
     what: str
     by: str | None
     """The participant that refused."""
-    step: Step | None
+    step: CheckedStep | None
     """The step at which it refused; its detail is the error message."""
     due: tuple[Code, ...] = ()
     """The checks that have to refuse it."""
@@ -50,11 +50,11 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class AttackOutcome:
     """The outcome of one attack."""
 
     attack: Attack
-    results: tuple[Result, ...] = ()
+    results: tuple[AttemptResult, ...] = ()
     """One result for each attempt."""
     skipped: str | None = None
     """Why it was skipped."""
@@ -72,7 +72,7 @@ class Outcome:
         return sum(each.refused for each in self.results)
 
     @property
-    def example(self) -> Result | None:
+    def example(self) -> AttemptResult | None:
         """The attempt to show: the first that was not refused, else the first."""
         return min(self.results, key=lambda each: each.refused, default=None)
 
@@ -96,9 +96,9 @@ class Outcome:
 class AttackReport:
     """The outcomes of all attacks."""
 
-    control: Report
+    control: HandshakeReport
     """The same handshake without an attacker. If it fails, attacks prove nothing."""
-    outcomes: tuple[Outcome, ...] = ()
+    outcomes: tuple[AttackOutcome, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -134,7 +134,7 @@ def run_attacks(
     first: HandshakeParty,
     second: HandshakeParty,
     attacks: Iterable[Attack],
-    progress: Callable[[Outcome], None] | None = None,
+    progress: Callable[[AttackOutcome], None] | None = None,
 ) -> AttackReport:
     """Run attacks on the handshake of two participants; call `progress` after each attack.
 
@@ -169,15 +169,15 @@ def _check_parties(setup: HandshakeSetup, *parties: HandshakeParty) -> None:
             )
 
 
-def attempted(attack: Attack, context: AttackContext) -> Outcome:
+def attempted(attack: Attack, context: AttackContext) -> AttackOutcome:
     """Run one attack."""
     if reason := attack.not_applicable(context.session):
-        return Outcome(attack=attack, skipped=reason)
+        return AttackOutcome(attack=attack, skipped=reason)
     results = tuple(_result(attempt, attack) for attempt in attack.act(context))
-    return Outcome(attack=attack, results=results)
+    return AttackOutcome(attack=attack, results=results)
 
 
-def _result(attempt: Attempt, attack: Attack) -> Result:
+def _result(attempt: Attempt, attack: Attack) -> AttemptResult:
     run = HandshakeRun(attempt.session, Steps())
     with suppress(StoppedError):
         run.perform()
@@ -185,8 +185,8 @@ def _result(attempt: Attempt, attack: Attack) -> Result:
     by = _who_refused(failed, run) if failed else None
     # A refusal by the attacker itself does not count.
     if by is None or by == attempt.attacker:
-        return Result(what=attempt.what, by=None, step=None, due=attack.checks)
-    return Result(
+        return AttemptResult(what=attempt.what, by=None, step=None, due=attack.checks)
+    return AttemptResult(
         what=attempt.what, by=by, step=failed, due=attack.checks, shares_key=_share_a_key(run)
     )
 
@@ -201,7 +201,7 @@ def _share_a_key(run: HandshakeRun) -> bool:
     return mine.shared_secret == theirs.shared_secret and not are_peers
 
 
-def _who_refused(failed: Step, run: HandshakeRun) -> str:
+def _who_refused(failed: CheckedStep, run: HandshakeRun) -> str:
     """The name of the side that checked permissions; else of the one that read the last message."""
     who, verb, *_ = [*failed.name.split(), ""]
     return who if verb == "admits" else run.sent[-1].receiver

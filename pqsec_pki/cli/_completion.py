@@ -97,7 +97,7 @@ def _keystore(context: click.Context) -> "Keystore":
 
 
 def _topics(context: click.Context) -> Iterator[str]:
-    from pqsec_pki.access.matrix import Member, topics_named  # noqa: PLC0415 -- lxml, too
+    from pqsec_pki.access.matrix import DocumentOwner, topics_named  # noqa: PLC0415 -- lxml, too
     from pqsec_pki.policy import own_permissions, shared_governance  # noqa: PLC0415
 
     keystore, now = _keystore(context), _settings.now()
@@ -105,7 +105,7 @@ def _topics(context: click.Context) -> Iterator[str]:
     for name in [one] if one else keystore.names()[:MAX_DOCUMENTS]:
         with suppress(PqsecError):
             permissions = own_permissions(keystore, name, now, None).value
-            yield from topics_named([Member(name=name, subject="", permissions=permissions)])
+            yield from topics_named([DocumentOwner(name=name, subject="", permissions=permissions)])
     if not one:
         with suppress(PqsecError):
             for domain in shared_governance(keystore, None).value.domain_rules:

@@ -8,9 +8,9 @@ import click
 from pqsec_pki.attacks import (
     ATTACKS,
     Attack,
+    AttackOutcome,
     AttackReport,
-    Outcome,
-    Result,
+    AttemptResult,
     attack_named,
     run_attacks,
 )
@@ -55,13 +55,13 @@ def _lines(attack_report: AttackReport, *, details: bool) -> Iterator[str]:
         yield f"hint: {failed.hint}"
 
 
-def _mark(outcome: Outcome) -> str:
+def _mark(outcome: AttackOutcome) -> str:
     if outcome.skipped:
         return "-   "
     return "ok  " if outcome.ok else "FAIL"
 
 
-def _summary(outcome: Outcome) -> str:
+def _summary(outcome: AttackOutcome) -> str:
     if outcome.skipped:
         return f"not tried: {outcome.skipped}"
     places = dict.fromkeys(each.step.name for each in outcome.results if each.step)
@@ -69,7 +69,7 @@ def _summary(outcome: Outcome) -> str:
     return f"{outcome.attack.title}: {count}{' at ' if places else ''}{', '.join(places)}"
 
 
-def _result_line(result: Result) -> str:
+def _result_line(result: AttemptResult) -> str:
     if result.step is None:
         return f"{result.what}: NOT refused"
     line = f"{result.what}: {result.by} refused ({result.step.name}): {result.step.detail}"

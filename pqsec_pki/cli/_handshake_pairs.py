@@ -11,8 +11,8 @@ import click
 
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.selfcheck import PQSEC, Step, stack_named
-from pqsec_pki.selfcheck.pairs import AllPairsJob, Outcome, PairsCheck, check_pairs, count_pairs
+from pqsec_pki.selfcheck import PQSEC, CheckedStep, stack_named
+from pqsec_pki.selfcheck.pairs import AllPairsJob, PairOutcome, PairsCheck, check_pairs, count_pairs
 from pqsec_pki.selfcheck.summary import Cause, Summary, faults
 
 MATRIX = 20
@@ -57,7 +57,7 @@ class _Totals:
     """For the matrix: (name of the row, name of the column) -> text."""
     seconds: float = 0.0
 
-    def outcomes(self) -> Iterator[Outcome]:
+    def outcomes(self) -> Iterator[PairOutcome]:
         """Each outcome, after it was counted."""
         names = self.check_pairs.names
         count = count_pairs(names, self.check_pairs.job)
@@ -69,13 +69,13 @@ class _Totals:
             yield outcome
         self.seconds = time.perf_counter() - started
 
-    def _mark(self, outcome: Outcome) -> None:
+    def _mark(self, outcome: PairOutcome) -> None:
         row, column = outcome.first.party.name, outcome.second.party.name
         self.cells[row, column] = self._cell(outcome, row)
         if len(set(self.check_pairs.job.stacks)) == 1:
             self.cells[column, row] = self._cell(outcome, column)
 
-    def _cell(self, outcome: Outcome, sender: str) -> str:
+    def _cell(self, outcome: PairOutcome, sender: str) -> str:
         """The cell text: handshake result, and whether the other may subscribe to `sender`."""
         talks = outcome.result.talks if outcome.ok and outcome.result else ()
         no_topic = any(each.sender == sender and not each.topics for each in talks)
@@ -139,7 +139,7 @@ def _participant_json(found: PairsCheck, name: str) -> dict[str, Any]:
     }
 
 
-def _pair_json(outcome: Outcome) -> dict[str, Any]:
+def _pair_json(outcome: PairOutcome) -> dict[str, Any]:
     result = outcome.result
     return {
         "pair": [outcome.first.party.name, outcome.second.party.name],
@@ -153,7 +153,7 @@ def _pair_json(outcome: Outcome) -> dict[str, Any]:
     } | (_fault(outcome.failed) if outcome.failed else {})
 
 
-def _fault(step: Step) -> dict[str, str | None]:
+def _fault(step: CheckedStep) -> dict[str, str | None]:
     return {"step": step.name, "cause": step.detail, "hint": step.hint}
 
 
@@ -183,7 +183,7 @@ def _lines(account: _Totals) -> Iterator[str]:
     )
 
 
-def _fault_lines(cause: Cause, steps: Sequence[Step | None]) -> Iterator[str]:
+def _fault_lines(cause: Cause, steps: Sequence[CheckedStep | None]) -> Iterator[str]:
     """The cause that several steps share; for a single step, its own words."""
     [first, *others] = steps
     if first and not others:
@@ -198,7 +198,7 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:LISTED]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def _by_initiator(outcomes: Iterable[Outcome]) -> Iterator[str]:
+def _by_initiator(outcomes: Iterable[PairOutcome]) -> Iterator[str]:
     """One line for each initiator, with its repliers."""
     repliers: dict[str, list[str]] = {}
     for each in outcomes:

@@ -7,7 +7,7 @@ from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.inspection import describe
-from pqsec_pki.selfcheck import Report
+from pqsec_pki.selfcheck import HandshakeReport
 from pqsec_pki.selfcheck.trace import DecodedMessage, Piece, Trace, trace
 
 STDOUT = Path("-")
@@ -23,7 +23,7 @@ def refuse_existing_file(path: Path) -> None:
 
 
 def write_trace(
-    report: Report, summary: list[str], path: Path, *, show_secrets: bool, force: bool
+    report: HandshakeReport, summary: list[str], path: Path, *, show_secrets: bool, force: bool
 ) -> None:
     """Write the trace of `report` to `path` or stdout; `summary` has the lines of the report.
 

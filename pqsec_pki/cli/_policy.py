@@ -40,14 +40,14 @@ def put(document: bytes, output: Path | None, *, force: bool) -> None:
     _printing.emit(value, [f"{output}  ({len(document)} bytes)"])
 
 
-class Document(Protocol):
+class PolicyValue(Protocol):
     """A governance or permissions value."""
 
     def to_xml(self) -> bytes:
         """The XML document that stacks read."""
 
 
-Value = TypeVar("Value", bound=Document)
+Value = TypeVar("Value", bound=PolicyValue)
 
 
 def add_commands(

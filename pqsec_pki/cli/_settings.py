@@ -35,16 +35,16 @@ FOLDER = _Path(path_type=Path, file_okay=False, readable=False)
 
 
 @dataclass(slots=True)
-class Settings:
+class CommandSettings:
     """The options that are accepted before and after the command."""
 
     keystore: Path | None = None
     json: bool = False
 
 
-def settings(context: click.Context | None = None) -> Settings:
+def settings(context: click.Context | None = None) -> CommandSettings:
     """The settings of the current command, or of that of `context`."""
-    return (context or click.get_current_context()).find_root().ensure_object(Settings)
+    return (context or click.get_current_context()).find_root().ensure_object(CommandSettings)
 
 
 def command_options(command: Command) -> Command:
@@ -52,7 +52,7 @@ def command_options(command: Command) -> Command:
 
     def remember(context: click.Context, parameter: click.Parameter, value: object) -> None:
         if value:
-            setattr(context.find_root().ensure_object(Settings), str(parameter.name), value)
+            setattr(context.find_root().ensure_object(CommandSettings), str(parameter.name), value)
 
     keystore = click.option(
         "-k",

@@ -6,7 +6,7 @@ import signal
 from pqsec_pki._files import is_there, read
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import ExistsError, FileError
-from pqsec_pki.plugin import AgentFolder, Status, agent_status, stop_agent
+from pqsec_pki.plugin import AgentFolder, AgentStatus, agent_status, stop_agent
 
 _NOT_RUNNING = "no agent runs: the first participant that uses the plugin starts one"
 
@@ -126,7 +126,7 @@ def _agent_folder() -> AgentFolder:
     return AgentFolder.of(os.environ)
 
 
-def _lines(found: Status) -> list[str]:
+def _lines(found: AgentStatus) -> list[str]:
     lines = [
         f"process   {found.process}",
         f"version   {found.version}",

@@ -18,10 +18,10 @@ from pqsec_pki.cli.plan import (
     value,
 )
 from pqsec_pki.domain import (
-    Action,
     Desired,
     Plan,
     Step,
+    StepAction,
     apply_plan,
     create_keystore,
     read_domain,
@@ -197,14 +197,14 @@ def _apply_steps(
 def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Path]) -> None:
     for each in found.blocked:
         _printing.note(f"{each.name} {each.why}: not changed")
-    if any(step.action in {Action.REVOKE, Action.RENEW_CRL} for step in done):
+    if any(step.action in {StepAction.REVOKE, StepAction.RENEW_CRL} for step in done):
         _printing.note("there is a new revocation list: copy it to every robot")
-    changed = {step.name for step in done if step.name and step.action is not Action.REVOKE}
+    changed = {step.name for step in done if step.name and step.action is not StepAction.REVOKE}
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]
     if waiting and not written:
         fix = "write their bundles with --bundles DIR or `pqsec bundle`"
         _printing.note(f"the keys of these are on their robots: {few(waiting)}; {fix}")
-    counts: Counter[Action] = Counter()
+    counts: Counter[StepAction] = Counter()
     for step in done:
         counts[step.action] += bool(step.name)
     lines = [f"{action.words}: {count or 'done'}" for action, count in counts.items()]

@@ -12,7 +12,7 @@ from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
     Finding,
-    Report,
+    LintReport,
     Rule,
     Severity,
     Suppression,
@@ -129,7 +129,7 @@ def _suppression(text: str) -> Suppression:
     return suppression
 
 
-def _exit_code(report: Report, *, strict: bool) -> int:
+def _exit_code(report: LintReport, *, strict: bool) -> int:
     """1 if there are findings that fail the check; else 3 if a file could not be read; else 0."""
     unread = report.unread
     left = set(map(id, unread))
@@ -141,7 +141,7 @@ def _exit_code(report: Report, *, strict: bool) -> int:
     return 3 if unread else 0
 
 
-def report_lines(report: Report) -> list[str]:
+def report_lines(report: LintReport) -> list[str]:
     """The report as lines."""
     counts = [
         f"{number} {severity}" if severity is Severity.INFO else _printing.counted(number, severity)
@@ -156,7 +156,7 @@ def report_lines(report: Report) -> list[str]:
     return [*map(str, report.findings), summary]
 
 
-def report_value(report: Report, *, strict: bool) -> dict[str, Any]:
+def report_value(report: LintReport, *, strict: bool) -> dict[str, Any]:
     """The report for --json."""
     return {
         "ok": not _exit_code(report, strict=strict),
@@ -168,7 +168,7 @@ def report_value(report: Report, *, strict: bool) -> dict[str, Any]:
     }
 
 
-def _read(report: Report) -> int:
+def _read(report: LintReport) -> int:
     return sum(not file.unreadable for file in report.inventory.files)
 
 

@@ -11,7 +11,7 @@ import click
 
 from pqsec_pki.access import INTERPRETATIONS, Action, Question
 from pqsec_pki.access.everywhere import is_known
-from pqsec_pki.access.matrix import Member, topics_named
+from pqsec_pki.access.matrix import DocumentOwner, topics_named
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import parse_subject, ros
@@ -228,7 +228,7 @@ def _tag(text: str) -> tuple[str, str]:
 
 def _note_similar_topic(policy_input: PolicyInput, action: Action, topic: str) -> None:
     """Note a similar topic name if no rule names or matches `topic`."""
-    who = Member(
+    who = DocumentOwner(
         name=policy_input.who,
         subject=policy_input.subject,
         permissions=policy_input.permissions.value,

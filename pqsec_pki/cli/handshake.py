@@ -15,9 +15,9 @@ from pqsec_pki.selfcheck import (
     PQSEC,
     STACKS,
     HandshakeParty,
+    HandshakeReport,
     HandshakeSetup,
-    Report,
-    Stack,
+    SimulatedStack,
     stack_named,
 )
 from pqsec_pki.selfcheck import verify_handshake as run_between
@@ -160,7 +160,7 @@ def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     return report.ok
 
 
-def _report(names: tuple[str, ...], given: dict[str, Any]) -> Report:
+def _report(names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
     return run_between(
         _keystore(given["kem"]),
         *names,
@@ -238,7 +238,7 @@ def _agreement(kem: str | None) -> KeyAgreement | None:
     return None if kem is None else KEY_AGREEMENTS.named(kem)
 
 
-def _stacks(names: tuple[str, ...]) -> tuple[Stack, Stack]:
+def _stacks(names: tuple[str, ...]) -> tuple[SimulatedStack, SimulatedStack]:
     """The stacks that the first and the second participant behave like."""
     if len(names) > _PAIR:
         raise UsageError("--as is given more than twice: there are two participants")
@@ -255,7 +255,7 @@ def _note_broken_promise(kem: str, profile: Profile) -> None:
         _printing.note(f"{error}; the handshake runs anyway")
 
 
-def lines_of(report: Report) -> list[str]:
+def lines_of(report: HandshakeReport) -> list[str]:
     """The report as lines."""
     width = max(len(step.name) for step in report.steps)
     lines = [
@@ -275,7 +275,7 @@ def lines_of(report: Report) -> list[str]:
     ]
 
 
-def _topic_lines(report: Report) -> Iterator[str]:
+def _topic_lines(report: HandshakeReport) -> Iterator[str]:
     """The domain, and the topics that each may send to the other."""
     if report.domain is None:
         return

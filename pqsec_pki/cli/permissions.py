@@ -161,8 +161,8 @@ def _require_nodes(names: tuple[str, ...]) -> None:
 
 
 def _wanted(
-    enclaves: tuple[sros2.Enclave, ...], names: tuple[str, ...]
-) -> tuple[sros2.Enclave, ...]:
+    enclaves: tuple[sros2.PolicyProfiles, ...], names: tuple[str, ...]
+) -> tuple[sros2.PolicyProfiles, ...]:
     there = [enclave.path for enclave in enclaves]
     if missing := [name for name in names if name not in there]:
         raise UsageError(
@@ -171,7 +171,7 @@ def _wanted(
     return tuple(enclave for enclave in enclaves if not names or enclave.path in names)
 
 
-def _warn(enclaves: tuple[sros2.Enclave, ...]) -> None:
+def _warn(enclaves: tuple[sros2.PolicyProfiles, ...]) -> None:
     for enclave in enclaves:
         if topics := sros2.lacking(enclave):
             others = f" and {len(topics) - 1} more topic(s)" if len(topics) > 1 else ""

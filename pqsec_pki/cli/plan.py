@@ -8,7 +8,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.domain import Action, Desired, Plan, new_domain, read_domain
+from pqsec_pki.domain import Desired, Plan, StepAction, new_domain, read_domain
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.keystore import Keystore
 
@@ -104,9 +104,9 @@ def lines(found: Plan) -> Iterator[str]:
     yield f"{count or 'no'} {'change' if count == 1 else 'changes'}; {rest}"
 
 
-def _kind(action: Action, why: str) -> str:
+def _kind(action: StepAction, why: str) -> str:
     """The reason that similar steps share; for a renewal, without its date."""
-    return why.split(maxsplit=1)[0] if action is Action.RENEW else why
+    return why.split(maxsplit=1)[0] if action is StepAction.RENEW else why
 
 
 def few(names: Iterable[str]) -> str:

@@ -18,9 +18,9 @@ from pqsec_pki.trial import (
     MACHINE,
     STACKS,
     UNAUTHENTICATED,
-    Report,
     TopicRoute,
     Trial,
+    TrialReport,
     find,
     plugin,
     refuse_untrusted,
@@ -195,7 +195,7 @@ def _route(
     return TopicRoute(sender=first, receiver=second, domain=domain, topic=topic)
 
 
-def _as_json(report: Report) -> dict[str, Any]:
+def _as_json(report: TrialReport) -> dict[str, Any]:
     wire = report.trial_run.wire
     return {
         "stack": report.installation.build.stack,
@@ -219,7 +219,7 @@ def _as_json(report: Report) -> dict[str, Any]:
     }
 
 
-def _receiving(report: Report) -> dict[str, str] | None:
+def _receiving(report: TrialReport) -> dict[str, str] | None:
     """The receiver's stack, if it is another."""
     for each in report.installations[1:]:
         return {
@@ -230,7 +230,7 @@ def _receiving(report: Report) -> dict[str, str] | None:
     return None
 
 
-def _lines(report: Report) -> Iterator[str]:
+def _lines(report: TrialReport) -> Iterator[str]:
     route, sender, receiver = report.topic_route, report.sender.role.name, report.receiver.role.name
     stacks = " and ".join(each.title for each in report.installations)
     yield (
@@ -249,14 +249,14 @@ def _lines(report: Report) -> Iterator[str]:
         yield "      network   of this machine: others on the domain may have taken part"
 
 
-def _plugged(report: Report) -> str:
+def _plugged(report: TrialReport) -> str:
     """Which participants use pqsec's plugin, as text."""
     both = {report.sender.role.name, report.receiver.role.name} <= set(report.plugged)
     who = "" if both else f" in {', '.join(report.plugged)}"
     return f" with pqsec's plugin{who}" if report.plugged else ""
 
 
-def _why(report: Report) -> Iterator[str]:
+def _why(report: TrialReport) -> Iterator[str]:
     for found in report.findings:
         yield f"      {', '.join(found.participants)}: {found.said}"
         for what, text in (("cause", found.cause), ("remedy", found.remedy)):
@@ -264,7 +264,7 @@ def _why(report: Report) -> Iterator[str]:
                 yield from paragraph(f"        {what:<7} ", text)
 
 
-def _unauthenticated(report: Report) -> Iterator[str]:
+def _unauthenticated(report: TrialReport) -> Iterator[str]:
     if report.unauthenticated_heard is None:
         why = "not tested" if not report.accepted else "did not start"
         yield f"{'FAIL' if report.accepted else '    '}  outsider  {UNAUTHENTICATED}: {why}"
@@ -274,7 +274,7 @@ def _unauthenticated(report: Report) -> Iterator[str]:
         yield f"ok    outsider  {UNAUTHENTICATED} received nothing"
 
 
-def _wire(report: Report) -> Iterator[str]:
+def _wire(report: TrialReport) -> Iterator[str]:
     wire = report.trial_run.wire
     if report.readable is not None and wire:
         how = "can be read" if report.readable else "cannot be read"

@@ -12,7 +12,7 @@ from pqsec_pki.access.everywhere import (
     Placed,
     domains_said,
 )
-from pqsec_pki.access.matrix import Row
+from pqsec_pki.access.matrix import TopicRow
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import DomainSet, ros
@@ -151,7 +151,7 @@ def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
     yield from _printing.table(headers, cells)
 
 
-def _topic(row: Row) -> str:
+def _topic(row: TopicRow) -> str:
     if not row.is_pattern:
         return printable(row.topic)
     asked = printable(row.asked) if row.asked else "no topic was found"

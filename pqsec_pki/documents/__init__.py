@@ -14,7 +14,13 @@ from pqsec_pki.documents.governance_yaml import (
     governance_to_yaml,
     new_governance,
 )
-from pqsec_pki.documents.permissions import Criteria, DefaultAction, Grant, Permissions, Rule
+from pqsec_pki.documents.permissions import (
+    Criteria,
+    DefaultAction,
+    Grant,
+    PermissionRule,
+    Permissions,
+)
 from pqsec_pki.documents.permissions_yaml import (
     lasting,
     new_permissions,
@@ -37,10 +43,10 @@ __all__ = [
     "Grant",
     "Kind",
     "Node",
+    "PermissionRule",
     "Permissions",
     "Preset",
     "ProtectionKind",
-    "Rule",
     "Subject",
     "TopicRule",
     "Tree",

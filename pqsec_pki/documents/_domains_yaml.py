@@ -6,7 +6,7 @@ The short forms, `0`, `0-3` and `0,2-5`, allow only what every stack accepts. Th
 
 import re
 
-from pqsec_pki.documents._yaml import Item, Table, Text, refused
+from pqsec_pki.documents._yaml import Item, Text, YamlMapping, refused
 from pqsec_pki.documents._yaml_reading import build, fields, number, one_or_more
 from pqsec_pki.documents.domains import DomainRange, DomainSet
 from pqsec_pki.errors import UsageError, shown
@@ -21,7 +21,7 @@ def domains(item: Item) -> DomainSet:
 
 
 def _parts(item: Item) -> tuple[int | DomainRange, ...]:
-    if isinstance(item, Table):
+    if isinstance(item, YamlMapping):
         return (_long(item),)
     written = item.text if isinstance(item, Text) else ""
     if re.search(r"(?<![0-9])0[0-9]", written):
@@ -29,7 +29,7 @@ def _parts(item: Item) -> tuple[int | DomainRange, ...]:
     return build(item, DomainSet.parse, text=written).parts
 
 
-def _long(item: Table) -> int | DomainRange:
+def _long(item: YamlMapping) -> int | DomainRange:
     ends = fields(item, _LONG)
     if set(ends) == {"id"}:
         return build(item, _checked_id, domain=ends["id"])

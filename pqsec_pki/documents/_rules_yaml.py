@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml
 from pqsec_pki.documents._nodes_yaml import node
-from pqsec_pki.documents._yaml import Item, Items, Table, refused
+from pqsec_pki.documents._yaml import Item, Items, YamlMapping, refused
 from pqsec_pki.documents._yaml_reading import (
     all_of,
     build,
@@ -21,7 +21,7 @@ from pqsec_pki.documents._yaml_reading import (
     text,
 )
 from pqsec_pki.documents.domains import DomainSet
-from pqsec_pki.documents.permissions import Criteria, Rule
+from pqsec_pki.documents.permissions import Criteria, PermissionRule
 from pqsec_pki.documents.ros import Endpoints
 
 Readers: TypeAlias = dict[str, Callable[[Item], Any]]
@@ -29,7 +29,7 @@ Readers: TypeAlias = dict[str, Callable[[Item], Any]]
 _ACTIONS = ("publish", "subscribe", "relay")
 
 
-def rule(default_domains: DomainSet, item: Item) -> Rule:
+def rule(default_domains: DomainSet, item: Item) -> PermissionRule:
     """One item of `rules`: either `allow:` or `deny:`."""
     either: Readers = {
         "allow": partial(fields, readers={"domains": domains, **ALLOWED}),
@@ -43,14 +43,16 @@ def rule(default_domains: DomainSet, item: Item) -> Rule:
     return built_rule(item, domain_set, values, allow=effect == "allow")
 
 
-def built_rule(item: Item, domain_set: DomainSet, values: dict[str, Any], *, allow: bool) -> Rule:
+def built_rule(
+    item: Item, domain_set: DomainSet, values: dict[str, Any], *, allow: bool
+) -> PermissionRule:
     """The rule; the topics of its nodes are added to those that it publishes and subscribes to."""
     nodes: tuple[Endpoints, ...] = values.pop("nodes", ())
     for action in ("publish", "subscribe"):
         of_nodes = [topic for node in nodes for topic in getattr(node, action)]
         if of_nodes:
             values[action] = _with_topics(values.get(action, ()), of_nodes, item.line)
-    return build(item, Rule, allow=allow, domains=domain_set, **values, line=item.line)
+    return build(item, PermissionRule, allow=allow, domains=domain_set, **values, line=item.line)
 
 
 def _with_topics(
@@ -66,8 +68,8 @@ def _with_topics(
 def _all_criteria(item: Item) -> tuple[Criteria, ...]:
     """One Criteria for all plain topics of the list, and one for each mapping in it."""
     items = item.items if isinstance(item, Items) else [item]
-    plain = [each for each in items if not isinstance(each, Table)]
-    rest = [partial(_criteria, each) for each in items if isinstance(each, Table)]
+    plain = [each for each in items if not isinstance(each, YamlMapping)]
+    rest = [partial(_criteria, each) for each in items if isinstance(each, YamlMapping)]
     if not plain:
         return all_of(rest)
     return all_of([partial(_plain_criteria, plain), *rest])
@@ -108,7 +110,7 @@ ALLOWED: Readers = _DENIED | {"nodes": partial(one_or_more, reader=node)}
 # Writing
 
 
-def rule_as_yaml(rule: Rule) -> dict[str, object]:
+def rule_as_yaml(rule: PermissionRule) -> dict[str, object]:
     """The mapping under its `allow:` or `deny:`."""
     written: dict[str, object] = {"domains": domains_as_yaml(rule.domains)}
     for action in _ACTIONS:

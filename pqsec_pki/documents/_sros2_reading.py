@@ -29,7 +29,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Enclave:
+class PolicyProfiles:
     """One `profiles` element of an enclave; SROS2 writes a grant for each."""
 
     path: str
@@ -39,7 +39,7 @@ class Enclave:
     line: int | None
 
 
-def read_policy(path: Path, *, root: Path | None = None) -> tuple[Enclave, ...]:
+def read_policy(path: Path, *, root: Path | None = None) -> tuple[PolicyProfiles, ...]:
     """The enclaves of the policy, with its includes resolved.
 
     An include of a file outside `root` is refused; by default `root` is the policy's folder.
@@ -51,7 +51,7 @@ def read_policy(path: Path, *, root: Path | None = None) -> tuple[Enclave, ...]:
         return tuple(_enclaves(policy))
 
 
-def _enclaves(policy: "_Element") -> Iterator[Enclave]:
+def _enclaves(policy: "_Element") -> Iterator[PolicyProfiles]:
     _require(policy, "policy", {"version"})
     if policy.get("version") != _VERSION:
         raise _refused(policy, f"is not of version {_VERSION}, the only one that exists")
@@ -66,7 +66,7 @@ def _enclaves(policy: "_Element") -> Iterator[Enclave]:
             yield _enclave(enclave, profiles)
 
 
-def _enclave(enclave: "_Element", profiles: "_Element") -> Enclave:
+def _enclave(enclave: "_Element", profiles: "_Element") -> PolicyProfiles:
     blocks: list[Block] = []
     nodes: list[str] = []
     first, *rest = _children(profiles, "profile", "metadata")
@@ -78,7 +78,7 @@ def _enclave(enclave: "_Element", profiles: "_Element") -> Enclave:
         _check_node(profile, node)
         nodes.append(node)
         blocks.extend(_blocks(profile, node))
-    return Enclave(enclave.get("path", ""), tuple(blocks), tuple(nodes), line(enclave))
+    return PolicyProfiles(enclave.get("path", ""), tuple(blocks), tuple(nodes), line(enclave))
 
 
 def _check_node(profile: "_Element", node: str) -> None:

@@ -52,14 +52,14 @@ class Items:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class YamlMapping:
     """A mapping: key -> (the key, its value)."""
 
     line: int
     entries: dict[str, tuple[Text, "Item"]]
 
 
-Item: TypeAlias = Text | Items | Table
+Item: TypeAlias = Text | Items | YamlMapping
 
 
 def refused(place: Item | int | None, message: str) -> InvalidDocumentError:
@@ -122,7 +122,7 @@ class _Grower:
 
     def __init__(self) -> None:
         self.root: Item | None = None
-        self._open: list[Items | Table] = []
+        self._open: list[Items | YamlMapping] = []
         self._keys: list[Text | None] = []  # for each open item, the key without a value yet
         self._count = 0
 
@@ -144,7 +144,7 @@ class _Grower:
         self._begin(event, Items(line, []))
 
     def on_MappingStartEvent(self, event: "yaml.NodeEvent", line: int) -> None:  # noqa: N802
-        self._begin(event, Table(line, {}))
+        self._begin(event, YamlMapping(line, {}))
 
     def on_SequenceEndEvent(self, *_: object) -> None:  # noqa: N802 - YAML's
         self._open.pop()
@@ -152,7 +152,7 @@ class _Grower:
 
     on_MappingEndEvent = on_SequenceEndEvent  # noqa: N815 - YAML's
 
-    def _begin(self, event: "yaml.NodeEvent", item: Items | Table) -> None:
+    def _begin(self, event: "yaml.NodeEvent", item: Items | YamlMapping) -> None:
         self._check(event, item.line)
         self._put(item)
         self._open.append(item)

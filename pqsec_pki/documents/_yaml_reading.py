@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from pqsec_pki.documents._schema import MAX_PROBLEMS
-from pqsec_pki.documents._yaml import Item, Items, Table, Text, parse, refused
+from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, parse, refused
 from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.errors import InvalidDocumentError, UsageError, shown
 from pqsec_pki.problems import Problem
@@ -73,9 +73,9 @@ def one_or_more(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...
     return each(item, reader) if isinstance(item, Items) else (reader(item),)
 
 
-def table(item: Item) -> Table:
+def table(item: Item) -> YamlMapping:
     """The item, which must be a mapping."""
-    if not isinstance(item, Table):
+    if not isinstance(item, YamlMapping):
         # The text is not quoted: in another file it may be a key or a passphrase.
         what = "a text" if isinstance(item, Text) and item.text else _described(item)
         raise refused(item, f"expected `key: value` here, found {what}")
@@ -110,7 +110,7 @@ def peeked(item: Item, key: str, reader: Callable[[Item], Value], default: Value
         return default
 
 
-def _missing(item: Table, key: str) -> tuple[str, Any]:
+def _missing(item: YamlMapping, key: str) -> tuple[str, Any]:
     raise refused(item, f"the key '{key}' is missing")
 
 

@@ -6,7 +6,7 @@ read whole parts: domains, a governance, the rules of a grant.
 
 from pqsec_pki.documents._domains_yaml import domains
 from pqsec_pki.documents._rules_yaml import ALLOWED, Readers
-from pqsec_pki.documents._yaml import Item, Items, Table, Text, refused
+from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, refused
 from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.documents._yaml_reading import (
     all_of,
@@ -31,8 +31,8 @@ __all__ = [  # defined in other modules, for other rooms
     "Item",
     "Items",
     "Readers",
-    "Table",
     "Text",
+    "YamlMapping",
     "all_of",
     "boolean",
     "build",

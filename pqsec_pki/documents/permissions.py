@@ -41,7 +41,7 @@ class Criteria:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
+class PermissionRule:
     """What is allowed, or denied, on some domains; one matching criteria suffices."""
 
     allow: bool
@@ -66,7 +66,7 @@ class Grant:
     subject_name: str
     not_before: datetime
     not_after: datetime
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[PermissionRule, ...] = ()
     default: DefaultAction = DefaultAction.DENY
     line: int | None = field(default=None, compare=False, repr=False)
     """Its line in the document; None if it was not read from one."""
@@ -155,11 +155,11 @@ def _criteria_of(topics: Iterable[str]) -> tuple[Criteria, ...]:
 
 def _least_rule(
     domains: DomainSet, publish: tuple[Criteria, ...], subscribe: tuple[Criteria, ...]
-) -> Rule:
+) -> PermissionRule:
     if publish or subscribe:
-        return Rule(allow=True, domains=domains, publish=publish, subscribe=subscribe)
+        return PermissionRule(allow=True, domains=domains, publish=publish, subscribe=subscribe)
     everything = (Criteria(topics=("*",)),)
-    return Rule(allow=False, domains=domains, publish=everything, subscribe=everything)
+    return PermissionRule(allow=False, domains=domains, publish=everything, subscribe=everything)
 
 
 # The schema fixes the number and order of the children, so they are found by position.
@@ -179,13 +179,13 @@ def _grant(element: "_Element") -> Grant:
     )
 
 
-def _rule(element: "_Element") -> Rule:
+def _rule(element: "_Element") -> PermissionRule:
     domains, *actions = element
 
     def all_criteria(action: str) -> tuple[Criteria, ...]:
         return tuple(_criteria(child) for child in actions if child.tag == action)
 
-    return Rule(
+    return PermissionRule(
         allow=element.tag == "allow_rule",
         domains=_reading.domains(domains),
         publish=all_criteria("publish"),

@@ -37,7 +37,7 @@ from pqsec_pki.documents._yaml_reading import (
     time,
 )
 from pqsec_pki.documents.domains import DomainSet
-from pqsec_pki.documents.permissions import DefaultAction, Grant, Permissions, Rule
+from pqsec_pki.documents.permissions import DefaultAction, Grant, PermissionRule, Permissions
 from pqsec_pki.errors import UsageError
 
 BACKDATE = timedelta(days=1)
@@ -131,7 +131,7 @@ def _grant(defaults: _Defaults, item: Item) -> Grant:
 
 def rules_in(
     default_domains: DomainSet, item: Item, common: Readers
-) -> tuple[tuple[Rule, ...], dict[str, Any]]:
+) -> tuple[tuple[PermissionRule, ...], dict[str, Any]]:
     """The rules of a grant, and the values of its other keys, read by the readers in `common`."""
     keys = table(item).entries
     short = [key for key in ALLOWED if key in keys]
@@ -190,7 +190,7 @@ def _grant_as_yaml(grant: Grant) -> dict[str, object]:
     if grant.default is not DefaultAction.DENY:
         given["default"] = grant.default.value
     match grant.rules:
-        case [Rule(allow=True) as only] if only.publish or only.subscribe or only.relay:
+        case [PermissionRule(allow=True) as only] if only.publish or only.subscribe or only.relay:
             given |= rule_as_yaml(only)
         case rules:
             effects = [("allow" if each.allow else "deny", rule_as_yaml(each)) for each in rules]

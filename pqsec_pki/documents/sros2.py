@@ -10,16 +10,16 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 
 from pqsec_pki.documents import ros
-from pqsec_pki.documents._sros2_reading import Enclave, read_policy
+from pqsec_pki.documents._sros2_reading import PolicyProfiles, read_policy
 from pqsec_pki.documents.domains import DomainSet
-from pqsec_pki.documents.permissions import Criteria, Grant, Permissions, Rule
+from pqsec_pki.documents.permissions import Criteria, Grant, PermissionRule, Permissions
 from pqsec_pki.documents.ros import Endpoints
 
-__all__ = ["Enclave", "lacking", "permissions_of", "read_policy"]
+__all__ = ["PolicyProfiles", "lacking", "permissions_of", "read_policy"]
 
 
 def permissions_of(  # noqa: PLR0913 - each has a name
-    enclaves: Iterable[Enclave],
+    enclaves: Iterable[PolicyProfiles],
     *,
     domains: DomainSet,
     not_before: datetime,
@@ -46,7 +46,7 @@ def permissions_of(  # noqa: PLR0913 - each has a name
     return Permissions(grants=tuple(grants))
 
 
-def lacking(enclave: Enclave) -> tuple[str, ...]:
+def lacking(enclave: PolicyProfiles) -> tuple[str, ...]:
     """The DDS topics that Jazzy nodes of the enclave need and the policy does not allow."""
     allowed = [block.topics for block in enclave.blocks if block.allow]
     need = _minimum(enclave)
@@ -62,7 +62,7 @@ def lacking(enclave: Enclave) -> tuple[str, ...]:
     return tuple(dict.fromkeys(missing))
 
 
-def _minimum(enclave: Enclave) -> Endpoints:
+def _minimum(enclave: PolicyProfiles) -> Endpoints:
     needs = [ros.node_minimum(node) for node in enclave.nodes]
     return Endpoints(
         publish=tuple(dict.fromkeys(topic for need in needs for topic in need.publish)),
@@ -71,8 +71,8 @@ def _minimum(enclave: Enclave) -> Endpoints:
 
 
 def _rules(
-    enclave: Enclave, domains: DomainSet, *, discovery: bool, minimum: bool
-) -> Iterator[Rule]:
+    enclave: PolicyProfiles, domains: DomainSet, *, discovery: bool, minimum: bool
+) -> Iterator[PermissionRule]:
     for allow in (False, True):
         blocks = [block.topics for block in enclave.blocks if block.allow is allow]
         if blocks:
@@ -87,9 +87,9 @@ def _rules(
 
 def _rule(
     domains: DomainSet, publish: tuple[str, ...], subscribe: tuple[str, ...], *, allow: bool
-) -> Rule:
+) -> PermissionRule:
     criteria = [(Criteria(topics=topics),) if topics else () for topics in (publish, subscribe)]
-    return Rule(allow=allow, domains=domains, publish=criteria[0], subscribe=criteria[1])
+    return PermissionRule(allow=allow, domains=domains, publish=criteria[0], subscribe=criteria[1])
 
 
 def _merged(blocks: Iterable[tuple[str, ...]]) -> tuple[str, ...]:

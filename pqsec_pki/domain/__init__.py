@@ -8,16 +8,16 @@ from pqsec_pki.domain.apply import apply, apply_plan, create_keystore, refuse_ma
 from pqsec_pki.domain.desired import Desired, Member, Role
 from pqsec_pki.domain.plan import plan
 from pqsec_pki.domain.reading import new_domain, read_domain
-from pqsec_pki.domain.steps import Action, Blocked, Plan, Step
+from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
 
 __all__ = [
-    "Action",
     "Blocked",
     "Desired",
     "Member",
     "Plan",
     "Role",
     "Step",
+    "StepAction",
     "apply",
     "apply_plan",
     "create_keystore",

@@ -29,7 +29,7 @@ _RANGE = re.compile(r"([0-9]{1,9})\.\.([0-9]{1,9})", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class ListedName:
     """One name, its line, and the other columns of its CSV row."""
 
     name: str
@@ -37,7 +37,7 @@ class Listed:
     columns: Mapping[str, str] = field(default_factory=dict)
 
 
-def names_of(pattern: str, line: int) -> list[Listed]:
+def names_of(pattern: str, line: int) -> list[ListedName]:
     """The names that a pattern gives: {1..9} counts, {a,b} lists; InvalidDocumentError."""
     braces = _BRACES.findall(pattern)
     if len(braces) > MAX_BRACES:
@@ -49,14 +49,14 @@ def names_of(pattern: str, line: int) -> list[Listed]:
     widths = list(map(_width, braces))
     between = _BRACES.split(pattern)[::2]
     return [
-        Listed(_name("".join(_interleaved(between, chosen, widths)), line), line)
+        ListedName(_name("".join(_interleaved(between, chosen, widths)), line), line)
         for chosen in itertools.product(*choices)
     ]
 
 
-def expanded(patterns: Iterable[tuple[str, int]]) -> list[Listed]:
+def expanded(patterns: Iterable[tuple[str, int]]) -> list[ListedName]:
     """The names of all patterns, each given with its line; InvalidDocumentError for too many."""
-    found: list[Listed] = []
+    found: list[ListedName] = []
     problems: list[Problem] = []
     for pattern, line in patterns:
         try:
@@ -72,7 +72,7 @@ def expanded(patterns: Iterable[tuple[str, int]]) -> list[Listed]:
     return found
 
 
-def names_in_list(path: Path) -> list[Listed]:
+def names_in_list(path: Path) -> list[ListedName]:
     """Read a list with a name or pattern on each line; a # begins a comment.
 
     InvalidDocumentError with the lines at fault.
@@ -82,7 +82,7 @@ def names_in_list(path: Path) -> list[Listed]:
         return expanded((pattern, number) for number, pattern in lines if pattern)
 
 
-def names_in_csv(path: Path) -> list[Listed]:
+def names_in_csv(path: Path) -> list[ListedName]:
     """Read a table with a column `name` and any others; its first line has the column names.
 
     InvalidDocumentError with the lines at fault.
@@ -101,11 +101,11 @@ def names_in_csv(path: Path) -> list[Listed]:
         return list(all_of(partial(_row, header, line, row) for line, row in numbered[1:]))
 
 
-def _row(header: list[str], line: int, row: list[str]) -> Listed:
+def _row(header: list[str], line: int, row: list[str]) -> ListedName:
     if len(row) != len(header):
         raise refused(line, f"{len(row)} values for {len(header)} columns")
     columns = dict(zip(header, map(str.strip, row), strict=True))
-    return Listed(_name(columns.pop("name"), line), line, columns)
+    return ListedName(_name(columns.pop("name"), line), line, columns)
 
 
 def _text(path: Path) -> str:

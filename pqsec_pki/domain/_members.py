@@ -14,7 +14,7 @@ from pqsec_pki.documents.parts_yaml import Readers, Text, chosen, domains, refus
 from pqsec_pki.domain._listing import (
     MAX_PARTICIPANTS,
     MAX_PROBLEMS,
-    Listed,
+    ListedName,
     expanded,
     names_in_csv,
     names_in_list,
@@ -35,7 +35,7 @@ _ALMOST = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ParticipantItem:
     """One item of `participants`."""
 
     line: int
@@ -44,7 +44,7 @@ class Entry:
     settings: Mapping[str, Any]
     """The values of the item's keys."""
 
-    def listed(self, folder: Path) -> tuple[Path | None, list[Listed]]:
+    def listed(self, folder: Path) -> tuple[Path | None, list[ListedName]]:
         """The item's names, and the file that they are in if it is another file."""
         if "csv" in self.settings:
             path = folder / self.settings["csv"]
@@ -56,7 +56,7 @@ class Entry:
 
 
 def members_of(
-    source: Path, entries: Iterable[Entry], settings: Mapping[str, Any]
+    source: Path, entries: Iterable[ParticipantItem], settings: Mapping[str, Any]
 ) -> dict[str, Member]:
     """All participants by name; `settings` are the file's values for all of them.
 
@@ -81,7 +81,7 @@ class _Collector:
         self._requests: dict[Path, str] = {}
         self.members: dict[str, Member] = {}
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: ParticipantItem) -> None:
         path, listed = entry.listed(self._source.parent)
         problems: list[Problem] = []
         with located(path or self._source):
@@ -94,7 +94,7 @@ class _Collector:
             if problems:
                 raise InvalidDocumentError(problems[:MAX_PROBLEMS])
 
-    def _add_name(self, each: Listed, entry: Entry, file: str) -> None:
+    def _add_name(self, each: ListedName, entry: ParticipantItem, file: str) -> None:
         if place := self._places.get(each.name):
             raise refused(each.line, f"{each.name} appears twice, first in {place}")
         if len(self.members) == MAX_PARTICIPANTS:
@@ -107,7 +107,7 @@ class _Collector:
                 message = f"{first} and {each.name} cannot have the same request; name a folder"
                 raise refused(each.line, f"{message} with a file for each: a+b.csr for /a/b")
 
-    def _member(self, each: Listed, entry: Entry) -> Member:
+    def _member(self, each: ListedName, entry: ParticipantItem) -> Member:
         settings = {**entry.settings, **_columns(each, entry.roles)}
         role: Role | None = settings.get("role")
         if role is None:
@@ -130,7 +130,7 @@ class _Collector:
         is_folder = request.endswith("/") or os.path.isdir(path)  # noqa: PTH112 -- never raises
         return path / f"{flat_name(name)}.csr" if is_folder else path
 
-    def _validity(self, each: Listed, own: timedelta | None) -> timedelta:
+    def _validity(self, each: ListedName, own: timedelta | None) -> timedelta:
         validity: timedelta = own or self._settings["validity"]
         notice: timedelta | None = self._settings["renew_before"]
         if notice is not None and notice >= validity:
@@ -139,7 +139,7 @@ class _Collector:
         return validity
 
 
-def _refuse_misspelled_columns(first: Iterable[Listed], entry: Entry) -> None:
+def _refuse_misspelled_columns(first: Iterable[ListedName], entry: ParticipantItem) -> None:
     """InvalidDocumentError for a column without a placeholder, named almost like a known one."""
     own = entry.settings.get("role")
     roles = (*entry.roles.values(), *([own] if own else []))
@@ -150,7 +150,7 @@ def _refuse_misspelled_columns(first: Iterable[Listed], entry: Entry) -> None:
             raise refused(1, f"no role has ${shown(column)}; is the column '{meant[0]}' meant?")
 
 
-def _values(each: Listed, role: Role, of_entry: Mapping[str, str]) -> Mapping[str, str]:
+def _values(each: ListedName, role: Role, of_entry: Mapping[str, str]) -> Mapping[str, str]:
     """The values for the role's placeholders; InvalidDocumentError if one is missing."""
     needed = role.placeholders.difference(OWN)
     if not needed:
@@ -172,7 +172,7 @@ def _refuse_pattern(column: str, value: Text) -> None:
         raise refused(value, f"{message}: patterns are allowed only in a role or in `values`")
 
 
-def _columns(each: Listed, roles: Mapping[str, Role]) -> dict[str, Any]:
+def _columns(each: ListedName, roles: Mapping[str, Role]) -> dict[str, Any]:
     """A row's role, domains, validity and request; empty values are ignored."""
     readers: Readers = {"role": lambda item: roles[chosen(item, roles)], **_COLUMNS}
     return {

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from string import Template
 
-from pqsec_pki.documents.parts_yaml import Item, Items, Table, Text, refused
+from pqsec_pki.documents.parts_yaml import Item, Items, Text, YamlMapping, refused
 
 OWN = ("name", "base", "parent")
 """Placeholders that each participant has: /fleet/robot1, robot1 and /fleet."""
@@ -48,17 +48,17 @@ def filled(item: Item, values: Mapping[str, str]) -> Item:
             return item if text == item.text else Text(item.line, text, plain=False)
         case Items():
             return Items(item.line, [filled(each, values) for each in item.items])
-        case Table():
+        case YamlMapping():
             entries = item.entries.items()
-            return Table(
+            return YamlMapping(
                 item.line, {k: (key, filled(value, values)) for k, (key, value) in entries}
             )
 
 
-def without(item: Table, keys: Collection[str]) -> Table:
+def without(item: YamlMapping, keys: Collection[str]) -> YamlMapping:
     """The mapping without these keys."""
     entries = {key: entry for key, entry in item.entries.items() if key not in keys}
-    return Table(item.line, entries)
+    return YamlMapping(item.line, entries)
 
 
 def digest_of(item: Item) -> str:
@@ -72,7 +72,7 @@ def _plain(item: Item) -> object:
             return item.text
         case Items():
             return [_plain(each) for each in item.items]
-        case Table():
+        case YamlMapping():
             return {key: _plain(value) for key, (_, value) in item.entries.items()}
 
 
@@ -83,6 +83,6 @@ def _texts(item: Item) -> Iterator[Text]:
         case Items():
             for each in item.items:
                 yield from _texts(each)
-        case Table():
+        case YamlMapping():
             for _, value in item.entries.values():
                 yield from _texts(value)

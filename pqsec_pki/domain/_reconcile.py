@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there
-from pqsec_pki.domain.steps import Action, Blocked, Step
+from pqsec_pki.domain.steps import Blocked, Step, StepAction
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Files, Keystore, ParticipantState, State
 
@@ -45,7 +45,7 @@ class Reconciler:
         elif held is not None:
             answer = None
             if asks_for_other_keys(member, held.keys):
-                answer = self._answer_request(member, held, Action.REPLACE, _OTHER_KEY)
+                answer = self._answer_request(member, held, StepAction.REPLACE, _OTHER_KEY)
                 yield answer
             if not isinstance(answer, Step):
                 yield from self._steps_with_its_key(member, held)
@@ -53,27 +53,30 @@ class Reconciler:
     def _steps_with_its_key(self, member: Member, held: ParticipantState) -> Iterator[Step]:
         """The steps that keep its key, whatever its request asks for."""
         if why := _why_sign_permissions(member, held):
-            yield Step(Action.SIGN_PERMISSIONS, member.name, why)
+            yield Step(StepAction.SIGN_PERMISSIONS, member.name, why)
         if why := self._why_renew(member, held):
-            yield Step(Action.RENEW, member.name, why)
+            yield Step(StepAction.RENEW, member.name, why)
 
-    def _why_issue(self, name: str, held: ParticipantState | None) -> tuple[Action, str] | None:
+    def _why_issue(self, name: str, held: ParticipantState | None) -> tuple[StepAction, str] | None:
         """Why it must be issued rather than renewed; None if it need not."""
         if held is None:
-            return Action.ISSUE, "new"
+            return StepAction.ISSUE, "new"
         if held.files is Files.GONE:
             all_gone = not (self.keystore and self.keystore.has(name))
-            return Action.ISSUE if all_gone else Action.REPLACE, "its certificate is missing"
+            return (
+                StepAction.ISSUE if all_gone else StepAction.REPLACE,
+                "its certificate is missing",
+            )
         faults = {
             "its certificate is not the one issued last": held.files is Files.OTHER_CERTIFICATE,
             "its certificate was issued by a CA that has been replaced": held.issued_by_previous_ca,
             "its key was revoked as compromised": held.compromised,
         }
         why = next((why for why, is_so in faults.items() if is_so), "")
-        return (Action.REPLACE, why) if why else None
+        return (StepAction.REPLACE, why) if why else None
 
     def _issue_step(
-        self, member: Member, held: ParticipantState | None, action: Action, why: str
+        self, member: Member, held: ParticipantState | None, action: StepAction, why: str
     ) -> Step | Blocked:
         """The step, if its keys are made here or its request may be answered."""
         if member.request:
@@ -83,7 +86,7 @@ class Reconciler:
         return Step(action, member.name, why)
 
     def _answer_request(
-        self, member: Member, held: ParticipantState | None, action: Action, why: str
+        self, member: Member, held: ParticipantState | None, action: StepAction, why: str
     ) -> Step | Blocked:
         name = member.name
         if not is_there(member):

@@ -8,8 +8,8 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.documents.parts_yaml import (
     Item,
     Readers,
-    Table,
     Text,
+    YamlMapping,
     chosen,
     domains,
     fields,
@@ -18,7 +18,7 @@ from pqsec_pki.documents.parts_yaml import (
     table,
     text,
 )
-from pqsec_pki.domain._members import Entry
+from pqsec_pki.domain._members import ParticipantItem
 from pqsec_pki.domain._placeholders import OWN, digest_of, fit, placeholders_in, without
 from pqsec_pki.domain.desired import ROLE_KEYS, Role, rules_of, validity_in
 
@@ -46,7 +46,7 @@ def _role(label: str, item: Item) -> Role:
     return _made(label, without(table(item), _TERMS), settings)
 
 
-def _made(label: str, item: Table, settings: Mapping[str, Any]) -> Role:
+def _made(label: str, item: YamlMapping, settings: Mapping[str, Any]) -> Role:
     if not item.entries:
         raise refused(item, "allows nothing: give it publish, subscribe, nodes or rules")
     placeholders = placeholders_in(item)
@@ -62,7 +62,7 @@ def _made(label: str, item: Table, settings: Mapping[str, Any]) -> Role:
     )
 
 
-def entry_in(roles: Mapping[str, Role] | None, item: Item) -> Entry:
+def entry_in(roles: Mapping[str, Role] | None, item: Item) -> ParticipantItem:
     """Read one item of `participants`: names, and their role or rules."""
     readers: Readers = {
         "name": partial(one_or_more, reader=_with_line),
@@ -83,7 +83,7 @@ def entry_in(roles: Mapping[str, Role] | None, item: Item) -> Entry:
         settings["role"] = _made("its own", own, settings)
     if "role" not in settings and "csv" not in settings:
         raise refused(item, "it has no rules: add a role, or publish, subscribe, nodes")
-    return Entry(item.line, roles=roles or {}, settings=settings)
+    return ParticipantItem(item.line, roles=roles or {}, settings=settings)
 
 
 def _with_line(item: Item) -> tuple[str, int]:

@@ -14,7 +14,7 @@ from pqsec_pki.certificates import Reason
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.plan import plan as make_plan
 from pqsec_pki.domain.requests import spec_of
-from pqsec_pki.domain.steps import Action, Plan, Step
+from pqsec_pki.domain.steps import Plan, Step, StepAction
 from pqsec_pki.errors import (
     InvalidDocumentError,
     KeystoreError,
@@ -117,7 +117,9 @@ def apply_plan(
     worker = _Worker(desired, keystore, authorities, plan, now)
     for action, group in groupby(plan.steps, key=lambda step: step.action):
         for steps in worker.alike(action, group):
-            size = len(steps) if action is Action.REVOKE else BATCH  # one revocation list for all
+            size = (
+                len(steps) if action is StepAction.REVOKE else BATCH
+            )  # one revocation list for all
             for start in range(0, len(steps), size):
                 yield from worker.batch(action, steps[start : start + size])
     worker.raise_failures()
@@ -142,16 +144,16 @@ class _Worker:
         self._head = plan.head or keystore.head
         self._failures: list[PqsecError] = []
 
-    def alike(self, action: Action, steps: Iterable[Step]) -> Iterable[list[Step]]:
+    def alike(self, action: StepAction, steps: Iterable[Step]) -> Iterable[list[Step]]:
         """Group the steps for one change each: renewals in a change have the same validity."""
-        if action is not Action.RENEW:
+        if action is not StepAction.RENEW:
             return [list(steps)]
         found: dict[timedelta, list[Step]] = {}
         for step in steps:
             found.setdefault(self._desired.members[step.name].validity, []).append(step)
         return found.values()
 
-    def batch(self, action: Action, steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
+    def batch(self, action: StepAction, steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
         """Execute all steps in one change; if some fail, execute the others without them."""
         steps, error = self._try(action, steps)
         if error is None:
@@ -166,7 +168,7 @@ class _Worker:
             yield from self.batch(action, steps[half:])
 
     def _try(
-        self, action: Action, steps: Sequence[Step]
+        self, action: StepAction, steps: Sequence[Step]
     ) -> tuple[Sequence[Step], PqsecError | None]:
         """Execute the steps that are still needed; returns them, and the error if one failed.
 
@@ -188,10 +190,10 @@ class _Worker:
     def _update_plan(self) -> None:
         """Drop the steps that another command has done meanwhile."""
         self._authorities.refuse_outdated(self._keystore.root)
-        prune = any(action is Action.REVOKE for action, _ in self._wanted)
+        prune = any(action is StepAction.REVOKE for action, _ in self._wanted)
         found = make_plan(self._desired, self._keystore, now=self._now, prune=prune, new_keys=True)
         self._wanted &= {(step.action, step.name) for step in found.steps} | {
-            (Action.CREATE_CAS, "")
+            (StepAction.CREATE_CAS, "")
         }
 
     def raise_failures(self) -> None:
@@ -206,29 +208,29 @@ class _Worker:
             hint=first.hint,
         )
 
-    def take(self, action: Action, steps: Sequence[Step]) -> None:
+    def take(self, action: StepAction, steps: Sequence[Step]) -> None:
         """Execute the steps in one change, all or none."""
         at = (self._keystore, self._authorities)
         names = [step.name for step in steps]
         members, profile = self._desired.members, self._keystore.profile
         match action:
-            case Action.CREATE_CAS:
+            case StepAction.CREATE_CAS:
                 pass
-            case Action.SIGN_GOVERNANCE:
+            case StepAction.SIGN_GOVERNANCE:
                 config_digest = self._desired.governance_digest
                 sign_governance(
                     *at, self._desired.governance, now=self._now, config_digest=config_digest
                 )
-            case Action.ISSUE | Action.REPLACE:
+            case StepAction.ISSUE | StepAction.REPLACE:
                 specs = [spec_of(members[step.name], profile, step.keys) for step in steps]
-                issue(*at, specs, now=self._now, force=action is Action.REPLACE)
-            case Action.SIGN_PERMISSIONS:
+                issue(*at, specs, now=self._now, force=action is StepAction.REPLACE)
+            case StepAction.SIGN_PERMISSIONS:
                 sign_permissions(*at, [members[name].spec() for name in names], now=self._now)
-            case Action.RENEW:
+            case StepAction.RENEW:
                 self._renew(names)
-            case Action.REVOKE:
+            case StepAction.REVOKE:
                 revoke(*at, names, reason=Reason.CESSATION_OF_OPERATION, now=self._now)
-            case Action.RENEW_CRL:
+            case StepAction.RENEW_CRL:
                 renew_list(*at, now=self._now)
 
     def _renew(self, names: list[str]) -> None:

@@ -8,12 +8,12 @@ from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, Rule
+from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, PermissionRule
 from pqsec_pki.documents.parts_yaml import (
     ALLOWED,
     Item,
     Readers,
-    Table,
+    YamlMapping,
     duration,
     one_of,
     readable_problems,
@@ -42,7 +42,7 @@ class Role:
     """The permissions that several participants share; roles are compared by identity."""
 
     label: str
-    item: Table = field(repr=False)
+    item: YamlMapping = field(repr=False)
     """With ROLE_KEYS only."""
     placeholders: frozenset[str]
     """The names of its placeholders."""
@@ -135,7 +135,7 @@ class Desired:
 
 
 @lru_cache(maxsize=256)
-def _read_once(role: Role, domains: DomainSet) -> tuple[tuple[Rule, ...], DefaultAction]:
+def _read_once(role: Role, domains: DomainSet) -> tuple[tuple[PermissionRule, ...], DefaultAction]:
     return rules_of(role.item, domains)
 
 
@@ -147,7 +147,7 @@ def validity_in(item: Item) -> timedelta:
     return found
 
 
-def rules_of(item: Item, domains: DomainSet) -> tuple[tuple[Rule, ...], DefaultAction]:
+def rules_of(item: Item, domains: DomainSet) -> tuple[tuple[PermissionRule, ...], DefaultAction]:
     """The rules of an item without placeholders, and its default action."""
     common: Readers = {"default": lambda value: one_of(DefaultAction, value)}
     rules, settings = rules_in(domains, item, common)

@@ -10,7 +10,7 @@ from datetime import datetime
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.domain._reconcile import Reconciler
 from pqsec_pki.domain.desired import Desired
-from pqsec_pki.domain.steps import Action, Blocked, Plan, Step
+from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import (
     Keystore,
@@ -22,7 +22,7 @@ from pqsec_pki.keystore import (
 )
 
 _TWO_CAS = "is not in the file, and nobody can be revoked while two identity CAs are trusted"
-_PLACE = {action: place for place, action in enumerate(Action)}
+_PLACE = {action: place for place, action in enumerate(StepAction)}
 
 
 def plan(
@@ -56,8 +56,8 @@ def _from_nothing(desired: Desired) -> Plan:
     reconciler = Reconciler(profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE)
     found = [each for member in desired.members.values() for each in reconciler.of(member, None)]
     steps = [
-        Step(Action.CREATE_CAS, "", "there is no keystore"),
-        Step(Action.SIGN_GOVERNANCE, "", "there is no keystore"),
+        Step(StepAction.CREATE_CAS, "", "there is no keystore"),
+        Step(StepAction.SIGN_GOVERNANCE, "", "there is no keystore"),
         *(each for each in found if isinstance(each, Step)),
     ]
     return Plan(tuple(steps), tuple(each for each in found if isinstance(each, Blocked)), (), 0)
@@ -93,7 +93,7 @@ class _Planner:
         blocked: list[Blocked] = []
         unchanged = 0
         if why := self._why_sign_governance():
-            steps.append(Step(Action.SIGN_GOVERNANCE, "", why))
+            steps.append(Step(StepAction.SIGN_GOVERNANCE, "", why))
         held = {each.name: each for each in self.actual.participants}
         for member in self.desired.members.values():
             found = list(self.reconciler.of(member, held.get(member.name)))
@@ -106,7 +106,7 @@ class _Planner:
             if overlap:
                 blocked += [Blocked(name, _TWO_CAS, overlap.next_step) for name in others]
             else:
-                steps += [Step(Action.REVOKE, name, "not in the file") for name in others]
+                steps += [Step(StepAction.REVOKE, name, "not in the file") for name in others]
         steps += self._list_steps(steps)
         steps.sort(key=lambda step: _PLACE[step.action])
         unlisted = () if self.prune else others
@@ -136,8 +136,8 @@ class _Planner:
 
     def _list_steps(self, steps: list[Step]) -> list[Step]:
         """The step that renews the list; renewing and revoking include it."""
-        included = any(step.action in {Action.RENEW, Action.REVOKE} for step in steps)
+        included = any(step.action in {StepAction.RENEW, StepAction.REVOKE} for step in steps)
         crl = self.actual.revocation_list
         if included or crl is None or not crl.state.calls_for_renewal:
             return []
-        return [Step(Action.RENEW_CRL, "", f"ends {crl.not_after:%Y-%m-%d}")]
+        return [Step(StepAction.RENEW_CRL, "", f"ends {crl.not_after:%Y-%m-%d}")]

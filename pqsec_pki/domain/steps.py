@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 
-class Action(StrEnum):
+class StepAction(StrEnum):
     """What a step does, in the order of execution."""
 
     CREATE_CAS = "create-cas"
@@ -23,14 +23,14 @@ class Action(StrEnum):
 
 
 _WORDS = {
-    Action.CREATE_CAS: "create the CAs",
-    Action.SIGN_GOVERNANCE: "sign the governance",
-    Action.ISSUE: "issue",
-    Action.REPLACE: "issue again",
-    Action.SIGN_PERMISSIONS: "sign permissions for",
-    Action.RENEW: "renew",
-    Action.REVOKE: "revoke",
-    Action.RENEW_CRL: "renew the revocation list",
+    StepAction.CREATE_CAS: "create the CAs",
+    StepAction.SIGN_GOVERNANCE: "sign the governance",
+    StepAction.ISSUE: "issue",
+    StepAction.REPLACE: "issue again",
+    StepAction.SIGN_PERMISSIONS: "sign permissions for",
+    StepAction.RENEW: "renew",
+    StepAction.REVOKE: "revoke",
+    StepAction.RENEW_CRL: "renew the revocation list",
 }
 
 
@@ -38,7 +38,7 @@ _WORDS = {
 class Step:
     """One step of a plan."""
 
-    action: Action
+    action: StepAction
     name: str
     """Of the participant; empty if the step is not for one participant."""
     why: str
@@ -71,7 +71,7 @@ class Plan:
     @property
     def revoked(self) -> int:
         """How many participants the plan revokes."""
-        return sum(step.action is Action.REVOKE for step in self.steps)
+        return sum(step.action is StepAction.REVOKE for step in self.steps)
 
     @property
     def in_order(self) -> bool:

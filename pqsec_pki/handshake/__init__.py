@@ -29,7 +29,13 @@ from pqsec_pki.handshake.messages import (
     Request,
     Transcript,
 )
-from pqsec_pki.handshake.participants import Discovered, Identity, Peer, Policy, Terms
+from pqsec_pki.handshake.participants import (
+    Discovered,
+    Identity,
+    PeerRequirements,
+    RemotePeer,
+    Terms,
+)
 from pqsec_pki.handshake.protection import (
     Sender,
     unprotect_payload,
@@ -54,9 +60,9 @@ __all__ = [
     "Introduction",
     "KeyMaterial",
     "MessageClass",
-    "Peer",
+    "PeerRequirements",
     "PermissionsToken",
-    "Policy",
+    "RemotePeer",
     "Reply",
     "ReplySent",
     "Request",

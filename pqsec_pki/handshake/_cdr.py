@@ -33,7 +33,7 @@ class ByteOrder(Enum):
         return self.u32.pack(len(data)) + data + _FILL[len(data) & 3]
 
 
-class Writer:
+class CdrWriter:
     """Appends CDR values, each aligned to its own size from where the writer began."""
 
     __slots__ = ("_order", "_parts")
@@ -76,7 +76,7 @@ class Writer:
         return b"".join(self._parts)
 
 
-class Reader:
+class CdrReader:
     """Reads CDR values one after another; MalformedError if a value is missing or invalid."""
 
     __slots__ = ("_at", "_data", "_length", "_order")

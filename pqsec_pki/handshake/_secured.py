@@ -7,7 +7,7 @@ from itertools import islice
 from typing import NamedTuple, Self
 
 from pqsec_pki.errors import MalformedError
-from pqsec_pki.handshake._cdr import ByteOrder, Reader
+from pqsec_pki.handshake._cdr import ByteOrder, CdrReader
 
 ALIGNED = 4
 KEY_ID_SIZE = 4
@@ -66,7 +66,7 @@ class CryptoFooter(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        reader = Reader(data, ByteOrder.BIG)
+        reader = CdrReader(data, ByteOrder.BIG)
         tag, count = reader.raw(TAG_SIZE), reader.u32()
         if reader.left != count * _RECEIVER_TAG_SIZE:
             raise MalformedError(f"a crypto footer of {len(data)} bytes for {count} receivers")

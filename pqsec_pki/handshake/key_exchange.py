@@ -15,7 +15,7 @@ from enum import IntEnum
 from typing import Self
 
 from pqsec_pki.errors import MalformedError, UsageError
-from pqsec_pki.handshake._cdr import ByteOrder, Reader, Writer
+from pqsec_pki.handshake._cdr import ByteOrder, CdrReader, CdrWriter
 from pqsec_pki.handshake._secured import KEY_ID_SIZE
 from pqsec_pki.handshake.states import Done
 from pqsec_pki.handshake.wire import DataHolder
@@ -97,7 +97,7 @@ class KeyMaterial:
 
     def encode(self) -> bytes:
         """dds.cryp.keymat: big-endian CDR, 88 bytes for 256-bit keys without receiver key."""
-        writer = Writer()
+        writer = CdrWriter()
         writer.u32(self.kind)
         writer.octets(self.salt)
         writer.raw(self.sender_key_id)
@@ -109,7 +109,7 @@ class KeyMaterial:
     @classmethod
     def decode(cls, data: bytes) -> Self:
         """The inverse; MalformedError for anything else."""
-        reader = Reader(data, ByteOrder.BIG)
+        reader = CdrReader(data, ByteOrder.BIG)
         material = cls(
             kind=_kind(reader.u32()),
             salt=reader.octets(),

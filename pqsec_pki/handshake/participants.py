@@ -51,7 +51,7 @@ class Identity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Policy:
+class PeerRequirements:
     """What we require of the peer, whatever it asks for."""
 
     agreements: tuple[KeyAgreement, ...]
@@ -93,7 +93,7 @@ def _read(code: Code) -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Peer:
+class RemotePeer:
     """The other side, as in its Introduction: decoded, not verified."""
 
     certificate: Certificate
@@ -117,7 +117,7 @@ class Peer:
         permissions = introduction.permissions.rstrip(b"\0")
         return cls(certificate=certificate, guid=guid, permissions=permissions, keys=keys)
 
-    def key_for(self, name: str, policy: Policy) -> PublicKey | None:
+    def key_for(self, name: str, policy: PeerRequirements) -> PublicKey | None:
         """The peer's key with the c.dsign_algo `name`, if it has one and `policy` allows it."""
         keys = self.keys[:1] if policy.require_alternative else self.keys
         return next((key for key in keys if key.algorithm.wire_name == name), None)
@@ -128,7 +128,7 @@ class Terms:
     """The parameters of our handshakes with one peer."""
 
     own: Identity
-    policy: Policy
+    policy: PeerRequirements
     discovered: Discovered = NOTHING
     announced: bytes | None = None
     """The future_challenge (32 bytes) in our own AuthRequest, if we sent one."""
@@ -141,12 +141,12 @@ class Terms:
 
     def admit(
         self, introduction: Introduction, now: datetime, *, others: Iterable[Problem | str]
-    ) -> tuple[Peer, PublicKey]:
+    ) -> tuple[RemotePeer, PublicKey]:
         """Verify the peer; returns it and the key that it must sign with.
 
         VerificationError lists everything that is wrong with it, and the problems in `others`.
         """
-        peer = Peer.read(introduction)
+        peer = RemotePeer.read(introduction)
         name = introduction.signature_algorithm_name
         key = peer.key_for(name, self.policy)
         problems = [*self._problems(peer, now), *others]
@@ -158,7 +158,7 @@ class Terms:
             raise VerificationError(*problems)
         return peer, key
 
-    def _problems(self, peer: Peer, now: datetime) -> Iterator[Problem]:
+    def _problems(self, peer: RemotePeer, now: datetime) -> Iterator[Problem]:
         """In the order of DDS-Security 1.1, 9.3.3, table 52."""
         # c.id: issued by our identity CA, and in force
         required = self.policy.require_alternative
@@ -179,7 +179,7 @@ class Terms:
             words = "the GUID in c.pdata is our own: the message was reflected"
             yield Problem(words, Code.C13)
 
-    def _revocation_problems(self, peer: Peer, now: datetime) -> Iterator[Problem]:
+    def _revocation_problems(self, peer: RemotePeer, now: datetime) -> Iterator[Problem]:
         if self.own.revocation_list is None:
             return
         required = self.policy.require_alternative

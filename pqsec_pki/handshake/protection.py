@@ -17,7 +17,7 @@ from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
 from pqsec_pki.errors import MalformedError, UsageError, VerificationError
-from pqsec_pki.handshake._cdr import ByteOrder, Reader, Writer
+from pqsec_pki.handshake._cdr import ByteOrder, CdrReader, CdrWriter
 from pqsec_pki.handshake._secured import (
     ALIGNED,
     HEADER_SIZE,
@@ -106,7 +106,7 @@ class Sender:
         if not encrypts and len(payload) % ALIGNED:
             raise UsageError("only a payload in multiples of 4 bytes can be signed")
         header, content, tag = self._sealed(payload)
-        writer = Writer()
+        writer = CdrWriter()
         writer.raw(header.encode())
         if encrypts:
             writer.u32(len(content))
@@ -175,7 +175,7 @@ def unprotect_payload(material: KeyMaterial, data: bytes) -> bytes:
     if not HEADER_SIZE + _PAYLOAD_FOOTER_SIZE <= len(data) <= MAX_PAYLOAD + _PAYLOAD_OVERHEAD:
         raise MalformedError(f"{len(data)} bytes cannot be a protected payload")
     # As CDR: the footer's count is aligned, so Fast DDS and OpenDDS pad before it.
-    reader = Reader(data, ByteOrder.BIG)
+    reader = CdrReader(data, ByteOrder.BIG)
     header = CryptoHeader.decode(reader.raw(HEADER_SIZE))
     _check_name(material, header)
     encrypts = material.kind.encrypts
@@ -197,7 +197,7 @@ def _ciphertext(body: Frame) -> bytes:
     """CryptoContent (9.5.2.4): a length and that many bytes, then at most 3 of padding."""
     if body.kind != Secure.BODY:
         raise MalformedError("not encrypted")
-    reader = Reader(body.content, ByteOrder.BIG)
+    reader = CdrReader(body.content, ByteOrder.BIG)
     content = reader.octets()
     if reader.left >= ALIGNED:
         raise MalformedError(f"{reader.left} bytes after the encrypted content")

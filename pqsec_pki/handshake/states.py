@@ -23,7 +23,7 @@ from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake._checks import check
 from pqsec_pki.handshake.messages import Final, Introduction, Reply, Request, Transcript
-from pqsec_pki.handshake.participants import Peer, Terms
+from pqsec_pki.handshake.participants import RemotePeer, Terms
 from pqsec_pki.problems import Code, Problem
 
 
@@ -31,7 +31,7 @@ from pqsec_pki.problems import Code, Problem
 class Done:
     """The final state: the peer holds its certificate's key; both should have the same secret."""
 
-    peer: Peer
+    peer: RemotePeer
     agreement: KeyAgreement
     challenge1: bytes
     challenge2: bytes
@@ -100,7 +100,7 @@ class ReplySent:
     """The final state, once the signature was verified."""
 
     @property
-    def peer(self) -> Peer:
+    def peer(self) -> RemotePeer:
         """The peer that must send it: its certificate is valid, but its key is not yet proved."""
         return self._outcome.peer
 
@@ -197,7 +197,7 @@ def _check_signature(code: Code, key: PublicKey, signature: bytes, signed: bytes
 
 
 def _done(
-    peer: Peer, agreement: KeyAgreement, transcript: Transcript, secret: bytes, signed: bytes
+    peer: RemotePeer, agreement: KeyAgreement, transcript: Transcript, secret: bytes, signed: bytes
 ) -> Done:
     return Done(
         peer=peer,

@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Self
 
 from pqsec_pki.errors import MalformedError
-from pqsec_pki.handshake._cdr import ByteOrder, Reader, Writer
+from pqsec_pki.handshake._cdr import ByteOrder, CdrReader, CdrWriter
 
 MAX_TOKEN = 256 << 10
 """Bytes. The largest measured (ML-DSA-87, signed permissions) is 38 kB."""
@@ -48,7 +48,7 @@ class DataHolder:
 
     def encode(self, order: ByteOrder = ByteOrder.BIG) -> bytes:
         """CDR without encapsulation header."""
-        writer = Writer(order)
+        writer = CdrWriter(order)
         _write_holder(writer, self)
         return writer.done()
 
@@ -57,7 +57,7 @@ class DataHolder:
         """The inverse; MalformedError if `data` is not exactly one, or too large."""
         if len(data) > MAX_TOKEN:
             raise MalformedError(f"a token larger than {MAX_TOKEN} bytes")
-        reader = Reader(data, order)
+        reader = CdrReader(data, order)
         holder = _read_holder(reader)
         if reader.left:
             raise MalformedError(f"{reader.left} bytes after the token")
@@ -83,7 +83,7 @@ class GenericMessage:
 
     def encode(self, order: ByteOrder = ByteOrder.LITTLE) -> bytes:
         """The sample: 4 bytes of encapsulation header, then CDR in that order."""
-        writer = Writer(order)
+        writer = CdrWriter(order)
         for guid, sequence in (
             (self.source, self.sequence),
             (self.related_source, self.related_sequence),
@@ -106,7 +106,7 @@ class GenericMessage:
         order = _ORDERS.get(sample[:2])
         if order is None or len(sample) < _ENCAPSULATION_SIZE:
             raise MalformedError("not CDR: unknown encapsulation")
-        reader = Reader(sample[_ENCAPSULATION_SIZE:], order)
+        reader = CdrReader(sample[_ENCAPSULATION_SIZE:], order)
         message = cls(
             source=reader.raw(GUID_SIZE),
             sequence=reader.i64(),
@@ -129,12 +129,12 @@ _ORDERS = {header[:2]: order for order, header in _HEADERS.items()}
 
 def encode_properties(items: Iterable[BinaryProperty]) -> bytes:
     """The octets that hashes and signatures cover: the list alone, big-endian, without header."""
-    writer = Writer()
+    writer = CdrWriter()
     writer.pairs(tuple(items))
     return writer.done()
 
 
-def _write_holder(writer: Writer, holder: DataHolder) -> None:
+def _write_holder(writer: CdrWriter, holder: DataHolder) -> None:
     writer.string(holder.class_id)
     writer.u32(len(holder.properties))
     for name, value in holder.properties:
@@ -143,7 +143,7 @@ def _write_holder(writer: Writer, holder: DataHolder) -> None:
     writer.pairs(holder.binary_properties)
 
 
-def _read_holder(reader: Reader) -> DataHolder:
+def _read_holder(reader: CdrReader) -> DataHolder:
     return DataHolder(
         reader.string(),
         reader.sequence(lambda: (reader.string(), reader.string()), MAX_PROPERTIES),

@@ -7,7 +7,7 @@ from pqsec_pki.documents import Governance, Kind, Permissions, validate
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.inspection import _algorithms, _governance, _permissions, _times
 from pqsec_pki.inspection.description import Description, Fact, Value
-from pqsec_pki.smime import Listed, ListedSigner, document_in, signers_in
+from pqsec_pki.smime import CmsContent, ListedSigner, document_in, signers_in
 
 NOT_VERIFIED = "not verified; `pqsec verify` does that"
 UNSIGNED = "none: no DDS stack accepts it until it is signed (`pqsec sign-{kind}`)"
@@ -47,7 +47,7 @@ def _content(xml: bytes, now: datetime) -> tuple[str, Fact]:
     return kind.value, _permissions.permissions_fact(Permissions.from_xml(xml), now)
 
 
-def _signatures(listed: Listed) -> tuple[Fact, ...]:
+def _signatures(listed: CmsContent) -> tuple[Fact, ...]:
     rows = [("signatures", NOT_VERIFIED)]
     for number, signer in enumerate(listed.signers, 1):
         first, *rest = _signer_words(signer)
@@ -85,7 +85,7 @@ def _signer_value(signer: ListedSigner) -> dict[str, Value]:
     }
 
 
-def _certificates(listed: Listed) -> tuple[Fact, ...]:
+def _certificates(listed: CmsContent) -> tuple[Fact, ...]:
     subjects = tuple(map(_subject, listed.certificates))
     words = subjects or ("none; stock DDS stacks need the signer's",)
     return (Fact.of("embedded certificates", subjects, *words),)

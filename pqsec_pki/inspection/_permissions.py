@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from datetime import datetime
 
-from pqsec_pki.documents import Criteria, Grant, Permissions, Rule
+from pqsec_pki.documents import Criteria, Grant, PermissionRule, Permissions
 from pqsec_pki.inspection import _times
 from pqsec_pki.inspection.description import Fact, Row, Value
 
@@ -29,7 +29,7 @@ def _grant_words(grant: Grant, now: datetime) -> Iterator[str]:
     yield f"{'everything' if not grant.rules else 'everything else'}: {grant.default.lower()}"
 
 
-def _rule_words(rule: Rule) -> Iterator[str]:
+def _rule_words(rule: PermissionRule) -> Iterator[str]:
     actions = list(_actions(rule))
     for action, criteria in actions:
         for each in criteria:
@@ -52,11 +52,11 @@ def _quoted(name: str) -> str:
     return name or '"" (the default)'
 
 
-def _actions(rule: Rule) -> tuple[tuple[str, tuple[Criteria, ...]], ...]:
+def _actions(rule: PermissionRule) -> tuple[tuple[str, tuple[Criteria, ...]], ...]:
     return (("publish", rule.publish), ("subscribe", rule.subscribe), ("relay", rule.relay))
 
 
-def _verb(rule: Rule) -> str:
+def _verb(rule: PermissionRule) -> str:
     return "allow" if rule.allow else "deny"
 
 
@@ -70,7 +70,7 @@ def _grant_value(grant: Grant, now: datetime) -> dict[str, Value]:
     }
 
 
-def _rule_value(rule: Rule) -> dict[str, Value]:
+def _rule_value(rule: PermissionRule) -> dict[str, Value]:
     actions: dict[str, Value] = {
         action: tuple(map(_criteria_value, criteria)) for action, criteria in _actions(rule)
     }

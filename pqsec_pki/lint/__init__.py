@@ -5,7 +5,7 @@ one module each (`rule` describes how); `check` runs them.
 """
 
 from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
-from pqsec_pki.lint.run import Report, check
+from pqsec_pki.lint.run import LintReport, check
 from pqsec_pki.lint.sarif import to_sarif
 from pqsec_pki.lint.suppress import Suppression, from_option
 from pqsec_pki.lint.table import RULES, rule_named
@@ -13,7 +13,7 @@ from pqsec_pki.lint.table import RULES, rule_named
 __all__ = [
     "RULES",
     "Finding",
-    "Report",
+    "LintReport",
     "Rule",
     "Severity",
     "Suppression",

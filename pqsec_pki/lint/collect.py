@@ -10,7 +10,7 @@ from pqsec_pki.errors import FileError
 from pqsec_pki.lint._search import Search
 from pqsec_pki.lint.document import Document, document_of
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
+from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
 
 _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
 
@@ -75,11 +75,11 @@ def _lines(xml: bytes | None) -> list[bytes]:
 
 def _enclaves(
     search: Search, subjects: Mapping[Path, Document | CertificateFile]
-) -> Iterator[Enclave]:
+) -> Iterator[EnclaveFolder]:
     for folder, names in search.enclaves.items():
         files = {name: search.files[key] for name, key in names.items() if key in search.files}
         broken = tuple(name for name, key in names.items() if key is None)
-        yield Enclave(folder, _name(folder), files, broken, search.now, subjects)
+        yield EnclaveFolder(folder, _name(folder), files, broken, search.now, subjects)
 
 
 def _name(folder: Path) -> str:

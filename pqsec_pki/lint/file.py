@@ -12,7 +12,7 @@ from pqsec_pki.certificates import RevocationList
 from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
 from pqsec_pki.smime import (
     AmbiguousError,
-    Listed,
+    CmsContent,
     ListedSigner,
     document_in,
     is_signed,
@@ -94,7 +94,7 @@ class File:
             return PrivateKeyInfo(reason=str(error))
 
     @property
-    def listed(self) -> Listed | None:
+    def listed(self) -> CmsContent | None:
         """The signatures and certificates in S/MIME; None if it cannot be read."""
         return self._listed[0]
 
@@ -109,7 +109,7 @@ class File:
         return self._listed[1]
 
     @cached_property
-    def _listed(self) -> tuple[Listed | None, str | None]:
+    def _listed(self) -> tuple[CmsContent | None, str | None]:
         if not self.is_signed:
             return None, None
         try:

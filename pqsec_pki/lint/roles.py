@@ -11,7 +11,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.lint.certificates._keys import extension
 
 
-class Role(StrEnum):
+class CertificateRole(StrEnum):
     """The role of a certificate, as messages write it."""
 
     PARTICIPANT = "participant"
@@ -24,34 +24,42 @@ class Role(StrEnum):
     @property
     def identifies(self) -> bool:
         """Whether authentication uses it."""
-        return self in {Role.PARTICIPANT, Role.IDENTITY_CA, Role.CA}
+        return self in {
+            CertificateRole.PARTICIPANT,
+            CertificateRole.IDENTITY_CA,
+            CertificateRole.CA,
+        }
 
     @property
     def issues(self) -> bool:
         """Whether it signs participants' certificates."""
-        return self in {Role.IDENTITY_CA, Role.CA}
+        return self in {CertificateRole.IDENTITY_CA, CertificateRole.CA}
 
     @property
     def signs_documents(self) -> bool:
         """Whether stacks check documents against it."""
-        return self in {Role.PERMISSIONS_CA, Role.CA}
+        return self in {CertificateRole.PERMISSIONS_CA, CertificateRole.CA}
 
 
 _NAMES = {
-    "identity_ca": Role.IDENTITY_CA,
-    "permissions_ca.alt": Role.COUNTERSIGNER,
-    "permissions_ca": Role.PERMISSIONS_CA,
-    "ca.": Role.CA,
-    "cert.": Role.PARTICIPANT,
+    "identity_ca": CertificateRole.IDENTITY_CA,
+    "permissions_ca.alt": CertificateRole.COUNTERSIGNER,
+    "permissions_ca": CertificateRole.PERMISSIONS_CA,
+    "ca.": CertificateRole.CA,
+    "cert.": CertificateRole.PARTICIPANT,
 }
 
 
-def role_of(name: str, certificate: Certificate | None) -> Role:
+def role_of(name: str, certificate: Certificate | None) -> CertificateRole:
     """The role by the file's name; for other names, by whether it is marked as a CA."""
     for start, role in _NAMES.items():
         if name.startswith(start):
             return role
-    return Role.CA if certificate and _looks_like_ca(certificate) else Role.PARTICIPANT
+    return (
+        CertificateRole.CA
+        if certificate and _looks_like_ca(certificate)
+        else CertificateRole.PARTICIPANT
+    )
 
 
 def _looks_like_ca(certificate: Certificate) -> bool:

@@ -22,7 +22,7 @@ _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class LintReport:
     """What a check found."""
 
     findings: tuple[Finding, ...]
@@ -57,7 +57,7 @@ def check(
     now: datetime,
     targets: Iterable[Target] = (),
     ignore: Iterable[Suppression] = (),
-) -> Report:
+) -> LintReport:
     """Find everything that is wrong or risky in these files, folders and keystores.
 
     No `targets` means all stacks. FileError if a path itself cannot be read; problems and
@@ -77,7 +77,7 @@ def check(
         else:
             kept.append(finding)
     kept += _answers(asked, files)
-    return Report(
+    return LintReport(
         findings=tuple(sorted(kept, key=_order)), ignored=tuple(ignored), inventory=inventory
     )
 

@@ -6,14 +6,14 @@ from urllib.parse import quote
 
 from pqsec_pki import __version__
 from pqsec_pki.lint.rule import Finding, Rule, Severity
-from pqsec_pki.lint.run import Report
+from pqsec_pki.lint.run import LintReport
 from pqsec_pki.lint.table import RULES
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}
 
 
-def to_sarif(report: Report) -> dict[str, Any]:
+def to_sarif(report: LintReport) -> dict[str, Any]:
     """The log with one run, for json.dumps; it includes suppressed findings, marked as such."""
     places = {rule.id: place for place, rule in enumerate(RULES.values())}
     results = [_result(each, places) for each in report.findings]

@@ -20,7 +20,7 @@ _OF_COUNTERSIGNATURES = {Code.COUNTERSIGNATURE_BAD, Code.SIGNATURE_MISSING}
 
 
 @dataclass(frozen=True)
-class SignedDocument:
+class DocumentAndSigners:
     """A document, and the certificates that should have signed it."""
 
     file: File

@@ -26,8 +26,8 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
-from pqsec_pki.lint.roles import Role, role_of
-from pqsec_pki.lint.signed import SignedDocument
+from pqsec_pki.lint.roles import CertificateRole, role_of
+from pqsec_pki.lint.signed import DocumentAndSigners
 
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 """The files of an enclave that every stack needs."""
@@ -70,7 +70,7 @@ class CertificateFile(Content):
         return (each for each in self.certificates if not each.is_self_issued)
 
     @cached_property
-    def role(self) -> Role:
+    def role(self) -> CertificateRole:
         """The role by the file's name; for other names, by whether it is marked as a CA."""
         return role_of(self.path.name, self.first)
 
@@ -81,7 +81,7 @@ class CertificateFile(Content):
 
 
 @dataclass(frozen=True)
-class Enclave:
+class EnclaveFolder:
     """A folder with the credentials of one participant."""
 
     folder: Path
@@ -123,13 +123,13 @@ class Enclave:
         return found if isinstance(found, GovernanceFile) else None
 
     @property
-    def signed_documents(self) -> Iterator[SignedDocument]:
+    def signed_documents(self) -> Iterator[DocumentAndSigners]:
         """Its documents with its permissions CA, if that can be read."""
         ca = self.certificate(PERMISSIONS_CA)
         for name in (PERMISSIONS, GOVERNANCE):
             if ca and name in self.files:
                 alternative, others = self.certificate(PERMISSIONS_ALT_CA), tuple(self._others())
-                yield SignedDocument(self.files[name], ca, alternative, self.anchors, others)
+                yield DocumentAndSigners(self.files[name], ca, alternative, self.anchors, others)
 
     @property
     def revocation_lists(self) -> Iterator[tuple[File, RevocationList]]:
@@ -161,7 +161,7 @@ class Inventory:
     """Folder -> its st_mode."""
     documents: tuple[Document, ...] = field(repr=False)
     certificates: tuple[CertificateFile, ...] = field(repr=False)
-    enclaves: tuple[Enclave, ...] = field(repr=False)
+    enclaves: tuple[EnclaveFolder, ...] = field(repr=False)
     keystore: Keystore | None
     """The keystore, if the user named a keystore of pqsec."""
     now: datetime = field(repr=False)
@@ -171,23 +171,25 @@ class Inventory:
     """Keystore of pqsec -> the files that it lacks."""
 
     @cached_property
-    def signed_documents(self) -> tuple[SignedDocument, ...]:
+    def signed_documents(self) -> tuple[DocumentAndSigners, ...]:
         """Each document with each CA that it is checked against, without duplicates."""
-        found: dict[tuple[Path, str], SignedDocument] = {}
+        found: dict[tuple[Path, str], DocumentAndSigners] = {}
         in_enclaves = (each for enclave in self.enclaves for each in enclave.signed_documents)
         for each in (*in_enclaves, *self._outside_enclaves()):
             found.setdefault((each.file.path, each.ca.fingerprint), each)
         return tuple(found.values())
 
-    def _outside_enclaves(self) -> Iterator[SignedDocument]:
+    def _outside_enclaves(self) -> Iterator[DocumentAndSigners]:
         """Documents outside of enclaves, if there is exactly one permissions CA."""
         in_enclaves = {file.path for each in self.enclaves for file in each.files.values()}
         roles = [(each.role, each.first) for each in self.certificates if each.first]
-        signers = {each.fingerprint: each for role, each in roles if role is Role.PERMISSIONS_CA}
-        counters = [each for role, each in roles if role is Role.COUNTERSIGNER]
+        signers = {
+            each.fingerprint: each for role, each in roles if role is CertificateRole.PERMISSIONS_CA
+        }
+        counters = [each for role, each in roles if role is CertificateRole.COUNTERSIGNER]
         if len(signers) != 1:
             return
         [ca] = signers.values()
         for file in self.files:
             if file.is_signed and file.path not in in_enclaves:
-                yield SignedDocument(file, ca, counters[0] if counters else None, None, ())
+                yield DocumentAndSigners(file, ca, counters[0] if counters else None, None, ())

@@ -7,15 +7,15 @@ and answers with the rooms of this package; private keys never enter the DDS pro
 
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.build import LIBRARY, NAMES, Built, build
-from pqsec_pki.plugin.control import Status, agent_status, stop_agent
+from pqsec_pki.plugin.control import AgentStatus, agent_status, stop_agent
 from pqsec_pki.plugin.units import home, units_folder, written_units
 
 __all__ = [
     "LIBRARY",
     "NAMES",
     "AgentFolder",
+    "AgentStatus",
     "Built",
-    "Status",
     "agent_status",
     "build",
     "home",

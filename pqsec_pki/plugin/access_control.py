@@ -7,7 +7,7 @@ refusal is a PqsecError with the rule that decided.
 from dataclasses import astuple, replace
 from typing import Any
 
-from pqsec_pki.access import Action, Side, decide
+from pqsec_pki.access import Action, Viewpoint, decide
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import GOVERNANCE, PERMISSIONS, grant_of, verify_documents
 from pqsec_pki.errors import VerificationError
@@ -19,7 +19,7 @@ from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
 from pqsec_pki.plugin.rights import LocalRights, RemoteRights, Rights, anywhere, end_of
-from pqsec_pki.plugin.trust import Trust
+from pqsec_pki.plugin.trust import ParticipantTrust
 
 _PEERS = {PERMISSIONS: "the peer's permissions"}
 _TEXT = "surrogateescape"
@@ -41,7 +41,7 @@ class AccessControl:
     ) -> tuple[int, int, int]:
         """The handle of a local participant's rights, and the second when they end."""
         properties, now = Properties(pairs, folder), self._now()
-        trusted = Trust.of(properties, now)
+        trusted = ParticipantTrust.of(properties, now)
         certificate, anchors = trusted.certificate, trusted.anchors
         governance, message = (
             properties.source(trust.PROPERTIES[file]).read() for file in (GOVERNANCE, PERMISSIONS)
@@ -110,7 +110,7 @@ class AccessControl:
     def check_create_topic(self, handle: int, domain: int, topic: str) -> tuple[int]:
         """May it publish or subscribe? In which partition, its endpoints will tell."""
         rights = self._handles.get(handle, Rights)
-        if rights.side is Side.OWN and topic in attributes.BUILTIN:
+        if rights.side is Viewpoint.OWN and topic in attributes.BUILTIN:
             return (_OK,)
         permissions, now = anywhere(rights.permissions), self._now()
         reasons = []
@@ -183,7 +183,7 @@ class AccessControl:
         """VerificationError with the reason, unless the answer is yes; `where` are partitions
         and data tags."""
         rights = self._handles.get(handle, Rights)
-        if rights.side is Side.OWN and topic in attributes.BUILTIN:
+        if rights.side is Viewpoint.OWN and topic in attributes.BUILTIN:
             return (_OK,)
         question = rights.question(domain, action, self._now(), topic)
         question = replace(question, partitions=where[0], data_tags=where[1])

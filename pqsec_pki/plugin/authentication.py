@@ -21,7 +21,7 @@ from pqsec_pki.handshake import (
     Done,
     Final,
     IdentityToken,
-    Peer,
+    RemotePeer,
     Reply,
     Request,
     RequestSent,
@@ -47,7 +47,7 @@ PEER_CREDENTIAL = "DDS:Auth:PKI-DH:1.0"
 _TEXT = "surrogateescape"
 
 
-class Result(IntEnum):
+class ValidationResult(IntEnum):
     """DDS_Security_ValidationResult_t, those that are given."""
 
     OK = 0
@@ -76,25 +76,31 @@ class Authentication:
 
     def validate_local_identity(
         self, domain: int, folder: str, properties: Pairs, candidate: bytes
-    ) -> tuple[Result, int, bytes, int, bool]:
+    ) -> tuple[ValidationResult, int, bytes, int, bool]:
         """The handle, the adjusted GUID, the second when the identity ends, and whether
         find_revoked is to be called."""
         del domain
         local = Local.load(Properties(properties, folder), candidate, self._now())
         local = self._revocation_watch.admitted(local)
         end = end_of(local.certificate, local.anchors.issuer_of(local.certificate))
-        return Result.OK, self._handles.add(local), local.guid, end, local.revoked is not None
+        return (
+            ValidationResult.OK,
+            self._handles.add(local),
+            local.guid,
+            end,
+            local.revoked is not None,
+        )
 
-    def get_identity_token(self, identity: int) -> tuple[Result, DataHolder]:
+    def get_identity_token(self, identity: int) -> tuple[ValidationResult, DataHolder]:
         """What discovery will say of the participant."""
         local = self._handles.get(identity, Local)
         ca, agreements = local.anchors.identity_ca, local.policy.agreements
         token = IdentityToken.announced(local.certificate, ca, agreements)
-        return Result.OK, token.to_holder()
+        return ValidationResult.OK, token.to_holder()
 
     def set_permissions_credential_and_token(
         self, identity: int, credential: DataHolder, permissions: DataHolder
-    ) -> tuple[Result]:
+    ) -> tuple[ValidationResult]:
         """The permissions document that handshakes will carry."""
         del permissions
         local = self._handles.get(identity, Local)
@@ -105,11 +111,11 @@ class Authentication:
             )
         octets = document.encode(errors=_TEXT)
         self._handles.replace(identity, replace(local, permissions=octets))
-        return (Result.OK,)
+        return (ValidationResult.OK,)
 
     def validate_remote_identity(
         self, auth_request: DataHolder, identity: int, token: DataHolder, guid: bytes
-    ) -> tuple[Result, int, DataHolder]:
+    ) -> tuple[ValidationResult, int, DataHolder]:
         """The peer's handle, and our AuthRequest unless the peer's came first."""
         local = self._handles.get(identity, Local)
         said = IdentityToken.from_holder(token)
@@ -123,12 +129,16 @@ class Authentication:
             peer_state.announced = os.urandom(CHALLENGE_SIZE)
             answer = AuthRequest(future_challenge=peer_state.announced).to_holder()
         first = initiates(local.guid, guid)
-        result = Result.PENDING_HANDSHAKE_REQUEST if first else Result.PENDING_HANDSHAKE_MESSAGE
+        result = (
+            ValidationResult.PENDING_HANDSHAKE_REQUEST
+            if first
+            else ValidationResult.PENDING_HANDSHAKE_MESSAGE
+        )
         return result, handle, answer
 
     def begin_handshake_request(
         self, identity: int, peer: int, data: bytes
-    ) -> tuple[Result, int, DataHolder]:
+    ) -> tuple[ValidationResult, int, DataHolder]:
         """The handshake's handle, and the Request.
 
         VerificationError, and none is sent, to a peer that may not know its key agreement.
@@ -138,31 +148,33 @@ class Authentication:
         discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
         request, state = begin(local.terms(discovered, peer_state.announced, data), local.agreement)
         handle = self._peers.asked(local, identity, peer, state)
-        return Result.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
+        return ValidationResult.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
 
     def begin_handshake_reply(
         self, token: DataHolder, peer: int, identity: int, data: bytes
-    ) -> tuple[Result, int, DataHolder]:
+    ) -> tuple[ValidationResult, int, DataHolder]:
         """The handshake's handle, and the Reply."""
         local, remote, peer_state = self._peers.met(identity, peer)
         request, now = Request.from_holder(token), self._now()
-        certificate = Peer.read(request.introduction).certificate
+        certificate = RemotePeer.read(request.introduction).certificate
         self._peers.refuse_early(identity, certificate, now)
         discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
         terms = local.terms(discovered, peer_state.announced, data)
         terms = replace(terms, own=replace(terms.own, ca=local.anchors.issuer_of(certificate)))
         reply, state = reply_to(terms, request, now=now)
         handle = self._peers.answered(local, identity, peer, state, now)
-        return Result.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
+        return ValidationResult.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
 
-    def process_handshake(self, token: DataHolder, handle: int) -> tuple[Result, DataHolder]:
+    def process_handshake(
+        self, token: DataHolder, handle: int
+    ) -> tuple[ValidationResult, DataHolder]:
         """The Final to a Reply; after a Final nothing."""
         handshake = self._handles.get(handle, Handshake)
         is_final = token.class_id == Final.CLASS_ID
         if handshake.answer and (is_final or handshake.asked is None):
             done = handshake.answer.receive(Final.from_holder(token))
             self._peers.finished(handshake, done)
-            return Result.OK, NO_TOKEN
+            return ValidationResult.OK, NO_TOKEN
         if handshake.asked is None:
             raise LateError("the handshake is over: the message came late, or twice")
         reply = Reply.from_holder(token)
@@ -170,9 +182,11 @@ class Authentication:
             raise LateError("a Reply to a Request that was given up for a later one: it came late")
         final, done = self._finish(handshake.local, handshake.asked, reply)
         self._peers.finished(handshake, done)
-        return Result.OK_FINAL_MESSAGE, final.to_holder()
+        return ValidationResult.OK_FINAL_MESSAGE, final.to_holder()
 
-    def get_shared_secret(self, handle: int) -> tuple[Result, int, int, bytes, bytes, bytes]:
+    def get_shared_secret(
+        self, handle: int
+    ) -> tuple[ValidationResult, int, int, bytes, bytes, bytes]:
         """The peer's handle, when its identity ends, both challenges, and the secret.
 
         VerificationError if the peer was taken back since its certificate was looked at.
@@ -185,7 +199,7 @@ class Authentication:
             )
         end = end_of(certificate, handshake.local.anchors.issuer_of(certificate))
         return (
-            Result.OK,
+            ValidationResult.OK,
             handshake.remote,
             end,
             done.challenge1,
@@ -193,30 +207,32 @@ class Authentication:
             done.shared_secret,
         )
 
-    def get_authenticated_peer_credential_token(self, handle: int) -> tuple[Result, DataHolder]:
+    def get_authenticated_peer_credential_token(
+        self, handle: int
+    ) -> tuple[ValidationResult, DataHolder]:
         """The peer's certificate and permissions document, for access control."""
         _, done = self._done(handle)
         items = (
             ("c.id", done.peer.certificate.pem.decode()),
             ("c.perm", done.peer.permissions.decode(errors=_TEXT)),
         )
-        return Result.OK, DataHolder(PEER_CREDENTIAL, items)
+        return ValidationResult.OK, DataHolder(PEER_CREDENTIAL, items)
 
     def finish(self) -> None:
         """The connection ends."""
         self._peers.drop_all()
 
-    def find_revoked(self) -> tuple[Result, int]:
+    def find_revoked(self) -> tuple[ValidationResult, int]:
         """A participant or a peer that is taken back since; 0 if there is no other.
 
         Where a revocation list cannot be taken, the one before it still counts, and the
         refusal comes when all others are told.
         """
-        return Result.OK, self._revocation_watch.next()
+        return ValidationResult.OK, self._revocation_watch.next()
 
     def check_guid_comes_from(
         self, handle: int, adjusted: bytes, candidate: bytes
-    ) -> tuple[Result]:
+    ) -> tuple[ValidationResult]:
         """Whether that identity, ours or an authenticated peer's, made the one GUID of the other.
 
         Fast DDS asks, for discovery servers that are configured by their GUID. VerificationError
@@ -224,17 +240,17 @@ class Authentication:
         """
         if adjusted_guid(self._certificate(handle).subject_der, candidate) != adjusted:
             raise VerificationError("the GUID was not made of the other by this identity")
-        return (Result.OK,)
+        return (ValidationResult.OK,)
 
-    def return_handshake_handle(self, handle: int) -> tuple[Result]:
+    def return_handshake_handle(self, handle: int) -> tuple[ValidationResult]:
         """Cyclone DDS never calls it: a handshake goes with its identities."""
         self._peers.drop_handshake(handle)
-        return (Result.OK,)
+        return (ValidationResult.OK,)
 
-    def return_identity_handle(self, handle: int) -> tuple[Result]:
+    def return_identity_handle(self, handle: int) -> tuple[ValidationResult]:
         """The participant is gone, or the peer."""
         self._peers.drop(handle)
-        return (Result.OK,)
+        return (ValidationResult.OK,)
 
     def _certificate(self, handle: int) -> Certificate:
         """Of a participant or an authenticated peer; VerificationError if it is not one."""
@@ -247,7 +263,7 @@ class Authentication:
         raise VerificationError("the peer has not authenticated")
 
     def _finish(self, local: Local, state: RequestSent, reply: Reply) -> tuple[Final, Done]:
-        certificate = Peer.read(reply.introduction).certificate
+        certificate = RemotePeer.read(reply.introduction).certificate
         own = replace(state.terms.own, ca=local.anchors.issuer_of(certificate))
         state = replace(state, terms=replace(state.terms, own=own))
         return state.receive(reply, now=self._now())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
-from pqsec_pki.plugin.octets import Reader, Writer
+from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 
 VERSION = 2
 """Version of the protocol on the socket. Shim and agent must have the same."""
@@ -26,7 +26,7 @@ class Call:
     takes: str
     gives: str
 
-    def arguments(self, reader: Reader) -> Arguments:
+    def arguments(self, reader: MessageReader) -> Arguments:
         """What the shim sent; MalformedError if it is anything else."""
         found = [reader.one(kind) for kind in self.takes]
         reader.finish()
@@ -34,7 +34,7 @@ class Call:
 
     def results(self, values: tuple[Any, ...]) -> bytes:
         """What goes back."""
-        writer = Writer()
+        writer = MessageWriter()
         for kind, value in zip(self.gives, values, strict=True):
             writer.one(kind, value)
         return writer.octets

@@ -11,7 +11,7 @@ from pqsec_pki.plugin.authentication import Authentication, LateError
 from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock, Log, Notes
-from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
+from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader, MessageWriter
 from pqsec_pki.plugin.pending import PendingReplies
 
 _HEAD = 4
@@ -93,7 +93,7 @@ class Connection:
             yield framed(answer)
 
     def _greeted(self, frame: bytes) -> bytes:
-        reader = Reader(frame)
+        reader = MessageReader(frame)
         try:
             magic, version, name = reader.text(), reader.number("I"), reader.text()
             reader.finish()
@@ -122,7 +122,7 @@ class Connection:
         """An error of ours is a refusal too: a host must get an answer, and others theirs."""
         name = ""
         try:
-            reader = Reader(frame)
+            reader = MessageReader(frame)
             name = reader.text()
             return self._result(name, reader)
         except LateError as error:
@@ -138,12 +138,12 @@ class Connection:
         self._notes.add(f"{shown(name)} refused: {shown(words, _MOST_SHOWN)}")
         return refusal(words)
 
-    def _result(self, name: str, reader: Reader) -> bytes:
+    def _result(self, name: str, reader: MessageReader) -> bytes:
         call = CALLS[self._name].get(name)
         if call is None:
             raise MalformedError(f"no call is named '{shown(name)}'")
         result, *values = getattr(self._plugin, name)(*call.arguments(reader))
-        writer = Writer()
+        writer = MessageWriter()
         writer.number("B", _DONE)
         writer.number("I", result)
         return writer.octets + call.results(tuple(values))
@@ -156,7 +156,7 @@ def framed(body: bytes) -> bytes:
 
 def refusal(words: str) -> bytes:
     """The answer that says why there is no other."""
-    writer = Writer()
+    writer = MessageWriter()
     writer.number("B", _REFUSED)
     writer.text(shown(words, _MOST_SHOWN))
     return writer.octets

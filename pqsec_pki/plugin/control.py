@@ -7,13 +7,13 @@ from typing import Any, cast
 from pqsec_pki.errors import FileError, MalformedError, PqsecError
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION, Arguments
-from pqsec_pki.plugin.octets import MAX_FRAME, Reader, Writer
+from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader, MessageWriter
 
 _SECONDS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class AgentStatus:
     """What an agent says of itself."""
 
     process: int
@@ -34,7 +34,7 @@ class Client:
         except OSError as error:
             self.close()
             raise FileError(f"no agent listens at {place.socket}") from error
-        writer = Writer()
+        writer = MessageWriter()
         writer.text(MAGIC)
         writer.number("I", VERSION)
         writer.text(plugin)
@@ -59,7 +59,7 @@ class Client:
 
     def call(self, name: str, *arguments: Any) -> tuple[int, Arguments]:
         """The result and what the call gives; MalformedError with the words of a refusal."""
-        kinds, writer = CALLS[self._plugin][name], Writer()
+        kinds, writer = CALLS[self._plugin][name], MessageWriter()
         writer.text(name)
         for kind, value in zip(kinds.takes, arguments, strict=True):
             writer.one(kind, value)
@@ -69,11 +69,11 @@ class Client:
         reader.finish()
         return result, found
 
-    def _accepted(self, frame: bytes) -> Reader:
+    def _accepted(self, frame: bytes) -> MessageReader:
         try:
             self._link.sendall(len(frame).to_bytes(4, "little") + frame)
             size = int.from_bytes(self._received(4), "little")
-            reader = Reader(self._received(min(size, MAX_FRAME)))
+            reader = MessageReader(self._received(min(size, MAX_FRAME)))
         except OSError as error:
             raise FileError(f"the agent does not answer: {error}") from error
         if reader.number("B"):
@@ -90,7 +90,7 @@ class Client:
         return found
 
 
-def agent_status(place: AgentFolder) -> Status | None:
+def agent_status(place: AgentFolder) -> AgentStatus | None:
     """What the agent says; None if none listens.
 
     FileError if it does not answer, or if its folder is not this user's alone.
@@ -108,7 +108,9 @@ def agent_status(place: AgentFolder) -> Status | None:
     import json  # noqa: PLC0415 -- not for the agent, which starts with this room
 
     found = cast("dict[str, Any]", json.loads(text))
-    return Status(found["process"], found["version"], found["socket"], tuple(found["connections"]))
+    return AgentStatus(
+        found["process"], found["version"], found["socket"], tuple(found["connections"])
+    )
 
 
 def stop_agent(place: AgentFolder) -> bool:

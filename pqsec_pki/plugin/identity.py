@@ -14,10 +14,17 @@ from pqsec_pki.credentials import (
     key_problems,
 )
 from pqsec_pki.errors import located
-from pqsec_pki.handshake import Discovered, Identity, Introduction, Policy, Terms, adjusted_guid
+from pqsec_pki.handshake import (
+    Discovered,
+    Identity,
+    Introduction,
+    PeerRequirements,
+    Terms,
+    adjusted_guid,
+)
 from pqsec_pki.plugin import credentials, trust
 from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
-from pqsec_pki.plugin.trust import Trust
+from pqsec_pki.plugin.trust import ParticipantTrust
 from pqsec_pki.problems import Code, Problem
 
 _PASSWORD = "dds.sec.auth.password"  # noqa: S105 -- a property's name
@@ -51,7 +58,7 @@ class Local:
     """16 bytes."""
     agreement: KeyAgreement
     """What it asks for."""
-    policy: Policy
+    policy: PeerRequirements
     permissions: bytes = field(default=b"", repr=False)
     """The signed document, once access control has said so."""
 
@@ -64,7 +71,7 @@ class Local:
         """
         source = trust.list_source(properties)
         state = state_of(source)
-        trusted = Trust.of(properties, now)
+        trusted = ParticipantTrust.of(properties, now)
         certificate, anchors = trusted.certificate, trusted.anchors
         policy = trusted.settings.policy(certificate)
         key, second = _keys(properties, both=policy.require_alternative)

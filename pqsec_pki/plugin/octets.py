@@ -28,7 +28,7 @@ Item = TypeVar("Item")
 Pairs = tuple[tuple[str, str], ...]
 
 
-class Reader:
+class MessageReader:
     """Values off a frame. MalformedError for anything that is not what is asked for."""
 
     def __init__(self, data: bytes) -> None:
@@ -64,7 +64,7 @@ class Reader:
     def text(self) -> str:
         return self.octets().decode(*_TEXT)
 
-    def items(self, item: "Callable[[Reader], Item]") -> tuple[Item, ...]:
+    def items(self, item: "Callable[[MessageReader], Item]") -> tuple[Item, ...]:
         count = self.number("I")
         if count > MAX_ITEMS:
             raise MalformedError(f"a list of more than {MAX_ITEMS}")
@@ -76,15 +76,15 @@ class Reader:
             raise MalformedError("a frame is too long")
 
 
-def _pair(reader: Reader) -> tuple[str, str]:
+def _pair(reader: MessageReader) -> tuple[str, str]:
     return reader.text(), reader.text()
 
 
-def _binary_pair(reader: Reader) -> tuple[str, bytes]:
+def _binary_pair(reader: MessageReader) -> tuple[str, bytes]:
     return reader.text(), reader.octets()
 
 
-def _token(reader: Reader) -> DataHolder:
+def _token(reader: MessageReader) -> DataHolder:
     """No larger than on the network: Cyclone DDS hands over what a peer sent, whatever its size."""
     before = reader.left
     found = DataHolder(reader.text(), reader.items(_pair), reader.items(_binary_pair))
@@ -93,28 +93,28 @@ def _token(reader: Reader) -> DataHolder:
     return found
 
 
-def _pairs(reader: Reader) -> Pairs:
+def _pairs(reader: MessageReader) -> Pairs:
     return reader.items(_pair)
 
 
-def _number(form: str) -> Callable[[Reader], int]:
+def _number(form: str) -> Callable[[MessageReader], int]:
     return lambda reader: reader.number(form)
 
 
-_READERS: dict[str, Callable[[Reader], Any]] = {
+_READERS: dict[str, Callable[[MessageReader], Any]] = {
     **{kind: _number(form) for kind, form in _FORMS.items()},
-    "s": Reader.text,
-    "o": Reader.octets,
+    "s": MessageReader.text,
+    "o": MessageReader.octets,
     "g": lambda reader: reader.raw(16),
     "c": lambda reader: reader.raw(32),
     "t": _token,
-    "p": lambda reader: reader.items(Reader.text),
+    "p": lambda reader: reader.items(MessageReader.text),
     "d": _pairs,
     "q": _pairs,
 }
 
 
-class Writer:
+class MessageWriter:
     """Values to a frame. MalformedError if it would be too long for one."""
 
     def __init__(self) -> None:
@@ -147,45 +147,47 @@ class Writer:
     def text(self, value: str) -> None:
         self.block(value.encode(*_TEXT))
 
-    def items(self, values: Collection[Item], item: "Callable[[Writer, Item], None]") -> None:
+    def items(
+        self, values: Collection[Item], item: "Callable[[MessageWriter, Item], None]"
+    ) -> None:
         """Add a list."""
         self.number("I", len(values))
         for each in values:
             item(self, each)
 
 
-def _put_pair(writer: Writer, pair: tuple[str, str]) -> None:
+def _put_pair(writer: MessageWriter, pair: tuple[str, str]) -> None:
     for each in pair:
         writer.text(each)
 
 
-def _put_binary_pair(writer: Writer, pair: tuple[str, bytes]) -> None:
+def _put_binary_pair(writer: MessageWriter, pair: tuple[str, bytes]) -> None:
     writer.text(pair[0])
     writer.block(pair[1])
 
 
-def _put_token(writer: Writer, token: DataHolder) -> None:
+def _put_token(writer: MessageWriter, token: DataHolder) -> None:
     writer.text(token.class_id)
     writer.items(token.properties, _put_pair)
     writer.items(token.binary_properties, _put_binary_pair)
 
 
-def _put_pairs(writer: Writer, pairs: Pairs) -> None:
+def _put_pairs(writer: MessageWriter, pairs: Pairs) -> None:
     writer.items(pairs, _put_pair)
 
 
-def _put_number(form: str) -> "Callable[[Writer, int], None]":
+def _put_number(form: str) -> "Callable[[MessageWriter, int], None]":
     return lambda writer, value: writer.number(form, value)
 
 
-_WRITERS: dict[str, Callable[[Writer, Any], None]] = {
+_WRITERS: dict[str, Callable[[MessageWriter, Any], None]] = {
     **{kind: _put_number(form) for kind, form in _FORMS.items()},
-    "s": Writer.text,
-    "o": Writer.block,
-    "g": Writer.raw,
-    "c": Writer.raw,
+    "s": MessageWriter.text,
+    "o": MessageWriter.block,
+    "g": MessageWriter.raw,
+    "c": MessageWriter.raw,
     "t": _put_token,
-    "p": lambda writer, names: writer.items(names, Writer.text),
+    "p": lambda writer, names: writer.items(names, MessageWriter.text),
     "d": _put_pairs,
     "q": _put_pairs,
 }

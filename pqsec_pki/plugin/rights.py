@@ -5,15 +5,15 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import ClassVar
 
-from pqsec_pki.access import SPEC, Action, Question, Side
+from pqsec_pki.access import SPEC, Action, Question, Viewpoint
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import (
     Criteria,
     DomainRule,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
     TopicRule,
 )
 from pqsec_pki.errors import VerificationError
@@ -28,7 +28,7 @@ class Rights:
     domain: int
     governance: Governance
     permissions: Permissions
-    side: ClassVar[Side]
+    side: ClassVar[Viewpoint]
     """Who asks what the subject may: its own stack or a peer."""
 
     @property
@@ -66,14 +66,14 @@ class LocalRights(Rights):
     """The signed permissions document."""
     identity: int
     """The handle of the identity."""
-    side: ClassVar[Side] = Side.OWN
+    side: ClassVar[Viewpoint] = Viewpoint.OWN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemoteRights(Rights):
     """Those of a peer."""
 
-    side: ClassVar[Side] = Side.PEER
+    side: ClassVar[Viewpoint] = Viewpoint.PEER
 
 
 def end_of(grant: Grant, anchors: TrustAnchors) -> int:
@@ -92,7 +92,7 @@ def _grant_anywhere(grant: Grant) -> Grant:
     return replace(grant, rules=tuple(map(_rule_anywhere, grant.rules)))
 
 
-def _rule_anywhere(rule: Rule) -> Rule:
+def _rule_anywhere(rule: PermissionRule) -> PermissionRule:
     return replace(
         rule,
         publish=tuple(_criteria_anywhere(rule, rule.publish)),
@@ -101,7 +101,7 @@ def _rule_anywhere(rule: Rule) -> Rule:
     )
 
 
-def _criteria_anywhere(rule: Rule, criteria: tuple[Criteria, ...]) -> Iterator[Criteria]:
+def _criteria_anywhere(rule: PermissionRule, criteria: tuple[Criteria, ...]) -> Iterator[Criteria]:
     for each in criteria:
         if rule.allow or not (each.partitions or each.data_tags):
             yield replace(each, partitions=(), data_tags=())

@@ -6,7 +6,7 @@ from typing import Self
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, STOCK_AGREEMENT, Family, KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.handshake import Policy
+from pqsec_pki.handshake import PeerRequirements
 from pqsec_pki.plugin.credentials import Source, octets_of
 
 FILE = "pqsec.toml"
@@ -18,7 +18,7 @@ _USUAL = KEY_AGREEMENTS.named("x25519mlkem768")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class AgentSettings:
     """How an identity is used. A peer cannot change any of it."""
 
     agreements: tuple[KeyAgreement, ...]
@@ -41,10 +41,10 @@ class Settings:
         usual = _STOCK_AGREEMENTS if stock == STOCK else _by_keys(certificate)
         return cls(agreements=agreements or usual, stock_peers=stock == STOCK)
 
-    def policy(self, certificate: Certificate) -> Policy:
+    def policy(self, certificate: Certificate) -> PeerRequirements:
         """For the handshakes of the holder of `certificate`."""
         pairs = certificate.alternative_key is not None and not self.stock_peers
-        return Policy(agreements=self.agreements, require_alternative=pairs)
+        return PeerRequirements(agreements=self.agreements, require_alternative=pairs)
 
 
 def _by_keys(certificate: Certificate) -> tuple[KeyAgreement, ...]:

@@ -25,7 +25,7 @@ from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.plugin import credentials
 from pqsec_pki.plugin.credentials import Properties, Source
 from pqsec_pki.plugin.property_names import REVOCATION_LIST as LIST_PROPERTY
-from pqsec_pki.plugin.settings import Settings
+from pqsec_pki.plugin.settings import AgentSettings
 from pqsec_pki.problems import Problem
 
 PROPERTIES: Mapping[str, str] = {
@@ -44,11 +44,11 @@ _TRUSTED = "dds.sec.auth.trusted_ca_dir"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trust:
+class ParticipantTrust:
     """What both plugins read first: the participant's certificate and its trust anchors."""
 
     certificate: Certificate
-    settings: Settings
+    settings: AgentSettings
     anchors: TrustAnchors
 
     @classmethod
@@ -57,7 +57,7 @@ class Trust:
         setting. Nothing is verified but that CAs in a folder are good `now`."""
         source = properties.source(PROPERTIES[CERTIFICATE])
         certificate = credentials.certificate_at(source)
-        settings = Settings.of(certificate, source)
+        settings = AgentSettings.of(certificate, source)
         own = credentials.certificates_at(properties.source(PROPERTIES[IDENTITY_CA]))
         signer = properties.source(PROPERTIES[PERMISSIONS_CA])
         second, revoked = beside(properties, PERMISSIONS_ALT_CA), list_source(properties)

@@ -10,9 +10,9 @@ from pqsec_pki.access import (
     Action,
     Decision,
     Interpretation,
-    Policy,
+    InterpretedPolicy,
     Question,
-    Side,
+    Viewpoint,
     interpretation_named,
 )
 from pqsec_pki.access.everywhere import domain_set, domains_named
@@ -79,12 +79,14 @@ def answer_of(
     policy_input: PolicyInput, question: Question, interpretation: Interpretation
 ) -> Answer:
     """The answer by that interpretation, and of each side of its stack."""
-    policy = Policy(policy_input.governance.value, policy_input.permissions.value, interpretation)
+    policy = InterpretedPolicy(
+        policy_input.governance.value, policy_input.permissions.value, interpretation
+    )
     return Answer(
         interpretation=interpretation,
         decision=policy.decide(question),
-        own=policy.decide(question, by=Side.OWN).allowed,
-        peers=policy.decide(question, by=Side.PEER).allowed,
+        own=policy.decide(question, by=Viewpoint.OWN).allowed,
+        peers=policy.decide(question, by=Viewpoint.PEER).allowed,
         hazard=_zone_hazard(
             interpretation.grant_for(policy_input.permissions.value, question), question
         )

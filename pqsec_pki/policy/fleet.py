@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pqsec_pki._files import exists, is_folder, walk
 from pqsec_pki.access import Action, Interpretation, Question
-from pqsec_pki.access.matrix import Member
+from pqsec_pki.access.matrix import DocumentOwner
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
 from pqsec_pki.errors import (
     FileError,
@@ -40,7 +40,7 @@ class Fleet:
     """Participants and their shared governance."""
 
     governance: Governance
-    members: list[Member]
+    members: list[DocumentOwner]
     refused: dict[str, str]
     """Participants or files that are left out, and why: no stack would accept the documents."""
     notes: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Flee
     anchors = anchors_of(keystore, now)
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
-    members, refused = list[Member](), dict[str, str]()
+    members, refused = list[DocumentOwner](), dict[str, str]()
     for name in (*keystore.names(), *keystore.incomplete()):
         try:
             subject = identity_of(keystore, name, anchors, now).subject_name
@@ -79,7 +79,7 @@ def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Flee
             _refuse_unreadable(error)
             refused[name] = str(error)
         else:
-            members.append(Member(name=name, subject=subject, permissions=own.value))
+            members.append(DocumentOwner(name=name, subject=subject, permissions=own.value))
     return Fleet(governance.value, members, refused)
 
 
@@ -134,7 +134,9 @@ def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], di
     return found, refused
 
 
-def _members(found: list[tuple[Path, Permissions]], refused: dict[str, str]) -> Iterator[Member]:
+def _members(
+    found: list[tuple[Path, Permissions]], refused: dict[str, str]
+) -> Iterator[DocumentOwner]:
     """Each subject of each document; its name has the file if several files have the subject."""
     subjects = [
         (path, permissions, subject)
@@ -149,7 +151,7 @@ def _members(found: list[tuple[Path, Permissions]], refused: dict[str, str]) -> 
         except MalformedError as error:
             refused[name] = str(error)
         else:
-            yield Member(name=name, subject=subject, permissions=permissions)
+            yield DocumentOwner(name=name, subject=subject, permissions=permissions)
 
 
 def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:

@@ -13,7 +13,7 @@ from pqsec_pki.access.everywhere import (
     topics_asked,
     who_may_anywhere,
 )
-from pqsec_pki.access.matrix import Member, topics_named
+from pqsec_pki.access.matrix import DocumentOwner, topics_named
 from pqsec_pki.documents import DomainRange, DomainSet
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet
@@ -96,7 +96,7 @@ def who_may_use(
     )
 
 
-def _may_all(members: Iterable[Member]) -> bool:
+def _may_all(members: Iterable[DocumentOwner]) -> bool:
     """Whether an allow_rule has `*`. In a deny_rule, as a participant without rights has it, it
     does not show that a topic exists.
     """

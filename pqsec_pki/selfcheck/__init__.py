@@ -4,18 +4,18 @@ For `pqsec verify-handshake` and `pqsec demo`: it runs in memory, before any rob
 """
 
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
-from pqsec_pki.selfcheck.report import Report, Step
+from pqsec_pki.selfcheck.report import CheckedStep, HandshakeReport
 from pqsec_pki.selfcheck.shared_domains import verify_handshake
-from pqsec_pki.selfcheck.stacks import PQSEC, STACKS, Stack, stack_named
+from pqsec_pki.selfcheck.stacks import PQSEC, STACKS, SimulatedStack, stack_named
 
 __all__ = [
     "PQSEC",
     "STACKS",
+    "CheckedStep",
     "HandshakeParty",
+    "HandshakeReport",
     "HandshakeSetup",
-    "Report",
-    "Stack",
-    "Step",
+    "SimulatedStack",
     "run_handshake",
     "stack_named",
     "verify_handshake",

@@ -21,7 +21,7 @@ from pqsec_pki.selfcheck.handshake_check import (
     check_party,
     load_party,
 )
-from pqsec_pki.selfcheck.report import Step, Steps, StoppedError, TopicFlow
+from pqsec_pki.selfcheck.report import CheckedStep, Steps, StoppedError, TopicFlow
 from pqsec_pki.selfcheck.shared_domains import documents_of, domains_of, talks_between
 from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
 
@@ -48,7 +48,7 @@ class PartyRef(NamedTuple):
     stack: str
 
 
-class Pair(NamedTuple):
+class ParticipantPair(NamedTuple):
     """Two participants, and the domain ID of their handshake."""
 
     first: PartyRef
@@ -57,20 +57,20 @@ class Pair(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ParticipantCheck:
     """The result for one participant alone: the domains it may join, and what is wrong with it."""
 
     party: PartyRef
     domains: frozenset[int]
-    failed: Step | None
+    failed: CheckedStep | None
 
 
-class Result(NamedTuple):
+class PairResult(NamedTuple):
     """The result of a pair's handshake. None: not reached."""
 
     initiator: str | None
     replier: str | None
-    failed: Step | None
+    failed: CheckedStep | None
     milliseconds: float
     talks: tuple[TopicFlow, ...] = ()
     """The topics that one may publish and the other subscribe to, if the handshake succeeded."""
@@ -102,15 +102,15 @@ class Worker:
         )
         return cls(job, setup)
 
-    def check_parties(self, parties: Sequence[PartyRef]) -> list[Finding]:
+    def check_parties(self, parties: Sequence[PartyRef]) -> list[ParticipantCheck]:
         """Check each participant alone."""
         return [self._finding(party) for party in parties]
 
-    def run_pairs(self, pairs: Sequence[Pair | None]) -> list[Result | None]:
+    def run_pairs(self, pairs: Sequence[ParticipantPair | None]) -> list[PairResult | None]:
         """Run each pair, whose own credentials were found valid; None for None."""
         return [self._result(pair) if pair else None for pair in pairs]
 
-    def _finding(self, party: PartyRef) -> Finding:
+    def _finding(self, party: PartyRef) -> ParticipantCheck:
         steps, domains = Steps(), frozenset[int]()
         with suppress(StoppedError):
             participant = self._participant(party.name, steps)
@@ -118,19 +118,19 @@ class Worker:
             # If it may join no domain, check one that its governance names: that shows why not.
             setup = replace(self.setup, domain=min(domains or named or {0}))
             check_party(setup, LoadedParty(participant, stack_named(party.stack)), steps)
-            return Finding(party, domains, None)
-        return Finding(party, domains, steps.done[-1])
+            return ParticipantCheck(party, domains, None)
+        return ParticipantCheck(party, domains, steps.done[-1])
 
-    def _result(self, pair: Pair) -> Result:
+    def _result(self, pair: ParticipantPair) -> PairResult:
         check = HandshakeCheck(replace(self.setup, domain=pair.domain))
         with suppress(StoppedError):
             one, other = (self._loaded(party, check.steps) for party in (pair.first, pair.second))
             check.perform(check.pair(one, other))
         found = check.report()
         talks = () if found.failed else self._talks(pair)
-        return Result(found.initiator, found.replier, found.failed, found.milliseconds, talks)
+        return PairResult(found.initiator, found.replier, found.failed, found.milliseconds, talks)
 
-    def _talks(self, pair: Pair) -> tuple[TopicFlow, ...]:
+    def _talks(self, pair: ParticipantPair) -> tuple[TopicFlow, ...]:
         names = pair.first.name, pair.second.name
         for name in names:
             if name not in self._documents:

@@ -14,10 +14,10 @@ from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
-from pqsec_pki.selfcheck.report import Report, Steps, StoppedError
+from pqsec_pki.selfcheck.report import HandshakeReport, Steps, StoppedError
 from pqsec_pki.selfcheck.run import HandshakeRun
-from pqsec_pki.selfcheck.session import HandshakeSession, Side
-from pqsec_pki.selfcheck.stacks import PQSEC, Stack, asked, policy
+from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
+from pqsec_pki.selfcheck.stacks import PQSEC, SimulatedStack, asked, policy
 
 _ENTITY_ID = bytes.fromhex("000001c1")
 """ENTITYID_PARTICIPANT (RTPS 2.3, table 9.1)."""
@@ -28,7 +28,7 @@ class HandshakeParty:
     """A participant of a keystore, and the stack it behaves like."""
 
     name: str
-    stack: Stack = PQSEC
+    stack: SimulatedStack = PQSEC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,9 @@ class HandshakeSetup:
         return self.keystore.profile
 
 
-def run_handshake(setup: HandshakeSetup, first: HandshakeParty, second: HandshakeParty) -> Report:
+def run_handshake(
+    setup: HandshakeSetup, first: HandshakeParty, second: HandshakeParty
+) -> HandshakeReport:
     """Run the handshake between two participants, and report its steps.
 
     It ends at the first step that fails, the last in the report. KeystoreError if a
@@ -66,7 +68,7 @@ class LoadedParty(NamedTuple):
     """A participant as it was read, and the stack it behaves like."""
 
     participant: Credentials
-    stack: Stack
+    stack: SimulatedStack
 
 
 def load_party(keystore: Keystore, name: str, steps: Steps) -> Credentials:
@@ -139,12 +141,12 @@ class HandshakeCheck:
         self.run = HandshakeRun(session, self.steps)
         self.run.perform()
 
-    def report(self) -> Report:
+    def report(self) -> HandshakeReport:
         """The report of the steps so far."""
         run = self.run
         session = run.session if run else None
         wanted = self.setup.agreement or self.setup.profile.key_agreement
-        return Report(
+        return HandshakeReport(
             steps=tuple(self.steps.done),
             initiator=session.initiator.name if session else None,
             replier=session.replier.name if session else None,
@@ -180,7 +182,7 @@ class HandshakeCheck:
             now=setup.now,
         )
 
-    def _side(self, loaded: LoadedParty, peer: Stack) -> Side:
+    def _side(self, loaded: LoadedParty, peer: SimulatedStack) -> SessionSide:
         """What a participant sends and requires, given the stack of its peer."""
         participant, own = loaded
         second = None if own.is_stock or peer.is_stock else participant.alternative_key
@@ -193,7 +195,7 @@ class HandshakeCheck:
             revocation_list=participant.revocation_list,
         )
         demands = policy(own, peer, self.setup.profile, self.setup.agreement)
-        return Side(
+        return SessionSide(
             participant=participant,
             stack=own,
             terms=Terms(own=identity, policy=demands, dialect=own.dialect),

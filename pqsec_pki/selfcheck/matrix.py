@@ -18,7 +18,7 @@ from pqsec_pki.errors import FileError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
-from pqsec_pki.selfcheck.report import HANDSHAKE, Report
+from pqsec_pki.selfcheck.report import HANDSHAKE, HandshakeReport
 
 FRAGMENT = 1344
 """Bytes of a sample in one datagram: Cyclone DDS's default (General/FragmentSize)."""
@@ -30,7 +30,7 @@ _YEAR = timedelta(days=365)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Size:
+class MessageSize:
     """The largest size of one message over all rounds."""
 
     token: int
@@ -54,7 +54,7 @@ class Suite:
     """Its name in c.dsign_algo."""
     breaks: tuple[str, ...]
     """Properties of the profile that this key agreement does not have."""
-    sizes: dict[str, Size]
+    sizes: dict[str, MessageSize]
     """Of request, reply and final."""
     milliseconds: float
     """The median of the rounds: all messages and the key exchange, both sides."""
@@ -95,7 +95,7 @@ def suites(now: datetime, rounds: int) -> Iterator[Suite]:
                 yield _measured([_met(setup) for _ in range(rounds)], profile, agreement)
 
 
-def _met(setup: HandshakeSetup) -> Report:
+def _met(setup: HandshakeSetup) -> HandshakeReport:
     report = run_handshake(setup, *(HandshakeParty(name=name) for name in NAMES))
     if step := report.failed:
         suite = f"profile {setup.profile.name} with {report.key_agreement}"
@@ -103,7 +103,7 @@ def _met(setup: HandshakeSetup) -> Report:
     return report
 
 
-def _measured(reports: list[Report], profile: Profile, agreement: KeyAgreement) -> Suite:
+def _measured(reports: list[HandshakeReport], profile: Profile, agreement: KeyAgreement) -> Suite:
     samples = [(each.name, len(each.data)) for report in reports for each in report.sent]
     tokens = [pair for report in reports for pair in report.token_bytes.items()]
     return Suite(
@@ -112,7 +112,7 @@ def _measured(reports: list[Report], profile: Profile, agreement: KeyAgreement) 
         signature=str(reports[0].signature),
         breaks=_broken(profile, agreement),
         sizes={
-            name: Size(token=_largest(name, tokens), sample=_largest(name, samples))
+            name: MessageSize(token=_largest(name, tokens), sample=_largest(name, samples))
             for name in HANDSHAKE
         },
         milliseconds=round(median(report.milliseconds for report in reports), 3),

@@ -12,16 +12,23 @@ from itertools import combinations, islice
 from typing import TypeVar
 
 from pqsec_pki.selfcheck._pool import WorkerPool, worker_pool
-from pqsec_pki.selfcheck._worker import AllPairsJob, Finding, Pair, PartyRef, Result, Worker
-from pqsec_pki.selfcheck.report import Step
+from pqsec_pki.selfcheck._worker import (
+    AllPairsJob,
+    PairResult,
+    ParticipantCheck,
+    ParticipantPair,
+    PartyRef,
+    Worker,
+)
+from pqsec_pki.selfcheck.report import CheckedStep
 
 __all__ = [
     "AllPairsJob",
-    "Finding",
-    "Outcome",
+    "PairOutcome",
+    "PairResult",
     "PairsCheck",
+    "ParticipantCheck",
     "PartyRef",
-    "Result",
     "check_pairs",
     "count_pairs",
 ]
@@ -35,17 +42,17 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class PairOutcome:
     """The outcome for a pair. `result` is None if their handshake was not run."""
 
-    first: Finding
-    second: Finding
+    first: ParticipantCheck
+    second: ParticipantCheck
     domain: int | None
     """None: they share no domain."""
-    result: Result | None = None
+    result: PairResult | None = None
 
     @property
-    def failed(self) -> Step | None:
+    def failed(self) -> CheckedStep | None:
         """The failed step of one of them, or of their handshake."""
         of_both = self.result.failed if self.result else None
         return self.first.failed or self.second.failed or of_both
@@ -62,7 +69,7 @@ class Outcome:
 class PairsCheck:
     """All participants of a keystore, each checked alone."""
 
-    findings: dict[PartyRef, Finding]
+    findings: dict[PartyRef, ParticipantCheck]
     job: AllPairsJob
     _pool: WorkerPool
 
@@ -71,35 +78,35 @@ class PairsCheck:
         """The participants, sorted."""
         return sorted({party.name for party in self.findings})
 
-    def outcomes(self) -> Iterator[Outcome]:
+    def outcomes(self) -> Iterator[PairOutcome]:
         """The outcome of each pair; its first participant behaves like the first stack of the job.
 
         PqsecError if a process is killed.
         """
-        planned: deque[list[Outcome]] = deque()
+        planned: deque[list[PairOutcome]] = deque()
 
-        def blocks() -> Iterator[list[Pair | None]]:
+        def blocks() -> Iterator[list[ParticipantPair | None]]:
             for block in _blocks(self._plans()):
                 planned.append(block)
                 yield [_to_meet(each) for each in block]
 
         for results in self._pool.map(Worker.run_pairs, blocks()):
             for plan, result in zip(planned.popleft(), results, strict=True):
-                yield Outcome(plan.first, plan.second, plan.domain, result)
+                yield PairOutcome(plan.first, plan.second, plan.domain, result)
 
-    def _plans(self) -> Iterator[Outcome]:
+    def _plans(self) -> Iterator[PairOutcome]:
         one, other = self.job.stacks
         for first, second in combinations(self.names, 2):
             yield self._plan(PartyRef(first, one), PartyRef(second, other))
             if one != other:
                 yield self._plan(PartyRef(second, one), PartyRef(first, other))
 
-    def _plan(self, first: PartyRef, second: PartyRef) -> Outcome:
+    def _plan(self, first: PartyRef, second: PartyRef) -> PairOutcome:
         one, other = self.findings[first], self.findings[second]
         shared, wanted = one.domains & other.domains, self.job.domain
         if wanted is not None:
             shared &= {wanted}
-        return Outcome(one, other, min(shared, default=None))
+        return PairOutcome(one, other, min(shared, default=None))
 
 
 def count_pairs(names: Sequence[str], job: AllPairsJob) -> int:
@@ -112,7 +119,7 @@ def check_pairs(
     job: AllPairsJob,
     names: Sequence[str],
     jobs: int,
-    progress: Callable[[Iterable[Finding]], Iterable[Finding]] = iter,
+    progress: Callable[[Iterable[ParticipantCheck]], Iterable[ParticipantCheck]] = iter,
 ) -> Iterator[PairsCheck]:
     """Check the participants called `names`, each alone, with `jobs` processes.
 
@@ -132,7 +139,7 @@ def _blocks(items: Iterable[Item]) -> Iterator[list[Item]]:
         yield block
 
 
-def _to_meet(plan: Outcome) -> Pair | None:
+def _to_meet(plan: PairOutcome) -> ParticipantPair | None:
     if plan.failed or plan.domain is None:
         return None
-    return Pair(plan.first.party, plan.second.party, plan.domain)
+    return ParticipantPair(plan.first.party, plan.second.party, plan.domain)

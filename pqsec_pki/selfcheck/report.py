@@ -11,7 +11,7 @@ from pqsec_pki.problems import Code
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class CheckedStep:
     """One check. `detail` is what was found, or why it failed."""
 
     name: str
@@ -37,7 +37,7 @@ class StoppedError(Exception):
 class Steps:
     """The steps that were run so far."""
 
-    done: list[Step] = field(default_factory=list)
+    done: list[CheckedStep] = field(default_factory=list)
 
     @contextmanager
     def step(self, name: str) -> Iterator[list[str]]:
@@ -53,9 +53,9 @@ class Steps:
             if isinstance(error, FileError) and not isinstance(error, MissingError):
                 raise
             codes = frozenset(each.code for each in problems_of(error))
-            self.done.append(Step(name, False, str(error), error.hint, codes))  # noqa: FBT003 -- field
+            self.done.append(CheckedStep(name, False, str(error), error.hint, codes))  # noqa: FBT003 -- field
             raise StoppedError from error
-        self.done.append(Step(name, ok=True, detail="; ".join(detail)))
+        self.done.append(CheckedStep(name, ok=True, detail="; ".join(detail)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,10 +87,10 @@ class TopicFlow(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class HandshakeReport:
     """A handshake between two participants. What was not reached is None."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[CheckedStep, ...]
     initiator: str | None
     replier: str | None
     why: str | None
@@ -129,7 +129,7 @@ class Report:
         return all(step.ok for step in self.steps)
 
     @property
-    def failed(self) -> Step | None:
+    def failed(self) -> CheckedStep | None:
         """The step that failed, if any."""
         return next((step for step in self.steps if not step.ok), None)
 

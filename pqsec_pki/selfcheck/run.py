@@ -34,7 +34,7 @@ from pqsec_pki.handshake import (
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.credentials import Applicant, check_permissions
 from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE, Sent, Steps
-from pqsec_pki.selfcheck.session import HandshakeSession, Side
+from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
 
 _CLASSES = {AUTH_REQUEST: MessageClass.AUTH_REQUEST} | dict.fromkeys(
     HANDSHAKE, MessageClass.HANDSHAKE
@@ -79,12 +79,14 @@ class HandshakeRun:
             self._terms(other, theirs, heard_by_other),
         )
 
-    def _terms(self, own: Side, announced: bytes | None, received: bytes | None) -> Terms:
+    def _terms(self, own: SessionSide, announced: bytes | None, received: bytes | None) -> Terms:
         """The terms of `own`, with what discovery showed about the peer."""
         discovered = Discovered(guid=self.session.peer_of(own), future_challenge=received)
         return replace(own.terms, discovered=discovered, announced=announced)
 
-    def _auth_request(self, sender: Side, receiver: Side) -> tuple[bytes | None, bytes | None]:
+    def _auth_request(
+        self, sender: SessionSide, receiver: SessionSide
+    ) -> tuple[bytes | None, bytes | None]:
         """The announced challenge, as sent and as received."""
         if not sender.stack.announces:
             return None, None
@@ -120,7 +122,7 @@ class HandshakeRun:
         return done, outcome
 
     @contextmanager
-    def _step(self, name: str, side: Side) -> Iterator[list[str]]:
+    def _step(self, name: str, side: SessionSide) -> Iterator[list[str]]:
         """A step of `side`; if `side` is a stock stack, the error names the stack."""
         with self.steps.step(name) as detail:
             try:
@@ -132,7 +134,9 @@ class HandshakeRun:
                 words = f"{side.stack.title} ({side.name}) refuses: {error}"
                 raise VerificationError(words, hint=hint) from error
 
-    def _send(self, name: str, token: DataHolder, sender: Side, receiver: Side) -> bytes:
+    def _send(
+        self, name: str, token: DataHolder, sender: SessionSide, receiver: SessionSide
+    ) -> bytes:
         """The sample that `receiver` gets when `sender` sends the token."""
         # A reply names the message that it answers: otherwise Fast DDS drops it.
         related = (receiver.writer, len(self.sent)) if name in _ANSWERS else (bytes(16), 0)
@@ -147,13 +151,13 @@ class HandshakeRun:
         )
         return self._relay(name, message.encode(), sender, receiver)
 
-    def _size(self, sender: Side) -> Iterator[str]:
+    def _size(self, sender: SessionSide) -> Iterator[str]:
         """The size of the last message, with a note if some versions cannot send it."""
         size = len(self.sent[-1].data)
         yield f"{size - AROUND_TOKEN} bytes"
         yield from sender.stack.check_size(size)
 
-    def _relay(self, name: str, data: bytes, sender: Side, receiver: Side) -> bytes:
+    def _relay(self, name: str, data: bytes, sender: SessionSide, receiver: SessionSide) -> bytes:
         sent = Sent(name=name, sender=sender.name, receiver=receiver.name, data=data)
         self.sent.append(sent)
         return self.session.relay(name, data)
@@ -168,7 +172,7 @@ class HandshakeRun:
                 confirmed(receiver.guid, theirs, arrived)
                 detail.append("encrypted, sent, decrypted (AES256-GCM)")
 
-    def _admit(self, judge: Side, subject: Side, done: Done) -> None:
+    def _admit(self, judge: SessionSide, subject: SessionSide, done: Done) -> None:
         """Check that the permissions from the handshake are the subject's and let it join."""
         session = self.session
         with self.steps.step(f"{judge.name} admits {subject.name}") as detail:
@@ -180,7 +184,7 @@ class HandshakeRun:
                 detail.append(check_permissions(own, applicant, session.domain, session.now))
 
 
-def _opened(name: str, sample: bytes, reader: Side) -> DataHolder:
+def _opened(name: str, sample: bytes, reader: SessionSide) -> DataHolder:
     """The token in a sample, as `reader` decodes it."""
     with check(Code.C1):
         message = GenericMessage.decode(sample)
@@ -189,7 +193,7 @@ def _opened(name: str, sample: bytes, reader: Side) -> DataHolder:
     return message.tokens[0]
 
 
-def _check_envelope(message: GenericMessage, wanted: MessageClass, reader: Side) -> None:
+def _check_envelope(message: GenericMessage, wanted: MessageClass, reader: SessionSide) -> None:
     if message.class_id != wanted:
         raise VerificationError(f"a '{shown(message.class_id)}' where a '{wanted}' is due")
     if message.destination_participant != reader.guid:
@@ -199,8 +203,8 @@ def _check_envelope(message: GenericMessage, wanted: MessageClass, reader: Side)
 
 
 def _both_ways(
-    sides: tuple[Side, Side], done: tuple[Done, Done]
-) -> Iterator[tuple[Side, Done, Side, Done]]:
+    sides: tuple[SessionSide, SessionSide], done: tuple[Done, Done]
+) -> Iterator[tuple[SessionSide, Done, SessionSide, Done]]:
     (one, other), (mine, theirs) = sides, done
     yield one, mine, other, theirs
     yield other, theirs, one, mine

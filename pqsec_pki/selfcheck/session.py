@@ -7,7 +7,7 @@ from datetime import datetime
 from pqsec_pki.algorithms import KeyAgreement, Profile
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.handshake import Terms
-from pqsec_pki.selfcheck.stacks import Stack
+from pqsec_pki.selfcheck.stacks import SimulatedStack
 
 _STATELESS_WRITER = bytes.fromhex("000201c3")
 """The entity ID of the writer of handshake messages (DDS-Security 1.1, 7.4.6.2)."""
@@ -23,11 +23,11 @@ def unchanged(name: str, sample: bytes) -> bytes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Side:
+class SessionSide:
     """A participant, the stack it behaves like, and what it requires of its peer."""
 
     participant: Credentials
-    stack: Stack
+    stack: SimulatedStack
     terms: Terms
 
     @property
@@ -50,23 +50,23 @@ class Side:
 class HandshakeSession:
     """The two sides of a handshake, its domain and time, and the network between them."""
 
-    initiator: Side
-    replier: Side
+    initiator: SessionSide
+    replier: SessionSide
     agreement: KeyAgreement
     """The key agreement that the initiator asks for."""
     profile: Profile
     domain: int
     now: datetime
     relay: Relay = unchanged
-    third: Side | None = None
+    third: SessionSide | None = None
     """The peer that both sides have discovered, if it is not the other side."""
 
     @property
-    def sides(self) -> tuple[Side, Side]:
+    def sides(self) -> tuple[SessionSide, SessionSide]:
         """The initiator and the replier."""
         return self.initiator, self.replier
 
-    def peer_of(self, side: Side) -> bytes:
+    def peer_of(self, side: SessionSide) -> bytes:
         """The GUID (16 bytes) of the peer that `side` has discovered."""
         if self.third:
             return self.third.guid

@@ -21,8 +21,8 @@ from pqsec_pki.selfcheck.handshake_check import (
     load_party,
     run_handshake,
 )
-from pqsec_pki.selfcheck.report import Report, Steps, StoppedError, TopicFlow
-from pqsec_pki.selfcheck.stacks import PQSEC, Stack
+from pqsec_pki.selfcheck.report import HandshakeReport, Steps, StoppedError, TopicFlow
+from pqsec_pki.selfcheck.stacks import PQSEC, SimulatedStack
 from pqsec_pki.smime import document_in
 
 
@@ -86,9 +86,9 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
     *,
     now: datetime,
     domain: int | None = None,
-    stacks: tuple[Stack, Stack] = (PQSEC, PQSEC),
+    stacks: tuple[SimulatedStack, SimulatedStack] = (PQSEC, PQSEC),
     agreement: KeyAgreement | None = None,
-) -> Report:
+) -> HandshakeReport:
     """Run the handshake between two participants, and report its steps and their common topics.
 
     The report ends at the first step that fails. Without `domain`, the handshake is on the first
@@ -118,7 +118,7 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
 
 def _apart(
     setup: HandshakeSetup, joinable: JoinableDomains, parties: Sequence[HandshakeParty]
-) -> Report:
+) -> HandshakeReport:
     """Check each on a domain that it may join; then the step `common domain` fails."""
     check = HandshakeCheck(setup)
     with suppress(StoppedError):

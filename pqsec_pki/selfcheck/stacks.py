@@ -19,7 +19,7 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import UnknownAlgorithmError, VerificationError
-from pqsec_pki.handshake import Dialect, Policy
+from pqsec_pki.handshake import Dialect, PeerRequirements
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,7 @@ class Limit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stack:
+class SimulatedStack:
     """An implementation of DDS-Security, as its peers see it in a handshake."""
 
     name: str
@@ -98,13 +98,13 @@ class Stack:
             yield words
 
 
-PQSEC = Stack(name="pqsec", title="pqsec", evidence="this program")
+PQSEC = SimulatedStack(name="pqsec", title="pqsec", evidence="this program")
 
 _ECDH = STOCK_AGREEMENT
 _RSA = ("rsa-2048", "rsa-3072", "rsa-4096")
 _P256_OR_RSA_2048 = ("ecdsa-p256", "rsa-2048")
 
-CYCLONE = Stack(
+CYCLONE = SimulatedStack(
     name="cyclonedds",
     title="Cyclone DDS",
     evidence="0.10.2, 0.10.5 and 11.0.1 run",
@@ -113,7 +113,7 @@ CYCLONE = Stack(
     identity_keys=_P256_OR_RSA_2048,
     identity_ca_keys=_P256_OR_RSA_2048,
 )
-FASTDDS = Stack(
+FASTDDS = SimulatedStack(
     name="fastdds",
     title="Fast DDS",
     evidence="2.9.1 run; for 3.2.3 and later its source",
@@ -142,7 +142,7 @@ FASTDDS_LIMITED = replace(
     asks_for_any=True,  # preferred_key_agreement; 2.10.7, 2.14.5 and 3.0.2 have it too
     fails_at_limit=True,
 )
-OPENDDS = Stack(
+OPENDDS = SimulatedStack(
     name="opendds",
     title="OpenDDS",
     evidence="its source, not run",
@@ -159,7 +159,7 @@ OPENDDS = Stack(
 STACKS = (PQSEC, CYCLONE, FASTDDS, FASTDDS_LIMITED, OPENDDS)
 
 
-def stack_named(name: str) -> Stack:
+def stack_named(name: str) -> SimulatedStack:
     """The stack of that name; UnknownAlgorithmError, with the known ones, if there is none."""
     for row in STACKS:
         if row.name == name.lower():
@@ -169,7 +169,10 @@ def stack_named(name: str) -> Stack:
 
 
 def asked(
-    initiator: Stack, replier: Stack, profile: Profile, wanted: KeyAgreement | None
+    initiator: SimulatedStack,
+    replier: SimulatedStack,
+    profile: Profile,
+    wanted: KeyAgreement | None,
 ) -> KeyAgreement:
     """The key agreement that the initiator's Request asks for; `wanted` is the user's."""
     if initiator.is_stock:
@@ -184,15 +187,19 @@ def asked(
     return profile.key_agreement
 
 
-def policy(own: Stack, peer: Stack, profile: Profile, wanted: KeyAgreement | None) -> Policy:
+def policy(
+    own: SimulatedStack, peer: SimulatedStack, profile: Profile, wanted: KeyAgreement | None
+) -> PeerRequirements:
     """What `own` requires in a handshake with `peer`, in a keystore of that profile."""
     if own.is_stock:
-        return Policy(agreements=own.agreements)
+        return PeerRequirements(agreements=own.agreements)
     if peer.is_stock and profile.runs_in_stock:
         # A stock peer supports nothing stronger, and the profile allows this.
         names = {row.wire_name for row in peer.agreements}
-        return Policy(agreements=tuple(row for row in KEY_AGREEMENTS if row.wire_name in names))
-    return Policy(
+        return PeerRequirements(
+            agreements=tuple(row for row in KEY_AGREEMENTS if row.wire_name in names)
+        )
+    return PeerRequirements(
         agreements=(wanted or profile.key_agreement,),
         require_alternative=profile.alternative_key is not None,
     )

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pqsec_pki.selfcheck.pairs import Finding, Outcome
-from pqsec_pki.selfcheck.report import Step
+from pqsec_pki.selfcheck.pairs import PairOutcome, ParticipantCheck
+from pqsec_pki.selfcheck.report import CheckedStep
 
 
 class Cause(NamedTuple):
@@ -17,7 +17,7 @@ class Cause(NamedTuple):
     hint: str | None
 
     @classmethod
-    def of(cls, step: Step, roles: Mapping[str, str]) -> "Cause":
+    def of(cls, step: CheckedStep, roles: Mapping[str, str]) -> "Cause":
         """The cause of a failed step; `roles` has the word that replaces each name."""
         hint = None if step.hint is None else _general(step.hint, roles)
         return cls(_general(step.name, roles), _general(step.detail, roles), hint)
@@ -35,7 +35,7 @@ class Summary:
     """Pairs whose handshake succeeded, but which share no topic."""
     tried: int = 0
     """Pairs whose handshake was run, since both participants are valid alone."""
-    causes: dict[Cause, list[Outcome]] = field(default_factory=dict)
+    causes: dict[Cause, list[PairOutcome]] = field(default_factory=dict)
     """Of pairs whose handshake was run."""
 
     @property
@@ -43,7 +43,7 @@ class Summary:
         """Whether all pairs that share a domain succeeded, and there was at least one."""
         return self.met > 0 and not self.failed
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: PairOutcome) -> None:
         """Count an outcome."""
         self.met += outcome.ok is True
         self.failed += outcome.ok is False
@@ -58,9 +58,9 @@ class Summary:
             self.causes.setdefault(Cause.of(result.failed, known), []).append(outcome)
 
 
-def faults(findings: Iterable[Finding]) -> dict[tuple[str, Cause], list[Finding]]:
+def faults(findings: Iterable[ParticipantCheck]) -> dict[tuple[str, Cause], list[ParticipantCheck]]:
     """Participants that fail alone, by stack and cause."""
-    groups: dict[tuple[str, Cause], list[Finding]] = {}
+    groups: dict[tuple[str, Cause], list[ParticipantCheck]] = {}
     for each in findings:
         if each.failed:
             cause = Cause.of(each.failed, {each.party.name: "NAME"})

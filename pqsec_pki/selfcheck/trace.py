@@ -25,7 +25,7 @@ from pqsec_pki.selfcheck._dissection import (
     Piece,
     protected_pieces,
 )
-from pqsec_pki.selfcheck.report import MESSAGE, Report, Sent
+from pqsec_pki.selfcheck.report import MESSAGE, HandshakeReport, Sent
 
 __all__ = ["DecodedMessage", "Piece", "Trace", "trace"]
 
@@ -59,7 +59,7 @@ class DecodedMessage:
 class Trace:
     """A handshake up to its end, or up to the step that failed."""
 
-    report: Report
+    report: HandshakeReport
     messages: tuple[DecodedMessage, ...]
     derived: tuple[Piece, ...]
     """The values that both sides derived."""
@@ -73,7 +73,7 @@ class Trace:
         }
 
 
-def trace(report: Report, describe: Describe) -> Trace:
+def trace(report: HandshakeReport, describe: Describe) -> Trace:
     """Decode the messages and secrets of `report`; `describe` turns documents into text."""
     dissection = Dissection(describe)
     messages = tuple(_decoded(sent, dissection) for sent in report.sent)

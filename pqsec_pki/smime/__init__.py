@@ -16,12 +16,12 @@ from pqsec_pki.smime.document import (
     sign,
     verify,
 )
-from pqsec_pki.smime.listing import Listed, ListedSigner, signers_in
+from pqsec_pki.smime.listing import CmsContent, ListedSigner, signers_in
 
 __all__ = [
     "AmbiguousError",
+    "CmsContent",
     "FoundSignature",
-    "Listed",
     "ListedSigner",
     "Require",
     "Signer",

@@ -40,7 +40,7 @@ class ListedSigner:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class CmsContent:
     """Everything in a document's CMS structure, unverified."""
 
     signers: tuple[ListedSigner, ...]
@@ -48,11 +48,11 @@ class Listed:
     """Embedded certificates in DER, or other values in their place."""
 
 
-def signers_in(message: bytes) -> Listed:
+def signers_in(message: bytes) -> CmsContent:
     """The signatures and certificates in S/MIME `message`; MalformedError if it is not."""
     data = _cms.parse(_reading.read(message).cms)
     listed = _Lister()
-    return Listed(
+    return CmsContent(
         signers=tuple(listed.signers(data.signer_infos.as_list())),
         certificates=tuple(encode(each) for each in data.certificates or []),
     )

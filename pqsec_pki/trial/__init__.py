@@ -7,15 +7,15 @@ listens.
 
 from pqsec_pki.trial.building import BuildError, built
 from pqsec_pki.trial.installation import MACHINE, Installation, MissingStackError, find
-from pqsec_pki.trial.peer import Act, PeerOutcome, Role
+from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
 from pqsec_pki.trial.peer_builds import STACKS
-from pqsec_pki.trial.plugin import AgentError, Plugin, plugin
+from pqsec_pki.trial.plugin import AgentError, TrialPlugin, plugin
 from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
 from pqsec_pki.trial.topics import TopicRoute, topic_route
 from pqsec_pki.trial.trial import (
     UNAUTHENTICATED,
-    Report,
     Trial,
+    TrialReport,
     credentialed,
     refuse_untrusted,
     run_trial,
@@ -32,11 +32,11 @@ __all__ = [
     "Installation",
     "MissingStackError",
     "PeerOutcome",
-    "Plugin",
-    "Report",
-    "Role",
     "TopicRoute",
     "Trial",
+    "TrialPlugin",
+    "TrialReport",
+    "TrialRole",
     "TrialRun",
     "TrialSetup",
     "built",

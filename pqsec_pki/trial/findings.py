@@ -17,7 +17,7 @@ _LONGEST = 300
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class LogFinding:
     """A message of participants or their stacks, with its cause and remedy."""
 
     participants: tuple[str, ...]
@@ -29,7 +29,7 @@ class Finding:
 
 def findings(
     outcomes: Sequence[tuple[PeerOutcome, str]], *, topic: str, by_standard: bool = False
-) -> tuple[Finding, ...]:
+) -> tuple[LogFinding, ...]:
     """The most important messages of the outcomes, each of a stack; equal ones of several
     participants once.
 
@@ -46,7 +46,7 @@ def findings(
         names = tuple(outcome.role.name for outcome, _ in outcomes)
         alike[_no_message(names, interpretation)] = list(names)
     return tuple(
-        Finding(participants=tuple(who), said=said, cause=cause, remedy=remedy)
+        LogFinding(participants=tuple(who), said=said, cause=cause, remedy=remedy)
         for (said, cause, remedy), who in alike.items()
     )
 

@@ -25,7 +25,7 @@ class Act(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Role:
+class TrialRole:
     """The task and configuration of one participant."""
 
     name: str
@@ -47,7 +47,7 @@ class Role:
 class PeerOutcome:
     """The outcome of a trial for one participant."""
 
-    role: Role
+    role: TrialRole
     joined: bool
     matched: bool
     """Whether a sender saw a receiver."""
@@ -60,10 +60,12 @@ class PeerOutcome:
     """The output of the participant and its stack."""
 
 
-class Peer:
+class PeerProcess:
     """A running participant."""
 
-    def __init__(self, role: Role, process: "subprocess.Popen[bytes]", output: IO[bytes]) -> None:
+    def __init__(
+        self, role: TrialRole, process: "subprocess.Popen[bytes]", output: IO[bytes]
+    ) -> None:
         self.role, self._process, self._output = role, process, output
         self._stopped = False
 
@@ -113,8 +115,8 @@ def _log_in(folder: str) -> IO[bytes]:
 
 @contextmanager
 def running_peer(
-    program: Sequence[str], role: Role, *, domain: int, topic: str, seconds: float
-) -> Iterator[Peer]:
+    program: Sequence[str], role: TrialRole, *, domain: int, topic: str, seconds: float
+) -> Iterator[PeerProcess]:
     """Run a participant for `seconds` at most; it is killed when the block ends."""
     words = [role.act.value, str(domain), topic, role.text, str(seconds)]
     with tempfile.TemporaryDirectory(prefix="pqsec-peer-") as folder, _log_in(folder) as output:
@@ -127,7 +129,7 @@ def running_peer(
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-        peer = Peer(role, process, output)
+        peer = PeerProcess(role, process, output)
         try:
             yield peer
         finally:

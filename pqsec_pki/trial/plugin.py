@@ -36,7 +36,7 @@ class AgentError(PqsecError):
 
 
 @dataclass(frozen=True, slots=True)
-class Plugin:
+class TrialPlugin:
     """The plugin's folder, and the variables with which it finds its agent."""
 
     folder: Path
@@ -44,7 +44,9 @@ class Plugin:
 
 
 @contextmanager
-def plugin(runtime: Path = _RUNTIME, *, fastdds: Installation | None = None) -> Iterator[Plugin]:
+def plugin(
+    runtime: Path = _RUNTIME, *, fastdds: Installation | None = None
+) -> Iterator[TrialPlugin]:
     """The plugin with its own agent, below `runtime`; the agent is stopped when the block ends.
 
     It is for Cyclone DDS, and with `fastdds` also for that Fast DDS. CompileError if it does not
@@ -56,7 +58,7 @@ def plugin(runtime: Path = _RUNTIME, *, fastdds: Installation | None = None) -> 
         place = AgentFolder.of({"XDG_RUNTIME_DIR": own})
         place.prepare()
         with _agent(place):
-            yield Plugin(folder, {"XDG_RUNTIME_DIR": own, "PQSEC_AGENT": ""})
+            yield TrialPlugin(folder, {"XDG_RUNTIME_DIR": own, "PQSEC_AGENT": ""})
 
 
 def _built(fastdds: Installation | None) -> Path:

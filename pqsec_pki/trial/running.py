@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from pqsec_pki.trial.network import Network, Wire, alone, watched
-from pqsec_pki.trial.peer import Peer, PeerOutcome, Role, running_peer
+from pqsec_pki.trial.peer import PeerOutcome, PeerProcess, TrialRole, running_peer
 
 _PAUSE = 0.05
 _SETTLE = 1.0
@@ -48,7 +48,7 @@ def unique_text() -> str:
     return f"pqsec-trial-{secrets.token_hex(16)}"
 
 
-def run_peers(setup: TrialSetup, roles: Sequence[Role]) -> TrialRun:
+def run_peers(setup: TrialSetup, roles: Sequence[TrialRole]) -> TrialRun:
     """Run all roles together, and search the wire for the text that the first one sends.
 
     The run is over when an authenticated participant ends: it has received the sample, its own
@@ -58,7 +58,7 @@ def run_peers(setup: TrialSetup, roles: Sequence[Role]) -> TrialRun:
     return alone(lambda network: _run_peers(setup, roles, network))
 
 
-def _run_peers(setup: TrialSetup, roles: Sequence[Role], network: Network) -> TrialRun:
+def _run_peers(setup: TrialSetup, roles: Sequence[TrialRole], network: Network) -> TrialRun:
     with ExitStack() as stack:
         wire = stack.enter_context(watched(roles[0].text.encode()))
         peers = [
@@ -78,7 +78,7 @@ def _run_peers(setup: TrialSetup, roles: Sequence[Role], network: Network) -> Tr
     return TrialRun(outcomes=outcomes, seconds=seconds, wire=wire, alone=network.is_alone)
 
 
-def _wait(peers: Sequence[Peer], timeout: float, network: Network) -> float:
+def _wait(peers: Sequence[PeerProcess], timeout: float, network: Network) -> float:
     """Seconds until the first authenticated participant ended; at most `timeout`."""
     start = time.monotonic()
     waited_for = [peer for peer in peers if not peer.role.unauthenticated]
@@ -94,7 +94,7 @@ def _wait(peers: Sequence[Peer], timeout: float, network: Network) -> float:
     return timeout
 
 
-def _settle(peers: Sequence[Peer], network: Network) -> None:
+def _settle(peers: Sequence[PeerProcess], network: Network) -> None:
     """Wait for the other participant: its stack may refuse too."""
     end = time.monotonic() + _SETTLE
     while network.pause(_PAUSE) and time.monotonic() < end:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Self, TypeVar
 
 from pqsec_pki._files import read
-from pqsec_pki.access import Action, Policy, Question
+from pqsec_pki.access import Action, InterpretedPolicy, Question
 from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Keystore, load_certificate
 from pqsec_pki.smime import document_in
-from pqsec_pki.vendors import Enclave
+from pqsec_pki.vendors import StackEnclave
 
 Value = TypeVar("Value")
 
@@ -64,13 +64,13 @@ class _Participant:
     name: str
     subject: str
     permissions: Permissions
-    policy: Policy
+    policy: InterpretedPolicy
     domain: int
     now: datetime
 
     @classmethod
     def of(cls, keystore: Keystore, name: str, domain: int, now: datetime) -> Self:
-        enclave = Enclave.find(keystore, name)
+        enclave = StackEnclave.find(keystore, name)
         certificate = load_certificate(enclave.folder / CERTIFICATE)
         permissions = _document(enclave.folder / PERMISSIONS, Permissions.from_xml)
         governance = _document(enclave.folder / GOVERNANCE, Governance.from_xml)
@@ -78,7 +78,7 @@ class _Participant:
             name=enclave.name,
             subject=certificate.subject_name,
             permissions=permissions,
-            policy=Policy(governance, permissions),
+            policy=InterpretedPolicy(governance, permissions),
             domain=domain,
             now=now,
         )

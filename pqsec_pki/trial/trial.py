@@ -11,13 +11,13 @@ from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.trial.building import built, source
-from pqsec_pki.trial.findings import Finding, findings
+from pqsec_pki.trial.findings import LogFinding, findings
 from pqsec_pki.trial.installation import Installation
-from pqsec_pki.trial.peer import Act, PeerOutcome, Role
-from pqsec_pki.trial.plugin import Plugin
+from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
+from pqsec_pki.trial.plugin import TrialPlugin
 from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
 from pqsec_pki.trial.topics import TopicRoute
-from pqsec_pki.vendors import Enclave, Options, export, stack_named, write
+from pqsec_pki.vendors import Options, StackEnclave, export, stack_named, write
 
 UNAUTHENTICATED = "a participant without credentials"
 _IN_MEMORY = Path("/dev/shm")  # noqa: S108 -- writable for all like /tmp, and used like it
@@ -37,7 +37,7 @@ class Trial:
     """Of the participants' keys, if they are encrypted."""
     anyway: bool = False
     """Whether to try credentials that the stack is known to refuse."""
-    plugin: Plugin | None = None
+    plugin: TrialPlugin | None = None
     """pqsec's plugin, if it is to run in the stack."""
     stock: tuple[str, ...] = ()
     """Participants that run the stack's own plugins nevertheless."""
@@ -47,13 +47,13 @@ class Trial:
         """The stack of who does that."""
         return (act is Act.RECEIVE and self.receiving) or self.installation
 
-    def plugin_of(self, name: str) -> Plugin | None:
+    def plugin_of(self, name: str) -> TrialPlugin | None:
         """The plugin that this participant runs; None for the stack's own."""
         return None if regular_name(name) in map(regular_name, self.stock) else self.plugin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class TrialReport:
     """The result of a trial."""
 
     installations: tuple[Installation, ...]
@@ -89,7 +89,7 @@ class Report:
         return True if wire.readable else None if wire.lost else False
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[LogFinding, ...]:
         """Why the trial failed; empty if it did not."""
         if self.accepted:
             return ()
@@ -119,12 +119,12 @@ def refuse_untrusted(keystore: Keystore, names: Iterable[str], now: datetime) ->
 
     For a check before `topic_route` reads their documents; `run_trial` refuses them too.
     """
-    problems = [each for name in names for each in Enclave.find(keystore, name).refusals(now)]
+    problems = [each for name in names for each in StackEnclave.find(keystore, name).refusals(now)]
     if problems:
         raise VerificationError(*problems, hint="`pqsec check` shows more; --anyway tries them")
 
 
-def run_trial(trial: Trial, topic_route: TopicRoute) -> Report:
+def run_trial(trial: Trial, topic_route: TopicRoute) -> TrialReport:
     """Run the two participants and an unauthenticated one on this machine, a process each.
 
     VerificationError if the credentials cannot be trusted or the stack is known to refuse them
@@ -149,7 +149,7 @@ def run_trial(trial: Trial, topic_route: TopicRoute) -> Report:
         )
         trial_run = run_peers(setup, roles)
     sender, receiver, third = trial_run.outcomes
-    return Report(
+    return TrialReport(
         installations=(installation, trial.receiving) if trial.receiving else (installation,),
         topic_route=topic_route,
         sender=sender,
@@ -168,7 +168,7 @@ def _in_memory() -> Path | None:
     return _IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None
 
 
-def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = "") -> Role:
+def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = "") -> TrialRole:
     """The role of a participant of the keystore, configured by `pqsec export`.
 
     Its configuration is written into `folder`, one for each act.
@@ -186,7 +186,7 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
     made = export(stack, trial.keystore, name, options, now=trial.now)
     place = folder / act.value
     write(made, place)
-    return Role(
+    return TrialRole(
         name=made.participant,
         act=act,
         text=text,
@@ -196,12 +196,14 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
     )
 
 
-def unauthenticated(installation: Installation, act: Act, folder: Path, text: str = "") -> Role:
+def unauthenticated(
+    installation: Installation, act: Act, folder: Path, text: str = ""
+) -> TrialRole:
     """The role of a participant without credentials; its configuration goes into `folder`."""
     build = installation.build
     path = folder / build.open
     path.write_bytes(source(build.open))
     environment = {build.variable: str(path)}
-    return Role(
+    return TrialRole(
         name=UNAUTHENTICATED, act=act, text=text, environment=environment, unauthenticated=True
     )

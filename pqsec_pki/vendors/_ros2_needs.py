@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Self
 
 from pqsec_pki._files import read
-from pqsec_pki.access import Action, Policy, Question
+from pqsec_pki.access import Action, InterpretedPolicy, Question
 from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from pqsec_pki.documents import (
     Governance,
@@ -20,7 +20,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import MalformedError, located
 from pqsec_pki.keystore import load_certificate
 from pqsec_pki.smime import document_in
-from pqsec_pki.vendors.enclave import Enclave
+from pqsec_pki.vendors.enclave import StackEnclave
 
 _PART = "[A-Za-z_][A-Za-z0-9_]*"
 _REPLIES = [t.rpartition("/")[2] for t in ros.node_minimum("/n").publish if t.startswith("rr/")]
@@ -40,7 +40,7 @@ class Needs:
     permissions: Permissions
 
     @classmethod
-    def of(cls, enclave: Enclave) -> Self:
+    def of(cls, enclave: StackEnclave) -> Self:
         """From the files of the enclave; the error for an unreadable file names it."""
         documents = {}
         for name in (GOVERNANCE, PERMISSIONS):
@@ -60,8 +60,8 @@ class Needs:
         return next((g for g in self.permissions.grants if _is_for(g, own)), None)
 
     @cached_property
-    def _policy(self) -> Policy:
-        return Policy(self.governance, self.permissions)
+    def _policy(self) -> InterpretedPolicy:
+        return InterpretedPolicy(self.governance, self.permissions)
 
     def may(self, action: Action, domain: int, topic: str | None = None) -> str:
         """Why it may not do that while the grant is valid; empty if it may."""

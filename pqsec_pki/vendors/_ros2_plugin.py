@@ -14,7 +14,7 @@ from pqsec_pki.credentials import ALT_KEY, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.plugin.settings import FILE as SETTINGS
 from pqsec_pki.vendors import _preload, own_plugin
-from pqsec_pki.vendors.enclave import Enclave
+from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.export import Options
 from pqsec_pki.vendors.own_plugin import FASTRTPS, PATH, folder_in
 from pqsec_pki.vendors.ros2_check import Check
@@ -54,7 +54,7 @@ def notes(options: Options) -> tuple[str, ...]:
     return (*_NOTES[middleware(options)], own_plugin.NOTE)
 
 
-def assignments(enclave: Enclave, options: Options) -> tuple[str, ...]:
+def assignments(enclave: StackEnclave, options: Options) -> tuple[str, ...]:
     """Those that keep what was there, in the words of a shell.
 
     UsageError for a folder that the loader cannot be told of.
@@ -75,7 +75,7 @@ def assignments(enclave: Enclave, options: Options) -> tuple[str, ...]:
     return (first, more) if enclave.has_large_handshake else (first,)
 
 
-def files(enclave: Enclave) -> Iterator[Path]:
+def files(enclave: StackEnclave) -> Iterator[Path]:
     """The files of the enclave that only the plugin reads."""
     yield from (path for name in EXTRA if (path := enclave.folder / name).is_file())
 

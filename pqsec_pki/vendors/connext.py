@@ -6,7 +6,7 @@ not run. Connext replaces $(NAME) in a value by the variable.
 
 from pqsec_pki.errors import UsageError
 from pqsec_pki.vendors._render import render
-from pqsec_pki.vendors.enclave import Enclave, password_note, standard_properties
+from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
 from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 FILE = "connext.xml"
@@ -22,7 +22,7 @@ _NO_CRL = (
 )
 
 
-def export(enclave: Enclave, options: Options) -> Export:
+def export(enclave: StackEnclave, options: Options) -> Export:
     """The file of profiles, and the environment variable that names it."""
     properties = LOADING | standard_properties(enclave)
     if _VARIABLE in "".join([*properties.values(), options.password or ""]):

@@ -33,7 +33,7 @@ _CYCLONE = "libddsc.so"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plugin:
+class CyclonePlugin:
     """One of the plugins, and the Cyclone DDS that it belongs to."""
 
     path: Path
@@ -64,16 +64,16 @@ def agree(one: Version, other: Version) -> bool:
     return all(a == b for a, b in zip(one, other, strict=False))
 
 
-def read_plugin(path: Path) -> Plugin:
+def read_plugin(path: Path) -> CyclonePlugin:
     """The plugin at `path`; FileError if it cannot be read, MalformedError if not a library."""
     return _plugin(read_library(path))
 
 
-def _plugin(found: Library) -> Plugin:
+def _plugin(found: Library) -> CyclonePlugin:
     soname = next((each for each in found.needed if each.startswith(_CYCLONE)), "")
     places = (found.path.parent / soname, found.path.parent.parent / soname)
     library = next((each.resolve() for each in places if soname and each.is_file()), None)
-    return Plugin(path=found.path, soname=soname, library=library)
+    return CyclonePlugin(path=found.path, soname=soname, library=library)
 
 
 def plugins_in(folder: Path) -> dict[str, Path]:
@@ -81,7 +81,7 @@ def plugins_in(folder: Path) -> dict[str, Path]:
     return {kind: folder / f"lib{name}.so" for kind, name in NAMES.items()}
 
 
-def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
+def installed(root: Path) -> Iterator[tuple[Path, CyclonePlugin]]:
     """The folders below `root` that have all plugins, each with its first one.
 
     Folders that the user may not read are skipped, as are files that are not libraries or are for
@@ -95,13 +95,15 @@ def installed(root: Path) -> Iterator[tuple[Path, Plugin]]:
                 yield folder, _plugin(libraries[0])
 
 
-def installed_plugins(root: Path, fits: Callable[[Plugin], bool] = lambda _: True) -> Path | None:
+def installed_plugins(
+    root: Path, fits: Callable[[CyclonePlugin], bool] = lambda _: True
+) -> Path | None:
     """The one folder below `root` with plugins that fit; None where there is none, or several."""
     found = [folder for folder, plugin in installed(root) if fits(plugin)]
     return found[0] if len(found) == 1 else None
 
 
-def mixed(plugins: Collection[Plugin], release: Version) -> str:
+def mixed(plugins: Collection[CyclonePlugin], release: Version) -> str:
     """What is wrong with loading them into one process of that version; empty if nothing is."""
     for each in plugins:
         if not agree(each.release, release):

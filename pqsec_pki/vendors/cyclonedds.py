@@ -23,7 +23,7 @@ from pqsec_pki.vendors.cyclone_plugins import (
     plugins_in,
     read_plugin,
 )
-from pqsec_pki.vendors.enclave import Enclave, password_note
+from pqsec_pki.vendors.enclave import StackEnclave, password_note
 from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 FILE = "cyclonedds.xml"
@@ -36,7 +36,7 @@ _MIXED = (
 )
 
 
-def export(enclave: Enclave, options: Options) -> Export:
+def export(enclave: StackEnclave, options: Options) -> Export:
     """CYCLONEDDS_URI and the file that it names."""
     if changed := set(str(enclave.at)) & CHANGED:
         raise UsageError(
@@ -120,7 +120,7 @@ def _unlocated(options: Options) -> str:
     return f"{note}; seen here: {others}{choice}" if others else note
 
 
-def _password(enclave: Enclave, options: Options) -> str | None:
+def _password(enclave: StackEnclave, options: Options) -> str | None:
     """The value of <Password>; without the variable, the process stops with this message."""
     if not enclave.key_is_encrypted:
         return None

@@ -33,7 +33,7 @@ SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Enclave:
+class StackEnclave:
     """The files of one participant."""
 
     name: str
@@ -120,14 +120,14 @@ def _refuse_incomplete(folder: Path, name: str, *, without: Collection[str]) -> 
         )
 
 
-def password_note(enclave: Enclave, options: Options) -> tuple[str, ...]:
+def password_note(enclave: StackEnclave, options: Options) -> tuple[str, ...]:
     """A note if the key is encrypted and the stack reads its passphrase from the environment."""
     if not enclave.key_is_encrypted or options.password is not None:
         return ()
     return (f"the key is encrypted: set {PASSWORD_VARIABLE} to its passphrase",)
 
 
-def standard_properties(enclave: Enclave) -> dict[str, str]:
+def standard_properties(enclave: StackEnclave) -> dict[str, str]:
     """The properties of a participant by their names in DDS-Security 1.1 (9.3.1, 9.4.1)."""
     return {
         "dds.sec.auth.identity_ca": enclave.uri(IDENTITY_CA),

@@ -24,7 +24,7 @@ from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import Finding, Severity
 from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors._render import render
-from pqsec_pki.vendors.enclave import Enclave
+from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.export import FOLDER, Export, Options
 
 FILE = "fastdds.xml"
@@ -43,7 +43,7 @@ _UNREAD = "Fast DDS runs unsecured, with a message only, where it cannot read th
 _REPLACED = re.compile(r"\$\{[A-Z_][A-Z0-9_]*\}")
 
 
-def export(enclave: Enclave, options: Options) -> Export:
+def export(enclave: StackEnclave, options: Options) -> Export:
     """The file of profiles, and the variable that names it to the process."""
     generations = [options.release[0]] if options.release else [2, 3]
     properties = _properties(enclave, options)
@@ -89,7 +89,7 @@ def severity(finding: Finding, options: Options) -> Severity | None:
     return Severity.WARNING if may_be else None
 
 
-def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
+def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
     found = {
         "dds.sec.auth.plugin": "builtin.PKI-DH",
         f"{_AUTH}.identity_ca": enclave.uri(IDENTITY_CA),

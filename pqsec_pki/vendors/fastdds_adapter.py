@@ -161,7 +161,7 @@ def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool =
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Installed:
+class InstalledAdapter:
     """An adapter that is installed, and the library that it was compiled for."""
 
     library: Path
@@ -186,7 +186,7 @@ class Installed:
         return "" if self.python.is_file() else f"{self.python} is gone"
 
 
-def installed(folder: Path) -> list[Installed]:
+def installed(folder: Path) -> list[InstalledAdapter]:
     """Those in `folder`; a record that cannot be read is left out."""
     found = []
     for path in sorted(folder.glob(RECORD.format("*"))):
@@ -196,7 +196,7 @@ def installed(folder: Path) -> list[Installed]:
             if path.name == RECORD.format(build) and (folder / ADAPTER.format(build)).is_file():
                 release = tuple(int(number) for number in value["version"])
                 found.append(
-                    Installed(
+                    InstalledAdapter(
                         library=Path(str(value["library"])),
                         build=build,
                         release=release,

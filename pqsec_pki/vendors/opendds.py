@@ -12,7 +12,7 @@ from pqsec_pki.documents import Governance, ProtectionKind
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.smime import document_in
 from pqsec_pki.vendors._render import render
-from pqsec_pki.vendors.enclave import Enclave, password_note, standard_properties
+from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
 from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 INI, HEADER = "opendds.ini", "pqsec_participant.h"
@@ -30,7 +30,7 @@ _WRONG = (
 )
 
 
-def export(enclave: Enclave, options: Options) -> Export:
+def export(enclave: StackEnclave, options: Options) -> Export:
     """The ini file and the header."""
     if options.password is not None:
         raise UsageError(
@@ -67,7 +67,7 @@ def export(enclave: Enclave, options: Options) -> Export:
     )
 
 
-def _unprotectable(enclave: Enclave, options: Options) -> str:
+def _unprotectable(enclave: StackEnclave, options: Options) -> str:
     """What OpenDDS of that version, or of any version if none is given, cannot protect."""
     if options.release[:2] >= PROTECTS_RTPS:
         return ""

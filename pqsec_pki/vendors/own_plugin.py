@@ -14,7 +14,7 @@ from pqsec_pki.credentials import KEY, REVOCATION_LIST
 from pqsec_pki.errors import FileError, PqsecError, VerificationError
 from pqsec_pki.lint import Finding, Severity, Target
 from pqsec_pki.plugin import LIBRARY, NAMES
-from pqsec_pki.vendors.enclave import Enclave, standard_properties
+from pqsec_pki.vendors.enclave import StackEnclave, standard_properties
 from pqsec_pki.vendors.export import Options
 
 FASTRTPS = "fastrtps"
@@ -59,7 +59,7 @@ def is_of_others(finding: Finding) -> bool:
     return bool(stacks) and stacks != {Target.ROS2}
 
 
-def refusal(enclave: Enclave, options: Options, now: datetime) -> VerificationError | None:
+def refusal(enclave: StackEnclave, options: Options, now: datetime) -> VerificationError | None:
     """What our plugin has against the participant, if it is to run at all.
 
     It is not asked about a key that is on its robot, or locked here.
@@ -74,7 +74,7 @@ def refusal(enclave: Enclave, options: Options, now: datetime) -> VerificationEr
     return None
 
 
-def _ask(enclave: Enclave, options: Options, now: datetime) -> None:
+def _ask(enclave: StackEnclave, options: Options, now: datetime) -> None:
     from pqsec_pki.plugin.access_control import AccessControl  # noqa: PLC0415 -- heavy
     from pqsec_pki.plugin.credentials import Properties  # noqa: PLC0415 -- likewise
     from pqsec_pki.plugin.identity import Local  # noqa: PLC0415 -- likewise
@@ -85,7 +85,7 @@ def _ask(enclave: Enclave, options: Options, now: datetime) -> None:
     AccessControl(lambda: now).validate_local_permissions(0, _ANY_DOMAIN, "/", pairs)
 
 
-def _properties(enclave: Enclave, options: Options) -> dict[str, str]:
+def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
     """As the stack will give them, of the files where they are now."""
     here = replace(enclave, at=PurePosixPath(enclave.folder))
     found = standard_properties(here)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trust:
+class OverlapSupport:
     """How a stack treats two identity CAs."""
 
     stack: str
@@ -25,16 +25,16 @@ class Trust:
 _FILE = "both certificates in the file identity_ca, as an overlap writes it"
 
 TRUST = (
-    Trust(stack="Fast DDS 2.9.1, 3.1.2", how=_FILE, evidence="measured, in any order"),
-    Trust(stack="Cyclone DDS with pqsec's plugin", how=_FILE, evidence="measured"),
-    Trust(
+    OverlapSupport(stack="Fast DDS 2.9.1, 3.1.2", how=_FILE, evidence="measured, in any order"),
+    OverlapSupport(stack="Cyclone DDS with pqsec's plugin", how=_FILE, evidence="measured"),
+    OverlapSupport(
         stack="Cyclone DDS 0.10.2, 0.10.5",
         how=None,
         evidence="measured: the first in the file counts, and no configuration file can name a"
         " folder of CAs (TrustedCADirectory), because it names a revocation list too, if an"
         " empty one; an application that sets the properties itself can",
     ),
-    Trust(
+    OverlapSupport(
         stack="OpenDDS 3.13.3",
         how=None,
         evidence="measured: the first certificate in the file counts",

@@ -28,7 +28,7 @@ from pqsec_pki.vendors._ros2_environment import (
 )
 from pqsec_pki.vendors._ros2_needs import Needs
 from pqsec_pki.vendors._ros2_plugin import CYCLONE, RMW
-from pqsec_pki.vendors.enclave import SIX, Enclave
+from pqsec_pki.vendors.enclave import SIX, StackEnclave
 from pqsec_pki.vendors.export import Export, Options
 from pqsec_pki.vendors.ros2_check import Check
 
@@ -41,7 +41,7 @@ FAST_DDS_NOTE = (
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 
 
-def export(enclave: Enclave, options: Options) -> Export:
+def export(enclave: StackEnclave, options: Options) -> Export:
     """The script; and with `options.at` the enclave's files too, for another machine.
 
     UsageError for a name that ROS 2 does not accept, a passphrase, and an `at` that is not the
@@ -98,7 +98,7 @@ def preflight(
     yield from _ros2_plugin.loaded(variables, name)
     try:
         _refuse_name(name)
-        enclave = Enclave.find(keystore, name)
+        enclave = StackEnclave.find(keystore, name)
         needs = Needs.of(enclave)
     except PqsecError as error:
         yield Check(what="files", problem=str(error), fix=error.hint or "")
@@ -117,7 +117,7 @@ def _refuse_name(name: str) -> None:
         )
 
 
-def _keystore(enclave: Enclave) -> PurePosixPath:
+def _keystore(enclave: StackEnclave) -> PurePosixPath:
     """Where the keystore will be; UsageError if `at` is not an enclave's folder."""
     here = f"enclaves{enclave.name}"
     keystore = PurePosixPath(*enclave.at.parts[: -len(PurePosixPath(here).parts)])
@@ -129,7 +129,7 @@ def _keystore(enclave: Enclave) -> PurePosixPath:
     return keystore
 
 
-def _copies(enclave: Enclave, options: Options) -> dict[str, Path]:
+def _copies(enclave: StackEnclave, options: Options) -> dict[str, Path]:
     """The files of the enclave that ROS 2 or the plugin reads, and no others."""
     files = [
         enclave.folder / name for name in ((*SIX, REVOCATION_LIST) if enclave.has_crl else SIX)
@@ -139,7 +139,7 @@ def _copies(enclave: Enclave, options: Options) -> dict[str, Path]:
     return {f"enclaves{enclave.name}/{file.name}": file for file in files}
 
 
-def _notes(enclave: Enclave, keystore: str, options: Options) -> Iterator[str]:
+def _notes(enclave: StackEnclave, keystore: str, options: Options) -> Iterator[str]:
     if options.at:
         yield f"with -o DIR, copy what is in DIR to {keystore} there"
     if options.plugin:
@@ -156,7 +156,7 @@ def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
     return wanted if wanted in needs.domains else needs.domains[0]
 
 
-def _credentials(enclave: Enclave, options: Options, now: datetime) -> Iterator[Check]:
+def _credentials(enclave: StackEnclave, options: Options, now: datetime) -> Iterator[Check]:
     """Findings of `pqsec check` that ROS 2, a stack below it or our plugin refuses."""
     report = check([enclave.folder], now=now, targets=[Target.ROS2])
     errors = [

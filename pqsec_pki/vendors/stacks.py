@@ -10,7 +10,7 @@ from pqsec_pki.lint import Finding, Severity, Target, check
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors import own_plugin
-from pqsec_pki.vendors.enclave import Enclave
+from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.export import Export, Options, Version
 from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 
@@ -45,7 +45,7 @@ class Stack:
     evidence: str
     """How it is known that the stack accepts the export."""
 
-    def make(self, enclave: Enclave, options: Options) -> Export:
+    def make(self, enclave: StackEnclave, options: Options) -> Export:
         """The export, unchecked; UsageError for an option that the stack cannot have."""
         if options.loopback and not self.knows_loopback:
             able = ", ".join(each.name for each in STACKS if each.knows_loopback)
@@ -152,7 +152,7 @@ def export(
     stack.refuse_unknown(options)
     _refuse_place(stack, options)
     _refuse_plugin(stack, options)
-    enclave = Enclave.find(keystore, name, options.at)
+    enclave = StackEnclave.find(keystore, name, options.at)
     if options.password is not None and not enclave.key_is_encrypted:
         raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
     made = stack.make(enclave, options)

@@ -18,8 +18,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
     governance_to_yaml,
     permissions_to_yaml,
 )
@@ -51,7 +51,7 @@ def grant(*rules, subject="CN=/robot", days=300):
 
 def rule(*topics, allow=True, domains=ZERO, partitions=()):
     criteria = Criteria(topics=topics, partitions=partitions)
-    return Rule(allow=allow, domains=domains, publish=(criteria,))
+    return PermissionRule(allow=allow, domains=domains, publish=(criteria,))
 
 
 def permissions(*rules, **more):

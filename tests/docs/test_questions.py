@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Question, Side, decide
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Question, Viewpoint, decide
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -89,7 +89,7 @@ def test_who_differs_from_the_standard_is_said_to(name):
     question = Question(now=NOW, **asked)
     answers = {
         interpretation.title: decide(
-            governance, permissions, question, interpretation, by=Side.PEER
+            governance, permissions, question, interpretation, by=Viewpoint.PEER
         ).allowed
         for interpretation in INTERPRETATIONS
     }

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from pqsec_pki.access import INTERPRETATIONS, SPEC, Side
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Viewpoint
 from pqsec_pki.lint import RULES
 from tests.docs.rules_page import MEASURED, PAGE, is_refused, page, rules_of
 from tests.docs.stack_differences import HABITS
@@ -39,7 +39,7 @@ def test_rules_stand_on_rows_that_were_measured():
 def parts(interpretation):
     """The reading, by the names that habits have for its fields."""
     found = {field: getattr(interpretation, field) for field in FIELDS}
-    for side in Side:
+    for side in Viewpoint:
         found |= {
             f"join {side}": interpretation.join[side],
             f"use {side}": interpretation.use[side],

@@ -12,7 +12,7 @@ from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES
 from pqsec_pki.algorithms._agreement import Hybrid
 from pqsec_pki.algorithms._composite import _PREFIX as COMPOSITE_PREFIX
 from pqsec_pki.algorithms._composite import Composite
-from pqsec_pki.algorithms._pair import Pair
+from pqsec_pki.algorithms._pair import SignaturePair
 from pqsec_pki.attacks import ATTACKS
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.handshake import (
@@ -253,7 +253,7 @@ def test_pairs():
     keys = named()
     for row in WIRE.table("Plain key", "Alternative key"):
         alternative = keys[row["Alternative key"]]
-        pair = Pair.of(keys[row["Plain key"]], alternative)
+        pair = SignaturePair.of(keys[row["Plain key"]], alternative)
         assert row["c.dsign_algo"] == pair.wire_name
         assert number(row["Alternative's, octets"]) == alternative.signature_size
         assert number(row["Whole signature, octets"]) == pair.signature_size

@@ -16,7 +16,7 @@ from pqsec_pki.handshake import (
     Done,
     Final,
     Identity,
-    Policy,
+    PeerRequirements,
     Reply,
     ReplySent,
     Request,
@@ -29,7 +29,7 @@ from pqsec_pki.handshake import (
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 DAY = timedelta(days=1)
-EVERYTHING = Policy(agreements=tuple(KEY_AGREEMENTS))
+EVERYTHING = PeerRequirements(agreements=tuple(KEY_AGREEMENTS))
 ENTITY = b"\0\0\1\xc1"
 KEYS_OF = {"alice": "hers", "carol": "hers", "bob": "his", "dave": "his"}
 

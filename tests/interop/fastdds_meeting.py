@@ -15,8 +15,8 @@ from pqsec_pki.handshake import (
     Final,
     Identity,
     IdentityToken,
+    PeerRequirements,
     PermissionsToken,
-    Policy,
     Reply,
     Request,
     Terms,
@@ -30,7 +30,7 @@ from tests.interop.fastdds import Participant, participant
 DOMAIN = 0
 ECDH = KEY_AGREEMENTS.named("ecdh-p256")
 MODP = KEY_AGREEMENTS.named("dh-modp-2048-256")
-CLASSICAL = Policy(agreements=(ECDH, MODP))
+CLASSICAL = PeerRequirements(agreements=(ECDH, MODP))
 
 
 @contextmanager

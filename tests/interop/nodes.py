@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from pqsec_pki.trial import Role, TrialRun, TrialSetup, run_peers
+from pqsec_pki.trial import TrialRole, TrialRun, TrialSetup, run_peers
 from pqsec_pki.trial.network import alone
 from pqsec_pki.trial.peer import PeerOutcome, running_peer
 from tests.interop.ros2 import Ros2
@@ -99,7 +99,7 @@ class Nodes:
         text: str = "",
         unauthenticated: bool = False,
         **more: str,
-    ) -> Role:
+    ) -> TrialRole:
         """A process with these nodes, after a shell has read `script`; `more` are variables.
 
         Its enclave is called as the first node, unless it is said.
@@ -119,7 +119,7 @@ class Nodes:
             "NODE_ARGUMENTS": f"--ros-args --enclave {enclave or nodes[0]}" if script else "",
         }
         variables |= more
-        return Role(
+        return TrialRole(
             name=nodes[0],
             act=does,
             text=text,
@@ -127,17 +127,19 @@ class Nodes:
             unauthenticated=unauthenticated,
         )
 
-    def run_peers(self, *roles: Role, topic: str = TOPIC, seconds: float = PATIENCE) -> TrialRun:
+    def run_peers(
+        self, *roles: TrialRole, topic: str = TOPIC, seconds: float = PATIENCE
+    ) -> TrialRun:
         """How it went, until the first process that is no stranger ended."""
         scene = TrialSetup(program=self._program, domain=0, topic=topic, timeout=seconds)
         return run_peers(scene, roles)
 
-    def one(self, role: Role, seconds: float = 0.2) -> PeerOutcome:
+    def one(self, role: TrialRole, seconds: float = 0.2) -> PeerOutcome:
         """What becomes of one process, for itself."""
         return self.beside(None, [role], seconds)[0]
 
     def beside(
-        self, constant: Role | None, roles: Sequence[Role], *seconds: float
+        self, constant: TrialRole | None, roles: Sequence[TrialRole], *seconds: float
     ) -> list[PeerOutcome]:
         """What becomes of one process after the other, while `constant` goes on.
 
@@ -157,7 +159,7 @@ class Nodes:
                     outcomes.append(peer.outcome)
             return outcomes + ([first.outcome] if first else [])
 
-    def _playing(self, role: Role, seconds: float):
+    def _playing(self, role: TrialRole, seconds: float):
         return running_peer(self._program, role, domain=0, topic=TOPIC, seconds=seconds)
 
     @property

@@ -16,9 +16,9 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
     ProtectionKind,
-    Rule,
     TopicRule,
 )
 
@@ -106,8 +106,8 @@ class Maker:
             data_tags=self._some(lambda: ("kind", "test"), 0, 1),
         )
 
-    def _rule(self) -> Rule:
-        return Rule(
+    def _rule(self) -> PermissionRule:
+        return PermissionRule(
             allow=self._evenly() or self._evenly(),
             domains=self._domains(),
             publish=self._some(self._criteria, 0, 2),

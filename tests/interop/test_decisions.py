@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
 
-from pqsec_pki.access import CYCLONEDDS, FASTDDS, Action, Question, Side, decide
+from pqsec_pki.access import CYCLONEDDS, FASTDDS, Action, Question, Viewpoint, decide
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
 from pqsec_pki.documents.domains import MAX_DOMAIN_ID
@@ -131,8 +131,8 @@ def test_a_stack_answers_as_its_reading(witness):
         for domain in DOMAINS:
             with witness(*documents, domain) as stack:
                 for question in questions(SUBJECT, domain, witness.interpretation):
-                    tally.compare(*documents, question, Side.OWN, stack.own(question))
-                    tally.compare(*documents, question, Side.PEER, stack.peer(question))
+                    tally.compare(*documents, question, Viewpoint.OWN, stack.own(question))
+                    tally.compare(*documents, question, Viewpoint.PEER, stack.peer(question))
     assert min(tally.answers[True], tally.answers[False]) > 30 * POLICIES, tally.answers
 
 
@@ -147,7 +147,7 @@ def test_a_stack_finds_the_grants_of_a_subject_as_its_reading(witness, folder, n
         for spelling in (subject, *SPELLINGS):
             permissions = Permissions(grants=(anything_for(spelling, now),))
             with witness(governance, permissions, 0) as stack:
-                tally.compare(governance, permissions, question, Side.OWN, stack.own(question))
+                tally.compare(governance, permissions, question, Viewpoint.OWN, stack.own(question))
     assert tally.answers[True] > len(SUBJECTS), tally.answers
 
 
@@ -176,8 +176,10 @@ def test_a_stack_finds_a_domain_in_a_range_as_its_reading(witness, now, whose):
             asked = {"subject": SUBJECT, "domain": domain, "now": now}
             question = Question(action=Action.PUBLISH, topic="a", **asked)
             with witness(governance, permissions, domain) as stack:
-                tally.compare(governance, permissions, question, Side.OWN, stack.own(question))
-                tally.compare(governance, permissions, question, Side.PEER, stack.peer(question))
+                tally.compare(governance, permissions, question, Viewpoint.OWN, stack.own(question))
+                tally.compare(
+                    governance, permissions, question, Viewpoint.PEER, stack.peer(question)
+                )
     assert min(tally.answers[True], tally.answers[False]) > len(DOMAINS), tally.answers
 
 

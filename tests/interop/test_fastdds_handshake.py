@@ -12,8 +12,8 @@ from pqsec_pki.handshake import (
     DataHolder,
     IdentityToken,
     KeyMaterial,
+    PeerRequirements,
     PermissionsToken,
-    Policy,
     Sender,
     adjusted_guid,
     initiates,
@@ -103,7 +103,7 @@ class ShortSecret(type(MODP)):
 
 def test_a_dh_modp_secret_that_begins_with_a_zero_is_hashed_without_it(meet_fastdds, now):
     row = ShortSecret(**{each.name: getattr(MODP, each.name) for each in fields(MODP)})
-    both = meet_fastdds(we="alice", policy=Policy(agreements=(row,)))
+    both = meet_fastdds(we="alice", policy=PeerRequirements(agreements=(row,)))
     both.agree(*both.fastdds_begins(now))
 
 
@@ -190,8 +190,8 @@ def test_fastdds_refuses_a_post_quantum_request_as_documented(meet_fastdds, now)
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        (Policy(agreements=(HYBRID,)), "asks for 'DH"),
-        (Policy(agreements=(MODP,), require_alternative=True), "c.dsign_algo"),
+        (PeerRequirements(agreements=(HYBRID,)), "asks for 'DH"),
+        (PeerRequirements(agreements=(MODP,), require_alternative=True), "c.dsign_algo"),
     ],
     ids=["key agreement", "alternative signature"],
 )

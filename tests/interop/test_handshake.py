@@ -20,7 +20,7 @@ from pqsec_pki.handshake import (
     Final,
     Identity,
     IdentityToken,
-    Policy,
+    PeerRequirements,
     Reply,
     Request,
     Terms,
@@ -131,7 +131,7 @@ def sides(plugins, labs):
             theirs = dict(meeting.auth_request.binary) if meeting.auth_request else {}
             terms = Terms(
                 own=own,
-                policy=Policy(agreements=(ECDH, MODP)),
+                policy=PeerRequirements(agreements=(ECDH, MODP)),
                 discovered=Discovered(guid=other.guid, **theirs),
                 announced=announced,
             )
@@ -214,8 +214,8 @@ def test_cyclone_refuses_a_post_quantum_request_as_documented(sides):
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        (Policy(agreements=(HYBRID,)), "asks for 'ECDH"),
-        (Policy(agreements=(ECDH,), require_alternative=True), "c.dsign_algo"),
+        (PeerRequirements(agreements=(HYBRID,)), "asks for 'ECDH"),
+        (PeerRequirements(agreements=(ECDH,), require_alternative=True), "c.dsign_algo"),
     ],
     ids=["key agreement", "alternative signature"],
 )

@@ -24,9 +24,9 @@ from pqsec_pki.trial import (
     Act,
     Installation,
     MissingStackError,
-    Plugin,
     TopicRoute,
     Trial,
+    TrialPlugin,
     TrialSetup,
     built,
     credentialed,
@@ -86,7 +86,7 @@ class Fleet:
     rounds: dict[str, Path]
     folder: Path
     now: object
-    plugin: Plugin | None = None
+    plugin: TrialPlugin | None = None
     anyway: bool = False
     """Whether to run what an export is not made of."""
 

@@ -9,7 +9,7 @@ from pqsec_pki.handshake import (
     DataHolder,
     Final,
     IdentityToken,
-    Policy,
+    PeerRequirements,
     Reply,
     Request,
     Terms,
@@ -69,7 +69,7 @@ def bob(labs):
 
 
 def terms(row, own, **how):
-    return Terms(own=own, policy=Policy(agreements=row.agreements), **how)
+    return Terms(own=own, policy=PeerRequirements(agreements=row.agreements), **how)
 
 
 def test_a_request_and_a_final_are_written_as_the_stack_does(stack, labs, alice, bob):

@@ -23,9 +23,9 @@ from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import (
     Act,
     Installation,
-    Report,
     TopicRoute,
     Trial,
+    TrialReport,
     TrialRun,
     TrialSetup,
     built,
@@ -249,7 +249,7 @@ class Runs:
         self._begun = {key: pool.submit(self._run, *key) for key in keys}
         self._strangers = {each: pool.submit(self._stranger, each) for each in installations}
 
-    def report(self, stack: str, name: str) -> Report:
+    def report(self, stack: str, name: str) -> TrialReport:
         return self._begun[stack, name].result(PATIENCE)
 
     def unauthenticated(self, stack: str) -> TrialRun:
@@ -260,7 +260,7 @@ class Runs:
         """Seconds after which two who have not met will not; many times what it takes them."""
         return max(LEAST_WAIT, 6 * self.report(stack, CONTROL).trial_run.seconds)
 
-    def _run(self, stack: str, name: str) -> Report:
+    def _run(self, stack: str, name: str) -> TrialReport:
         case, installation = CASES[name], self._installations[stack]
         good = case.expected(installation) is None
         # `anyway`, for what an export would refuse too.
@@ -298,7 +298,7 @@ def table(runs: Runs, installations: Mapping[str, Installation]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def cell(report: Report, case: Case) -> str:
+def cell(report: TrialReport, case: Case) -> str:
     """What came of a case, for the table."""
     if report.accepted:
         return (

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Question, Side, decide
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Question, Viewpoint, decide
 from pqsec_pki.access import _patterns as patterns
 from pqsec_pki.documents import (
     Criteria,
@@ -17,8 +17,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 from pqsec_pki.errors import PqsecError
 
@@ -40,7 +40,12 @@ CRITERIA = st.builds(
 )
 SOME = st.lists(CRITERIA, max_size=2).map(tuple)
 RULES = st.builds(
-    Rule, allow=st.booleans(), domains=st.just(ALL), publish=SOME, subscribe=SOME, relay=SOME
+    PermissionRule,
+    allow=st.booleans(),
+    domains=st.just(ALL),
+    publish=SOME,
+    subscribe=SOME,
+    relay=SOME,
 )
 GRANTS = st.builds(
     Grant,
@@ -88,7 +93,7 @@ def of(*grants):
 @given(GOVERNANCES, GRANTS, QUESTIONS, READING)
 def test_it_comes_to_that_if_both_sides_let_it(governance, grant, question, interpretation):
     both = decide(governance, of(grant), question, interpretation)
-    sides = [decide(governance, of(grant), question, interpretation, by=side) for side in Side]
+    sides = [decide(governance, of(grant), question, interpretation, by=side) for side in Viewpoint]
     assert both.allowed is all(side.allowed for side in sides)
 
 
@@ -107,7 +112,7 @@ def test_what_decided_is_in_the_documents(governance, grant, question, interpret
 
 @given(GOVERNANCES, GRANTS, QUESTIONS)
 def test_a_deny_rule_for_all_in_front_only_takes_away(governance, grant, question):
-    denying = Rule(
+    denying = PermissionRule(
         allow=False, domains=ALL, publish=EVERYTHING, subscribe=EVERYTHING, relay=EVERYTHING
     )
     before = decide(governance, of(grant), question)
@@ -117,7 +122,7 @@ def test_a_deny_rule_for_all_in_front_only_takes_away(governance, grant, questio
 
 @given(GOVERNANCES, GRANTS, QUESTIONS)
 def test_an_allow_rule_at_the_end_only_adds(governance, grant, question):
-    allowing = Rule(
+    allowing = PermissionRule(
         allow=True, domains=ALL, publish=EVERYTHING, subscribe=EVERYTHING, relay=EVERYTHING
     )
     before = decide(governance, of(grant), question)
@@ -160,7 +165,7 @@ def test_any_text_is_a_pattern(pattern, name):
 @given(ANY_TEXT.filter(bool), ANY_TEXT, ANY_TEXT, READING)
 def test_no_text_breaks_a_decision(topic, text, subject, interpretation):
     criteria = (Criteria(topics=(text,), partitions=(topic,)),)
-    rule = Rule(allow=True, domains=ALL, publish=criteria)
+    rule = PermissionRule(allow=True, domains=ALL, publish=criteria)
     try:
         grant = Grant(
             name=text,
@@ -178,7 +183,7 @@ def test_no_text_breaks_a_decision(topic, text, subject, interpretation):
 
 def test_the_standard_is_the_reading_unless_another_is_asked_for():
     question = Question(subject=SUBJECT, domain=0, action=Action.RELAY, topic="a", now=NOW)
-    rule = Rule(allow=True, domains=ALL, relay=EVERYTHING)
+    rule = PermissionRule(allow=True, domains=ALL, relay=EVERYTHING)
     grant = Grant.least(subject_name=SUBJECT, not_before=NOW, not_after=NOW + DAY, domains=ALL)
     permissions = of(replace(grant, rules=(rule,)))
     governance = Governance.protected(ALL)

@@ -22,8 +22,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 from tests.interop.policies import PARTITIONS, TOPIC_PATTERNS, Maker
 from tests.longer import examples, seeds
@@ -119,7 +119,7 @@ EXPRESSIONS = (("*",), ("?",), ("P*",), ("", "?*"), ("P", "Q?"))
 TAGS = tuple(("k", word) for word in WORDS)
 RULES = st.lists(
     st.builds(
-        lambda allow, partitions, tags: Rule(
+        lambda allow, partitions, tags: PermissionRule(
             allow=allow,
             domains=DomainSet(parts=(DomainRange(first=0),)),
             publish=(Criteria(topics=("a",), partitions=tuple(partitions), data_tags=tuple(tags)),),

@@ -17,9 +17,9 @@ from pqsec_pki.documents import (
     Governance,
     Grant,
     Kind,
+    PermissionRule,
     Permissions,
     ProtectionKind,
-    Rule,
     TopicRule,
     parse_subject,
     ros,
@@ -49,7 +49,7 @@ CRITERIA = st.builds(
 )
 ALL_CRITERIA = st.lists(CRITERIA, max_size=2).map(tuple)
 RULES = st.builds(
-    Rule,
+    PermissionRule,
     allow=st.booleans(),
     domains=DOMAINS,
     publish=ALL_CRITERIA,

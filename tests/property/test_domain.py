@@ -10,7 +10,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pqsec_pki.domain import Action, apply_plan, create_keystore, plan, read_domain
+from pqsec_pki.domain import StepAction, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore, audit
 from tests.longer import examples
@@ -41,7 +41,7 @@ MEDDLING = st.sampled_from(["cert.pem", "permissions.p7s", ""])
 ROUND = st.tuples(
     FILES,
     st.integers(0, 8),  # batches that are done before it is interrupted
-    st.permutations(list(Action)),  # and in which order of actions
+    st.permutations(list(StepAction)),  # and in which order of actions
     st.sampled_from([timedelta(0), 15 * DAY, 40 * DAY]),  # what passes until the next round
     st.sampled_from(NAMES),
     MEDDLING,
@@ -58,7 +58,7 @@ def interrupted(desired, keystore, now, count, order):
     """Only some batches, in another order than the plan's where that can be."""
     found = plan(desired, keystore, now=now)
     # A renewal carries on what was permitted, so it never comes first.
-    place = {action: n for n, action in enumerate([*order, Action.RENEW])}
+    place = {action: n for n, action in enumerate([*order, StepAction.RENEW])}
     steps = tuple(sorted(found.steps, key=lambda step: place[step.action]))
     batches = apply_plan(
         desired, keystore, keystore.unlock(None), replace(found, steps=steps), now=now

@@ -31,7 +31,7 @@ from pqsec_pki.handshake import (
     unprotect_payload,
     unprotect_submessage,
 )
-from pqsec_pki.handshake._cdr import Reader, Writer
+from pqsec_pki.handshake._cdr import CdrReader, CdrWriter
 from pqsec_pki.handshake.wire import MAX_PROPERTIES, MAX_TOKEN, MAX_TOKENS
 from tests.fuzz.messages import TARGETS
 from tests.fuzz.mutation import blindly
@@ -118,7 +118,7 @@ PAIRS = st.lists(st.tuples(NAMES, SMALL_BYTES), max_size=4)
 
 def read_by(how, data, start, order):
     """What comes out, and how much is left; None where it is refused."""
-    reader = Reader(data, order)
+    reader = CdrReader(data, order)
     reader.raw(start)
     try:
         return how(reader), reader.left
@@ -129,7 +129,7 @@ def read_by(how, data, start, order):
 @given(PAIRS, st.binary(max_size=5), st.integers(0, 200), st.binary(max_size=4), ORDERS)
 def test_pairs_in_one_go_are_pairs_one_by_one(pairs, head, at, octets, order):
     """Behind a head of any length, spoilt at any place, and cut there."""
-    writer = Writer(order)
+    writer = CdrWriter(order)
     writer.raw(head)
     writer.pairs(pairs)
     whole = writer.done()

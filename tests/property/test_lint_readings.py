@@ -10,7 +10,7 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, Policy, Question
+from pqsec_pki.access import INTERPRETATIONS, SPEC, Action, InterpretedPolicy, Question
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -18,8 +18,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 from pqsec_pki.lint import Target, check
 from tests.docs.stack_differences import HABITS
@@ -64,7 +64,7 @@ def permissions(chance):
         return chance.choice(PATTERNS)
 
     def rule():
-        return Rule(
+        return PermissionRule(
             allow=chance.random() < 0.6,
             domains=chance.choice(DOMAINS),
             publish=chosen(chance, 0, 1, criteria),
@@ -122,7 +122,7 @@ def test_a_stack_that_reads_otherwise_is_told_of(interpretation, tmp_path):
 
 def differs(policy, interpretation):
     """Whether the stack gives another answer than the standard to some question."""
-    one, other = Policy(*policy, SPEC), Policy(*policy, interpretation)
+    one, other = InterpretedPolicy(*policy, SPEC), InterpretedPolicy(*policy, interpretation)
     return any(
         one.decide(question).allowed != other.decide(question).allowed for question in QUESTIONS
     )
@@ -139,6 +139,6 @@ def test_what_pqs230_advises_lets_opendds_make_participants():
     join = Question(subject=SUBJECT, now=NOW, domain=0, action=Action.JOIN)
     for rule, is_let_in in ((MODEL, False), (advised, True)):
         policy = Governance(domain_rules=(rule,)), Permissions(grants=(grant,))
-        assert Policy(*policy, opendds).decide(join).allowed is is_let_in
-        others = [Policy(*policy, each) for each in INTERPRETATIONS[:-1]]
+        assert InterpretedPolicy(*policy, opendds).decide(join).allowed is is_let_in
+        others = [InterpretedPolicy(*policy, each) for each in INTERPRETATIONS[:-1]]
         assert all(each.decide(join).allowed for each in others)

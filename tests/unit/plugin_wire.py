@@ -6,11 +6,11 @@ from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin.access_control import AccessControl
-from pqsec_pki.plugin.authentication import NO_TOKEN, Authentication, Result
+from pqsec_pki.plugin.authentication import NO_TOKEN, Authentication, ValidationResult
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
 from pqsec_pki.plugin.connection import AgentContext, Connection
 from pqsec_pki.plugin.lists import NewestLists
-from pqsec_pki.plugin.octets import Reader, Writer
+from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 from pqsec_pki.plugin.pending import PendingReplies
 from tests.unit.keystores import NOW
 
@@ -34,7 +34,7 @@ def framed(body):
 
 
 def greeting(plugin, *, magic=MAGIC, version=VERSION):
-    writer = Writer()
+    writer = MessageWriter()
     writer.text(magic)
     writer.number("I", version)
     writer.text(plugin)
@@ -43,7 +43,7 @@ def greeting(plugin, *, magic=MAGIC, version=VERSION):
 
 def asked(plugin, name, *arguments):
     """The frame of a call."""
-    writer = Writer()
+    writer = MessageWriter()
     writer.text(name)
     for kind, value in zip(CALLS[plugin][name].takes, arguments, strict=True):
         writer.one(kind, value)
@@ -71,7 +71,7 @@ class Shim:
     def call(self, name, *arguments):
         """The result and what the call gives; RefusedError with the agent's words."""
         (answer,) = self.connection.receive(asked(self.plugin, name, *arguments))
-        reader = Reader(answer[4:])
+        reader = MessageReader(answer[4:])
         if reader.number("B"):
             raise RefusedError(reader.text())
         found = [reader.number("I"), *map(reader.one, CALLS[self.plugin][name].gives)]
@@ -110,8 +110,8 @@ def shaken(*sides):
     _, begun, token = one.call("begin_handshake_request", own, known, pdata[0])
     _, answered, token = other.call("begin_handshake_reply", token, seen, theirs, pdata[1])
     result, token = one.call("process_handshake", token, begun)
-    assert result == Result.OK_FINAL_MESSAGE
-    assert other.call("process_handshake", token, answered) == [Result.OK, NO_TOKEN]
+    assert result == ValidationResult.OK_FINAL_MESSAGE
+    assert other.call("process_handshake", token, answered) == [ValidationResult.OK, NO_TOKEN]
     return (one, begun, known), (other, answered, seen)
 
 

@@ -14,8 +14,8 @@ from pqsec_pki.attacks.table import ATTACKS
 from pqsec_pki.errors import PqsecError, problems_of
 from pqsec_pki.handshake import (
     Introduction,
-    Peer,
-    Policy,
+    PeerRequirements,
+    RemotePeer,
     Terms,
     Transcript,
     _cdr,
@@ -41,7 +41,7 @@ GENEROUS = 1 << 30
 MOST_ROUNDS = 12
 
 
-class Trusting(_cdr.Reader):
+class Trusting(_cdr.CdrReader):
     """Reads on where nothing is left, and as much as there is where more is claimed."""
 
     left = 0
@@ -99,7 +99,7 @@ class Checks:
 
     def __init__(self, patch, context):
         self.patch, self.removed = patch, set()
-        self.known = [Peer.read(introduction(context, each)) for each in ("request", "reply")]
+        self.known = [RemotePeer.read(introduction(context, each)) for each in ("request", "reply")]
         for place, name in (
             (messages, "_class_problems"),  # C3
             (messages, "_double_problems"),  # C5
@@ -114,13 +114,13 @@ class Checks:
         for code, place, name, instead in (
             (Code.C2, selfcheck_run, "_check_envelope", lambda *_: None),
             (Code.C4, messages, "_missing_problems", filled),
-            (Code.C8, Policy, "agreement", any_agreement),
+            (Code.C8, PeerRequirements, "agreement", any_agreement),
             (Code.C17, KeyAgreement, "encapsulate", to_a_new_key),
             (Code.C22, KeyPair, "decapsulate", lambda *_: os.urandom(32)),
             (Code.C25, selfcheck_run, "check_permissions", lambda *_: "not judged"),
             (Code.C26, selfcheck_run, "confirmed", lambda *_: None),
             (Code.OTHER, states, "_check_signature", lambda *_: None),  # C21, C24
-            (Code.OTHER, Peer, "read", self.somebody),  # C9, and C11 without a GUID
+            (Code.OTHER, RemotePeer, "read", self.somebody),  # C9, and C11 without a GUID
         ):
             self.raising(code, place, name, instead)
         self.naming()
@@ -151,7 +151,7 @@ class Checks:
                     raise
                 return instead(*values)
 
-        self.patch.setattr(place, name, staticmethod(raised) if place is Peer else raised)
+        self.patch.setattr(place, name, staticmethod(raised) if place is RemotePeer else raised)
 
     def somebody(self, introduction):
         """Whoever is meant, where what it says of itself cannot be read."""
@@ -167,7 +167,7 @@ class Checks:
 
     def naming(self):
         """C16: whatever it is called, the best key that the peer has."""
-        genuine = Peer.key_for
+        genuine = RemotePeer.key_for
 
         def found(peer, name, policy):
             key = genuine(peer, name, policy)
@@ -176,13 +176,13 @@ class Checks:
                 return next(by_name, peer.keys[0])
             return key
 
-        self.patch.setattr(Peer, "key_for", found)
+        self.patch.setattr(RemotePeer, "key_for", found)
 
     def reading(self):
         """C1."""
 
         def reader(data, order):
-            return (Trusting if Code.C1 in self.removed else _cdr.Reader)(data, order)
+            return (Trusting if Code.C1 in self.removed else _cdr.CdrReader)(data, order)
 
         self.patch.setattr(wire, "Reader", reader)
 

@@ -12,10 +12,10 @@ from pqsec_pki.access import (
     OPENDDS,
     SPEC,
     Action,
-    Policy,
+    InterpretedPolicy,
     Protection,
     Question,
-    Side,
+    Viewpoint,
     decide,
     interpretation_named,
 )
@@ -28,9 +28,9 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
     ProtectionKind,
-    Rule,
 )
 from pqsec_pki.errors import MalformedError, UsageError
 
@@ -47,11 +47,11 @@ def criteria(*topics, partitions=(), tags=()):
 
 
 def allow(*publish, domains=HERE, **more):
-    return Rule(allow=True, domains=domains, publish=publish, **more)
+    return PermissionRule(allow=True, domains=domains, publish=publish, **more)
 
 
 def deny(*publish, domains=HERE, **more):
-    return Rule(allow=False, domains=domains, publish=publish, **more)
+    return PermissionRule(allow=False, domains=domains, publish=publish, **more)
 
 
 def grant(*rules, default=DefaultAction.DENY, subject=SUBJECT, start=NOW - DAY, end=NOW + DAY):
@@ -120,7 +120,7 @@ def test_what_no_rule_has_the_default_decides(asked):
 
 @pytest.mark.parametrize("action", ["publish", "subscribe", "relay"])
 def test_each_action_has_its_own_criteria(action):
-    rule = Rule(allow=True, domains=HERE, **{action: criteria("a")})
+    rule = PermissionRule(allow=True, domains=HERE, **{action: criteria("a")})
     assert [ask(rule, action=each).allowed for each in (PUBLISH, SUBSCRIBE, RELAY)] == [
         each == action for each in ("publish", "subscribe", "relay")
     ]
@@ -305,7 +305,7 @@ def test_what_governance_opens_is_closed_to_those_who_may_not_join():
     opened = governance(topics("a", write=False))
     denied = ask(governed=opened)
     assert denied.reason == "grant 'g' has no allow_rule for domain 0"
-    assert ask(governed=opened, by=Side.OWN).allowed
+    assert ask(governed=opened, by=Viewpoint.OWN).allowed
     assert ask(governed=governance(topics("a", write=False), join=False)).allowed
 
 
@@ -366,7 +366,7 @@ def test_a_topic_may_be_announced_in_the_clear_where_others_are_not():
 @pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
 def test_many_questions_of_one_policy_are_answered_as_one_by_one(interpretation):
     permissions = Permissions(grants=(grant(allow(*criteria("a")), deny(*criteria("b"))),))
-    policy = Policy(governance(), permissions, interpretation)
+    policy = InterpretedPolicy(governance(), permissions, interpretation)
     for domain in (0, 5):
         for topic in "abc":
             asked = question(topic=topic, domain=domain)
@@ -642,24 +642,28 @@ def test_opendds_looks_at_no_time_where_governance_opens_the_topic():
 def test_what_opendds_makes_of_an_open_bracket_is_left_to_chance():
     for pattern in ("[P-", "rt/[a", "[!]", "[]", "a[b]["):
         of_partitions = ask(
-            allow(*criteria("a", partitions=(pattern, ""))), interpretation=OPENDDS, by=Side.PEER
+            allow(*criteria("a", partitions=(pattern, ""))),
+            interpretation=OPENDDS,
+            by=Viewpoint.PEER,
         )
-        of_topics = ask(allow(*criteria("a", pattern)), interpretation=OPENDDS, by=Side.PEER)
+        of_topics = ask(allow(*criteria("a", pattern)), interpretation=OPENDDS, by=Viewpoint.PEER)
         governed = governance(topics(pattern))
         of_governance = ask(
-            allow(*criteria("a")), interpretation=OPENDDS, governed=governed, by=Side.PEER
+            allow(*criteria("a")), interpretation=OPENDDS, governed=governed, by=Viewpoint.PEER
         )
         for decision in (of_partitions, of_topics, of_governance):
             assert not decision.allowed
             assert "undefined" in decision.reason
     for pattern in ("[P]", "\\[", "[]]", "]"):
-        assert ask(allow(*criteria("a", pattern)), interpretation=OPENDDS, by=Side.PEER).allowed
+        assert ask(
+            allow(*criteria("a", pattern)), interpretation=OPENDDS, by=Viewpoint.PEER
+        ).allowed
 
 
 def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
     rule = allow(*criteria("a"), domains=ELSEWHERE)
-    assert ask(rule, interpretation=FASTDDS, by=Side.OWN).allowed
-    assert not ask(rule, interpretation=FASTDDS, by=Side.PEER).allowed
+    assert ask(rule, interpretation=FASTDDS, by=Viewpoint.OWN).allowed
+    assert not ask(rule, interpretation=FASTDDS, by=Viewpoint.PEER).allowed
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,9 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
     ProtectionKind,
-    Rule,
     preset_named,
 )
 
@@ -27,12 +27,12 @@ START = datetime(2026, 1, 1, tzinfo=UTC)
 END = datetime(2027, 1, 1, tzinfo=UTC)
 ZERO = DomainSet.of(0)
 STRICT = Governance.protected(ZERO)
-NOTHING = Rule(allow=False, domains=ZERO)
+NOTHING = PermissionRule(allow=False, domains=ZERO)
 
 
 def allow(*topics, domains=ZERO, partitions=(), tags=(), **more):
     criteria = Criteria(topics=topics, partitions=partitions, data_tags=tags)
-    return Rule(**({"allow": True, "domains": domains, "publish": (criteria,)} | more))
+    return PermissionRule(**({"allow": True, "domains": domains, "publish": (criteria,)} | more))
 
 
 def deny(*topics, **more):

@@ -17,9 +17,9 @@ from pqsec_pki.documents import (
     Governance,
     Grant,
     Kind,
+    PermissionRule,
     Permissions,
     ProtectionKind,
-    Rule,
     TopicRule,
     _schema,
     parse_subject,
@@ -132,7 +132,7 @@ def test_all_parts_of_a_rule_are_written_and_read():
         topics=("rt/*", "P?a"), partitions=("A", "B*"), data_tags=(("k", "v"), ("k", "w"))
     )
     rules = tuple(
-        Rule(
+        PermissionRule(
             allow=allow,
             domains=DomainSet(parts=(1, DomainRange(first=4))),
             publish=(criteria, Criteria(topics=("x",))),
@@ -193,7 +193,7 @@ def test_a_grant_refuses_times_without_a_zone_or_outside_the_calendar():
 
 def test_the_least_grant_names_each_topic_once_and_denies_the_rest():
     grant = least(publish=["rt/a", "rt/a"], subscribe=["rt/b"])
-    expected = Rule(
+    expected = PermissionRule(
         allow=True,
         domains=DomainSet.of(0),
         publish=(Criteria(topics=("rt/a",)),),

@@ -11,7 +11,7 @@ import pytest
 
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
-from pqsec_pki.domain import Action, Plan, apply_plan, create_keystore, plan, read_domain
+from pqsec_pki.domain import Plan, StepAction, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.domain.apply import BATCH
 from pqsec_pki.errors import InvalidDocumentError, KeystoreError
 from pqsec_pki.keystore import Keystore, audit
@@ -36,8 +36,8 @@ from tests.unit.killing import create as create_transition
 def test_from_nothing_all_is_made_and_then_nothing_is_left(tmp_path):
     scene = Scene(tmp_path)
     assert scene.steps() == [
-        *((Action.CREATE_CAS, ""), (Action.SIGN_GOVERNANCE, "")),
-        *((Action.ISSUE, name) for name in ("/r1", "/r2", "/r3", "/monitor")),
+        *((StepAction.CREATE_CAS, ""), (StepAction.SIGN_GOVERNANCE, "")),
+        *((StepAction.ISSUE, name) for name in ("/r1", "/r2", "/r3", "/monitor")),
     ]
     scene.apply()
     found = scene.plan()
@@ -88,7 +88,7 @@ def test_a_thousand_are_made_in_batches_and_found_in_order(tmp_path):
 def test_a_new_name_is_issued_and_nobody_else_touched(scene):
     keys = scene.file_of("/r1", "key.pem").read_bytes()
     scene.change("1..3", "1..4")
-    assert scene.steps() == [(Action.ISSUE, "/r4")]
+    assert scene.steps() == [(StepAction.ISSUE, "/r4")]
     scene.apply()
     assert scene.plan().in_order
     assert scene.file_of("/r1", "key.pem").read_bytes() == keys
@@ -97,7 +97,7 @@ def test_a_new_name_is_issued_and_nobody_else_touched(scene):
 def test_another_role_needs_new_permissions_and_no_new_certificate(scene):
     before = scene.keystore.participant("/r1")
     scene.change("rt/cmd", "rt/order")
-    assert scene.steps() == [(Action.SIGN_PERMISSIONS, f"/r{n}") for n in (1, 2, 3)]
+    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, f"/r{n}") for n in (1, 2, 3)]
     assert set(scene.whys().values()) == {"its role (robot) was changed"}
     scene.apply()
     assert scene.plan().in_order
@@ -115,7 +115,7 @@ def test_another_role_needs_new_permissions_and_no_new_certificate(scene):
 
 def test_a_changed_governance_is_signed_anew(scene):
     scene.change("name: Lab", "name: Lab\ngovernance: authenticated\ndomains: 0-3")
-    assert scene.steps()[0] == (Action.SIGN_GOVERNANCE, "")
+    assert scene.steps()[0] == (StepAction.SIGN_GOVERNANCE, "")
     assert scene.whys()[""] == "it was changed"
     scene.apply()
     assert scene.plan().in_order
@@ -130,9 +130,9 @@ def test_who_is_left_out_stays_unless_it_is_pruned(scene):
     found = scene.plan()
     assert found.in_order
     assert found.unlisted == ("/r3",)
-    assert scene.steps(prune=True) == [(Action.REVOKE, "/r3")]
+    assert scene.steps(prune=True) == [(StepAction.REVOKE, "/r3")]
     scene.change("name: Lab", "name: Lab\nprune: true")
-    assert scene.steps() == [(Action.REVOKE, "/r3")]
+    assert scene.steps() == [(StepAction.REVOKE, "/r3")]
     scene.apply()
     found = scene.plan()
     assert found.in_order
@@ -150,7 +150,7 @@ def test_nobody_is_pruned_while_two_identity_cas_are_trusted(scene):
     assert "--overlap cancel" in found.blocked[0].way_out
     assert scene.plan().in_order
     cancel_overlap(keystore, now=NOW)
-    assert scene.steps(prune=True) == [(Action.REVOKE, "/r3")]
+    assert scene.steps(prune=True) == [(StepAction.REVOKE, "/r3")]
 
 
 def test_who_was_pruned_and_is_wanted_again_is_told_and_not_issued(scene):
@@ -181,7 +181,7 @@ def test_what_is_due_is_renewed(scene, days, why):
     if why is None:
         assert scene.plan(now).in_order
         return
-    assert scene.steps(now) == [(Action.RENEW, n) for n in ("/r1", "/r2", "/r3", "/monitor")]
+    assert scene.steps(now) == [(StepAction.RENEW, n) for n in ("/r1", "/r2", "/r3", "/monitor")]
     assert all(each.startswith(why) for each in scene.whys(now).values())
     scene.apply(now)
     assert scene.plan(now).in_order
@@ -199,7 +199,7 @@ def test_what_is_due_and_changed_is_signed_and_then_renewed(scene):
     now = NOW + 100 * DAY
     scene.change("rt/cmd", "rt/order")
     actions = [action for action, name in scene.steps(now) if name == "/r1"]
-    assert actions == [Action.SIGN_PERMISSIONS, Action.RENEW]
+    assert actions == [StepAction.SIGN_PERMISSIONS, StepAction.RENEW]
     scene.apply(now)
     assert scene.plan(now).in_order
     assert scene.allowed("/r1") == [["rt/r1/pose"], ["rt/order"]]
@@ -219,7 +219,7 @@ def test_a_list_that_is_due_is_made_anew(scene):
     revoke(keystore, keystore.unlock(None), ["/r3"], now=NOW, validity=31 * DAY)
     assert scene.plan().in_order
     now = NOW + 2 * DAY
-    assert scene.steps(now) == [(Action.RENEW_CRL, "")]
+    assert scene.steps(now) == [(StepAction.RENEW_CRL, "")]
     scene.apply(now)
     assert scene.plan(now).in_order
     assert scene.keystore.revocation_list.number == 2
@@ -239,24 +239,24 @@ def swap(path):
 @pytest.mark.parametrize(
     ("file", "what", "step"),
     [
-        ("cert.pem", drop, (Action.ISSUE, "its certificate is missing")),
-        ("cert.pem", os.unlink, (Action.REPLACE, "its certificate is missing")),
-        ("cert.pem", damage, (Action.REPLACE, "its certificate is not the one issued last")),
-        ("cert.pem", swap, (Action.REPLACE, "its certificate is not the one issued last")),
+        ("cert.pem", drop, (StepAction.ISSUE, "its certificate is missing")),
+        ("cert.pem", os.unlink, (StepAction.REPLACE, "its certificate is missing")),
+        ("cert.pem", damage, (StepAction.REPLACE, "its certificate is not the one issued last")),
+        ("cert.pem", swap, (StepAction.REPLACE, "its certificate is not the one issued last")),
         (
             "permissions.p7s",
             os.unlink,
-            (Action.SIGN_PERMISSIONS, "its permissions are not the ones signed"),
+            (StepAction.SIGN_PERMISSIONS, "its permissions are not the ones signed"),
         ),
         (
             "permissions.p7s",
             damage,
-            (Action.SIGN_PERMISSIONS, "its permissions are not the ones signed last"),
+            (StepAction.SIGN_PERMISSIONS, "its permissions are not the ones signed last"),
         ),
         (
             "permissions.p7s",
             swap,
-            (Action.SIGN_PERMISSIONS, "its permissions are not the ones signed last"),
+            (StepAction.SIGN_PERMISSIONS, "its permissions are not the ones signed last"),
         ),
     ],
 )
@@ -284,7 +284,7 @@ def test_an_old_file_that_is_put_back_is_seen(scene):
     stat = old.stat()
     kept.replace(old)
     os.utime(old, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
+    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, "/r1")]
 
 
 def test_permissions_that_were_signed_by_hand_are_replaced_renewed_or_not(scene):
@@ -293,10 +293,10 @@ def test_permissions_that_were_signed_by_hand_are_replaced_renewed_or_not(scene)
     xml = Permissions.from_xml(document_in(path.read_bytes())).to_xml().replace(b"rt/cmd", b"*")
     scene.file_of("/r1", "permissions.xml").write_bytes(xml)
     sign_document(keystore, Kind.PERMISSIONS, xml, path, keystore.unlock(None), now=NOW, force=True)
-    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
+    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, "/r1")]
     renew(keystore, keystore.unlock(None), ["/r1"], now=NOW)
     assert scene.allowed("/r1")[1] == ["*"]
-    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
+    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, "/r1")]
     scene.apply()
     assert scene.allowed("/r1")[1] == ["rt/cmd"]
 
@@ -322,7 +322,7 @@ def test_who_was_revoked_by_hand_is_told(scene):
 @pytest.mark.parametrize("what", [damage, os.unlink])
 def test_a_governance_that_is_not_the_one_signed_is_signed_anew(scene, what):
     what(scene.root / "enclaves/governance.p7s")
-    assert scene.steps() == [(Action.SIGN_GOVERNANCE, "")]
+    assert scene.steps() == [(StepAction.SIGN_GOVERNANCE, "")]
     assert scene.whys()[""] == "the file is not the one signed last"
     scene.apply()
     assert scene.plan().in_order
@@ -336,7 +336,7 @@ def test_a_keystore_made_by_hand_is_taken_over(tmp_path):
     scene.change("name: Lab", "name: Lab\ngovernance: migration")
     assert scene.whys()[""] == "its content differs"
     scene.change("governance: migration", "")
-    assert scene.steps()[0] == (Action.ISSUE, "/r2")  # the governance says the same
+    assert scene.steps()[0] == (StepAction.ISSUE, "/r2")  # the governance says the same
     assert scene.whys()["/r1"] == "its permissions were not made from the file"
     scene.apply()
     assert scene.plan().in_order
@@ -361,7 +361,7 @@ def test_a_damaged_memory_only_costs_time(scene, content):
     memory = scene.root / "private/seen.json"
     memory.write_bytes(content)
     damage(scene.file_of("/r1", "permissions.p7s"))
-    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
+    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, "/r1")]
     assert memory.stat().st_mode & 0o777 == 0o600
     assert set(json.loads(memory.read_bytes())) == set(NAMES) - {"/r1"}
 
@@ -372,7 +372,9 @@ def test_a_keystore_that_was_copied_is_looked_at_anew(scene, tmp_path):
     shutil.copytree(scene.root, goal, symlinks=True)
     damage(goal / "enclaves/r1/permissions.p7s")
     found = plan(read_domain(scene.file), Keystore.open(goal), now=NOW)
-    assert [(step.action, step.name) for step in found.steps] == [(Action.SIGN_PERMISSIONS, "/r1")]
+    assert [(step.action, step.name) for step in found.steps] == [
+        (StepAction.SIGN_PERMISSIONS, "/r1")
+    ]
 
 
 # Refusals
@@ -381,7 +383,7 @@ def test_a_keystore_that_was_copied_is_looked_at_anew(scene, tmp_path):
 @pytest.mark.parametrize("details", ['{"mark": 5}', '{"mark": ["x"]}', "no JSON", "[1]"])
 def test_a_line_with_other_details_is_of_no_use(scene, details):
     alter(scene.root, "UPDATE ledger SET details = ? WHERE name = '/r1'", details)
-    assert scene.steps() == [(Action.SIGN_PERMISSIONS, "/r1")]
+    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, "/r1")]
 
 
 def test_a_damaged_time_in_the_ledger_is_an_error_of_ours(scene):
@@ -437,7 +439,7 @@ def test_a_slip_in_one_participants_values_leaves_the_others_done(tmp_path):
         InvalidDocumentError, match=r"line 2: .*'/no good' is not a full ROS 2 name"
     ):
         scene.apply()
-    assert scene.steps() == [(Action.ISSUE, "/b")]
+    assert scene.steps() == [(StepAction.ISSUE, "/b")]
     scene.change("no good", "lab")
     scene.apply()
     assert replace(scene.plan(), unchanged=0) == Plan((), (), (), 0)
@@ -450,7 +452,7 @@ def test_who_cannot_be_renewed_keeps_nobody_else_from_it(scene):
             file.write(b"<!-- somebody is at work here -->")
     with pytest.raises(KeystoreError, match=r"2 participants failed; the first: .*r1"):
         scene.apply(now)
-    assert scene.steps(now) == [(Action.RENEW, "/r1"), (Action.RENEW, "/monitor")]
+    assert scene.steps(now) == [(StepAction.RENEW, "/r1"), (StepAction.RENEW, "/monitor")]
     audit(scene.keystore)
 
 

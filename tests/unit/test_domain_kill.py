@@ -12,7 +12,7 @@ from importlib import import_module
 
 import pytest
 
-from pqsec_pki.domain import Action, create_keystore, read_domain
+from pqsec_pki.domain import StepAction, create_keystore, read_domain
 from pqsec_pki.keystore import audit
 from pqsec_pki.lifecycle import revoke
 from tests.unit.domains import DAY, FILE, NOW, Scene
@@ -21,7 +21,7 @@ from tests.unit.killing import at_once, check_no_halves, check_whole, copies, dr
 pytestmark = pytest.mark.slow
 
 BEFORE = NOW - 60 * DAY
-NOT_MET = {Action.CREATE_CAS, Action.RENEW_CRL}
+NOT_MET = {StepAction.CREATE_CAS, StepAction.RENEW_CRL}
 """Of the actions, at the start below."""
 EVERY = 13
 """Of how many calls one is killed: what they belong to has its own sweeps."""
@@ -78,7 +78,7 @@ def test_it_is_ended_by_the_next_whenever_the_kill_comes(place, monkeypatch):
     original = Scene(place / "original")
     start(original)
     every = len(original.steps())
-    assert {step.action for step in original.plan().steps} == set(Action) - NOT_MET
+    assert {step.action for step in original.plan().steps} == set(StepAction) - NOT_MET
     lefts, ended = [], set()
     for folder, _ in copies(
         place, original.file.parent, lambda at: Scene.at(at).apply(), every=EVERY

@@ -3,7 +3,7 @@
 import pytest
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.domain import Action, apply_plan, read_domain
+from pqsec_pki.domain import StepAction, apply_plan, read_domain
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import audit
 from pqsec_pki.lifecycle import Rollover, revoke
@@ -44,12 +44,12 @@ def nothing(scene):
 @pytest.mark.parametrize(
     ("what", "days", "action"),
     [
-        (drop_certificate, 0, Action.REPLACE),
-        (spoil_certificate, 0, Action.REPLACE),
-        (another_role, 0, Action.SIGN_PERMISSIONS),
-        (one_more, 0, Action.ISSUE),
-        (one_less, 0, Action.REVOKE),
-        (nothing, 70, Action.RENEW),
+        (drop_certificate, 0, StepAction.REPLACE),
+        (spoil_certificate, 0, StepAction.REPLACE),
+        (another_role, 0, StepAction.SIGN_PERMISSIONS),
+        (one_more, 0, StepAction.ISSUE),
+        (one_less, 0, StepAction.REVOKE),
+        (nothing, 70, StepAction.RENEW),
     ],
     ids=lambda each: getattr(each, "__name__", None),
 )
@@ -80,7 +80,7 @@ def test_what_is_left_of_the_plan_is_done(scene):
     scene.write(text.replace("1..3", "1..2"))
     scene.apply()  # the other command knows of /r1 and /r2
     scene.write(text)
-    assert scene.take(found) == [(Action.SIGN_PERMISSIONS, "/r3")]
+    assert scene.take(found) == [(StepAction.SIGN_PERMISSIONS, "/r3")]
     assert scene.plan().in_order
 
 

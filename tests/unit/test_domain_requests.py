@@ -7,7 +7,7 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.certificates import Reason, certificate_request
-from pqsec_pki.domain import Action, Plan, create_keystore, read_domain
+from pqsec_pki.domain import Plan, StepAction, create_keystore, read_domain
 from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
 from pqsec_pki.errors import ExistsError, InvalidDocumentError, KeystoreError, VerificationError
 from pqsec_pki.keystore import audit, status
@@ -102,7 +102,7 @@ def test_who_has_not_asked_yet_waits_and_keeps_nobody_else_from_it(tmp_path):
         f"put it at {fleet.inbox / 'r2.csr'}"
     ]
     fleet.ask("/r2")
-    assert fleet.steps() == [(Action.ISSUE, "/r2")]
+    assert fleet.steps() == [(StepAction.ISSUE, "/r2")]
     fleet.apply()
     assert fleet.plan().in_order
 
@@ -224,7 +224,7 @@ def test_a_column_of_a_table_names_requests_too(tmp_path):
 
 def test_a_renewal_keeps_the_robots_key(fleet):
     now, before = NOW + 70 * DAY, keys_in(fleet)
-    assert (Action.RENEW, "/r1") in fleet.steps(now)
+    assert (StepAction.RENEW, "/r1") in fleet.steps(now)
     fleet.apply(now)
     assert keys_in(fleet)["/r1"] == before["/r1"]
     assert fleet.plan(now).in_order
@@ -239,7 +239,7 @@ def test_another_request_is_how_a_robot_gets_another_key(fleet):
     before = keys_in(fleet)
     fleet.apply()
     assert keys_in(fleet) == before
-    assert fleet.steps(new_keys=True) == [(Action.REPLACE, "/r1")]
+    assert fleet.steps(new_keys=True) == [(StepAction.REPLACE, "/r1")]
     fleet.apply(new_keys=True)
     assert fleet.plan().in_order
     assert keys_in(fleet)["/r1"] != before["/r1"]
@@ -294,7 +294,7 @@ def test_who_was_given_a_key_here_since_is_issued_anew_like_others(fleet):
     fleet.change(", request: inbox/", "")
     shutil.copyfile(fleet.file_of("/made", "key.pem"), fleet.file_of("/r1", "key.pem"))
     shutil.copyfile(fleet.file_of("/made", "cert.pem"), fleet.file_of("/r1", "cert.pem"))
-    assert fleet.steps() == [(Action.REPLACE, "/r1")]
+    assert fleet.steps() == [(StepAction.REPLACE, "/r1")]
 
 
 # Stranded
@@ -340,7 +340,7 @@ def test_nobody_revokes_who_is_stranded_and_left_out_of_the_file(fleet):
         FILE.replace('"/r{1..2}"', "/new").replace("classical", "pq").replace("name: Lab", "")
     )
     found = fleet.plan(prune=True)
-    assert Action.REVOKE not in {step.action for step in found.steps}
+    assert StepAction.REVOKE not in {step.action for step in found.steps}
     assert found.unlisted == ()
 
 

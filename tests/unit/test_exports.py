@@ -12,7 +12,7 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.errors import ExistsError, FileError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.problems import Code
-from pqsec_pki.vendors import STACKS, Enclave, Export, Options, export, stack_named, write
+from pqsec_pki.vendors import STACKS, Export, Options, StackEnclave, export, stack_named, write
 from pqsec_pki.vendors.cyclone_plugins import NAMES, installed_plugins
 from pqsec_pki.vendors.export import FOLDER
 from pqsec_pki.vendors.fastdds import LIMITED
@@ -66,7 +66,7 @@ def encrypted(keystore, passphrase=SECRETS[0]):
 def unchecked(stack, keystore, **options):
     """The export of /talker, without the check that comes before."""
     wanted = Options(**options)
-    enclave = Enclave.find(keystore, "/talker", wanted.at)
+    enclave = StackEnclave.find(keystore, "/talker", wanted.at)
     return stack_named(stack).make(enclave, wanted)
 
 

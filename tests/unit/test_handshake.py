@@ -18,7 +18,7 @@ from pqsec_pki.handshake import (
     Final,
     Identity,
     KeyMaterial,
-    Policy,
+    PeerRequirements,
     Reply,
     Request,
     Sender,
@@ -42,7 +42,7 @@ ENTITY = b"\0\0\1\xc1"
 ECDH = KEY_AGREEMENTS.named("ecdh-p256")
 MODP = KEY_AGREEMENTS.named("dh-modp-2048-256")
 HYBRID = KEY_AGREEMENTS.named("x25519mlkem768")
-EVERYTHING = Policy(agreements=tuple(KEY_AGREEMENTS))
+EVERYTHING = PeerRequirements(agreements=tuple(KEY_AGREEMENTS))
 OPTIONAL = {"dh1", "dh2", "hash_c1", "hash_c2"}
 KINDS = ("ecdsa-p256", "rsa-2048", "ml-dsa-65", "mldsa65+p256", ("ecdsa-p256", "ml-dsa-65"))
 
@@ -684,7 +684,7 @@ def test_participant_data_with_another_guid_of_the_same_subject_is_not_the_disco
 
 
 def test_a_request_for_an_agreement_that_is_not_allowed_is_refused(now):
-    post_quantum = Policy(
+    post_quantum = PeerRequirements(
         agreements=tuple(r for r in KEY_AGREEMENTS if r.family is not Family.CLASSICAL)
     )
     meeting = Meeting(now, "ml-dsa-65", ECDH, post_quantum)
@@ -716,7 +716,7 @@ def test_a_replier_that_chooses_another_agreement_is_refused(now):
 
 def test_the_plain_key_alone_is_enough_only_if_the_policy_says_so(now):
     kind = ("ecdsa-p256", "ml-dsa-65")
-    strict = Policy(agreements=(HYBRID,), require_alternative=True)
+    strict = PeerRequirements(agreements=(HYBRID,), require_alternative=True)
     meeting = Meeting(now, kind, HYBRID)
     plain = replace(meeting.alice, key=keys(kind, "alice")[0])
     request, _ = begin(Terms(own=plain, policy=EVERYTHING), HYBRID)
@@ -726,7 +726,7 @@ def test_the_plain_key_alone_is_enough_only_if_the_policy_says_so(now):
 
 
 def test_a_policy_for_alternative_keys_refuses_a_peer_without(now):
-    strict = Policy(agreements=(HYBRID,), require_alternative=True)
+    strict = PeerRequirements(agreements=(HYBRID,), require_alternative=True)
     meeting = Meeting(now, "ecdsa-p256", HYBRID)
     request, _ = meeting.request()
     with pytest.raises(VerificationError, match="no alternative key"):

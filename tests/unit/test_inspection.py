@@ -27,8 +27,8 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.inspection import Description, Fact, describe
@@ -75,8 +75,8 @@ def permissions():
         not_before=NOW,
         not_after=NOW + timedelta(days=3),
         rules=(
-            Rule(allow=False, domains=DomainSet.of(0), publish=(forbidden,)),
-            Rule(
+            PermissionRule(allow=False, domains=DomainSet.of(0), publish=(forbidden,)),
+            PermissionRule(
                 allow=True, domains=DomainSet.of(DomainRange(first=0, last=5)), publish=(criteria,)
             ),
         ),

@@ -9,7 +9,7 @@ import pytest
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, profile_named
 from pqsec_pki.errors import FileError, UsageError, VerificationError
 from pqsec_pki.selfcheck import matrix
-from pqsec_pki.selfcheck.matrix import Size, suites
+from pqsec_pki.selfcheck.matrix import MessageSize, suites
 from tests.unit.keystores import DAY, NOW
 
 AROUND = 124
@@ -83,7 +83,7 @@ def test_shares_are_of_the_largest_message(measured):
 
 @pytest.mark.parametrize(("sample", "count"), [(1, 1), (1344, 1), (1345, 2), (2688, 2), (2689, 3)])
 def test_a_message_takes_as_many_fragments_as_it_fills(sample, count):
-    assert Size(token=0, sample=sample).fragments == count
+    assert MessageSize(token=0, sample=sample).fragments == count
 
 
 def test_the_median_is_of_all_rounds(folder, monkeypatch):

@@ -6,7 +6,7 @@ from itertools import product
 import pytest
 
 from pqsec_pki.access import CYCLONEDDS, FASTDDS, INTERPRETATIONS, Action, Question, decide
-from pqsec_pki.access.matrix import Member, topics_named, who_may
+from pqsec_pki.access.matrix import DocumentOwner, topics_named, who_may
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Governance, Permissions
 from tests.interop.policies import TOPICS, Maker
 from tests.unit.test_diff import STRICT, allow, deny, document, topic_rule, with_rule
@@ -17,7 +17,9 @@ READ_A = (Criteria(topics=("a",)),)
 
 def member(name, *rules, **more):
     subject = f"CN={name}"
-    return Member(name=name, subject=subject, permissions=document(*rules, subject=subject, **more))
+    return DocumentOwner(
+        name=name, subject=subject, permissions=document(*rules, subject=subject, **more)
+    )
 
 
 TALKER = member("/talker", allow("a", "b"))
@@ -112,7 +114,7 @@ def test_the_matrix_is_what_the_engine_decides_one_by_one(interpretation, seed):
     maker, now = Maker(seed), datetime.now(UTC)
     governance = maker.governance()
     members = [
-        Member(name=name, subject=f"CN={name}", permissions=maker.permissions(f"CN={name}"))
+        DocumentOwner(name=name, subject=f"CN={name}", permissions=maker.permissions(f"CN={name}"))
         for name in ("/a", "/b")
     ]
     plain = [topic for topic in TOPICS if not set(topic) & set("*[")]
@@ -132,6 +134,6 @@ def test_the_matrix_is_what_the_engine_decides_one_by_one(interpretation, seed):
 def test_a_document_with_several_grants_is_asked_for_its_subject():
     both = Permissions(grants=(*TALKER.permissions.grants, *LISTENER.permissions.grants))
     members = [
-        Member(name=s, subject=f"CN={s}", permissions=both) for s in ("/talker", "/listener")
+        DocumentOwner(name=s, subject=f"CN={s}", permissions=both) for s in ("/talker", "/listener")
     ]
     assert rows(*members) == rows(TALKER, LISTENER)

@@ -11,7 +11,7 @@ from threading import Timer
 import pytest
 
 from pqsec_pki.errors import FileError, KeystoreError, PqsecError, UnknownAlgorithmError
-from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, Step, run_handshake
+from pqsec_pki.selfcheck import CheckedStep, HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.selfcheck._pool import worker_pool
 from pqsec_pki.selfcheck._worker import Worker
 from pqsec_pki.selfcheck.pairs import (
@@ -296,7 +296,7 @@ def test_sizes_do_not_part_what_has_one_cause(keystore):
 )
 def test_names_and_sizes_do_not_make_another_cause(one, other):
     found = [
-        Cause.of(Step("reply", ok=False, detail=words), {name: "it"})
+        Cause.of(CheckedStep("reply", ok=False, detail=words), {name: "it"})
         for words, name in ((one, "/a"), (other, "/a/b"))
     ]
     assert found[0] == found[1]
@@ -304,7 +304,7 @@ def test_names_and_sizes_do_not_make_another_cause(one, other):
 
 @pytest.mark.parametrize("words", ["k/enclaves/a/key.pem", "/a/arm is late", "/a-z", "x/a"])
 def test_what_only_holds_a_name_is_left_as_it_is(words):
-    assert Cause.of(Step("files", ok=False, detail=words), {"/a": "it"}).words == words
+    assert Cause.of(CheckedStep("files", ok=False, detail=words), {"/a": "it"}).words == words
 
 
 # Many, on several processes

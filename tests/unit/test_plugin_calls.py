@@ -14,7 +14,7 @@ from pqsec_pki.plugin.authentication import Authentication
 from pqsec_pki.plugin.build import SOURCES
 from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.plugin.connection import Control
-from pqsec_pki.plugin.octets import MAX_FRAME, MAX_ITEMS, Reader, Writer
+from pqsec_pki.plugin.octets import MAX_FRAME, MAX_ITEMS, MessageReader, MessageWriter
 
 SHIM = {plugin: (SOURCES / f"{plugin}.c").read_text() for plugin in CALLS if plugin != "control"}
 ASK = re.compile(r'ask\(&self->link, \w+, "(\w+)",\s*"([^"]*)"')
@@ -68,9 +68,9 @@ def test_both_have_one_version_and_the_same_limits():
 @given(data=st.data())
 def test_a_value_comes_out_as_it_went_in(kind, data):
     value = data.draw(VALUES[kind])
-    writer = Writer()
+    writer = MessageWriter()
     writer.one(kind, value)
-    reader = Reader(writer.octets)
+    reader = MessageReader(writer.octets)
     assert reader.one(kind) == value
     reader.finish()
 
@@ -78,28 +78,28 @@ def test_a_value_comes_out_as_it_went_in(kind, data):
 @pytest.mark.parametrize("kind", VALUES)
 @given(data=st.data())
 def test_a_value_that_ends_early_or_late_is_refused(kind, data):
-    writer = Writer()
+    writer = MessageWriter()
     writer.one(kind, data.draw(VALUES[kind]))
     octets = writer.octets
     for spoilt in (octets[:-1], octets + b"\0"):
-        reader = Reader(spoilt)
+        reader = MessageReader(spoilt)
         with pytest.raises(MalformedError):
             reader.one(kind), reader.finish()
 
 
 def test_octets_that_are_no_text_come_out_as_they_went_in():
-    writer, document = Writer(), bytes(range(1, 256))
+    writer, document = MessageWriter(), bytes(range(1, 256))
     writer.text(document.decode("utf-8", "surrogateescape"))
-    assert Reader(writer.octets).text().encode("utf-8", "surrogateescape") == document
+    assert MessageReader(writer.octets).text().encode("utf-8", "surrogateescape") == document
 
 
 @pytest.mark.parametrize("extra", [0, 1])
 def test_a_token_larger_than_the_network_may_carry_is_refused(extra):
     around = 4 * len(("class", "properties", "binary properties", "name", "value"))
     token = DataHolder("", (), (("", bytes(MAX_TOKEN - around + extra)),))
-    writer = Writer()
+    writer = MessageWriter()
     writer.one("t", token)
-    reader = Reader(writer.octets)
+    reader = MessageReader(writer.octets)
     if extra:
         with pytest.raises(MalformedError, match="a token larger than"):
             reader.one("t")
@@ -109,8 +109,8 @@ def test_a_token_larger_than_the_network_may_carry_is_refused(extra):
 
 def test_a_list_and_an_answer_have_limits():
     with pytest.raises(MalformedError, match="a list of more than"):
-        Reader((MAX_ITEMS + 1).to_bytes(4, "little") + bytes(9999)).one("p")
-    writer = Writer()
+        MessageReader((MAX_ITEMS + 1).to_bytes(4, "little") + bytes(9999)).one("p")
+    writer = MessageWriter()
     writer.block(bytes(MAX_FRAME))
     with pytest.raises(MalformedError, match="an answer of more than"):
         _ = writer.octets

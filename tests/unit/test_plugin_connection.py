@@ -5,7 +5,7 @@ import pytest
 from pqsec_pki.plugin.authentication import Authentication
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.plugin.connection import AgentContext, Connection, ProtocolError
-from pqsec_pki.plugin.octets import MAX_FRAME, Reader
+from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader
 from tests.unit.keystores import NOW
 from tests.unit.plugin_wire import RefusedError, Shim, asked, framed, greeting
 
@@ -34,7 +34,7 @@ def test_what_is_no_greeting_ends_the_connection(fresh, octets):
 
 def test_another_version_is_told_what_to_do(fresh):
     (answer,) = fresh.receive(greeting("authentication", version=VERSION + 1))
-    reader = Reader(answer[4:])
+    reader = MessageReader(answer[4:])
     assert reader.number("B") == 1
     assert f"the agent speaks version {VERSION}, the library {VERSION + 1}" in reader.text()
 

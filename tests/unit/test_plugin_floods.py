@@ -12,7 +12,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import DataHolder, ReplySent, adjusted_guid, participant_data
 from pqsec_pki.plugin import pending
-from pqsec_pki.plugin.authentication import NO_TOKEN, Result
+from pqsec_pki.plugin.authentication import NO_TOKEN, ValidationResult
 from pqsec_pki.plugin.pending import BURST, COST, PER_SECOND, PendingReplies, Rates
 from tests.unit.keystores import NOW, made
 from tests.unit.plugin_wire import (
@@ -81,7 +81,7 @@ def test_forged_requests_hold_so_much_and_no_more_and_a_participant_is_still_ser
     for _ in range(150):
         forger.send(size=LARGE)
     assert 0.9 * pending.MAX_HELD < answers.held <= pending.MAX_HELD
-    assert shim.call("process_handshake", final, handle) == [Result.OK, NO_TOKEN]
+    assert shim.call("process_handshake", final, handle) == [ValidationResult.OK, NO_TOKEN]
     assert shaken(victim, side(enclaves["talker"]))
     assert sum("hold more than" in line for line in shim.log) == 1
 
@@ -122,7 +122,7 @@ def test_of_a_name_that_is_forged_the_real_one_is_not_the_first_to_go(enclaves):
     final, handle = half_shaken(side(enclaves["talker"]), (shim, *own))
     for _ in range(100):
         forger.send(size=LARGE)
-    assert shim.call("process_handshake", final, handle) == [Result.OK, NO_TOKEN]
+    assert shim.call("process_handshake", final, handle) == [ValidationResult.OK, NO_TOKEN]
 
 
 def test_a_handshake_that_had_to_make_room_is_unknown_and_takes_no_handle(enclaves, monkeypatch):
@@ -284,7 +284,7 @@ def test_a_forged_request_does_not_undo_a_finished_handshake(enclaves):
     assert shim.call("get_shared_secret", handle) == secret
     again, final = begin()  # who has the key may begin anew
     assert shim.call("get_shared_secret", handle) == secret
-    assert shim.call("process_handshake", final, again) == [Result.OK, NO_TOKEN]
+    assert shim.call("process_handshake", final, again) == [ValidationResult.OK, NO_TOKEN]
     assert shim.call("get_shared_secret", handle)[5] != secret[5]
 
 
@@ -315,7 +315,7 @@ def test_a_forged_request_does_not_undo_our_own(enclaves):
     forger = Forger(enclaves["talker"], victim)
     assert forger.answered(peers, peer, size=9) == begun
     _, _, reply = theirs.call("begin_handshake_reply", request, seen, identity, data[1])
-    assert shim.call("process_handshake", reply, begun)[0] == Result.OK_FINAL_MESSAGE
+    assert shim.call("process_handshake", reply, begun)[0] == ValidationResult.OK_FINAL_MESSAGE
 
 
 def test_a_reply_that_comes_late_or_twice_is_told_as_that(enclaves):
@@ -331,7 +331,7 @@ def test_a_reply_that_comes_late_or_twice_is_told_as_that(enclaves):
         replies.append(theirs.call("begin_handshake_reply", request, seen, identity, data[1])[2])
     with pytest.raises(RefusedError, match="given up for a later one: it came late"):
         shim.call("process_handshake", replies[0], begun)
-    assert shim.call("process_handshake", replies[1], begun)[0] == Result.OK_FINAL_MESSAGE
+    assert shim.call("process_handshake", replies[1], begun)[0] == ValidationResult.OK_FINAL_MESSAGE
     for each in replies:
         with pytest.raises(RefusedError, match="came late, or twice"):
             shim.call("process_handshake", each, begun)
@@ -353,7 +353,7 @@ def test_a_reply_to_who_waits_for_a_final_is_refused_and_not_told_as_late(enclav
         theirs.call("process_handshake", reply, waits)
     assert not any("late" in line for line in theirs.log)
     _, final = shim.call("process_handshake", reply, begun)
-    assert theirs.call("process_handshake", final, waits) == [Result.OK, NO_TOKEN]
+    assert theirs.call("process_handshake", final, waits) == [ValidationResult.OK, NO_TOKEN]
 
 
 KEPT = 16

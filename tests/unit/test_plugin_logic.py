@@ -8,13 +8,18 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, Family, profile_named
 from pqsec_pki.certificates import Authority, Certificate
-from pqsec_pki.documents import Criteria, DomainSet, Grant, Permissions, Rule
+from pqsec_pki.documents import Criteria, DomainSet, Grant, PermissionRule, Permissions
 from pqsec_pki.handshake import DataHolder, participant_data
 from pqsec_pki.plugin import handles
-from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY, NO_TOKEN, Result
+from pqsec_pki.plugin.authentication import (
+    CREDENTIAL,
+    CREDENTIAL_PROPERTY,
+    NO_TOKEN,
+    ValidationResult,
+)
 from pqsec_pki.plugin.credentials import Source
 from pqsec_pki.plugin.handles import Handles
-from pqsec_pki.plugin.settings import Settings
+from pqsec_pki.plugin.settings import AgentSettings
 from tests.unit.keystores import DAY, NOW, TWO, made
 from tests.unit.plugin_wire import (
     IDENTITY,
@@ -75,7 +80,7 @@ def test_an_identity_with_keys_that_no_profile_has_asks_for_the_hybrid_key_agree
     for kinds in (("ml-dsa-87", "ml-dsa-65"), ("ecdsa-p256", "ml-dsa-87"), ("ml-dsa-44", None)):
         key, second = (each and SIGNATURES.named(each) for each in kinds)
         ca = Authority.create("CA", key, alternative=second, now=NOW, validity=DAY)
-        found = Settings.of(ca.certificate, beside_nothing).agreements
+        found = AgentSettings.of(ca.certificate, beside_nothing).agreements
         assert [each.name for each in found] == ["x25519mlkem768"]
 
 
@@ -157,7 +162,7 @@ def test_a_peer_is_one_for_all_our_participants_and_another_when_it_comes_back(f
     assert again != first  # the first is still to be returned
     shim.call("return_identity_handle", first)
     assert shim.call("begin_handshake_request", one, again, b"")[0] == (
-        Result.PENDING_HANDSHAKE_MESSAGE
+        ValidationResult.PENDING_HANDSHAKE_MESSAGE
     )
 
 
@@ -258,7 +263,7 @@ def test_a_request_is_answered_by_one_reply_and_a_refused_one_is_none(folders):
     with pytest.raises(RefusedError, match="signature"):
         one.call("process_handshake", wrong, begun)
     result, _ = one.call("process_handshake", replies[0], begun)
-    assert result == Result.OK_FINAL_MESSAGE
+    assert result == ValidationResult.OK_FINAL_MESSAGE
     secret = one.call("get_shared_secret", begun)
     for again in replies:
         with pytest.raises(RefusedError, match="the handshake is over"):
@@ -277,7 +282,7 @@ def test_a_final_is_good_for_the_last_reply_though_all_have_one_announced_challe
     assert len(challenges) == 1
     with pytest.raises(RefusedError, match="dh2 is not what it was"):
         other.call("process_handshake", finals[0], answered)
-    assert other.call("process_handshake", finals[1], answered) == [Result.OK, NO_TOKEN]
+    assert other.call("process_handshake", finals[1], answered) == [ValidationResult.OK, NO_TOKEN]
 
 
 STOCK_TOKENS = {
@@ -374,8 +379,8 @@ def test_a_partition_is_for_who_is_granted_all_that_its_wildcards_stand_for(tmp_
     where = (Criteria(topics=("x",), partitions=("floor?", "s*")),)
     secret = (Criteria(topics=("x",), partitions=("secret",)),)
     rules = (
-        Rule(allow=False, domains=DOMAINS, publish=secret, subscribe=secret),
-        Rule(allow=True, domains=DOMAINS, publish=where, subscribe=where),
+        PermissionRule(allow=False, domains=DOMAINS, publish=secret, subscribe=secret),
+        PermissionRule(allow=True, domains=DOMAINS, publish=where, subscribe=where),
     )
     subject = Certificate.from_pem((folder / "cert.pem").read_bytes()).subject_name
     least = Grant.least(
@@ -435,7 +440,7 @@ def test_a_guid_comes_from_the_identity_that_made_it_and_from_a_peer_once_authen
         shim, (pairs, where) = Shim("authentication"), properties(folder)
         _, handle, guid, *_ = shim.call("validate_local_identity", 0, where, pairs, candidate)
         sides.append((shim, handle, guid))
-        assert shim.call("check_guid_comes_from", handle, guid, candidate) == [Result.OK]
+        assert shim.call("check_guid_comes_from", handle, guid, candidate) == [ValidationResult.OK]
         for wrong in ((guid, os.urandom(16)), (os.urandom(16), candidate), (guid, guid)):
             with pytest.raises(RefusedError, match="was not made of"):
                 shim.call("check_guid_comes_from", handle, *wrong)
@@ -447,6 +452,6 @@ def test_a_guid_comes_from_the_identity_that_made_it_and_from_a_peer_once_authen
             (guid, each) for guid, each in made_of.items()
             if guid != next(guid for mine, _, guid in sides if mine is shim)
         ]  # fmt: skip
-        assert shim.call("check_guid_comes_from", peer, other, candidate) == [Result.OK]
+        assert shim.call("check_guid_comes_from", peer, other, candidate) == [ValidationResult.OK]
         with pytest.raises(RefusedError, match="was not made of"):
             shim.call("check_guid_comes_from", peer, other, os.urandom(16))

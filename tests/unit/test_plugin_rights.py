@@ -11,13 +11,13 @@ from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Grant,
+    PermissionRule,
     Permissions,
-    Rule,
 )
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.plugin.credentials import Properties
 from pqsec_pki.plugin.rights import anywhere, end_of
-from pqsec_pki.plugin.trust import Trust
+from pqsec_pki.plugin.trust import ParticipantTrust
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import Signer, sign
 from tests.unit.keystores import DAY, NOW, made
@@ -32,7 +32,7 @@ PLAIN = Criteria(topics=("chatter",))
 
 
 def rule(criteria, *, allow):
-    return Rule(allow=allow, domains=DOMAINS, publish=(criteria,))
+    return PermissionRule(allow=allow, domains=DOMAINS, publish=(criteria,))
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_every_signature_that_is_pinned_must_be_there(tmp_path, kind):
     (folder / "permissions_ca.cert.pem").write_bytes(ca.certificate.pem)
 
     def accepted(message):
-        anchors = Trust.of(Properties(*properties(folder)), NOW).anchors
+        anchors = ParticipantTrust.of(Properties(*properties(folder)), NOW).anchors
         return anchors.governance(message, NOW)
 
     main, counter = (Signer(each.certificate, each.key) for each in (ca, second))

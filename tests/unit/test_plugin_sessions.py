@@ -10,7 +10,7 @@ from pqsec_pki.certificates import Authority
 from pqsec_pki.handshake import participant_data
 from pqsec_pki.lifecycle import revoke
 from pqsec_pki.plugin import handles, notes, peer_table
-from pqsec_pki.plugin.authentication import NO_TOKEN, Result
+from pqsec_pki.plugin.authentication import NO_TOKEN, ValidationResult
 from pqsec_pki.plugin.notes import Notes
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.plugin_wire import (
@@ -204,7 +204,7 @@ def test_a_flood_of_strangers_evicts_only_strangers_and_is_told(keystore, monkey
     ]
     for peer in crowd[-3:]:
         assert listener.call("begin_handshake_request", identity, peer, b"")[0] == (
-            Result.PENDING_HANDSHAKE_MESSAGE
+            ValidationResult.PENDING_HANDSHAKE_MESSAGE
         )
     with pytest.raises(RefusedError, match="unknown to the agent"):
         listener.call("begin_handshake_request", identity, crowd[0], b"")

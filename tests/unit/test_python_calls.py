@@ -9,8 +9,7 @@ from pqsec_pki.access import CYCLONEDDS, Action, decide
 from pqsec_pki.access.question import Question
 from pqsec_pki.certificates import Reason
 from pqsec_pki.credentials import IDENTITY_CA, verify_credentials
-from pqsec_pki.domain import Action as StepAction
-from pqsec_pki.domain import apply, read_domain
+from pqsec_pki.domain import StepAction, apply, read_domain
 from pqsec_pki.enrolment import Bundle, pin_texts, pins_in_use, pins_of, verify_bundle
 from pqsec_pki.errors import KeystoreError, PassphraseError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore, Overlap

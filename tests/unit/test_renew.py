@@ -9,7 +9,7 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.certificates import verify_chain
-from pqsec_pki.documents import Criteria, DomainSet, Grant, Kind, Permissions, Rule
+from pqsec_pki.documents import Criteria, DomainSet, Grant, Kind, PermissionRule, Permissions
 from pqsec_pki.errors import (
     FileError,
     KeystoreError,
@@ -135,7 +135,9 @@ def test_an_enclave_without_its_keys_is_renewed_with_the_keys_of_its_certificate
 
 def rule(topic, *, allow=True, **more):
     topics = (Criteria(topics=(topic,), partitions=("p",), data_tags=(("a", "b"),)),)
-    return Rule(allow=allow, domains=DomainSet.of(0, 7), publish=topics, relay=topics, **more)
+    return PermissionRule(
+        allow=allow, domains=DomainSet.of(0, 7), publish=topics, relay=topics, **more
+    )
 
 
 def grant_of(name, *rules, begin=NOW - DAY, end=NOW + 90 * DAY):

@@ -189,6 +189,17 @@ def test_a_room_lists_its_modules(room):
     assert {first or second for first, second in listed} == modules
 
 
+def test_no_two_classes_have_one_name():
+    """A reader who searches for a class finds it, and not three."""
+    names = [
+        node.name
+        for path in ROOT.rglob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert {name for name in names if names.count(name) > 1} == set()
+
+
 def test_reading_a_keystore_loads_no_operations():
     code = "import sys, pqsec_pki.keystore; sys.exit('pqsec_pki.lifecycle' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, env={"PYTHONPATH": str(ROOT.parent)})

@@ -9,7 +9,7 @@ from cryptography.hazmat.primitives.asymmetric import padding
 
 from pqsec_pki._asn1 import AlgorithmIdentifier, SubjectPublicKeyInfo, algorithm, decode, encode
 from pqsec_pki.algorithms import SIGNATURES, Digest, Family, digest_of, pair_private
-from pqsec_pki.algorithms._table import Table
+from pqsec_pki.algorithms._table import AlgorithmTable
 from pqsec_pki.algorithms.digest import DIGESTS
 from pqsec_pki.algorithms.signature import COMPOSITES
 from pqsec_pki.errors import UnknownAlgorithmError, VerificationError
@@ -378,7 +378,7 @@ def test_an_unknown_wire_name_is_refused():
 def test_a_table_refuses_two_rows_of_one_name():
     row = SIGNATURES.named("ml-dsa-65")
     with pytest.raises(AssertionError, match="share a name"):
-        Table("signature algorithm", [row, SIGNATURES.named("ml-dsa-44"), row])
+        AlgorithmTable("signature algorithm", [row, SIGNATURES.named("ml-dsa-44"), row])
 
 
 @pytest.mark.parametrize("digest", DIGESTS, ids=lambda digest: digest.name)

@@ -17,9 +17,9 @@ from pqsec_pki.trial import (
     Act,
     BuildError,
     MissingStackError,
-    Report,
-    Role,
     TopicRoute,
+    TrialReport,
+    TrialRole,
     TrialRun,
     TrialSetup,
     built,
@@ -393,10 +393,10 @@ def setup(tmp_path):
             f"exec({{'send': {send!r}, 'receive': {receive!r}}}[act])\n"
         )
         roles = [
-            Role(name="/a", act=Act.SEND, text="x", environment={"PEER": "a"}),
-            Role(name="/b", act=Act.RECEIVE, environment={"PEER": "b"}),
+            TrialRole(name="/a", act=Act.SEND, text="x", environment={"PEER": "a"}),
+            TrialRole(name="/b", act=Act.RECEIVE, environment={"PEER": "b"}),
             *(
-                Role(name=n, act=Act.RECEIVE, environment={}, unauthenticated=True)
+                TrialRole(name=n, act=Act.RECEIVE, environment={}, unauthenticated=True)
                 for n in strangers
             ),
         ]
@@ -544,7 +544,7 @@ def test_words_are_not_too_many():
 def outcome(log="", act=Act.SEND, name="/a", **how):
     facts = dict.fromkeys(("received", "refused", "signal"))
     facts |= {"joined": True, "matched": False} | how
-    role = Role(name=name, act=act, text="x", environment={})
+    role = TrialRole(name=name, act=act, text="x", environment={})
     return PeerOutcome(role=role, log=log, **facts)
 
 
@@ -622,7 +622,7 @@ def report(*, receiver=HEARD, unauthenticated=None, wire=None):
         outcome(act=Act.RECEIVE, name="?", **(unauthenticated or {})),
     )
     trial_run = TrialRun(outcomes=outcomes, seconds=1.0, wire=wire, alone=True)
-    return Report(
+    return TrialReport(
         installations=(),
         topic_route=way,
         trial_run=trial_run,

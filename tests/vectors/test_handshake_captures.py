@@ -22,7 +22,7 @@ from pqsec_pki.handshake import (
     Identity,
     IdentityToken,
     KeyMaterial,
-    Policy,
+    PeerRequirements,
     Reply,
     ReplySent,
     Request,
@@ -127,7 +127,7 @@ class Capture:
             announced = AuthRequest.from_holder(self.holder("bob_auth_request")).future_challenge
         return Terms(
             own=self.alice,
-            policy=Policy(agreements=tuple(KEY_AGREEMENTS)),
+            policy=PeerRequirements(agreements=tuple(KEY_AGREEMENTS)),
             discovered=Discovered(guid=self.octets("bob_guid"), future_challenge=announced),
         )
 

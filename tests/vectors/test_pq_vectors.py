@@ -22,7 +22,7 @@ from pqsec_pki.handshake import (
     Discovered,
     Final,
     Identity,
-    Policy,
+    PeerRequirements,
     Reply,
     Request,
     Terms,
@@ -80,7 +80,7 @@ class Vector:
             guid=self[f"{side}_guid"],
             permissions=introduction.permissions,
         )
-        policy = Policy(agreements=(self.agreement,), require_alternative=self.is_dual)
+        policy = PeerRequirements(agreements=(self.agreement,), require_alternative=self.is_dual)
         return Terms(own=own, policy=policy, discovered=Discovered(guid=self[f"{peer}_guid"]))
 
     @cached_property

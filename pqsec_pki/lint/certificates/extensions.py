@@ -11,7 +11,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.lint.certificates._keys import extension, is_ca
-from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
@@ -61,7 +61,7 @@ def identity_ca_without_mark(file: CertificateFile) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def permissions_ca_without_mark(file: CertificateFile) -> Iterator[Violation]:
-    if file.first and file.role is Role.PERMISSIONS_CA and _lacks_mark(file.first):
+    if file.first and file.role is CertificateRole.PERMISSIONS_CA and _lacks_mark(file.first):
         yield Violation("the permissions CA's certificate is not marked as a CA (basicConstraints)")
 
 
@@ -105,7 +105,7 @@ def identity_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violation]:
 )  # fmt: skip
 def permissions_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)
-    if file.first is None or file.role is not Role.PERMISSIONS_CA:
+    if file.first is None or file.role is not CertificateRole.PERMISSIONS_CA:
         return
     if usage and is_ca(file.first) and not usage.key_cert_sign:
         yield Violation(
@@ -215,7 +215,7 @@ def critical_alternative(file: CertificateFile) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
-    if file.first and file.role is Role.PARTICIPANT and is_ca(file.first):
+    if file.first and file.role is CertificateRole.PARTICIPANT and is_ca(file.first):
         yield Violation("the participant's certificate is marked as a CA (basicConstraints)")
 
 
@@ -235,7 +235,7 @@ def participant_is_ca(file: CertificateFile) -> Iterator[Violation]:
 )  # fmt: skip
 def participant_may_not_sign(file: CertificateFile) -> Iterator[Violation]:
     usage = _usage(file)
-    if usage and file.role is Role.PARTICIPANT and not usage.digital_signature:
+    if usage and file.role is CertificateRole.PARTICIPANT and not usage.digital_signature:
         yield Violation("the participant's keyUsage lacks digitalSignature")
 
 

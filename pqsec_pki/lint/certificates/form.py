@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from cryptography import x509
 
 from pqsec_pki.lint.certificates._keys import extension, is_ca, is_signed_by
-from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
@@ -64,7 +64,7 @@ def several(file: CertificateFile) -> Iterator[Violation]:
 )  # fmt: skip
 def intermediate(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
-    if file.first is None or role is Role.PARTICIPANT:
+    if file.first is None or role is CertificateRole.PARTICIPANT:
         return
     if not file.first.is_self_issued:
         yield Violation(f"the {role} was issued by another CA: stacks require a self-signed one")
@@ -118,7 +118,7 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def version_1_ca(file: CertificateFile) -> Iterator[Violation]:
-    if file.first and file.role is not Role.PARTICIPANT and file.first.version == 1:
+    if file.first and file.role is not CertificateRole.PARTICIPANT and file.first.version == 1:
         yield Violation(
             f"the {file.role}'s certificate is of version 1: it cannot say that it is a CA"
         )

@@ -10,7 +10,7 @@ from pqsec_pki.algorithms import Family, is_encrypted
 from pqsec_pki.credentials import KEYS
 from pqsec_pki.lint.certificates._keys import UNREADABLE, family_of, key_kind
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
@@ -130,7 +130,7 @@ def mistaken_for_p256(file: CertificateFile) -> Iterator[Violation]:
 def unsupported_signature_algorithm(file: CertificateFile) -> Iterator[Violation]:
     role = file.role
     name = _NOT_SHA256.get(file.first.signature_algorithm) if file.first else None
-    if name and role is not Role.COUNTERSIGNER:
+    if name and role is not CertificateRole.COUNTERSIGNER:
         yield Violation(f"the certificate of the {role} is signed with {name}, unknown to Fast DDS")
 
 

@@ -7,7 +7,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import key_of
 from pqsec_pki.lint.certificates.revocation import NEW_LIST
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
-from pqsec_pki.lint.subjects import Enclave, Inventory
+from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 
 _BAD_LIST = "CRL expired / wrong CA / bad signature"
 
@@ -24,7 +24,7 @@ _BAD_LIST = "CRL expired / wrong CA / bad signature"
     """,
     good="$ pqsec -k k ca crl --out robot/crl.pem --force",
 )  # fmt: skip
-def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
+def of_another_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     ca = enclave.certificate(IDENTITY_CA)
     key = key_of(ca) if ca else None
     if ca is None or key is None:
@@ -85,7 +85,7 @@ def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
         $ rm k/enclaves/talker/crl.pem
     """,
 )  # fmt: skip
-def ignored_by_opendds(enclave: Enclave) -> Iterator[Violation]:
+def ignored_by_opendds(enclave: EnclaveFolder) -> Iterator[Violation]:
     for file, _ in enclave.revocation_lists:
         yield Violation("OpenDDS does not read this revocation list", path=file.path)
 

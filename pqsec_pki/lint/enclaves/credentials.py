@@ -9,7 +9,7 @@ from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, ENCLAVES, IDENTITY_CA, K
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import extension, is_signed_by, key_of
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
-from pqsec_pki.lint.subjects import CertificateFile, Enclave
+from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder
 
 
 @lint_rule(
@@ -20,7 +20,7 @@ from pqsec_pki.lint.subjects import CertificateFile, Enclave
     bad="$ mv k/enclaves/talker k/enclaves/speaker",
     good="$ mv k/enclaves/speaker k/enclaves/talker",
 )  # fmt: skip
-def different_names(enclave: Enclave) -> Iterator[Violation]:
+def different_names(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None or ENCLAVES not in enclave.folder.parts:
         return
@@ -38,7 +38,7 @@ def different_names(enclave: Enclave) -> Iterator[Violation]:
     bad="$ cp k/enclaves/listener/key.pem k/enclaves/talker",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def another_key(enclave: Enclave) -> Iterator[Violation]:
+def another_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None:
         return
@@ -55,7 +55,7 @@ def another_key(enclave: Enclave) -> Iterator[Violation]:
     bad="$ head -n 2 k/enclaves/listener/key.pem > k/enclaves/talker/key.pem",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
+def unreadable_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     for name in (KEY, ALT_KEY):
         file = enclave.files.get(name)
         if file and (reason := file.private_key.reason):
@@ -78,7 +78,7 @@ def unreadable_key(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
-def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
+def of_another_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or ca is None or _intermediate(enclave):
         return
@@ -101,7 +101,7 @@ def of_another_ca(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
-def names_another_key(enclave: Enclave) -> Iterator[Violation]:
+def names_another_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or ca is None or not is_signed_by(certificate, ca):
         return  # PQS306 says so
@@ -133,7 +133,7 @@ def names_another_key(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ cp k/enclaves/talker/cert.pem k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
-def issued_by_intermediate(enclave: Enclave) -> Iterator[Violation]:
+def issued_by_intermediate(enclave: EnclaveFolder) -> Iterator[Violation]:
     if found := _intermediate(enclave):
         yield Violation(
             f"issued by {found.subject_name}, which only Fast DDS finds in {IDENTITY_CA}"
@@ -153,7 +153,7 @@ def issued_by_intermediate(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k c issue --force --publish chatter /talker",
 )  # fmt: skip
-def ends_after_ca(enclave: Enclave) -> Iterator[Violation]:
+def ends_after_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate and ca and certificate.not_after > ca.not_after:
         yield Violation(
@@ -162,7 +162,7 @@ def ends_after_ca(enclave: Enclave) -> Iterator[Violation]:
         )
 
 
-def _intermediate(enclave: Enclave) -> Certificate | None:
+def _intermediate(enclave: EnclaveFolder) -> Certificate | None:
     """The intermediate CA that issued the certificate, if it follows its root in the file."""
     certificate, root = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or root is None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, KEY, PERMISSIONS, REQUEST
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
-from pqsec_pki.lint.subjects import SIX, Enclave
+from pqsec_pki.lint.subjects import SIX, EnclaveFolder
 
 
 @lint_rule(
@@ -18,7 +18,7 @@ from pqsec_pki.lint.subjects import SIX, Enclave
     """,
     good="$ cp k/enclaves/talker/key.pem robot",
 )  # fmt: skip
-def incomplete(enclave: Enclave) -> Iterator[Violation]:
+def incomplete(enclave: EnclaveFolder) -> Iterator[Violation]:
     there = {*enclave.files, *enclave.broken_links}
     missing = [name for name in SIX if name not in there and not _is_elsewhere(enclave, name)]
     if missing:
@@ -35,7 +35,7 @@ def incomplete(enclave: Enclave) -> Iterator[Violation]:
         $ cp -rL k/enclaves/talker robot
     """,
 )  # fmt: skip
-def broken_link(enclave: Enclave) -> Iterator[Violation]:
+def broken_link(enclave: EnclaveFolder) -> Iterator[Violation]:
     for name in sorted(enclave.broken_links):
         yield Violation("the link is broken", path=enclave.folder / name)
 
@@ -53,7 +53,7 @@ def broken_link(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ openssl x509 -in k/enclaves/talker/cert.pem -outform PEM -out robot/cert.pem",
 )  # fmt: skip
-def misnamed(enclave: Enclave) -> Iterator[Violation]:
+def misnamed(enclave: EnclaveFolder) -> Iterator[Violation]:
     for name, file in enclave.files.items():
         is_certificate = name == CERTIFICATE or name.endswith(f".{CERTIFICATE}")
         if is_certificate and "CERTIFICATE" not in file.labels and not file.unreadable:
@@ -64,13 +64,13 @@ def misnamed(enclave: Enclave) -> Iterator[Violation]:
         yield Violation("is permissions, not governance", path=enclave.folder / GOVERNANCE)
 
 
-def _is_elsewhere(enclave: Enclave, name: str) -> bool:
+def _is_elsewhere(enclave: EnclaveFolder, name: str) -> bool:
     """Whether a PKCS #11 address (.p11, for ROS 2) replaces the file, or the robot has it."""
     if name == KEY and has_keys_on_robot(enclave):
         return True
     return (enclave.folder / name).with_suffix(".p11").exists()
 
 
-def has_keys_on_robot(enclave: Enclave) -> bool:
+def has_keys_on_robot(enclave: EnclaveFolder) -> bool:
     """Whether the enclave was issued for a request, so that only the robot has the keys."""
     return REQUEST in enclave.files and KEY not in enclave.files

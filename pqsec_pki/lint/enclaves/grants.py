@@ -6,7 +6,7 @@ from pqsec_pki.documents import DefaultAction, Grant, parse_subject, same_subjec
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.documents._shadows import domains_meet
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
-from pqsec_pki.lint.subjects import Enclave
+from pqsec_pki.lint.subjects import EnclaveFolder
 
 
 @lint_rule(
@@ -18,7 +18,7 @@ from pqsec_pki.lint.subjects import Enclave
     bad="$ cp k/enclaves/listener/permissions.* k/enclaves/talker",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def no_grant(enclave: Enclave) -> Iterator[Violation]:
+def no_grant(enclave: EnclaveFolder) -> Iterator[Violation]:
     document, certificate = enclave.permissions(), enclave.certificate()
     if document and document.permissions and certificate and not own_grants(enclave):
         yield Violation(f"no grant is for {certificate.subject_name}", path=document.path)
@@ -38,7 +38,7 @@ def no_grant(enclave: Enclave) -> Iterator[Violation]:
         $ pqsec -k k sign-permissions --force k/enclaves/talker/permissions.xml
     """,
 )  # fmt: skip
-def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
+def no_common_domain(enclave: EnclaveFolder) -> Iterator[Violation]:
     governance, permissions = enclave.governance(), enclave.permissions()
     if not (governance and governance.governance and permissions):
         return
@@ -51,7 +51,7 @@ def no_common_domain(enclave: Enclave) -> Iterator[Violation]:
         yield Violation("names no domain that the governance names", path=permissions.path)
 
 
-def own_grants(enclave: Enclave) -> list[Grant]:
+def own_grants(enclave: EnclaveFolder) -> list[Grant]:
     """The grants for the certificate's subject, in any spelling."""
     document, certificate = enclave.permissions(), enclave.certificate()
     if not (document and document.permissions and certificate):

@@ -29,7 +29,7 @@ from pqsec_pki.handshake import (
 from pqsec_pki.handshake.messages import HASH_SIZE
 from pqsec_pki.handshake.wire import GUID_SIZE, MAX_TOKEN
 from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
-from pqsec_pki.lint.subjects import Enclave, Inventory
+from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 
 FAST_DDS_LIMIT = 8192
 """Bytes of a message in Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2."""
@@ -43,10 +43,10 @@ _SMALLER = "Write permissions with fewer rules (patterns instead of lists of top
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class LargestMessage:
     """The largest handshake message of one participant, in bytes."""
 
-    enclave: Enclave
+    enclave: EnclaveFolder
     message: int
     certificate: int
     permissions: int
@@ -169,11 +169,11 @@ def reply_size(
     return len(message.encode())
 
 
-def _largest(inventory: Inventory) -> Iterator[Size]:
+def _largest(inventory: Inventory) -> Iterator[LargestMessage]:
     return _sizes(inventory, inventory.keystore.profile if inventory.keystore else None)
 
 
-def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[Size]:
+def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[LargestMessage]:
     """The size for each participant: between pqsec peers of `profile`, or for stock stacks."""
     for enclave in inventory.enclaves:
         certificate, file = enclave.certificate(), enclave.files.get(PERMISSIONS)
@@ -181,7 +181,7 @@ def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[Size]:
         if certificate is None or file is None or key is None:
             continue
         agreement = profile.key_agreement if profile else MODP_RAW
-        yield Size(
+        yield LargestMessage(
             enclave,
             message=reply_size(certificate, file.data, key.algorithm, agreement),
             certificate=len(certificate.pem),
@@ -198,5 +198,5 @@ def _key(certificate: Certificate, profile: Profile | None) -> PublicKey | None:
     return key if profile or key.algorithm.family is Family.CLASSICAL else None
 
 
-def _found(size: Size, words: str) -> Violation:
+def _found(size: LargestMessage, words: str) -> Violation:
     return Violation(words, path=size.enclave.folder)

@@ -13,7 +13,7 @@ from pqsec_pki.credentials import ENCLAVES, FILES, KEYS, Credentials, verify_cre
 from pqsec_pki.errors import PqsecError, problems_of
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Finding, Severity, Violation, lint_rule
-from pqsec_pki.lint.subjects import Enclave, Inventory
+from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 from pqsec_pki.problems import Code, Problem
 
 ID = "PQS319"
@@ -71,7 +71,7 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
     """,
     good="$ cp k/public/identity_ca.cert.pem robot",
 )  # fmt: skip
-def cannot_be_trusted(enclave: Enclave) -> Iterator[Violation]:
+def cannot_be_trusted(enclave: EnclaveFolder) -> Iterator[Violation]:
     for problem in _problems(enclave):
         files = (file for file in FILES if problem.subject == f"{enclave.name}: {file}")
         path = next((enclave.folder / file for file in files), None)
@@ -105,14 +105,14 @@ def _reports(finding: Finding, code: Code) -> bool:
     return bad and finding.rule.id in _REPORTED_BY.get(code, ()) and finding.code in {None, code}
 
 
-def _places(enclave: Enclave) -> frozenset[Path]:
+def _places(enclave: EnclaveFolder) -> frozenset[Path]:
     """Paths of findings about it: its folder, its files, and XML files next to signed ones."""
     own = {enclave.folder / name for name in (*enclave.files, *enclave.broken_links)}
     own |= {file.path for file in enclave.files.values()}
     return frozenset({enclave.folder, *own, *(path.with_suffix(".xml") for path in own)})
 
 
-def _problems(enclave: Enclave) -> Iterator[Problem]:
+def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
     if any(enclave.files[name].unreadable for name in _open_to_all(enclave.files)):
         return  # unknown: the check is incomplete, as PQS001 reports
     for name in sorted(set(enclave.broken_links) & set(FILES)):
@@ -127,7 +127,7 @@ def _problems(enclave: Enclave) -> Iterator[Problem]:
                 yield each
 
 
-def _files(enclave: Enclave) -> dict[str, bytes]:
+def _files(enclave: EnclaveFolder) -> dict[str, bytes]:
     """File name -> data, without unreadable or encrypted keys: no key is decrypted here."""
     files = {name: each for name, each in enclave.files.items() if name in FILES}
     keys = [each for name, each in files.items() if name in KEYS]

@@ -8,7 +8,7 @@ from pqsec_pki.lint.certificates.validity import is_near
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.enclaves.grants import own_grants
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
-from pqsec_pki.lint.subjects import Enclave
+from pqsec_pki.lint.subjects import EnclaveFolder
 
 WEST = timedelta(hours=12)
 """The furthest that local time is behind UTC."""
@@ -103,7 +103,7 @@ def expired_in_some_time_zones(document: PermissionsFile) -> Iterator[Violation]
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def permissions_end_first(enclave: Enclave) -> Iterator[Violation]:
+def permissions_end_first(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -125,7 +125,7 @@ def permissions_end_first(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def permissions_end_last(enclave: Enclave) -> Iterator[Violation]:
+def permissions_end_last(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -148,7 +148,7 @@ def permissions_end_last(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def never_valid_together(enclave: Enclave) -> Iterator[Violation]:
+def never_valid_together(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, grants = enclave.certificate(), own_grants(enclave)
     if certificate is None or not grants:
         return
@@ -161,7 +161,7 @@ def _found(document: PermissionsFile, grant: Grant, words: str) -> Violation:
     return Violation(f"the grant for {grant.subject_name} {words}", document.line(grant.line))
 
 
-def _of(enclave: Enclave, words: str) -> Violation:
+def _of(enclave: EnclaveFolder, words: str) -> Violation:
     document = enclave.permissions()
     return Violation(f"the participant's grant {words}", path=document.path if document else None)
 

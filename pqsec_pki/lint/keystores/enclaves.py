@@ -11,9 +11,9 @@ from pqsec_pki.credentials import (
     IDENTITY_CA,
     PERMISSIONS_CA,
 )
-from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
-from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
+from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
 
 
 @lint_rule(
@@ -29,7 +29,7 @@ from pqsec_pki.lint.subjects import CertificateFile, Enclave, Inventory
     good="$ ln -sf ../governance.p7s k/enclaves/talker/governance.p7s",
 )  # fmt: skip
 def different_governance(inventory: Inventory) -> Iterator[Violation]:
-    def text(enclave: Enclave) -> Hashable:
+    def text(enclave: EnclaveFolder) -> Hashable:
         document = enclave.governance()
         return document.governance if document else None
 
@@ -53,7 +53,7 @@ def different_governance(inventory: Inventory) -> Iterator[Violation]:
 def different_cas(inventory: Inventory) -> Iterator[Violation]:
     for name in (IDENTITY_CA, PERMISSIONS_CA):
 
-        def key(enclave: Enclave, name: str = name) -> Hashable:
+        def key(enclave: EnclaveFolder, name: str = name) -> Hashable:
             ca = enclave.certificate(name)
             return ca.fingerprint if ca else None
 
@@ -76,8 +76,10 @@ def different_cas(inventory: Inventory) -> Iterator[Violation]:
     good="$ cp k/public/permissions_ca.cert.pem robot",
 )  # fmt: skip
 def shared_ca(inventory: Inventory) -> Iterator[Violation]:
-    signers = {ca.spki for ca in _cas(inventory, PERMISSIONS_CA, Role.PERMISSIONS_CA).values()}
-    for path, ca in _cas(inventory, IDENTITY_CA, Role.IDENTITY_CA).items():
+    signers = {
+        ca.spki for ca in _cas(inventory, PERMISSIONS_CA, CertificateRole.PERMISSIONS_CA).values()
+    }
+    for path, ca in _cas(inventory, IDENTITY_CA, CertificateRole.IDENTITY_CA).items():
         if ca.spki in signers:
             yield Violation(
                 "this key is identity CA and permissions CA (CVE-2023-24010)", path=path
@@ -98,7 +100,7 @@ def shared_ca(inventory: Inventory) -> Iterator[Violation]:
     good="$ ln -s ../../public/identity_ca.crl.pem k/enclaves/talker/crl.pem",
 )  # fmt: skip
 def old_list(inventory: Inventory) -> Iterator[Violation]:
-    newest: dict[Path, tuple[datetime, Enclave]] = {}
+    newest: dict[Path, tuple[datetime, EnclaveFolder]] = {}
     for enclave in inventory.enclaves:
         made, root = _latest(enclave), _root(enclave.folder)
         if made and (root not in newest or made > newest[root][0]):
@@ -121,7 +123,7 @@ def old_list(inventory: Inventory) -> Iterator[Violation]:
     good="$ pqsec -k k issue --force --publish chatter /second",
 )  # fmt: skip
 def shared_key(inventory: Inventory) -> Iterator[Violation]:
-    first: dict[bytes, Enclave] = {}
+    first: dict[bytes, EnclaveFolder] = {}
     for enclave in inventory.enclaves:
         for key in _own_keys(enclave):
             other = first.setdefault(key, enclave)
@@ -151,12 +153,12 @@ def same_serial(inventory: Inventory) -> Iterator[Violation]:
                 yield Violation(f"has the same serial number as {other.path}", path=file.path)
 
 
-def _latest(enclave: Enclave) -> datetime | None:
+def _latest(enclave: EnclaveFolder) -> datetime | None:
     """When its newest revocation list was issued; None if it has none."""
     return max((each.this_update for _, each in enclave.revocation_lists), default=None)
 
 
-def _own_keys(enclave: Enclave) -> Iterator[bytes]:
+def _own_keys(enclave: EnclaveFolder) -> Iterator[bytes]:
     certificate = enclave.certificate()
     if certificate:
         yield certificate.spki
@@ -164,7 +166,7 @@ def _own_keys(enclave: Enclave) -> Iterator[bytes]:
             yield certificate.alternative.spki
 
 
-def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certificate]:
+def _cas(inventory: Inventory, name: str, role: CertificateRole) -> Mapping[Path, Certificate]:
     """CAs in files for that role, or that enclaves have under `name` (SROS2 links both to one)."""
     found = {each.path: each.first for each in inventory.certificates if each.role is role}
     for enclave in inventory.enclaves:
@@ -174,10 +176,10 @@ def _cas(inventory: Inventory, name: str, role: Role) -> Mapping[Path, Certifica
 
 
 def _unlike_most(
-    inventory: Inventory, key: Callable[[Enclave], Hashable]
-) -> Iterator[tuple[Enclave, Enclave]]:
+    inventory: Inventory, key: Callable[[EnclaveFolder], Hashable]
+) -> Iterator[tuple[EnclaveFolder, EnclaveFolder]]:
     """(enclave, another enclave) for each that differs from the majority of its keystore."""
-    keystores: dict[Path, dict[Hashable, list[Enclave]]] = {}
+    keystores: dict[Path, dict[Hashable, list[EnclaveFolder]]] = {}
     for enclave in inventory.enclaves:
         value = key(enclave)
         if value is not None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from pqsec_pki.algorithms import is_encrypted
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
 
@@ -156,12 +156,12 @@ def weakly_encrypted(file: File) -> Iterator[Violation]:
         yield Violation("a private key in traditional PEM: its passphrase is easy to guess")
 
 
-def _ca_keys(inventory: Inventory) -> Mapping[bytes | None, Role]:
+def _ca_keys(inventory: Inventory) -> Mapping[bytes | None, CertificateRole]:
     """DER SubjectPublicKeyInfo -> role of the CA with that key."""
-    found: dict[bytes | None, Role] = {}
+    found: dict[bytes | None, CertificateRole] = {}
     for file in inventory.certificates:
         role = file.role
-        if file.first and role is not Role.PARTICIPANT:
+        if file.first and role is not CertificateRole.PARTICIPANT:
             found[file.first.spki] = role
             if file.first.alternative and file.first.alternative.spki:
                 found[file.first.alternative.spki] = role

@@ -18,7 +18,7 @@ _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 
 @dataclass(frozen=True, slots=True)
-class _Holder:
+class _NamePieces:
     """A certificate or grant: its name, and the pieces into which Cyclone DDS splits it."""
 
     name: str
@@ -60,33 +60,33 @@ def escalation(inventory: Inventory) -> Iterator[Violation]:
                     yield Violation(message, grant.line, grant.path)
 
 
-def _may_pass(other: _Holder, grant: _Holder) -> bool:
+def _may_pass(other: _NamePieces, grant: _NamePieces) -> bool:
     if not other.pieces <= grant.pieces or other.name == grant.name:
         return False
     return not same_subject(parsed(other.name), parsed(grant.name))
 
 
-def _identities(inventory: Inventory) -> Iterator[_Holder]:
+def _identities(inventory: Inventory) -> Iterator[_NamePieces]:
     for file in inventory.certificates:
         for certificate in file.issued:
             name = certificate.subject_name
             if pieces := _pieces(name):
-                yield _Holder(name, pieces, file.path)
+                yield _NamePieces(name, pieces, file.path)
 
 
-def _granted(inventory: Inventory) -> Iterator[_Holder]:
+def _granted(inventory: Inventory) -> Iterator[_NamePieces]:
     for document in inventory.documents:
         for grant in document.grants if isinstance(document, PermissionsFile) else ():
             if pieces := _pieces(grant.subject_name):
                 line = document.line(grant.line)
-                yield _Holder(grant.subject_name, pieces, document.path, line)
+                yield _NamePieces(grant.subject_name, pieces, document.path, line)
 
 
-def _by_rarest_piece(holders: list[_Holder]) -> dict[tuple[str, str], list[_Holder]]:
+def _by_rarest_piece(holders: list[_NamePieces]) -> dict[tuple[str, str], list[_NamePieces]]:
     """Each name once, under the piece that the fewest names have, to compare few pairs."""
     unique = {holder.name: holder for holder in holders}
     counts = Counter(piece for holder in unique.values() for piece in holder.pieces)
-    found: dict[tuple[str, str], list[_Holder]] = {}
+    found: dict[tuple[str, str], list[_NamePieces]] = {}
     for holder in unique.values():
         rarest = min(holder.pieces, key=lambda piece: (counts[piece], piece))
         found.setdefault(rarest, []).append(holder)

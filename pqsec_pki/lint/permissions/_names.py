@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 
-from pqsec_pki.documents import Criteria, Grant, Rule, Subject, parse_subject
+from pqsec_pki.documents import Criteria, Grant, PermissionRule, Subject, parse_subject
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.document import PermissionsFile
 
@@ -43,7 +43,7 @@ def shown(grant: Grant) -> str:
     return name if name.isprintable() else ascii(name)
 
 
-def criteria_of(grant: Grant) -> Iterator[tuple[Rule, str, Criteria]]:
+def criteria_of(grant: Grant) -> Iterator[tuple[PermissionRule, str, Criteria]]:
     """(rule, publish or subscribe, criteria) for all that stacks check; they ignore relay."""
     for rule in grant.rules:
         for action in ("publish", "subscribe"):

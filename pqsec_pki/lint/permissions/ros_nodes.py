@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from pqsec_pki.documents import DefaultAction, Rule, ros
+from pqsec_pki.documents import DefaultAction, PermissionRule, ros
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns
 from pqsec_pki.lint.permissions._names import shown
@@ -36,7 +36,7 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
 )  # fmt: skip
 def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
-        patterns = Patterns[Rule]()
+        patterns = Patterns[PermissionRule]()
         topics = {
             topic: (criteria.line, rule)
             for rule in grant.rules
@@ -73,7 +73,7 @@ def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
 def no_ros_discovery(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         for action in ("publish", "subscribe"):
-            patterns = Patterns[Rule]()
+            patterns = Patterns[PermissionRule]()
             for rule in grant.rules:
                 for criteria in getattr(rule, action) if rule.allow else ():
                     for topic in criteria.topics:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from pqsec_pki.documents import DomainSet, Rule
+from pqsec_pki.documents import DomainSet, PermissionRule
 from pqsec_pki.lint.document import ACTIONS, PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns, covers_domains
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
@@ -84,13 +84,13 @@ def late_allow(document: PermissionsFile) -> Iterator[Violation]:
             )  # fmt: skip
 
 
-_Shadow = tuple[int | None, str, str, Rule, Rule]
+_Shadow = tuple[int | None, str, str, PermissionRule, PermissionRule]
 """Line, action, topic, its rule, and an earlier rule that decides the opposite."""
 
 
 def _shadowed(document: PermissionsFile) -> Iterator[_Shadow]:
     for grant in document.grants:
-        before: dict[tuple[object, ...], Patterns[Rule]] = {}
+        before: dict[tuple[object, ...], Patterns[PermissionRule]] = {}
         sets: list[DomainSet] = []
         for rule in grant.rules:
             if rule.domains not in sets and len(sets) < MAX_DOMAIN_SETS:
@@ -101,10 +101,10 @@ def _shadowed(document: PermissionsFile) -> Iterator[_Shadow]:
 
 
 def _shadowed_in(
-    rule: Rule,
+    rule: PermissionRule,
     action: str,
     wider: list[DomainSet],
-    before: dict[tuple[object, ...], Patterns[Rule]],
+    before: dict[tuple[object, ...], Patterns[PermissionRule]],
 ) -> Iterator[_Shadow]:
     for criteria in getattr(rule, action):
         limits = (action, criteria.partitions, criteria.data_tags)

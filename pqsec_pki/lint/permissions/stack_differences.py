@@ -6,7 +6,7 @@ The decision then depends on the stack. `pqsec explain` shows the decision of ea
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Rule
+from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, PermissionRule
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns, Starts, covers_domains, domains_meet
 from pqsec_pki.lint.permissions._names import criteria_of
@@ -23,7 +23,7 @@ _CYCLONE = "Cyclone DDS 0.10.2"
 class _Entry:
     """A topic pattern, with its rule, action and criteria."""
 
-    rule: Rule
+    rule: PermissionRule
     action: str
     criteria: Criteria
     topic: str
@@ -110,7 +110,7 @@ def denies_both(document: PermissionsFile) -> Iterator[Violation]:
 
 def _not_allowed_above(entries: list[_Entry]) -> set[_Entry]:
     """Entries of deny_rules whose topic no earlier allow_rule is certain to cover."""
-    allowed, found = Patterns[Rule](), set[_Entry]()
+    allowed, found = Patterns[PermissionRule](), set[_Entry]()
     for entry in entries:
         if entry.rule.allow:
             allowed.add(entry.topic, entry.rule)
@@ -119,15 +119,15 @@ def _not_allowed_above(entries: list[_Entry]) -> set[_Entry]:
     return found
 
 
-def _denied(entries: list[_Entry]) -> dict[str, Patterns[Rule]]:
-    found = {action: Patterns[Rule]() for action in _OTHER}
+def _denied(entries: list[_Entry]) -> dict[str, Patterns[PermissionRule]]:
+    found = {action: Patterns[PermissionRule]() for action in _OTHER}
     for entry in entries:
         if not entry.rule.allow:
             found[entry.action].add(entry.topic, entry.rule)
     return found
 
 
-def _is_covered(entry: _Entry, patterns: Patterns[Rule]) -> bool:
+def _is_covered(entry: _Entry, patterns: Patterns[PermissionRule]) -> bool:
     marks = patterns.covering(entry.topic)
     return any(covers_domains(mark.domains, entry.rule.domains) for mark in marks)
 

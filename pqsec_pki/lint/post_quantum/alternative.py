@@ -16,7 +16,7 @@ from pqsec_pki.lint.certificates._keys import alternative_key_of
 from pqsec_pki.lint.enclaves.files import has_keys_on_robot
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import countersigners, is_by
-from pqsec_pki.lint.subjects import Enclave, Inventory
+from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 
 
 @lint_rule(
@@ -27,7 +27,7 @@ from pqsec_pki.lint.subjects import Enclave, Inventory
     bad="$ cp elsewhere/forged.cert.pem k/enclaves/talker/cert.pem",
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def invalid_alternative_signature(enclave: Enclave) -> Iterator[Violation]:
+def invalid_alternative_signature(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, key = enclave.certificate(), alternative_key_of(enclave.certificate(IDENTITY_CA))
     if certificate is None or key is None or not _has_signature(certificate):
         return
@@ -50,7 +50,7 @@ def invalid_alternative_signature(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
-def no_alternative(enclave: Enclave) -> Iterator[Violation]:
+def no_alternative(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate = enclave.certificate()
     if certificate is None or alternative_key_of(enclave.certificate(IDENTITY_CA)) is None:
         return
@@ -111,7 +111,7 @@ def invalid_countersignature(inventory: Inventory) -> Iterator[Violation]:
     """,
     good="$ cp k/public/permissions_ca.alt.cert.pem robot",
 )  # fmt: skip
-def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
+def no_countersigner(enclave: EnclaveFolder) -> Iterator[Violation]:
     file = enclave.files.get(PERMISSIONS_ALT_CA)
     if enclave.certificate(PERMISSIONS_ALT_CA) or (file and file.unreadable):
         return
@@ -136,7 +136,7 @@ def no_countersigner(enclave: Enclave) -> Iterator[Violation]:
     """,
     good="$ cp k/enclaves/talker/alt.key.pem robot",
 )  # fmt: skip
-def no_alternative_key(enclave: Enclave) -> Iterator[Violation]:
+def no_alternative_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     if has_keys_on_robot(enclave):
         return
     if alternative_key_of(enclave.certificate()) and ALT_KEY not in enclave.files:

@@ -6,7 +6,7 @@ from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.algorithms import SignatureAlgorithm
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import alternative_key_of, family_of, key_kind
-from pqsec_pki.lint.roles import Role
+from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, Inventory
 
@@ -80,10 +80,10 @@ def below_profile(inventory: Inventory) -> Iterator[Violation]:
         return
     profile = inventory.keystore.profile
     wanted = {
-        Role.PARTICIPANT: (profile.participant_key, profile.alternative_key),
-        Role.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
-        Role.PERMISSIONS_CA: (profile.permissions_key, None),
-        Role.COUNTERSIGNER: (profile.alternative_key, None),
+        CertificateRole.PARTICIPANT: (profile.participant_key, profile.alternative_key),
+        CertificateRole.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
+        CertificateRole.PERMISSIONS_CA: (profile.permissions_key, None),
+        CertificateRole.COUNTERSIGNER: (profile.alternative_key, None),
     }
     for file in inventory.certificates:
         role = file.role

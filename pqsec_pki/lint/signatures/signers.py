@@ -6,7 +6,7 @@ from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.lint.certificates._keys import family_of
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
-from pqsec_pki.lint.signed import SignedDocument, broken_digests, embedded, is_by
+from pqsec_pki.lint.signed import DocumentAndSigners, broken_digests, embedded, is_by
 from pqsec_pki.lint.subjects import Inventory
 
 
@@ -122,13 +122,13 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
             yield Violation(f"differs from {plain.path.name}", path=file.path)
 
 
-def _is_for_stock(document: SignedDocument) -> bool:
+def _is_for_stock(document: DocumentAndSigners) -> bool:
     """Whether stock stacks can read the document: all keys are classical."""
     certificates = (document.ca, *(each for _, each in document.others))
     return all(family_of(each) is Strength.CLASSICAL for each in certificates)
 
 
-def _by_another(document: SignedDocument) -> str:
+def _by_another(document: DocumentAndSigners) -> str:
     """A message: who signed instead of the permissions CA, if document and enclave show it."""
     name, signers = document.ca.subject_name, document.file.signers
     if who := _known(document):
@@ -144,7 +144,7 @@ def _by_another(document: SignedDocument) -> str:
     return f"signed by a certificate that {name} issued, not by {name}"
 
 
-def _known(document: SignedDocument) -> str | None:
+def _known(document: DocumentAndSigners) -> str | None:
     """The signer with its role, if it is one of the enclave's certificates."""
     signers = document.file.signers
     known: list[tuple[str, Certificate]] = [

@@ -9,7 +9,7 @@ from pathlib import Path
 from pqsec_pki.trial import (
     Installation,
     MissingStackError,
-    Role,
+    TrialRole,
     TrialRun,
     TrialSetup,
     find,
@@ -37,7 +37,7 @@ def python_peer() -> list[str] | None:
     return [str(python), str(PEER)] if python.exists() else None
 
 
-def perform_each(*casts: tuple[Role, list[str]], seconds: float = PATIENCE) -> TrialRun:
+def perform_each(*casts: tuple[TrialRole, list[str]], seconds: float = PATIENCE) -> TrialRun:
     """How it went, each role played by a program of its own."""
     roles = [
         replace(role, environment={**role.environment, "PROGRAM": shlex.join(program)})

@@ -6,7 +6,7 @@ from pathlib import Path
 from pqsec_pki.trial import (
     Act,
     Installation,
-    Role,
+    TrialRole,
     TrialRun,
     TrialSetup,
     built,
@@ -96,16 +96,18 @@ class Stage:
         path.write_text(text)
         return {"CYCLONEDDS_URI": path.as_uri(), "LD_LIBRARY_PATH": str(self.shim.folder)}
 
-    def sender(self, enclave: Path, **choices) -> Role:
+    def sender(self, enclave: Path, **choices) -> TrialRole:
         """One that sends a text which is nowhere by chance."""
         environment = self.environment(enclave, **choices)
-        return Role(name="sender", act=Act.SEND, text=unique_text(), environment=environment)
+        return TrialRole(name="sender", act=Act.SEND, text=unique_text(), environment=environment)
 
-    def receiver(self, enclave: Path, **choices) -> Role:
+    def receiver(self, enclave: Path, **choices) -> TrialRole:
         environment = self.environment(enclave, **choices)
-        return Role(name="receiver", act=Act.RECEIVE, environment=environment)
+        return TrialRole(name="receiver", act=Act.RECEIVE, environment=environment)
 
-    def run_peers(self, *roles: Role, topic: str = TOPIC, seconds: float = PATIENCE) -> TrialRun:
+    def run_peers(
+        self, *roles: TrialRole, topic: str = TOPIC, seconds: float = PATIENCE
+    ) -> TrialRun:
         """How it went."""
         scene = TrialSetup(program=self.program, domain=DOMAIN, topic=topic, timeout=seconds)
         return run_peers(scene, roles)

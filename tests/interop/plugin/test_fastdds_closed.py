@@ -22,9 +22,9 @@ from pqsec_pki.trial import (
     Act,
     Installation,
     MissingStackError,
-    Plugin,
-    Role,
     Trial,
+    TrialPlugin,
+    TrialRole,
     built,
     credentialed,
     find,
@@ -54,9 +54,9 @@ class Stage:
     """A participant that would be good, and what runs it."""
 
     installation: Installation
-    plugin: Plugin
-    role: Role
-    other: Role
+    plugin: TrialPlugin
+    role: TrialRole
+    other: TrialRole
     """A peer, that sends."""
     folder: Path
 
@@ -100,11 +100,11 @@ class Outcome:
 
 
 @pytest.fixture(scope="module")
-def plugins(requires) -> Iterator[Callable[[str], tuple[Installation, Plugin]]]:
+def plugins(requires) -> Iterator[Callable[[str], tuple[Installation, TrialPlugin]]]:
     """plugins("trixie") are the Fast DDS that is there, and our plugin for it."""
     with ExitStack() as stack:
 
-        def of(where: str) -> tuple[Installation, Plugin]:
+        def of(where: str) -> tuple[Installation, TrialPlugin]:
             try:
                 installation = find("fastdds", ROOTS[where])
             except MissingStackError as error:

@@ -11,9 +11,9 @@ import pytest
 from pqsec_pki.trial import (
     Installation,
     MissingStackError,
-    Plugin,
-    Report,
     TopicRoute,
+    TrialPlugin,
+    TrialReport,
     built,
     find,
     plugin,
@@ -88,17 +88,17 @@ def laboratory(tmp_path_factory, now) -> Laboratory:
 
 
 @pytest.fixture(scope="module")
-def ours(there) -> Iterator[Callable[[str], Plugin]]:
+def ours(there) -> Iterator[Callable[[str], TrialPlugin]]:
     """ours("trixie") is the plugin for the Fast DDS that is there, with an agent."""
     with ExitStack() as stack:
         yield cache(lambda where: stack.enter_context(plugin(fastdds=there(where))))
 
 
 @pytest.fixture(scope="module")
-def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
+def reports(there, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
 
-    def run(where: str, case: Case, stock: tuple[str, ...], **how) -> Report:
+    def run(where: str, case: Case, stock: tuple[str, ...], **how) -> TrialReport:
         trial = laboratory.trial(there(where), case, plugin=ours(where), stock=stock, **how)
         return run_trial(
             trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
@@ -108,7 +108,7 @@ def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
         built(there(where))
         ours(where)
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        found: dict[str, Future[Report]] = {}
+        found: dict[str, Future[TrialReport]] = {}
         for name, (where, case, stock) in MET.items():
             found[name] = pool.submit(run, where, case, stock, timeout=PATIENCE)
         for name, (case, stock, _) in REFUSED.items():

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.access import SPEC, Action, Side, decide
+from pqsec_pki.access import SPEC, Action, Viewpoint, decide
 from pqsec_pki.documents import Governance, Grant, Permissions, ProtectionKind
 from pqsec_pki.plugin.attributes import BUILTIN
 from pqsec_pki.plugin.build import SOURCES
@@ -251,7 +251,7 @@ def test_it_answers_as_the_standard(shim, labs, tmp_path):
             for question in questions("CN=/lab/alice", DOMAIN, SPEC):
                 if question.action is Action.RELAY or question.topic in BUILTIN:
                     continue
-                for side, refusal in ((Side.OWN, plugin.own), (Side.PEER, plugin.peer)):
+                for side, refusal in ((Viewpoint.OWN, plugin.own), (Viewpoint.PEER, plugin.peer)):
                     wanted = decide(governance, permissions, question, by=side)
                     said = refusal(question)
                     assert wanted.allowed is not bool(said), (question, side, said, wanted.reason)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.trial import MissingStackError, Role, find, unauthenticated
+from pqsec_pki.trial import MissingStackError, TrialRole, find, unauthenticated
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.conftest import LAB_PROFILES, TOPIC
 from tests.interop.plugin.processes import DOMAIN, REFUSAL, Stage, logs, met
@@ -140,7 +140,7 @@ def test_two_meet_though_packets_are_lost(stage, labs):
 
 
 @contextmanager
-def running(stage: Stage, role: Role, seconds: float = 3):
+def running(stage: Stage, role: TrialRole, seconds: float = 3):
     """A peer as a process, which ends by itself after so many seconds at most."""
     words = [role.act.value, str(DOMAIN), TOPIC, role.text, str(seconds)]
     with hosted([*stage.program, *words], role.environment) as process:
@@ -234,7 +234,7 @@ def test_an_agent_that_hangs_makes_a_participant_fail_not_hang(stage, labs):
 def test_an_agent_of_ones_own_is_for_one_process_and_ends_with_it(stage, labs):
     lab = labs("pq")
     role = stage.sender(lab.alice)
-    alone = Role(
+    alone = TrialRole(
         name="alone",
         act=role.act,
         text=role.text,

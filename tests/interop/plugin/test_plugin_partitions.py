@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 import pqsec_pki.trial
-from pqsec_pki.access import CYCLONEDDS, SPEC, Action, Question, Side, decide
-from pqsec_pki.documents import Criteria, Governance, Grant, Permissions, Rule
+from pqsec_pki.access import CYCLONEDDS, SPEC, Action, Question, Viewpoint, decide
+from pqsec_pki.documents import Criteria, Governance, Grant, PermissionRule, Permissions
 from pqsec_pki.trial import MissingStackError, find
 from tests.interop.conftest import DOMAINS, TOPIC, YEAR, Lab
 from tests.interop.plugin.processes import DOMAIN, PATIENCE, Stage
@@ -92,7 +92,7 @@ def granted(lab, name, rules):
         domains=DOMAINS,
     )
     made = (
-        Rule(
+        PermissionRule(
             allow=allow,
             domains=DOMAINS,
             publish=criteria[partitions],
@@ -176,8 +176,10 @@ def test_a_sample_passes_where_own_stack_and_peer_allow_it(
             lab.enclave(name, permissions), plugins=plugins[name]
         )
         asked = permissions, action, lab.now
-        made[name] = allowed(*asked, INTERPRETATIONS[plugins[name]], by=Side.OWN)
-        heard[name] = made[name] & allowed(*asked, INTERPRETATIONS[plugins[other]], by=Side.PEER)
+        made[name] = allowed(*asked, INTERPRETATIONS[plugins[name]], by=Viewpoint.OWN)
+        heard[name] = made[name] & allowed(
+            *asked, INTERPRETATIONS[plugins[other]], by=Viewpoint.PEER
+        )
     wanted = {
         (reader, writer)
         for writer, reader in product(heard["alice"], heard["bob"])

@@ -24,10 +24,10 @@ from pqsec_pki.trial import (
     AgentError,
     Installation,
     MissingStackError,
-    Plugin,
-    Report,
     TopicRoute,
     Trial,
+    TrialPlugin,
+    TrialReport,
     TrialSetup,
     built,
     credentialed,
@@ -120,17 +120,17 @@ def laboratory(tmp_path_factory, now) -> Laboratory:
 
 
 @pytest.fixture(scope="module")
-def ours(compiler) -> Iterator[Plugin]:
+def ours(compiler) -> Iterator[TrialPlugin]:
     """The plugin, with an agent that all these trials share."""
     with plugin() as found:
         yield found
 
 
 @pytest.fixture(scope="module")
-def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
+def reports(there, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
 
-    def run(where: str, case: Case, stock: tuple[str, ...], **how) -> Report:
+    def run(where: str, case: Case, stock: tuple[str, ...], **how) -> TrialReport:
         trial = laboratory.trial(there(where), case, plugin=ours, stock=stock, **how)
         return run_trial(
             trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
@@ -139,7 +139,7 @@ def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
     for where in ROOTS:
         built(there(where))
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        found: dict[str, Future[Report]] = {}
+        found: dict[str, Future[TrialReport]] = {}
         for name, (where, case, stock) in MET.items():
             found[name] = pool.submit(run, where, case, stock, timeout=PATIENCE)
         for name, (case, stock, _) in REFUSED.items():
@@ -148,7 +148,7 @@ def reports(there, laboratory, ours) -> Iterator[Callable[[str], Report]]:
         yield lambda name: found[name].result()
 
 
-def logs(report: Report) -> str:
+def logs(report: TrialReport) -> str:
     return "\n".join(f"-- {each.role.name}\n{each.log}" for each in report.trial_run.outcomes)
 
 

@@ -16,7 +16,7 @@ from pqsec_pki.certificates import Authority
 from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
 from pqsec_pki.handshake import (
     Identity,
-    Policy,
+    PeerRequirements,
     Sender,
     Terms,
     adjusted_guid,
@@ -108,7 +108,7 @@ def vector(key, alternative, agreement):
     """One handshake and a protected submessage, as pq.json has it."""
     row, agreement = SIGNATURES.named(key), KEY_AGREEMENTS.named(agreement)
     initiator, replier = two_identities(row, alternative and SIGNATURES.named(alternative))
-    policy = Policy(agreements=(agreement,), require_alternative=alternative is not None)
+    policy = PeerRequirements(agreements=(agreement,), require_alternative=alternative is not None)
     request, waiting = begin(Terms(own=initiator, policy=policy), agreement)
     reply, awaiting = reply_to(Terms(own=replier, policy=policy), request, now=NOW)
     final, done = waiting.receive(reply, now=NOW)
