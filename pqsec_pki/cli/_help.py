@@ -7,6 +7,8 @@ import click
 
 USAGE = "wrong command line"
 """The meaning of exit code 2, which every command has."""
+HELP_OPTIONS = ["-h", "--help"]
+"""Also for who looks at a command alone: click keeps the option of the first who asks."""
 
 
 class Command(click.Command):
@@ -23,6 +25,11 @@ class Command(click.Command):
         super().__init__(*args, **settings)
         self.examples = dict(examples)
         self.exit_codes = dict(sorted({**exit_codes, 2: USAGE}.items()))
+
+    def get_help_option_names(self, ctx: click.Context) -> list[str]:
+        """The same for every command, wherever it is in the tree."""
+        del ctx
+        return HELP_OPTIONS
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """As click does it; every usage error knows its command, for the hint."""
@@ -52,6 +59,11 @@ class Group(click.Group):
     """A group of such commands."""
 
     command_class = Command
+
+    def get_help_option_names(self, ctx: click.Context) -> list[str]:
+        """The same for every command, wherever it is in the tree."""
+        del ctx
+        return HELP_OPTIONS
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write where the examples and exit codes are."""

@@ -1,6 +1,7 @@
 """pqsec ca rotate: replace the CAs, with a plan of the consequences."""
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,8 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     )
     if terms.overlap:
         _overlap.refuse_options(terms.overlap)
-    planned = plan_rollover(keystore, terms, now=_settings.now())
+    with keystore.hold() if do else nullcontext():  # no other command is in the middle of a change
+        planned = plan_rollover(keystore, terms, now=_settings.now())
     if do:
         _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase)
     elif terms.overlap:

@@ -177,7 +177,7 @@ class InstalledAdapter:
         """Why it does not run in the library at that path; empty if it does."""
         try:
             build = read_library(self.library).build
-        except PqsecError as error:
+        except (PqsecError, ValueError) as error:  # a path that no file can have
             return str(error)
         if build != self.build:
             return "the library was updated since"
@@ -190,14 +190,14 @@ def installed(folder: Path) -> list[InstalledAdapter]:
     """Those in `folder`; a record that cannot be read is left out."""
     found = []
     for path in sorted(folder.glob(RECORD.format("*"))):
-        with suppress(PqsecError, ValueError, KeyError, TypeError):
+        with suppress(PqsecError, ValueError, KeyError, TypeError, RecursionError):
             value = json.loads(_files.read(path))
-            build = str(value["build"])
+            build, library = str(value["build"]), Path(str(value["library"]))
             if path.name == RECORD.format(build) and (folder / ADAPTER.format(build)).is_file():
                 release = tuple(int(number) for number in value["version"])
                 found.append(
                     InstalledAdapter(
-                        library=Path(str(value["library"])),
+                        library=library,
                         build=build,
                         release=release,
                         protocol=int(value["protocol"]),

@@ -11,11 +11,12 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
 
 from pqsec_pki.cli import COMMANDS, GROUPS
 from pqsec_pki.cli._printing import JSON_VERSION
-from tests.cli.conftest import clean_environment
+from tests.cli.conftest import clean_environment, command_of
 
 USAGE = [
     "foo",
@@ -190,6 +191,13 @@ def test_help_lists_the_commands_with_the_help_each_gives(process):
 @pytest.mark.parametrize("line", ["ca", "ca init", "issue", "verify", "demo", "inspect"])
 def test_help_needs_neither_arguments_nor_keystore(pqsec, line, option):
     assert pqsec(f"{line} {option}").done().out.startswith(f"Usage: pqsec {line} [OPTIONS]")
+
+
+def test_both_help_options_stay_when_a_command_was_looked_at_alone(pqsec):
+    """Click keeps the option that is asked for first."""
+    command = command_of(["verify"])
+    command.get_help_option(click.Context(command))
+    assert pqsec("verify -h").done()
 
 
 # What help costs

