@@ -139,15 +139,21 @@ static void *original_of(const struct caller *caller, const char *symbol)
 
 /* ---- The adapter for that build */
 
-static void *opened(const char *id)
+/* The path of this library; NULL if it is relative, and so another one after chdir. */
+static const char *own_path(void)
 {
   Dl_info own;
+  return dladdr((void *)refuse, &own) && own.dli_fname[0] == '/' ? own.dli_fname : NULL;
+}
+
+static void *opened(const char *id)
+{
   char path[MAX_PATH];
-  const char *end = dladdr((void *)refuse, &own) ? strrchr(own.dli_fname, '/') : NULL;
-  if (end == NULL)
+  const char *own = own_path();
+  if (own == NULL)
     return NULL;
-  int folder = (int)(end - own.dli_fname);
-  int size = snprintf(path, sizeof path, "%.*s/pqsec-fastdds-%s.so", folder, own.dli_fname, id);
+  int folder = (int)(strrchr(own, '/') - own);
+  int size = snprintf(path, sizeof path, "%.*s/pqsec-fastdds-%s.so", folder, own, id);
   return size < MAX_PATH ? dlopen(path, RTLD_NOW | RTLD_LOCAL) : NULL;
 }
 
@@ -177,6 +183,9 @@ static void *make(const struct plugin *plugin, const char *symbol, void *self, c
   struct caller caller = caller_at(address);
   if (caller.id[0] == '\0')
     return refuse(plugin, "it has no build ID:", caller.name);
+  if (own_path() == NULL)
+    return refuse(plugin, "LD_PRELOAD must name pqsec's plugin by its absolute path, in",
+                  caller.name);
   void *adapter = adapter_for(caller.id);
   if (adapter == NULL)
     return refuse(plugin, "pqsec's plugin was not compiled for this build of", caller.name);

@@ -162,6 +162,12 @@ def test_without_an_adapter_for_this_build_it_is_refused_with_the_way_out(stage,
     assert refused(outcome, "was not compiled for this build of", "pqsec plugin install fastdds")
 
 
+def test_a_relative_path_in_ld_preload_is_refused(stage, copied):
+    """The adapter would be looked for below whatever folder the process works in."""
+    outcome = stage.run(LD_PRELOAD=str(copied.relative_to(stage.folder) / PRELOAD))
+    assert refused(outcome, "LD_PRELOAD must name pqsec's plugin by its absolute path")
+
+
 @EVERYWHERE
 def test_an_adapter_of_another_build_under_this_ones_name_is_refused(stage, copied):
     build = stage.installation.library.build_id
