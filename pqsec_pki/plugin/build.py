@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki import _files
-from pqsec_pki.errors import PqsecError
+from pqsec_pki._owners import outsider, way_out
+from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin.units import planned_units, write_units
 
 LIBRARY = "libpqsec_dds.so"
@@ -25,6 +26,8 @@ _FUNCTIONS = tuple(
     for verb in ("init", "finalize")
 )
 _SECONDS = 120
+_MODE = 0o755
+"""Of the folder: others may load the plugin from it."""
 
 
 class CompileError(PqsecError):
@@ -47,7 +50,7 @@ def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Bu
     With `units`, systemd's go into that folder.
 
     CompileError, with the compiler's words, if that fails; ExistsError for files that are
-    there already, unless `force`.
+    there already, unless `force`; FileError as make_folder.
     """
     library, links = folder / LIBRARY, tuple(folder / name for name in NAMES)
     if not force:
@@ -56,7 +59,7 @@ def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Bu
     planned = planned_units(units, force=force) if units else {}
     compiled = _compiled()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         _files.write(library, compiled, force=force)
         for link in links:
             link.unlink(missing_ok=True)
@@ -65,6 +68,20 @@ def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Bu
         raise CompileError(f"{folder}: {(error.strerror or '').lower()}") from error
     write_units(planned)
     return Built(library, links, tuple(planned))
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of the plugin if it is missing; OSError if that fails.
+
+    FileError if another user, other than root, could change what DDS processes load from it.
+    """
+    folder.mkdir(mode=_MODE, parents=True, exist_ok=True)
+    found = folder.stat()
+    if who := outsider(found, roots=True):
+        raise FileError(
+            f"{folder}: {who}; anyone who may write there can change what DDS processes load",
+            hint=way_out(found, str(folder)),
+        )
 
 
 def compiler() -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pqsec_pki import _files
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.plugin.build import SOURCES, CompileError, compiler
+from pqsec_pki.plugin.build import SOURCES, CompileError, compiler, make_folder
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.elf import read_library
@@ -149,7 +149,7 @@ def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool =
         "python": sys.executable,
     }
     with _files.disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         _files.write(folder / PRELOAD, made[PRELOAD], force=True)
         _files.write(adapter, made[adapter.name], force=True)
         _files.write(record, json.dumps(value).encode() + b"\n", force=True)

@@ -40,6 +40,16 @@ def test_the_plugin_is_compiled_and_tried_and_never_overwritten_unasked(pqsec, r
     assert (folder / "libpqsec_dds.so").stat().st_ino != before
 
 
+def test_a_folder_that_others_may_write_in_gets_no_plugin(pqsec, requires, tmp_path):
+    """They could replace what every DDS process of the user loads."""
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    folder = tmp_path / "lib"
+    folder.mkdir()
+    folder.chmod(0o777)
+    pqsec(f"plugin install --dir {folder}").refused(3, "anybody may write there", hint="chmod go-w")
+    assert list(folder.iterdir()) == []
+
+
 def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
     pqsec, requires, monkeypatch, tmp_path
 ):
