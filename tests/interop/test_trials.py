@@ -7,7 +7,6 @@ import os
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,9 +27,8 @@ from pqsec_pki.trial import (
     unique_text,
 )
 from pqsec_pki.trial.words import words
-from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
+from tests.interop.conftest import TOPIC
 from tests.interop.trials import (
-    AGE,
     CASES,
     LONGEST_MEETING,
     RECEIVER,
@@ -88,11 +86,8 @@ def installation(installations, requires):
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    folder = tmp_path_factory.mktemp("trials")
-    labs = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
-    for case in CASES.values():
-        labs(case.profile)
-    return Laboratory(labs, folder, now)
+    profiles = {case.profile for case in CASES.values()}
+    return Laboratory.create(tmp_path_factory.mktemp("trials"), profiles, now)
 
 
 @pytest.fixture(scope="module")

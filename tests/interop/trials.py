@@ -5,12 +5,14 @@ stacks themselves; where each is in a network of its own, several run at once.
 """
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Self
 
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -35,7 +37,7 @@ from pqsec_pki.trial import (
     unauthenticated,
     unique_text,
 )
-from tests.interop.conftest import DOMAINS, TOPIC, Lab
+from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, Lab
 
 DAY = timedelta(days=1)
 AGE = 50 * DAY
@@ -221,6 +223,14 @@ class Laboratory:
     labs: Callable[[str], Lab]
     folder: Path
     now: datetime
+
+    @classmethod
+    def create(cls, folder: Path, profiles: Iterable[str], now: datetime) -> Self:
+        """With a lab of each of `profiles`, created before any case is run."""
+        labs = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
+        for profile in profiles:
+            labs(profile)
+        return cls(labs, folder, now)
 
     def trial(self, installation: Installation, case: Case, **how: object) -> Trial:
         """The case with that stack, on a copy of the lab that is altered as it says."""

@@ -19,7 +19,7 @@ from pqsec_pki.trial import (
     plugin,
     run_trial,
 )
-from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
+from tests.interop.conftest import LAB_PROFILES, TOPIC
 from tests.interop.plugin.processes import PATIENCE
 from tests.interop.plugin.test_plugin_try import (
     AT_ONCE,
@@ -30,7 +30,6 @@ from tests.interop.plugin.test_plugin_try import (
     meet_stock_peers,
 )
 from tests.interop.trials import (
-    AGE,
     OTHER,
     RECEIVER,
     SENDER,
@@ -80,11 +79,7 @@ def there(requires) -> Callable[[str], Installation]:
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    folder = tmp_path_factory.mktemp("trials")
-    labs = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
-    for profile in LAB_PROFILES:
-        labs(profile)
-    return Laboratory(labs, folder, now)
+    return Laboratory.create(tmp_path_factory.mktemp("trials"), LAB_PROFILES, now)
 
 
 @pytest.fixture(scope="module")

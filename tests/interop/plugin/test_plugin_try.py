@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -41,7 +40,6 @@ from pqsec_pki.vendors import Options, export, stack_named
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
 from tests.interop.plugin.processes import PATIENCE
 from tests.interop.trials import (
-    AGE,
     OTHER,
     RECEIVER,
     SENDER,
@@ -112,11 +110,7 @@ def there(requires) -> Callable[[str], Installation]:
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    folder = tmp_path_factory.mktemp("trials")
-    labs = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
-    for profile in LAB_PROFILES:
-        labs(profile)
-    return Laboratory(labs, folder, now)
+    return Laboratory.create(tmp_path_factory.mktemp("trials"), LAB_PROFILES, now)
 
 
 @pytest.fixture(scope="module")
