@@ -4,20 +4,27 @@ For the self-check, the plugin and the command line. Questions follow DDS-Securi
 There is one interpretation for the standard and one for each stack, because stacks differ.
 """
 
-from pqsec_pki.access._patterns import opendds_reads_beyond
-from pqsec_pki.access.decide import InterpretedPolicy, decide
-from pqsec_pki.access.decision import Decision, Part, Protection
-from pqsec_pki.access.interpretation import Interpretation, Viewpoint
-from pqsec_pki.access.interpretations import (
-    CYCLONEDDS,
-    FASTDDS,
-    INTERPRETATIONS,
-    OPENDDS,
-    SPEC,
-    interpretation_named,
-)
-from pqsec_pki.access.join import may_join
-from pqsec_pki.access.question import Action, Question
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.access._patterns import opendds_reads_beyond
+    from pqsec_pki.access.deciding import InterpretedPolicy, decide
+    from pqsec_pki.access.decision import Decision, Part, Protection
+    from pqsec_pki.access.interpretation import Interpretation, Viewpoint
+    from pqsec_pki.access.interpretations import (
+        CYCLONEDDS,
+        FASTDDS,
+        INTERPRETATIONS,
+        OPENDDS,
+        SPEC,
+        interpretation_named,
+    )
+    from pqsec_pki.access.join import may_join
+    from pqsec_pki.access.question import Action, Question
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CYCLONEDDS",

@@ -11,7 +11,7 @@ from pqsec_pki.access._criteria import named_partitions
 from pqsec_pki.access._domains import domains_said, stretches
 from pqsec_pki.access._endpoints import Sets, sets_to_try
 from pqsec_pki.access._topics import Universe
-from pqsec_pki.access.decide import InterpretedPolicy
+from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import EvaluationContext
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question

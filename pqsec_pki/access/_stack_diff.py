@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from itertools import islice, product
 
 from pqsec_pki.access._rights import World
-from pqsec_pki.access.decide import InterpretedPolicy
+from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC
 from pqsec_pki.access.question import MAX_NAME, Action, Question

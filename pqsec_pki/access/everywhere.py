@@ -11,7 +11,7 @@ from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
-from pqsec_pki.access.decide import InterpretedPolicy
+from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.matrix import DocumentOwner, TopicRow, topics_named, who_may

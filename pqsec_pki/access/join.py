@@ -2,7 +2,7 @@
 
 from datetime import datetime
 
-from pqsec_pki.access.decide import decide
+from pqsec_pki.access.deciding import decide
 from pqsec_pki.access.decision import Decision
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import Governance, Permissions

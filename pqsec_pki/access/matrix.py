@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._witnesses import is_wildcard, sample
-from pqsec_pki.access.decide import InterpretedPolicy
+from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import Action, Question

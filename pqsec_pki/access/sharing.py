@@ -12,7 +12,7 @@ from typing import Self
 
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
-from pqsec_pki.access.decide import InterpretedPolicy
+from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Viewpoint
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import (

@@ -4,28 +4,35 @@ The only room that uses raw primitives. To add an algorithm, write its row in
 signature.py or key_agreement.py; nothing else in the package names one.
 """
 
-from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
-from pqsec_pki.algorithms._pair import pair_private, pair_public
-from pqsec_pki.algorithms._pem import first_pem, pem, unpem
-from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
-from pqsec_pki.algorithms._table import Family
-from pqsec_pki.algorithms.digest import Digest, digest_of
-from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS, MODP_DER, MODP_RAW
-from pqsec_pki.algorithms.keys import (
-    is_encrypted,
-    load_private_key,
-    load_public_key,
-    private_key_pem,
-)
-from pqsec_pki.algorithms.profile import (
-    DEFAULT_PROFILE,
-    PROFILES,
-    STOCK_AGREEMENT,
-    Profile,
-    profile_named,
-)
-from pqsec_pki.algorithms.sealing import SealingPrivateKey, SealingPublicKey
-from pqsec_pki.algorithms.signature import SIGNATURES
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
+    from pqsec_pki.algorithms._pair import pair_private, pair_public
+    from pqsec_pki.algorithms._pem import first_pem, pem, unpem
+    from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
+    from pqsec_pki.algorithms._table import Family
+    from pqsec_pki.algorithms.digest import Digest, digest_of
+    from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS, MODP_DER, MODP_RAW
+    from pqsec_pki.algorithms.keys import (
+        is_encrypted,
+        load_private_key,
+        load_public_key,
+        private_key_pem,
+    )
+    from pqsec_pki.algorithms.profile import (
+        DEFAULT_PROFILE,
+        PROFILES,
+        STOCK_AGREEMENT,
+        Profile,
+        profile_named,
+    )
+    from pqsec_pki.algorithms.sealing import SealingPrivateKey, SealingPublicKey
+    from pqsec_pki.algorithms.signature import SIGNATURES
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "DEFAULT_PROFILE",

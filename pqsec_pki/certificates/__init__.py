@@ -3,18 +3,25 @@
 For issuing certificates, the handshake, and reports.
 """
 
-from pqsec_pki.certificates._names import name_text
-from pqsec_pki.certificates.authority import BACKDATE, Authority, common_name, end_of
-from pqsec_pki.certificates.certificate import Certificate
-from pqsec_pki.certificates.chain import verify_authority, verify_chain
-from pqsec_pki.certificates.request import CertificateRequest
-from pqsec_pki.certificates.requesting import certificate_request
-from pqsec_pki.certificates.revocation import (
-    RevocationList,
-    RevokedCertificate,
-    verify_not_revoked,
-)
-from pqsec_pki.certificates.revoking import Reason, revocation_list
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.certificates._names import name_text
+    from pqsec_pki.certificates.authority import BACKDATE, Authority, common_name, end_of
+    from pqsec_pki.certificates.certificate import Certificate
+    from pqsec_pki.certificates.chain import verify_authority, verify_chain
+    from pqsec_pki.certificates.request import CertificateRequest
+    from pqsec_pki.certificates.requesting import certificate_request
+    from pqsec_pki.certificates.revocation import (
+        RevocationList,
+        RevokedCertificate,
+        verify_not_revoked,
+    )
+    from pqsec_pki.certificates.revoking import Reason, revocation_list
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "BACKDATE",

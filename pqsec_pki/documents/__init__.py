@@ -5,31 +5,38 @@ their DDS form (module `ros`). The module `sros2` reads SROS2's policies; import
 No XML element leaves this package.
 """
 
-from pqsec_pki.documents import ros
-from pqsec_pki.documents._schema import Kind, validate
-from pqsec_pki.documents.domains import DomainRange, DomainSet
-from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
-from pqsec_pki.documents.governance_yaml import (
-    governance_from_yaml,
-    governance_to_yaml,
-    new_governance,
-)
-from pqsec_pki.documents.permissions import (
-    Criteria,
-    DefaultAction,
-    Grant,
-    PermissionRule,
-    Permissions,
-)
-from pqsec_pki.documents.permissions_yaml import (
-    lasting,
-    new_permissions,
-    permissions_from_yaml,
-    permissions_to_yaml,
-)
-from pqsec_pki.documents.presets import PRESETS, Preset, preset_named
-from pqsec_pki.documents.subject import Subject, parse_subject, same_subject
-from pqsec_pki.documents.tree import Comment, Node, Tree, read_tree
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.documents import ros
+    from pqsec_pki.documents._schema import Kind, validate
+    from pqsec_pki.documents.domains import DomainRange, DomainSet
+    from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
+    from pqsec_pki.documents.governance_yaml import (
+        governance_from_yaml,
+        governance_to_yaml,
+        new_governance,
+    )
+    from pqsec_pki.documents.permissions import (
+        Criteria,
+        DefaultAction,
+        Grant,
+        PermissionRule,
+        Permissions,
+    )
+    from pqsec_pki.documents.permissions_yaml import (
+        lasting,
+        new_permissions,
+        permissions_from_yaml,
+        permissions_to_yaml,
+    )
+    from pqsec_pki.documents.presets import PRESETS, Preset, preset_named
+    from pqsec_pki.documents.subject import Subject, parse_subject, same_subject
+    from pqsec_pki.documents.tree import Comment, Node, Tree, read_tree
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "PRESETS",

@@ -4,11 +4,18 @@
 steps, and `apply_plan` executes them. `apply` does all that in one call.
 """
 
-from pqsec_pki.domain.apply import apply, apply_plan, create_keystore, refuse_mass_revocation
-from pqsec_pki.domain.desired import Desired, Member, Role
-from pqsec_pki.domain.plan import plan
-from pqsec_pki.domain.reading import new_domain, read_domain
-from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.domain.applying import apply, apply_plan, create_keystore, refuse_mass_revocation
+    from pqsec_pki.domain.desired import Desired, Member, Role
+    from pqsec_pki.domain.planning import plan
+    from pqsec_pki.domain.reading import new_domain, read_domain
+    from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "Blocked",

@@ -4,22 +4,29 @@ For the commands on the robot (request, install, rollback) and on the CA machine
 (issue --csr, bundle, sign-request). A bundle is the one file that goes to a robot.
 """
 
-from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
-from pqsec_pki.enrolment.credential_store import InstalledSet
-from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
-from pqsec_pki.enrolment.install import Installed, install, rollback
-from pqsec_pki.enrolment.issuing import (
-    IssuedBundle,
-    bundle_paths,
-    issue_with_bundles,
-    write_bundle,
-)
-from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
-from pqsec_pki.enrolment.outbox import refresh
-from pqsec_pki.enrolment.request import Requested, make_sealing_key, request
-from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
-from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
-from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
+    from pqsec_pki.enrolment.credential_store import InstalledSet
+    from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
+    from pqsec_pki.enrolment.installing import Installed, install, rollback
+    from pqsec_pki.enrolment.issuing import (
+        IssuedBundle,
+        bundle_paths,
+        issue_with_bundles,
+        write_bundle,
+    )
+    from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
+    from pqsec_pki.enrolment.outbox import refresh
+    from pqsec_pki.enrolment.requesting import Requested, make_sealing_key, request
+    from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
+    from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
+    from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "NAMELESS",

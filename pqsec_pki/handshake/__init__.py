@@ -4,46 +4,53 @@ Only the protocol: no files, no sockets, no clock; the caller transports the mes
 implements DDS-Security 1.1 for stock stacks, and post-quantum suites between pqsec peers.
 """
 
-from pqsec_pki.handshake._cdr import ByteOrder
-from pqsec_pki.handshake._checks import check
-from pqsec_pki.handshake.confirmation import confirmation, confirmed, token_message
-from pqsec_pki.handshake.dialect import Dialect
-from pqsec_pki.handshake.guid import (
-    adjusted_guid,
-    belongs_to,
-    initiates,
-    participant_data,
-    participant_guid,
-)
-from pqsec_pki.handshake.key_exchange import (
-    KeyMaterial,
-    TransformationKind,
-    key_exchange_material,
-)
-from pqsec_pki.handshake.messages import (
-    CHALLENGE_SIZE,
-    AuthRequest,
-    Final,
-    Introduction,
-    Reply,
-    Request,
-    Transcript,
-)
-from pqsec_pki.handshake.participants import (
-    Discovered,
-    Identity,
-    PeerRequirements,
-    RemotePeer,
-    Terms,
-)
-from pqsec_pki.handshake.protection import (
-    Sender,
-    unprotect_payload,
-    unprotect_submessage,
-)
-from pqsec_pki.handshake.states import Done, ReplySent, RequestSent, begin, reply_to
-from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
-from pqsec_pki.handshake.wire import DataHolder, GenericMessage, MessageClass
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.handshake._cdr import ByteOrder
+    from pqsec_pki.handshake._checks import check
+    from pqsec_pki.handshake.confirming import confirmation, confirmed, token_message
+    from pqsec_pki.handshake.dialect import Dialect
+    from pqsec_pki.handshake.guid import (
+        adjusted_guid,
+        belongs_to,
+        initiates,
+        participant_data,
+        participant_guid,
+    )
+    from pqsec_pki.handshake.key_exchange import (
+        KeyMaterial,
+        TransformationKind,
+        key_exchange_material,
+    )
+    from pqsec_pki.handshake.messages import (
+        CHALLENGE_SIZE,
+        AuthRequest,
+        Final,
+        Introduction,
+        Reply,
+        Request,
+        Transcript,
+    )
+    from pqsec_pki.handshake.participants import (
+        Discovered,
+        Identity,
+        PeerRequirements,
+        RemotePeer,
+        Terms,
+    )
+    from pqsec_pki.handshake.protection import (
+        Sender,
+        unprotect_payload,
+        unprotect_submessage,
+    )
+    from pqsec_pki.handshake.states import Done, ReplySent, RequestSent, begin, reply_to
+    from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
+    from pqsec_pki.handshake.wire import DataHolder, GenericMessage, MessageClass
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CHALLENGE_SIZE",

@@ -23,56 +23,63 @@ Changes:
     _moves        what a committed change still has to do
     _shredding    overwrites private keys that are removed
 Questions:
-    participant_states   the state of each participant, for all commands that ask for it;
+    states               the state of each participant, for all commands that ask for it;
                          `_file_comparison` compares its files with the ledger
-    status               the states of participants, CAs, revocation list and governance
+    status_report        the states of participants, CAs, revocation list and governance
     overlap              whether two identity CAs are trusted, and which of them issues
     compromised          finds keys that were revoked as compromised
     auditing             whether the ledger is intact
 """
 
-from pqsec_pki.keystore import layout
-from pqsec_pki.keystore._chain import Entry, Line
-from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
-from pqsec_pki.keystore._journal import change
-from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore._settings import settings_file
-from pqsec_pki.keystore._transaction import StagedFolder, Transaction
-from pqsec_pki.keystore.auditing import audit
-from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
-from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
-from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.layout import SETTINGS
-from pqsec_pki.keystore.layout import enclave_name as regular_name
-from pqsec_pki.keystore.overlap import (
-    WAIT,
-    Overlap,
-    Phase,
-    refuse_overlap,
-    trust_entry,
-    trust_file,
-)
-from pqsec_pki.keystore.participant import (
-    enclave_files,
-    load_certificate,
-    load_first_certificate,
-    load_participant,
-    load_revocation_list,
-)
-from pqsec_pki.keystore.participant_states import (
-    Files,
-    ParticipantState,
-    State,
-    participant_states,
-)
-from pqsec_pki.keystore.status import (
-    SharedStatus,
-    Status,
-    governance_digest,
-    list_status,
-    signed_governance,
-    status,
-)
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore import layout
+    from pqsec_pki.keystore._chain import Entry, Line
+    from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
+    from pqsec_pki.keystore._journal import change
+    from pqsec_pki.keystore._ledger import Ledger
+    from pqsec_pki.keystore._settings import settings_file
+    from pqsec_pki.keystore._transaction import StagedFolder, Transaction
+    from pqsec_pki.keystore.auditing import audit
+    from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
+    from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.keystore import Keystore
+    from pqsec_pki.keystore.layout import SETTINGS
+    from pqsec_pki.keystore.layout import enclave_name as regular_name
+    from pqsec_pki.keystore.overlap import (
+        WAIT,
+        Overlap,
+        Phase,
+        refuse_overlap,
+        trust_entry,
+        trust_file,
+    )
+    from pqsec_pki.keystore.participant import (
+        enclave_files,
+        load_certificate,
+        load_first_certificate,
+        load_participant,
+        load_revocation_list,
+    )
+    from pqsec_pki.keystore.states import (
+        Files,
+        ParticipantState,
+        State,
+        participant_states,
+    )
+    from pqsec_pki.keystore.status_report import (
+        SharedStatus,
+        Status,
+        governance_digest,
+        list_status,
+        signed_governance,
+        status,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "SETTINGS",

@@ -18,7 +18,7 @@ from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.participant_states import Compare, Files
+from pqsec_pki.keystore.states import Compare, Files
 
 _SEEN = "seen.json"
 """In private/: the files that were right. Without it, all files are read."""

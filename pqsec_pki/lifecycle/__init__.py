@@ -15,22 +15,29 @@ CAs:
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 """
 
-from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
-from pqsec_pki.lifecycle.adopting import Adopted, adopt
-from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
-from pqsec_pki.lifecycle.passphrase import change_passphrase
-from pqsec_pki.lifecycle.renewing import Renewal, renew
-from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
-from pqsec_pki.lifecycle.rollover import (
-    CA_VALIDITY,
-    OverlapStep,
-    Rollover,
-    RolloverPlan,
-    Scope,
-)
-from pqsec_pki.lifecycle.rollover_apply import RolloverResult, apply_rollover
-from pqsec_pki.lifecycle.rollover_plan import plan_rollover
-from pqsec_pki.lifecycle.signing import sign_document, sign_governance, sign_permissions
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
+    from pqsec_pki.lifecycle.adopting import Adopted, adopt
+    from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
+    from pqsec_pki.lifecycle.passphrase import change_passphrase
+    from pqsec_pki.lifecycle.renewing import Renewal, renew
+    from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
+    from pqsec_pki.lifecycle.rollover import (
+        CA_VALIDITY,
+        OverlapStep,
+        Rollover,
+        RolloverPlan,
+        Scope,
+    )
+    from pqsec_pki.lifecycle.rollover_apply import RolloverResult, apply_rollover
+    from pqsec_pki.lifecycle.rollover_plan import plan_rollover
+    from pqsec_pki.lifecycle.signing import sign_document, sign_governance, sign_permissions
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CA_VALIDITY",

@@ -4,11 +4,18 @@ For `pqsec check`, and for programs that need its findings as values. The rules 
 one module each (`rule` describes how); `check` runs them.
 """
 
-from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
-from pqsec_pki.lint.run import LintReport, check
-from pqsec_pki.lint.sarif import to_sarif
-from pqsec_pki.lint.suppress import Suppression, from_option
-from pqsec_pki.lint.table import RULES, rule_named
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
+    from pqsec_pki.lint.run import LintReport, check
+    from pqsec_pki.lint.sarif import to_sarif
+    from pqsec_pki.lint.suppress import Suppression, from_option
+    from pqsec_pki.lint.table import RULES, rule_named
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "RULES",

@@ -5,10 +5,17 @@ to the agent, one process for each user, over a socket. The agent holds the iden
 and answers with the rooms of this package; private keys never enter the DDS process.
 """
 
-from pqsec_pki.plugin.agent_folder import AgentFolder
-from pqsec_pki.plugin.build import LIBRARY, NAMES, Built, build
-from pqsec_pki.plugin.control import AgentStatus, agent_status, stop_agent
-from pqsec_pki.plugin.units import home, units_folder, written_units
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.plugin.agent_folder import AgentFolder
+    from pqsec_pki.plugin.building import LIBRARY, NAMES, Built, build
+    from pqsec_pki.plugin.control import AgentStatus, agent_status, stop_agent
+    from pqsec_pki.plugin.units import home, units_folder, written_units
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "LIBRARY",

@@ -10,24 +10,31 @@
 The decisions are made in the room `access`; here are the documents that they are made by.
 """
 
-from pqsec_pki.policy.answers import Answer, DomainsAnswer, answers_by_domain
-from pqsec_pki.policy.differences import DocumentDifference, differences_between
-from pqsec_pki.policy.fleet import Fleet, fleet_in, fleet_of
-from pqsec_pki.policy.loading import (
-    Loaded,
-    governance_in,
-    only_subject,
-    permissions_in,
-    signed_by,
-    valid_kind,
-)
-from pqsec_pki.policy.participants import (
-    PolicyInput,
-    own_permissions,
-    policy_input_of,
-    shared_governance,
-)
-from pqsec_pki.policy.who_may import WhoMay, who_may_use
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.policy.answers import Answer, DomainsAnswer, answers_by_domain
+    from pqsec_pki.policy.differences import DocumentDifference, differences_between
+    from pqsec_pki.policy.fleet import Fleet, fleet_in, fleet_of
+    from pqsec_pki.policy.loading import (
+        Loaded,
+        governance_in,
+        only_subject,
+        permissions_in,
+        signed_by,
+        valid_kind,
+    )
+    from pqsec_pki.policy.participants import (
+        PolicyInput,
+        own_permissions,
+        policy_input_of,
+        shared_governance,
+    )
+    from pqsec_pki.policy.who_may import WhoMay, who_may_use
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "Answer",

@@ -3,20 +3,27 @@
 Signs governance and permissions, and verifies that the permissions CA signed them.
 """
 
-from pqsec_pki.smime._mime import is_signed
-from pqsec_pki.smime._reading import AmbiguousError
-from pqsec_pki.smime._signer_info import Signer
-from pqsec_pki.smime.document import (
-    FoundSignature,
-    Require,
-    Verified,
-    document_in,
-    is_canonical,
-    lines_before_document,
-    sign,
-    verify,
-)
-from pqsec_pki.smime.listing import CmsContent, ListedSigner, signers_in
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.smime._mime import is_signed
+    from pqsec_pki.smime._reading import AmbiguousError
+    from pqsec_pki.smime._signer_info import Signer
+    from pqsec_pki.smime.document import (
+        FoundSignature,
+        Require,
+        Verified,
+        document_in,
+        is_canonical,
+        lines_before_document,
+        sign,
+        verify,
+    )
+    from pqsec_pki.smime.listing import CmsContent, ListedSigner, signers_in
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "AmbiguousError",

@@ -5,22 +5,29 @@ with only a loopback, one sends a sample to the other, and a third one, without 
 listens.
 """
 
-from pqsec_pki.trial.building import BuildError, built
-from pqsec_pki.trial.installation import MACHINE, Installation, MissingStackError, find
-from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
-from pqsec_pki.trial.peer_builds import STACKS
-from pqsec_pki.trial.plugin import AgentError, TrialPlugin, plugin
-from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
-from pqsec_pki.trial.topics import TopicRoute, topic_route
-from pqsec_pki.trial.trial import (
-    UNAUTHENTICATED,
-    Trial,
-    TrialReport,
-    credentialed,
-    refuse_untrusted,
-    run_trial,
-    unauthenticated,
-)
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.trial.agent_runs import AgentError, TrialPlugin, plugin
+    from pqsec_pki.trial.building import BuildError, built
+    from pqsec_pki.trial.installation import MACHINE, Installation, MissingStackError, find
+    from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
+    from pqsec_pki.trial.peer_builds import STACKS
+    from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
+    from pqsec_pki.trial.topics import TopicRoute, topic_route
+    from pqsec_pki.trial.trial import (
+        UNAUTHENTICATED,
+        Trial,
+        TrialReport,
+        credentialed,
+        refuse_untrusted,
+        run_trial,
+        unauthenticated,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "MACHINE",

@@ -10,11 +10,11 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.trial.agent_runs import TrialPlugin
 from pqsec_pki.trial.building import built, source
 from pqsec_pki.trial.findings import LogFinding, findings
 from pqsec_pki.trial.installation import Installation
 from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
-from pqsec_pki.trial.plugin import TrialPlugin
 from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
 from pqsec_pki.trial.topics import TopicRoute
 from pqsec_pki.vendors import Options, StackEnclave, export, stack_named, write

@@ -4,9 +4,16 @@ For `pqsec export`, and for code that starts a stack with them. A module for eac
 `Export` from a template; `export` first checks whether the stack would accept the credentials.
 """
 
-from pqsec_pki.vendors.enclave import StackEnclave
-from pqsec_pki.vendors.export import Export, Options, write
-from pqsec_pki.vendors.stacks import STACKS, Stack, export, stack_named
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.vendors.enclave import StackEnclave
+    from pqsec_pki.vendors.exports import Export, Options, write
+    from pqsec_pki.vendors.stacks import STACKS, Stack, export, stack_named
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "STACKS",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pqsec_pki.errors import FileError, UsageError, shown
 from pqsec_pki.vendors.cyclone_plugins import agree, in_words
-from pqsec_pki.vendors.export import Options, Version
+from pqsec_pki.vendors.exports import Options, Version
 from pqsec_pki.vendors.fastdds_adapter import installed
 from pqsec_pki.vendors.own_plugin import PRELOAD
 

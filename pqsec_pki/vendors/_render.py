@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
 from pqsec_pki.errors import UsageError, shown
-from pqsec_pki.vendors.export import UNFIT
+from pqsec_pki.vendors.exports import UNFIT
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -15,7 +15,7 @@ from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.plugin.settings import FILE as SETTINGS
 from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
-from pqsec_pki.vendors.export import Options
+from pqsec_pki.vendors.exports import Options
 from pqsec_pki.vendors.own_plugin import FASTRTPS, PATH, folder_in
 from pqsec_pki.vendors.ros2_check import Check
 

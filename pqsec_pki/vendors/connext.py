@@ -7,7 +7,7 @@ not run. Connext replaces $(NAME) in a value by the variable.
 from pqsec_pki.errors import UsageError
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
-from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
+from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 FILE = "connext.xml"
 LOADING = {

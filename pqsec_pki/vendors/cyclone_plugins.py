@@ -14,7 +14,7 @@ from pathlib import Path
 from pqsec_pki._files import resolved
 from pqsec_pki.errors import PqsecError, shown
 from pqsec_pki.vendors.elf import Library, read_library, release_in, runs_here
-from pqsec_pki.vendors.export import Version
+from pqsec_pki.vendors.exports import Version
 
 NAMES = {"auth": "dds_security_auth", "crypto": "dds_security_crypto", "ac": "dds_security_ac"}
 PLACES = (

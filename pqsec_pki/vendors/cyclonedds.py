@@ -24,7 +24,7 @@ from pqsec_pki.vendors.cyclone_plugins import (
     read_plugin,
 )
 from pqsec_pki.vendors.enclave import StackEnclave, password_note
-from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
+from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 FILE = "cyclonedds.xml"
 CHANGED = frozenset('"\\')

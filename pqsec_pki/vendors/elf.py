@@ -19,7 +19,7 @@ from typing import Self
 
 from pqsec_pki._files import disk_errors, resolved
 from pqsec_pki.errors import MalformedError, PqsecError, located
-from pqsec_pki.vendors.export import Version
+from pqsec_pki.vendors.exports import Version
 
 MAX_HEADERS = 128
 """Program headers; a library has about ten."""

@@ -25,7 +25,7 @@ from pqsec_pki.credentials import (
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, located, problems_of, shown
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.vendors.export import PASSWORD_VARIABLE, Options
+from pqsec_pki.vendors.exports import PASSWORD_VARIABLE, Options
 
 _INSTALLED = "/etc/dds/current/enclaves"
 SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)

@@ -25,7 +25,7 @@ from pqsec_pki.lint import Finding, Severity
 from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.enclave import StackEnclave
-from pqsec_pki.vendors.export import FOLDER, Export, Options
+from pqsec_pki.vendors.exports import FOLDER, Export, Options
 
 FILE = "fastdds.xml"
 NAMESPACES = {

@@ -18,11 +18,11 @@ from pathlib import Path
 
 from pqsec_pki import _files
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.plugin.build import SOURCES, CompileError, compiler, make_folder
+from pqsec_pki.plugin.building import SOURCES, CompileError, compiler, make_folder
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.elf import read_library
-from pqsec_pki.vendors.export import Version
+from pqsec_pki.vendors.exports import Version
 from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, FastDds, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 

@@ -15,7 +15,7 @@ from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.vendors._symbols import Symbols, read_symbols
 from pqsec_pki.vendors.cyclone_plugins import agree, in_words
 from pqsec_pki.vendors.elf import Library, read_library, runs_here
-from pqsec_pki.vendors.export import Version
+from pqsec_pki.vendors.exports import Version
 
 MACHINE = Path("/")
 NAMES = {2: "libfastrtps.so", 3: "libfastdds.so"}

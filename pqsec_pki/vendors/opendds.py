@@ -13,7 +13,7 @@ from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.smime import document_in
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
-from pqsec_pki.vendors.export import FOLDER, PASSWORD_VARIABLE, Export, Options
+from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options
 
 INI, HEADER = "opendds.ini", "pqsec_participant.h"
 PROTECTS_RTPS = (3, 14)

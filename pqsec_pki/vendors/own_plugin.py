@@ -15,7 +15,7 @@ from pqsec_pki.errors import FileError, PqsecError, VerificationError
 from pqsec_pki.lint import Finding, Severity, Target
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.vendors.enclave import StackEnclave, standard_properties
-from pqsec_pki.vendors.export import Options
+from pqsec_pki.vendors.exports import Options
 
 FASTRTPS = "fastrtps"
 """ROS 2's middleware on Fast DDS."""

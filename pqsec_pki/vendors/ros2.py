@@ -29,7 +29,7 @@ from pqsec_pki.vendors._ros2_environment import (
 from pqsec_pki.vendors._ros2_needs import Needs
 from pqsec_pki.vendors._ros2_plugin import CYCLONE, RMW
 from pqsec_pki.vendors.enclave import SIX, StackEnclave
-from pqsec_pki.vendors.export import Export, Options
+from pqsec_pki.vendors.exports import Export, Options
 from pqsec_pki.vendors.ros2_check import Check
 
 SCRIPT = "ros2.sh"

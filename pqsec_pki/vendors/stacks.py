@@ -11,7 +11,7 @@ from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
-from pqsec_pki.vendors.export import Export, Options, Version
+from pqsec_pki.vendors.exports import Export, Options, Version
 from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 
 

@@ -12,7 +12,7 @@ import pytest
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
 from pqsec_pki.domain import Plan, StepAction, apply_plan, create_keystore, plan, read_domain
-from pqsec_pki.domain.apply import BATCH
+from pqsec_pki.domain.applying import BATCH
 from pqsec_pki.errors import InvalidDocumentError, KeystoreError
 from pqsec_pki.keystore import Keystore, audit
 from pqsec_pki.lifecycle import (

@@ -25,7 +25,7 @@ NOT_MET = {StepAction.CREATE_CAS, StepAction.RENEW_CRL}
 """Of the actions, at the start below."""
 EVERY = 13
 """Of how many calls one is killed: what they belong to has its own sweeps."""
-APPLY = "pqsec_pki.domain.apply"
+APPLY = "pqsec_pki.domain.applying"
 """The module, not the function of the room."""
 SMALL_BATCHES = f"""
 from importlib import import_module

@@ -14,7 +14,7 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.problems import Code
 from pqsec_pki.vendors import STACKS, Export, Options, StackEnclave, export, stack_named, write
 from pqsec_pki.vendors.cyclone_plugins import NAMES, installed_plugins
-from pqsec_pki.vendors.export import FOLDER
+from pqsec_pki.vendors.exports import FOLDER
 from pqsec_pki.vendors.fastdds import LIMITED
 from tests.unit.keystores import NOW, made
 
@@ -659,7 +659,7 @@ def test_a_file_that_comes_in_the_meantime_is_not_replaced(tmp_path, monkeypatch
     def too_early(path):
         path.write_text("mine")
 
-    monkeypatch.setattr(import_module("pqsec_pki.vendors.export"), "refuse_existing", too_early)
+    monkeypatch.setattr(import_module("pqsec_pki.vendors.exports"), "refuse_existing", too_early)
     with pytest.raises(ExistsError):
         write(sample(), tmp_path)
     assert tree(tmp_path) == ["main"]

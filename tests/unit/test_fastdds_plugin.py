@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.errors import FileError, MalformedError, UsageError
-from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.vendors import Options, export, stack_named
 from pqsec_pki.vendors._symbols import read_symbols

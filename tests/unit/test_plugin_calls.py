@@ -11,7 +11,7 @@ from pqsec_pki.handshake import DataHolder
 from pqsec_pki.handshake.wire import MAX_TOKEN
 from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import Authentication
-from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.plugin.connection import Control
 from pqsec_pki.plugin.octets import MAX_FRAME, MAX_ITEMS, MessageReader, MessageWriter

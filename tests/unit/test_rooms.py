@@ -7,13 +7,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import pqsec_pki
 
 ROOT = Path(pqsec_pki.__file__).parent
-GROUND = {"errors", "problems", "_assets", "_files", "_owners", "_processes", "_asn1"}
+GROUND = {"errors", "problems", "_assets", "_files", "_lazy", "_owners", "_processes", "_asn1"}
 ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))
 
 # A room may import the rooms named here, and the ground.
@@ -179,6 +180,11 @@ def test_a_room_says_what_it_is_and_what_it_offers(room):
     assert module.__all__
     assert len(set(module.__all__)) == len(module.__all__)
     assert [name for name in module.__all__ if not hasattr(module, name)] == []
+    modules = {path.stem for path in (ROOT / room).glob("*.py")}
+    loaded_by_name = {
+        name for name in module.__all__ if not isinstance(getattr(module, name), ModuleType)
+    }
+    assert modules & loaded_by_name == set(), "the import of the module would replace the name"
 
 
 @pytest.mark.parametrize("room", ["keystore", "lifecycle"])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES
 from tests.interop.conftest import TOPIC
 

@@ -18,7 +18,7 @@ import pytest
 from pqsec_pki.access import SPEC, Action, Viewpoint, decide
 from pqsec_pki.documents import Governance, Grant, Permissions, ProtectionKind
 from pqsec_pki.plugin.attributes import BUILTIN
-from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.smime import Signer, sign
 from tests.interop.conftest import DOMAINS, TOPIC, YEAR
 from tests.interop.cyclone_abi import ACCESS_CONTROL, RefusedError, started

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.plugin import LIBRARY, NAMES, agent_status, stop_agent
-from pqsec_pki.plugin.build import command, compiler
+from pqsec_pki.plugin.building import command, compiler
 from tests.interop.cyclone import Participant, RefusedError, participant
 
 pytestmark = pytest.mark.interop

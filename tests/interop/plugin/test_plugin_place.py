@@ -11,7 +11,7 @@ import pytest
 
 from pqsec_pki.plugin import AgentFolder, stop_agent
 from pqsec_pki.plugin import agent_folder as place_module
-from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.control import Client
 from tests.interop.cyclone import RefusedError, participant
 from tests.interop.plugin.test_plugin_robust import HERE, compiled

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.plugin.build import SOURCES, command
+from pqsec_pki.plugin.building import SOURCES, command
 from pqsec_pki.trial import MissingStackError, find
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, Lab
 from tests.interop.cyclone import Participant

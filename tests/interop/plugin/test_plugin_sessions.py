@@ -13,7 +13,7 @@ import pytest
 from pqsec_pki.certificates import Reason
 from pqsec_pki.lifecycle import renew_list, revoke
 from pqsec_pki.plugin import agent_status, stop_agent
-from pqsec_pki.plugin.build import SOURCES
+from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.trial import MissingStackError, find
 from tests.interop.conftest import LAB_PROFILES, Lab
 from tests.interop.cyclone import Participant, RefusedError, participant

@@ -11,7 +11,7 @@ from pqsec_pki.algorithms import SealingPrivateKey
 from pqsec_pki.credentials import KEYS, REVOCATION_LIST, Credentials, VerifiedCredentials
 from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import CURRENT, CredentialStore, InstalledSet, changing
-from pqsec_pki.enrolment.request import SEALING_KEY
+from pqsec_pki.enrolment.requesting import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.enrolment.trust import Marks, Pins, TrustState, pin_problems, pins_in

@@ -18,7 +18,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
-from pqsec_pki.plugin.build import SOURCES, CompileError, command
+from pqsec_pki.plugin.building import SOURCES, CompileError, command
 from pqsec_pki.trial.building import cache, is_own, run_tool
 from pqsec_pki.trial.installation import MACHINE, Installation
 from pqsec_pki.vendors.fastdds_adapter import Compilers, commands, here, install, sources

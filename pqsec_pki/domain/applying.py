@@ -12,7 +12,7 @@ from pathlib import Path
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.certificates import Reason
 from pqsec_pki.domain.desired import Desired
-from pqsec_pki.domain.plan import plan as make_plan
+from pqsec_pki.domain.planning import plan as make_plan
 from pqsec_pki.domain.requests import spec_of
 from pqsec_pki.domain.steps import Plan, Step, StepAction
 from pqsec_pki.errors import (

@@ -16,7 +16,7 @@ from pqsec_pki.keystore._file_comparison import FileComparison, presence
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
-from pqsec_pki.keystore.participant_states import ParticipantState, State, participant_states
+from pqsec_pki.keystore.states import ParticipantState, State, participant_states
 from pqsec_pki.smime import document_in
 
 _URGENCY = {state: place for place, state in enumerate(State)}
