@@ -154,10 +154,37 @@ class Certificate:
     def signed(self, other: "Certificate") -> bool:
         """Whether the subject's key made the signature on `other` (RFC 5280 6.1.3 (a)(1))."""
         try:
-            self.public_key.verify(other.signature, other.tbs, other.identifier)
+            other.verify_signature(self.public_key)
         except PqsecError:
             return False
         return True
+
+    def verify_signature(self, issuer: PublicKey) -> None:
+        """VerificationError unless `issuer` made its signature.
+
+        Success is remembered while the certificate is in use: key and signature do not change.
+        """
+        if issuer.spki not in self._signers:
+            issuer.verify(self.signature, self.tbs, self.identifier)
+            self._signers.add(issuer.spki)
+
+    def verify_alternative(self, issuer: PublicKey) -> None:
+        """VerificationError unless `issuer` made its alternative signature; also remembered."""
+        if issuer.spki not in self._alternative_signers:
+            if self.alternative is None:
+                raise MalformedError("there is no alternative signature")
+            self.alternative.verify(issuer)
+            self._alternative_signers.add(issuer.spki)
+
+    @cached_property
+    def _signers(self) -> set[bytes]:
+        """DER of the keys that were found to have made its signature."""
+        return set()
+
+    @cached_property
+    def _alternative_signers(self) -> set[bytes]:
+        """The same of its alternative signature."""
+        return set()
 
     @property
     def is_self_issued(self) -> bool:

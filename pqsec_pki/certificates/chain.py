@@ -142,10 +142,10 @@ def _alternative_problems(
         yield Problem(f"{who} has no alternative signature", Code.ALTERNATIVE_MISSING)
     if required and own is None:
         yield Problem(f"{who} has no alternative key", Code.ALTERNATIVE_MISSING)
-    if key is None or not signed or leaf.alternative is None:
+    if key is None or not signed:
         return
     try:
-        leaf.alternative.verify(key)
+        leaf.verify_alternative(key)
     except PqsecError as error:
         yield Problem(f"the alternative signature of {who}: {error}", Code.ALTERNATIVE_BAD)
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
         PeerRequirements,
         RemotePeer,
         Terms,
+        peer_certificate,
     )
     from pqsec_pki.handshake.protection import (
         Sender,
@@ -88,6 +89,7 @@ __all__ = [
     "key_exchange_material",
     "participant_data",
     "participant_guid",
+    "peer_certificate",
     "reply_to",
     "token_message",
     "unprotect_payload",

@@ -80,7 +80,19 @@ class Discovered:
 
 NOTHING = Discovered()
 _known: WeakValueDictionary[bytes, Certificate] = WeakValueDictionary()
-"""Certificates still in use, by their DER: one object for all handshakes of a peer."""
+"""Peers' certificates that are still in use, by their PEM."""
+
+
+def peer_certificate(octets: bytes) -> Certificate:
+    """The certificate in PEM `octets`: one object for all handshakes of a peer, parsed once.
+
+    MalformedError if there is none. What depends on time or on a revocation list is not in it.
+    """
+    known = _known.get(octets)
+    if known is not None:
+        return known
+    found = Certificate.from_pem(octets)
+    return _known.setdefault(found.pem, found)  # not by `octets`, of which there are many
 
 
 @contextmanager
@@ -109,8 +121,7 @@ class RemotePeer:
         """The peer; VerificationError if certificate, keys or c.pdata cannot be decoded."""
         with _read(Code.C9):
             # OpenDDS adds a NUL to the file, also to the permissions.
-            found = Certificate.from_pem(introduction.certificate.rstrip(b"\0"))
-            certificate = _known.setdefault(found.der, found)
+            certificate = peer_certificate(introduction.certificate.rstrip(b"\0"))
             keys = certificate.handshake_keys
         with _read(Code.C11):
             guid = participant_guid(introduction.participant_data)

@@ -8,10 +8,9 @@ from dataclasses import astuple, replace
 from typing import Any
 
 from pqsec_pki.access import Action, Viewpoint, decide
-from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import GOVERNANCE, PERMISSIONS, grant_of, verify_documents
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.handshake import DataHolder, PermissionsToken
+from pqsec_pki.handshake import DataHolder, PermissionsToken, peer_certificate
 from pqsec_pki.plugin import attributes, trust
 from pqsec_pki.plugin.authentication import CREDENTIAL, CREDENTIAL_PROPERTY
 from pqsec_pki.plugin.credentials import Properties
@@ -73,7 +72,7 @@ class AccessControl:
         own, now = self._own(identity_handle), self._now()
         PermissionsToken.from_holder(token)
         found = dict(credential.properties)
-        certificate = Certificate.from_pem(found.get("c.id", "").encode(errors=_TEXT))
+        certificate = peer_certificate(found.get("c.id", "").encode(errors=_TEXT))
         message = found.get("c.perm", "").encode(errors=_TEXT).rstrip(b"\0")
         try:
             granted = own.anchors.permissions(message, now).value
