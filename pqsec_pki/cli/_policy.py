@@ -8,10 +8,10 @@ from typing import Protocol, TypeVar
 
 import click
 
-from pqsec_pki import _files
+from pqsec_pki import _files, documents
 from pqsec_pki._assets import asset
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.documents import DomainSet, Grant, lasting, permissions_from_yaml, sros2
+from pqsec_pki.documents import DomainSet, Grant, lasting
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.lifecycle import ParticipantSpec
 from pqsec_pki.smime import document_in, is_signed
@@ -138,7 +138,7 @@ _ENCLAVE_HINT = (
 def names_in(policy: Path, *, now: datetime) -> tuple[str, ...]:
     """The names that the policy has grants for. UsageError if there is none but `/`."""
     if policy.suffix == ".xml":
-        found = [enclave.path for enclave in sros2.read_policy(policy)]
+        found = [enclave.path for enclave in documents.sros2.read_policy(policy)]
     else:
         found = [grant.name for grant in _yaml_grants(policy, now)]
     names = tuple(name for name in dict.fromkeys(found) if name != UNNAMED)
@@ -163,8 +163,8 @@ def _grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Gran
     """All grants. SROS2 policies have no domains or validity: those of `spec` are used."""
     if policy.suffix == ".xml":
         not_before, not_after = lasting(now, spec.validity)
-        enclaves = sros2.read_policy(policy)
-        return sros2.permissions_of(
+        enclaves = documents.sros2.read_policy(policy)
+        return documents.sros2.permissions_of(
             enclaves, domains=spec.domains, not_before=not_before, not_after=not_after
         ).grants
     return _yaml_grants(policy, now)
@@ -173,7 +173,7 @@ def _grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Gran
 def _yaml_grants(policy: Path, now: datetime) -> tuple[Grant, ...]:
     data = _files.read(policy)
     with located(policy):
-        return permissions_from_yaml(data, now=now).grants
+        return documents.permissions_from_yaml(data, now=now).grants
 
 
 def _with_grants(spec: ParticipantSpec, grants: tuple[Grant, ...], policy: Path) -> ParticipantSpec:

@@ -7,11 +7,11 @@ from typing import Any
 
 import click
 
+from pqsec_pki import enrolment
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.enrolment import bundle_paths, issue_with_bundles, validate_csrs
 from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
@@ -92,11 +92,12 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     keys = dict[str, PublicKeys]()
     if requests:
         found = _bundles.load_requests(requests)
-        keys = validate_csrs(found, keystore.profile, names=names, patterns=patterns)
+        keys = enrolment.validate_csrs(found, keystore.profile, names=names, patterns=patterns)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
     specs = wanted.specs(tuple(keys) or names, domain_set)
     specs = [replace(spec, keys=keys.get(spec.name)) for spec in specs]
-    bundle_paths(keys, folder or Path(), force=force)  # before the passphrase is asked for
+    if requests:  # refused before the passphrase is asked for
+        enrolment.bundle_paths(keys, folder or Path(), force=force)
     with located(_governance(keystore)):
         governance = Governance.from_xml(document_in(keystore.governance))
     recipient = _bundles.recipient(seal_for)
@@ -109,7 +110,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     }
     bundles = dict[str, Path]()
     if requests:
-        made = issue_with_bundles(
+        made = enrolment.issue_with_bundles(
             keystore, authorities, specs, folder or Path(), recipient=recipient, **choices
         )
         issued = [each.issued for each in made]

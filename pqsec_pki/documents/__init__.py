@@ -1,7 +1,7 @@
 """Governance and permissions: reads XML and YAML as values, and writes them.
 
 It also handles the names in these documents: certificate subjects as text, and ROS 2 names in
-their DDS form (module `ros`). The module `sros2` reads SROS2's policies; import it separately.
+their DDS form (module `ros`). The module `sros2` reads SROS2's policies.
 No XML element leaves this package.
 """
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.documents import ros
+    from pqsec_pki.documents import ros, sros2
     from pqsec_pki.documents._schema import Kind, validate
     from pqsec_pki.documents.domains import DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
@@ -69,5 +69,6 @@ __all__ = [
     "read_tree",
     "ros",
     "same_subject",
+    "sros2",
     "validate",
 ]

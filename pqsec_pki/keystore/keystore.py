@@ -7,17 +7,11 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki import credentials
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
-from pqsec_pki.credentials import (
-    CA_FILES,
-    NEEDED,
-    Credentials,
-    TrustAnchors,
-    VerifiedCredentials,
-    verify_credentials,
-)
+from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _journal, _settings, layout
@@ -250,7 +244,7 @@ class Keystore:
 
     def verified(
         self, name: str, passphrase: bytes | None = None, *, now: datetime
-    ) -> VerifiedCredentials:
+    ) -> "credentials.VerifiedCredentials":
         """The credentials of the participant called `name`, verified at `now`.
 
         Verified twice: with the CAs of its enclave, as its own stack does, and with those of the
@@ -261,9 +255,9 @@ class Keystore:
         name = layout.enclave_name(name)
         folder = self.root / layout.enclave_folder(name)
         files = enclave_files(self.root, name)
-        credentials = Credentials.of(name, files, passphrase, folder=folder)
-        verify_credentials(credentials, now=now)
-        return verify_credentials(replace(credentials, anchors=self.anchors), now=now)
+        found = Credentials.of(name, files, passphrase, folder=folder)
+        credentials.verify_credentials(found, now=now)
+        return credentials.verify_credentials(replace(found, anchors=self.anchors), now=now)
 
     def ledger(self) -> list[Entry]:
         """Everything that was ever issued, signed or revoked here, oldest first."""
