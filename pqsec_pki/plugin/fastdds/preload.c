@@ -26,6 +26,15 @@ enum { MAX_ID = 32, MAX_PATH = 4096, MAX_ADAPTERS = 8 };
   "_ZN8eprosima" space "4rtps8security21SecurityPluginFactory" which "ERKNS1_14PropertyPolicyE"
 #define SIZE(space) \
   "_ZN8eprosima" space "4rtps16DataHolderHelper15serialized_sizeERKSt6vectorINS1_10DataHolderESaIS4_EEm"
+#define DISCOVERY(space, function) "_ZN8eprosima" space "4rtps" function
+#define NOTIFY(space) \
+  DISCOVERY(space, "9PDPSimple26notifyAboveRemoteEndpointsERKNS1_20ParticipantProxyDataEb")
+#define KEEP(space) \
+  DISCOVERY(space, "9PDPSimple26createParticipantProxyDataERKNS1_20ParticipantProxyDataERKNS1_6GUID_tE")
+#define ANNOUNCE(space) \
+  DISCOVERY(space, "3PDP39notify_and_maybe_ignore_new_participantEPNS1_20ParticipantProxyDataERb")
+#define CONNECT(space) \
+  DISCOVERY(space, "9PDPSimple33assign_low_level_remote_endpointsERKNS1_20ParticipantProxyDataEb")
 #define IN_2 "8fastrtps"
 #define IN_3 "7fastdds"
 #define AUTHENTICATION "28create_authentication_plugin"
@@ -34,6 +43,9 @@ enum { MAX_ID = 32, MAX_PATH = 4096, MAX_ADAPTERS = 8 };
 typedef void *(*factory)(void *self, const void *policy);
 typedef void *(*maker)(const void *policy, factory original, void *self);
 typedef size_t (*sizer)(const void *tokens, size_t alignment);
+typedef void (*connector)(void *self, const void *peer, bool secure);
+typedef void *(*keeper)(void *self, const void *peer, const void *writer);
+typedef void (*announcer)(void *self, void *peer, bool *ignore);
 
 /* ---- Plugins that refuse: objects with a table of virtual functions, as C++ lays them out. */
 
@@ -235,3 +247,46 @@ static size_t sized(const char *symbol, const void *tokens, size_t alignment, co
 
 DEFINE_SIZE(size_2, IN_2)
 DEFINE_SIZE(size_3, IN_3)
+
+/* ---- The endpoints of an authenticated peer
+ *
+ * Since the fix of CVE-2023-50257 (2.6.7, 2.10.3, 3.0), Fast DDS waits until an authenticated peer
+ * announces itself again, on DCPSParticipantsSecure, and connects no endpoint before. Fast DDS 2.9
+ * has no such topic, and Cyclone DDS never writes there: they would authenticate and never match.
+ * So what Fast DDS does at that announcement is done at once, with the announcement that the
+ * handshake began with. Later ones on the topic without protection are still ignored. */
+
+enum { GUID = 16 };
+
+static void connected(const char *const names[4], void *self, const void *peer, bool secure,
+                      const void *address)
+{
+  static const uint8_t nobody[GUID];
+  struct caller caller = caller_at(address);
+  connector original = (connector)original_of(&caller, names[0]);
+  keeper keep = (keeper)original_of(&caller, names[1]);
+  announcer announce = (announcer)original_of(&caller, names[2]);
+  connector connect = (connector)original_of(&caller, names[3]);
+  if (original != NULL)
+    original(self, peer, secure);
+  if (!secure || keep == NULL || announce == NULL || connect == NULL)
+    return;
+  void *kept = keep(self, peer, nobody);
+  bool ignore = kept == NULL;
+  if (kept != NULL)
+    announce(self, kept, &ignore);
+  if (!ignore)
+    connect(self, peer, true);
+}
+
+#define DEFINE_NOTIFY(name, space)                                                              \
+  EXPORT void name(void *self, const void *peer, bool secure) __asm__(NOTIFY(space));           \
+  void name(void *self, const void *peer, bool secure)                                          \
+  {                                                                                             \
+    static const char *const names[] = {NOTIFY(space), KEEP(space), ANNOUNCE(space),            \
+                                        CONNECT(space)};                                        \
+    connected(names, self, peer, secure, __builtin_return_address(0));                          \
+  }
+
+DEFINE_NOTIFY(notify_2, IN_2)
+DEFINE_NOTIFY(notify_3, IN_3)

@@ -5,6 +5,7 @@ Each participant is a process, configured by export, in which one thing is not a
 
 import json
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -33,6 +34,7 @@ from pqsec_pki.trial import (
     unique_text,
 )
 from pqsec_pki.trial.building import source
+from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
 from pqsec_pki.vendors.fastdds_library import AdapterError, examine
 from pqsec_pki.vendors.own_plugin import PRELOAD
@@ -300,6 +302,20 @@ def test_it_runs_in_a_library_that_was_opened_locally(stage, opened):
 
 def test_a_library_that_binds_to_itself_first_gets_its_own_plugin_which_refuses(stage, opened):
     assert refused(stage.run(program=opened("deep")))
+
+
+@EVERYWHERE
+def test_each_function_that_the_preload_library_names_is_one_of_fast_dds(stage):
+    """A letter too many, and the loader would silently never find it."""
+    library = stage.installation.library.path
+    space = b"8fastrtps" if "fastrtps" in library.name else b"7fastdds"
+    octets = (stage.plugin.folder / PRELOAD).read_bytes()
+    named = {each.decode() for each in re.findall(rb"_ZN8eprosima%s\w+" % space, octets)}
+    assert len(named) == 7
+    missing = named - read_symbols(library, ()).exported
+    is_old = space == b"8fastrtps"
+    # 2.9 does not wait for a second announcement.
+    assert [each for each in missing if not (is_old and "PDP" in each)] == []
 
 
 def test_a_library_without_the_functions_is_not_fast_dds(library, tmp_path):
