@@ -165,7 +165,7 @@ _CNSA2 = Promise(
     ),
 )
 _CLASSICAL_AGREEMENT = Promise(
-    "key agreement is one that stock stacks run",
+    "the key agreement is one that stock stacks run",
     lambda p: p.key_agreement.name in {"ecdh-p256", "dh-modp-2048-256"},
 )
 
@@ -194,7 +194,7 @@ def _profile(
 PROFILES = (
     _profile(
         "transition",
-        "runs in today's stacks, and is already signed for tomorrow's",
+        "runs in stock stacks, with ML-DSA signatures as well",
         "ecdsa-p256",
         _RUNS_IN_STOCK,
         _PQ_BESIDE,
@@ -204,7 +204,7 @@ PROFILES = (
     ),
     _profile(
         "hybrid",
-        "composite keys: safe while either half is",
+        "composite keys: secure while either algorithm is",
         "mldsa65-ecdsa-p256-sha512",
         _ALL_HYBRID,
         _NO_SECOND_KEY,
@@ -220,7 +220,7 @@ PROFILES = (
     ),
     _profile(
         "cnsa2",
-        "post-quantum only, at the level CNSA 2.0 asks for",
+        "post-quantum only, at the level that CNSA 2.0 requires",
         "ml-dsa-87",
         _CNSA2,
         _NO_SECOND_KEY,
@@ -228,7 +228,7 @@ PROFILES = (
     ),
     _profile(
         "classical",
-        "what every stack speaks today",
+        "classical only, as every stack supports it",
         "ecdsa-p256",
         _RUNS_IN_STOCK,
         _NO_SECOND_KEY,

@@ -92,7 +92,7 @@ def problems(
         yield from _attribute_problems(attributes, info, counter=counter)
         # RFC 5652 5.4, 5.6: the digest of the content is a signed attribute
         if decode(bytes, attributes[_MESSAGE_DIGEST], "message-digest") != digest.of(content):
-            yield Problem("the content was changed after it was signed", Code.CONTENT_CHANGED)
+            yield Problem("the content was changed after signing", Code.CONTENT_CHANGED)
         # and the signature covers the attributes, re-encoded as an explicit SET OF
         identifier = key.algorithm.cms_identifier(encode(info.signature_algorithm), digest)
         covered = encode(SetOf(list(info.signed_attributes or [])))

@@ -493,7 +493,7 @@ def test_show_tells_a_person_what_is_there(pqsec, keystore):
     keystore("transition")
     lines = pqsec("-k k ca show").done().out
     for words in (
-        "keystore       k (profile transition: runs in today's stacks, and is already signed for",
+        "keystore       k (profile transition: runs in stock stacks, with ML-DSA signatures",
         "identity CA    CN=Identity CA, ecdsa-p256 and ml-dsa-65",
         "permissions CA CN=Permissions CA, ecdsa-p256\n",
         "domains        0",

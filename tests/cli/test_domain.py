@@ -44,32 +44,6 @@ def applied(pqsec, domain):
     return domain
 
 
-def test_plan_tells_and_changes_nothing(pqsec, domain, tmp_path):
-    told = pqsec("-k k plan")
-    assert (told.code, told.err) == (1, "")
-    assert told.out.splitlines() == [
-        "create the CAs       (there is no keystore)",
-        "sign the governance  (there is no keystore)",
-        "issue                /r1, /r2, /r3  (new)",
-        "5 changes; 0 participants are up to date",
-    ]
-    assert not (tmp_path / "k").exists()
-
-
-def test_apply_does_it_and_then_there_is_nothing_to_do(pqsec, domain):
-    done = pqsec("-k k apply domain.yaml --yes --no-passphrase").done()
-    assert done.out.splitlines() == [
-        "create the CAs: done",
-        "sign the governance: done",
-        "issue: 3",
-    ]
-    assert "not encrypted" in done.err
-    for line in ("plan", "apply --check", "apply"):
-        told = pqsec(f"-k k {line}").done()
-        assert told.out == "no changes; 3 participants are up to date\n"
-    pqsec("-k k verify-handshake /r1 /r2").done()
-
-
 def test_check_is_for_ci(pqsec, applied, change, tmp_path):
     assert pqsec("-k k apply --check --json").done().json["in_order"] is True
     change("pose", "place")
@@ -81,13 +55,6 @@ def test_check_is_for_ci(pqsec, applied, change, tmp_path):
         for n in (1, 2, 3)
     ]
     assert snapshot(tmp_path / "k") == before
-
-
-def test_without_a_terminal_it_does_not_ask_and_does_nothing(pqsec, domain, tmp_path):
-    pqsec("-k k apply").refused(2, "5 changes to make, and no terminal", hint="--yes")
-    assert not (tmp_path / "k").exists()
-    pqsec("-k k apply --yes").refused(2, "the CA keys need a passphrase")
-    assert not (tmp_path / "k").exists()
 
 
 def test_encrypted_keys_are_unlocked_where_there_is_something_to_do(pqsec, locked, domain):
@@ -108,18 +75,6 @@ def test_prune_revokes_and_says_so(pqsec, applied, change):
     assert "a new revocation list: copy it to every robot" in done.err
     pqsec("-k k plan --prune").done()
     assert pqsec("-k k verify-handshake /r1 /r3").code == 1
-
-
-def test_who_was_revoked_keeps_the_answer_at_no(pqsec, applied):
-    pqsec("-k k revoke /r2")
-    for line in ("plan", "apply --check", "apply"):
-        told = pqsec(f"-k k {line}")
-        assert told.code == 1
-        assert "blocked: /r2 was revoked; remove it from the file" in told.out
-    shutil.rmtree(applied.parent / "k/enclaves/r1")
-    told = pqsec("-k k apply --yes")
-    assert (told.code, told.out) == (1, "issue: 1\n")
-    assert "note: /r2 was revoked: not changed" in told.err
 
 
 def test_who_has_its_key_elsewhere_is_given_no_other(pqsec, applied, tmp_path):
@@ -155,39 +110,6 @@ def test_init_writes_a_file_that_plan_takes_and_replaces_none(pqsec, tmp_path):
     assert pqsec("-k k plan").code == 1
     pqsec("plan --init").refused(3, "domain.yaml exists")
     pqsec("plan --init other.yaml").done()
-
-
-def test_a_mistake_in_the_file_is_a_no_with_its_line(pqsec, domain, change):
-    change("publish", "publich")
-    for line in ("plan", "apply --yes"):
-        pqsec(f"-k k {line}").refused(1, "domain.yaml: line 5: publich: no such key here")
-
-
-def test_who_cannot_be_done_is_told_last(pqsec, applied, change):
-    with (applied.parent / "k/enclaves/r2/permissions.xml").open("ab") as file:
-        file.write(b"<!-- somebody is at work here -->")
-    change("name: Lab", "name: Lab\nvalidity: 2y\nrenew_before: 400d")
-    told = pqsec("-k k apply --yes")
-    assert told.code == 3
-    assert told.out == ""
-    assert "note: 2 of 3 changes are made; run apply again to make the rest" in told.err
-    assert "error: k/enclaves/r2/permissions.p7s: k/enclaves/r2/permissions.xml is not" in told.err
-    assert "renew  /r2  (ends)" in pqsec("-k k plan").out
-
-
-def test_what_is_not_there_could_not_be_done(pqsec, domain, tmp_path):
-    pqsec("-k k plan nowhere.yaml").refused(3, "nowhere.yaml")
-    pqsec("plan").refused(2, "no keystore named")
-    (tmp_path / "k/private").mkdir(parents=True)
-    pqsec("-k k plan").refused(3, "k is not a pqsec keystore")
-
-
-def test_domains_that_the_governance_does_not_name_are_noted(pqsec, domain, change):
-    change("role: robot}", "role: robot, domains: 0-5}")
-    change("name: Lab", "name: Lab\ngovernance: {domains: 0-3}")
-    assert "note: the governance does not name domain 4, 5: no participant can join it" in (
-        pqsec("-k k plan").err
-    )
 
 
 def test_a_bar_shows_how_far_it_is_on_a_terminal(domain, tmp_path):
@@ -253,47 +175,6 @@ def test_a_robot_that_asks_is_answered_with_a_bundle_that_it_installs(pqsec, rob
     assert (told.json["steps"], told.json["bundles"]) == ([], ["out/r3.bundle"])
 
 
-def test_a_bundle_that_cannot_be_written_is_the_next_applys(pqsec, robots, tmp_path):
-    robots()
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/r3.bundle").write_text("a note of mine")
-    told = pqsec("-k k apply --yes --no-passphrase --bundles out")
-    assert told.code == 3
-    assert "note: all 5 changes are made; run apply again to write the bundles" in told.err
-    assert "error: out/r3.bundle exists and is not a bundle for /r3" in told.err
-    (tmp_path / "out/r3.bundle").unlink()
-    assert pqsec("-k k apply --bundles out").done().out == "bundles: 1\n"
-
-
-def test_without_a_folder_for_bundles_it_is_told_who_waits_for_one(pqsec, robots):
-    robots()
-    told = pqsec("-k k apply --yes --no-passphrase").done()
-    assert (
-        "note: the keys of these are on their robots: /r3; write their bundles with --bundles DIR"
-        in told.err
-    )
-
-
-def test_another_key_is_certified_only_if_that_is_said(pqsec, robots):
-    robots()
-    pqsec("-k k apply --yes --no-passphrase").done()
-    robots()
-    for line in ("plan", "apply --yes"):
-        told = pqsec(f"-k k {line}")
-        assert told.code == 1
-        assert "/r3 is not changed: its request is for another key" in told.out
-    assert "if it is really the robot that asks: --new-keys" in told.out
-    assert pqsec("-k k plan --new-keys --json").json["steps"] == [
-        {"action": "replace", "name": "/r3", "why": "its request is for another key"}
-    ]
-    assert pqsec("-k k apply --yes --new-keys").done().out == "issue again: 1\n"
-    pqsec("-k k plan").done()
-
-
-def test_a_check_writes_no_bundles(pqsec, applied):
-    pqsec("-k k apply --check --bundles out").refused(2, "--check and --bundles")
-
-
 def test_bundles_are_written_although_somebody_could_not_be_done(pqsec, robots, change, tmp_path):
     robots()
     change("publish: [rt$name/pose]", "publish: [rt$name/pose], nodes: $zone")
@@ -317,8 +198,3 @@ def test_a_list_that_was_cut_short_does_not_take_back_a_fleet(pqsec, applied, ch
     assert [each["name"] for each in told.json["steps"]] == ["/r1", "/r2"]
     reasons = {each["details"].get("reason") for each in pqsec("-k k log --json").json["lines"]}
     assert reasons == {None, "cessationOfOperation"}
-
-
-def test_json_asks_nobody(pqsec, domain, tmp_path):
-    pqsec("-k k apply --json").refused(2, "--json does not ask", hint="--yes")
-    assert not (tmp_path / "k").exists()

@@ -170,7 +170,7 @@ def test_any_key_agreement_can_be_tried(pqsec, keystore, kem):
         ("hybrid", "mlkem768", "every signature and key agreement holds while either half does"),
         ("pq", "ecdh-p256", "every signature and key agreement withstands a quantum computer"),
         ("cnsa2", "x25519mlkem768", "CNSA 2.0: ML-DSA-87 and ML-KEM-1024 only"),
-        ("classical", "mlkem768", "key agreement is one that stock stacks run"),
+        ("classical", "mlkem768", "the key agreement is one that stock stacks run"),
     ],
 )
 def test_a_key_agreement_that_breaks_a_promise_is_tried_and_noted(
@@ -403,7 +403,7 @@ def test_xml_altered_after_it_was_signed_is_refused(fails, keystore, profile, fi
     signed = path.read_bytes()
     assert old in signed
     path.write_bytes(signed.replace(old, new))
-    fails(step, f"{path.name}: the content was changed after it was signed")
+    fails(step, f"{path.name}: the content was changed after signing")
 
 
 @pytest.mark.parametrize("file", ["governance.p7s", "talker/permissions.p7s"])

@@ -2,13 +2,10 @@
 
 import json
 import re
-import shutil
 import sqlite3
 from contextlib import closing
 
 import pytest
-
-from tests.cli.conftest import snapshot
 
 
 @pytest.fixture
@@ -51,37 +48,6 @@ def test_to_revoke_what_an_earlier_ca_issued_says_that_no_list_has_it(pqsec, k):
     assert (k / "public/identity_ca.crl.pem").exists()
 
 
-def test_revoke_refuses_who_is_not_known(pqsec, k):
-    before = snapshot(k)
-    pqsec("-k k revoke /nobody").refused(3, "/nobody", hint="pqsec status")
-    pqsec("-k k revoke /talker --reason hold").refused(
-        2, "'hold' is not one of 'unspecified', 'keyCompromise'"
-    )
-    pqsec("-k k revoke").refused(2, "NAME|SERIAL")
-    pqsec("-k k revoke /talker --validity 999999y").refused(2, "beyond 2261")
-    assert snapshot(k) == before
-
-
-def test_verify_handshake_refuses_a_revoked_participant(pqsec, k):
-    pqsec("-k k verify-handshake /talker /listener").done()
-    pqsec("-k k revoke /talker")
-    answer = pqsec("-k k verify-handshake /talker /listener")
-    assert answer.code == 1
-    assert "the certificate of CN=/talker was revoked on" in answer.out
-    assert (
-        "hint: to issue /talker again, use `pqsec issue` with --force --after-revocation"
-        in answer.out
-    )
-
-
-def test_issue_refuses_a_revoked_name_unless_told(pqsec, k):
-    pqsec("-k k revoke /talker")
-    line = "-k k issue /talker --publish x --subscribe x --force"
-    pqsec(line).refused(3, "revoked: /talker", hint="--after-revocation")
-    pqsec(f"{line} --after-revocation").done()
-    assert pqsec("-k k verify-handshake /talker /listener").code == 0
-
-
 # ca crl
 
 
@@ -117,74 +83,6 @@ def test_renew_takes_names_or_due_or_all(pqsec, k):
     assert {each["name"] for each in both} == {"/talker", "/listener"}
     assert len(pqsec("-k k renew --all").done().out.splitlines()) == 2
     assert pqsec("-k k verify-handshake /talker /listener").code == 0
-
-
-@pytest.mark.parametrize("words", ["", "--all /talker", "--all --due 3d", "--due 3d /talker"])
-def test_renew_wants_one_of_them(pqsec, k, words):
-    said = "names, --due and --all exclude each other" if words else "no participant named"
-    pqsec(f"-k k renew {words}").refused(2, said)
-
-
-def test_renew_all_leaves_out_who_is_revoked_or_gone(pqsec, k):
-    pqsec("-k k issue /third --publish x")
-    pqsec("-k k revoke /talker")
-    shutil.rmtree(k / "enclaves/third")
-    done = pqsec("-k k renew --all --json").done().json
-    assert [each["name"] for each in done["issued"]] == ["/listener"]
-    pqsec("-k k renew /talker").refused(3, "revoked: /talker")
-    pqsec("-k k renew /third").refused(3, "no participant /third")
-
-
-def test_the_way_out_of_edited_permissions_names_the_file_and_works(pqsec, k):
-    path = k / "enclaves/talker/permissions.xml"
-    edited = path.read_text().replace("rt/chatter", "rt/gossip")
-    path.write_text(edited)
-    said = pqsec("-k k renew /talker").refused(3, f"{path.relative_to(k.parent)} is not what")
-    sign = "pqsec -k k sign-permissions k/enclaves/talker/permissions.xml --force"
-    assert f"`{sign}` signs what it says now" in said.err
-    assert "or remove k/enclaves/talker/permissions.xml" in said.err
-    pqsec(sign.removeprefix("pqsec ")).done()
-    pqsec("-k k renew /talker").done()
-    assert "rt/gossip" in path.read_text()
-
-
-@pytest.mark.parametrize(
-    ("option", "kept"), [("--keep-key", True), ("--rekey", False), ("", False)]
-)
-def test_renew_makes_new_keys_unless_told(pqsec, k, option, kept):
-    before = (k / "enclaves/talker/key.pem").read_bytes()
-    pqsec(f"-k k renew /talker {option}").done()
-    assert ((k / "enclaves/talker/key.pem").read_bytes() == before) == kept
-
-
-def test_renew_tells_when_it_is_cut_at_the_end_of_the_ca(pqsec, k):
-    assert "when the identity CA expires" in pqsec("-k k renew /talker --validity 50y").err
-
-
-# needs-renewal: step's 0 and 1 are ours too; its 2 and 255 are our 3
-
-
-def test_needs_renewal_answers_by_its_exit_code(pqsec, k):
-    no = pqsec("-k k needs-renewal")
-    assert (no.code, no.out) == (1, "nothing needs renewal\n")
-    yes = pqsec("-k k needs-renewal --due 2y")
-    assert (yes.code, len(yes.out.splitlines())) == (0, 2)
-    one = pqsec("-k k needs-renewal /talker --due 2y --json")
-    assert (one.code, [each["name"] for each in one.json["participants"]]) == (0, ["/talker"])
-    pqsec("-k k needs-renewal /nobody").refused(3, "has no participant /nobody")
-    pqsec("-k nowhere needs-renewal").refused(3, "is not a pqsec keystore")
-    pqsec("-k k needs-renewal --due soon").refused(2, "'soon' is not a duration")
-
-
-def test_needs_renewal_speaks_of_the_list_where_nobody_is_named(pqsec, k):
-    pqsec("-k k ca crl --validity 12h")
-    assert pqsec("-k k needs-renewal /talker --due 1d").code == 1
-    yes = pqsec("-k k needs-renewal --due 1d --json")
-    assert (yes.code, yes.json["revocation_list"], yes.json["participants"]) == (0, True, [])
-    done = pqsec("-k k renew --due 1d")
-    assert done.code == 0
-    assert "the old one was due" in done.err
-    assert pqsec("-k k needs-renewal --due 1d").code == 1
 
 
 # status
@@ -230,15 +128,6 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     pqsec("-k k status --prometheus pqsec.prom").done()
     assert 'pqsec_participants{state="revoked"} 1' in (tmp_path / "pqsec.prom").read_text()
     assert [path.name for path in tmp_path.iterdir() if "prom" in path.name] == ["pqsec.prom"]
-
-
-def test_metrics_replace_nothing_else(pqsec, k, tmp_path):
-    (tmp_path / "mine").write_text("precious")
-    pqsec("-k k status --prometheus mine").refused(
-        3, "mine exists and is not a metrics file of pqsec"
-    )
-    pqsec("-k k status --prometheus no/folder").refused(3, "no such file")
-    assert (tmp_path / "mine").read_text() == "precious"
 
 
 # log

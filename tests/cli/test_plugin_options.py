@@ -47,13 +47,6 @@ def test_without_a_home_the_plugin_must_be_named_and_nothing_else(pqsec, keystor
     pqsec(line).done()
 
 
-def test_on_another_machine_its_folder_must_be_said(pqsec, keystore):
-    keystore("pq")
-    line = "-k k export cyclonedds /talker --plugin --at /robot"
-    pqsec(line).refused(2, "--at with --plugin needs --plugins", hint="--plugins DIR")
-    assert "/opt/pqsec/libpqsec_dds.so" in pqsec(f"{line} --plugins /opt/pqsec").done().out
-
-
 @pytest.mark.usefixtures("plugin")
 def test_the_environment_of_ros_2_loads_it(pqsec, keystore):
     keystore("pq")
@@ -70,22 +63,3 @@ def test_a_stack_that_cannot_load_it_says_so(pqsec, keystore, stack):
     keystore("pq")
     line = f"-k k export {stack} /talker --plugin --plugins plug"
     pqsec(line).refused(2, "cannot load pqsec's plugin", hint="cyclonedds, fastdds, ros2")
-
-
-@pytest.mark.parametrize(
-    ("line", "words", "hint"),
-    [
-        ("cyclonedds,fastdds /talker /listener", "is for pqsec's plugin in both", "use --plugin"),
-        (
-            "fastdds,cyclonedds /talker /listener --plugin --stock /talker",
-            "is for pqsec's plugin in both",
-            "not --stock",
-        ),
-        ("cyclonedds /talker /listener --stock /talker", "--stock /talker is not", "with --plugin"),
-        ("cyclonedds /talker /listener --plugin --stock /x", "--stock /x is not", "with --plugin"),
-        ("ros2 --dry-run /talker --plugin", "--plugin is not for ros2", "LD_LIBRARY_PATH"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(pqsec, keystore, line, words, hint):
-    keystore("pq")
-    pqsec(f"-k k try {line}").refused(2, words, hint=hint)

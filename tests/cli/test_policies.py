@@ -126,49 +126,6 @@ def test_signing_a_mistake_is_refused_in_the_same_words(pqsec, keystore, tmp_pat
 
 
 @every_kind
-def test_nothing_is_overwritten_unless_forced(pqsec, tmp_path, kind):
-    (tmp_path / "there").write_text("mine")
-    pqsec(f"{NEW[kind]} -o there").refused(3, "there exists", hint="--force")
-    assert (tmp_path / "there").read_text() == "mine"
-    pqsec(f"{NEW[kind]} -o there --force").done()
-    pqsec(f"{kind} render there -o there").refused(3, "there exists")
-
-
-@every_kind
-@pytest.mark.parametrize("verb", ["render", "read"])
-def test_a_file_that_is_not_there_is_refused(pqsec, kind, verb):
-    pqsec(f"{kind} {verb} none").refused(3, "none: no such file")
-
-
-def test_the_wrong_kind_of_document_is_refused(pqsec):
-    pqsec("governance new -o g.yaml").done()
-    pqsec("governance render g.yaml -o g.xml").done()
-    pqsec("permissions read g.xml").refused(1, "g.xml: line", "is a governance document")
-    pqsec("permissions render g.yaml").refused(1, "g.yaml: line", problems=8)
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("governance new --preset stric", "'stric' is not one of"),
-        ("governance new --domain 300", "domain 300 is above 230"),
-        ("permissions new talker", "'talker' is not a full ROS 2 name"),
-        ("permissions new /a --validity x", "'x' is not a duration"),
-        ("permissions new", "Missing argument"),
-    ],
-)
-def test_what_makes_no_sense_is_a_usage_error(pqsec, line, words):
-    pqsec(line).refused(2, words)
-
-
-def test_topics_without_any_rule_are_noted(pqsec, tmp_path):
-    (tmp_path / "g.yaml").write_text("topics: [rt/a]")
-    said = pqsec("governance render g.yaml")
-    assert said.code == 0
-    assert "note: domains 0: the last topic rule is not for '*'" in said.err
-
-
-@every_kind
 def test_the_schema_is_written_for_editors(pqsec, kind):
     assert json.loads(pqsec(f"{kind} schema").done().out)["$id"] == f"urn:pqsec:schema:{kind}"
 
@@ -297,30 +254,3 @@ def test_nodes_that_ran_without_enclave_are_nobodys(pqsec, keystore, tmp_path, n
     assert "--enclave /NAME" in pqsec("-k k issue --policy p.xml").done().err
     found = {path.name for path in (k / "enclaves").iterdir() if path.is_dir()}
     assert found == {"listener", "rover", "talker"}
-
-
-@pytest.mark.parametrize(
-    ("more", "code", "words"),
-    [
-        ("/a /c --policy p.yaml", 2, "p.yaml has no grant for /c"),
-        ("/a --policy p.yaml --publish x", 2, "exclude each other"),
-        ("/a --policy none.yaml", 3, "none.yaml: no such file"),
-        ("/a --policy bad.yaml", 1, "bad.yaml: line 1: the key 'grants' is missing"),
-        (
-            "/a --policy old.yaml",
-            2,
-            "the policy's grant for /a and its certificate are never valid together",
-        ),
-    ],
-)
-def test_a_policy_that_does_not_fit_issues_nobody(pqsec, keystore, more, code, words):
-    k = keystore()
-    tmp_path = k.parent
-    (tmp_path / "p.yaml").write_text(POLICY)
-    (tmp_path / "bad.yaml").write_text("{}")
-    old = POLICY.replace(
-        "1w", "{not_before: 2000-01-01T00:00:00Z, not_after: 2001-01-01T00:00:00Z}"
-    )
-    (tmp_path / "old.yaml").write_text(old)
-    pqsec(f"-k k issue {more}").refused(code, words)
-    assert not (k / "enclaves/a").exists()

@@ -262,7 +262,7 @@ def test_a_tampered_document_of_an_enclave_is_not_believed(pqsec, keystore, file
     path = (keystore() / "enclaves/talker" / file).resolve()
     path.write_bytes(path.read_bytes().replace(b"DENY", b"ALLOW").replace(b">true<", b">false<"))
     asked = "-k k explain --participant /talker --publish rt/secret"
-    pqsec(asked).refused(1, file, "changed after it was signed")
+    pqsec(asked).refused(1, file, "changed after signing")
     said = pqsec(f"{asked} --json")
     assert (said.code, said.json["allowed"]) == (1, False)
     assert file in said.json["problems"][0]
@@ -532,7 +532,7 @@ def test_a_participant_whose_documents_do_not_hold_is_left_out(pqsec, keystore):
     path.write_bytes(path.read_bytes().replace(b"DENY", b"ALLOW"))
     said = pqsec("-k k who-may --json").done()
     assert said.json["participants"] == ["/listener"]
-    assert "changed after it was signed" in said.json["left_out"]["/talker"]
+    assert "changed after signing" in said.json["left_out"]["/talker"]
     assert "note: /talker is left out" in said.err
 
 

@@ -288,7 +288,7 @@ def test_a_changed_text_is_refused(pqsec, keystore, tmp_path, profile):
     signed = (tmp_path / GOVERNANCE).read_bytes()
     (tmp_path / GOVERNANCE).write_bytes(signed.replace(b">false<", b">true<", 1))
     said = pqsec(f"-k k verify {GOVERNANCE}")
-    said.refused(1, GOVERNANCE, "the content was changed after it was signed")
+    said.refused(1, GOVERNANCE, "the content was changed after signing")
 
 
 @pytest.mark.parametrize("profile", NAMES)
@@ -335,7 +335,7 @@ def test_signatures_are_not_taken_over_from_another_document(pqsec, keystore, tm
     tail = signature[1].replace(own.strip(), boundary.strip())
     mixed = text[0] + b"Content-Type: application/x-pkcs7-signature" + tail
     (tmp_path / "mixed.p7s").write_bytes(mixed)
-    pqsec("-k k verify mixed.p7s").refused(1, "the content was changed after it was signed")
+    pqsec("-k k verify mixed.p7s").refused(1, "the content was changed after signing")
 
 
 SIGNED = b'Content-Type: multipart/signed; boundary="x"\n\n'

@@ -16,7 +16,6 @@ not run here. The ```python blocks of a document are one program, and `# prints:
 a line that it prints.
 """
 
-import doctest
 import os
 import re
 import shutil
@@ -33,6 +32,7 @@ from pqsec_pki.cli import COMMANDS, GROUPS, pqsec
 from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 from tests.interop.fastdds import find_compiler
+from tests.printed import same
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -136,12 +136,6 @@ class Session:
             check=False,
         )
         return done.returncode, done.stdout
-
-
-def same(expected: list[str], printed: str) -> bool:
-    """Whether `printed` is what is expected, up to `...` and blank lines at the end."""
-    want, got = ("\n".join(expected).rstrip() + "\n", printed.rstrip() + "\n")
-    return doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS)
 
 
 ABSENT = {"Cyclone DDS": lambda: installed_plugins(Path("/")) is None}

@@ -253,7 +253,7 @@ def altered_permissions(sros2, other):
         (foreign_certificate, "not signed by this CA"),
         (foreign_permissions, "sign"),
         (broken_certificate, "certificate"),
-        (altered_permissions, "the content was changed after it was signed"),
+        (altered_permissions, "the content was changed after signing"),
     ],
 )
 def test_what_is_not_the_cas_is_told_and_stays_out_of_the_ledger(sros2, tmp_path, flaw, words):

@@ -238,7 +238,7 @@ EXPECTED = {
     "borrowed-permissions": [("", "admits", "may not join domain 0: no grant is for CN=/")],
     "forged-permissions": [
         ("^by ", "admits", "not signed by CN=Lab Permissions CA but by another certificate"),
-        ("with its own name", "admits", "the content was changed after it was signed"),
+        ("with its own name", "admits", "the content was changed after signing"),
         ("^not signed", "admits", "not an S/MIME signed document"),
         ("^none", "admits", "the file is empty"),
     ],

@@ -492,7 +492,7 @@ def test_an_altered_document_is_refused(good):
         altered = data.replace(b"<id>0</id>", b"<id>9</id>", 1)
         assert altered != data
         bad = with_files(good, **{file.replace(".", "_"): altered})
-        assert "was changed after it was signed" in problems(bad, good.roles)[0]
+        assert "was changed after signing" in problems(bad, good.roles)[0]
 
 
 def test_permissions_that_end_before_the_certificate_are_refused_from_then_on(keystores, tmp_path):

@@ -192,7 +192,7 @@ def test_permissions_that_were_altered_are_not_signed_again(keystore):
     newest = keystore.ledger()[-1]
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     enter(keystore, [replace(newest, sha256=digest, name="/talker")])  # by who can write that too
-    with pytest.raises(VerificationError, match="the content was changed after it was signed"):
+    with pytest.raises(VerificationError, match="the content was changed after signing"):
         renewed(keystore, "/listener", "/talker")
     assert keystore.participant("/listener").certificate.not_after == NOW + 90 * DAY
 

@@ -88,7 +88,7 @@ REFUSED = {
     "revoked": (Case("", profile="pq", alter=revoke_the_sender), (), "was revoked on"),
     "rogue CA": (Case("", profile="pq", alter=come_from_another_ca), (), "not signed by this CA"),
     "expired": (Case("", profile="pq", alter=let_the_sender_expire), (), "expired on"),
-    "altered": (Case("", profile="pq", alter=alter_the_permissions), (), "changed after it was"),
+    "altered": (Case("", profile="pq", alter=alter_the_permissions), (), "changed after signing"),
     **{f"unasked, stock {who}": (Case("", profile="transition"), (who,), said)
        for who, said in ((SENDER, "the peer asks for 'ECDH"), (RECEIVER, "not say that it knows"))},
 }  # fmt: skip
