@@ -33,6 +33,11 @@ _BROKEN = {
 """Signature algorithms, by their identifier in DER, that are refused for their digest."""
 
 
+def broken_digest(identifier: bytes) -> str | None:
+    """The name of the digest if it is broken, such as SHA-1, of a DER AlgorithmIdentifier."""
+    return next((name for begin, name in _BROKEN.items() if begin in identifier), None)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignatureAlgorithm(ABC):
     """One signature algorithm: its names, its sizes and its operations."""
@@ -158,11 +163,10 @@ class PublicKey:
         """
         marked = self.algorithm.identifier if identifier is None else identifier
         if not self.algorithm.accepts(marked):
-            for identifier_begin, digest in _BROKEN.items():
-                if identifier_begin in marked:
-                    raise VerificationError(
-                        f"the signature is made with {digest}, which is no longer safe"
-                    )
+            if digest := broken_digest(marked):
+                raise VerificationError(
+                    f"the signature is made with {digest}, which is no longer safe"
+                )
             raise VerificationError(
                 f"the signature is marked with an algorithm that does not fit"
                 f" the signer's {self.algorithm.name} key"

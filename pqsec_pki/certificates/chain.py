@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from cryptography import x509
 
+from pqsec_pki.algorithms import broken_digest
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
@@ -97,7 +98,13 @@ def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem
     if not authority.is_self_issued:
         yield Problem(f"{who} is not self-signed", Code.NOT_SELF_SIGNED)
     elif not authority.signed(authority):
-        yield Problem(f"the signature of {who} is not its own", Code.BAD_SIGNATURE)
+        yield _signature_problem(authority, who, f"the signature of {who} is not its own")
+
+
+def _signature_problem(certificate: Certificate, who: object, otherwise: str) -> Problem:
+    if digest := broken_digest(certificate.identifier):
+        otherwise = f"the signature of {who} is made with {digest}, which is no longer safe"
+    return Problem(otherwise, Code.BAD_SIGNATURE)
 
 
 def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> Iterator[Problem]:
@@ -108,10 +115,8 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
         yield Problem(f"{who} was issued by {issuer}, not by {expected}", Code.WRONG_ISSUER)
     # 6.1.3 (a)(1): the signature
     elif not authority.signed(leaf):
-        yield Problem(
-            f"{who} is not signed by this CA (same name, another key, or altered)",
-            Code.BAD_SIGNATURE,
-        )
+        unsigned = f"{who} is not signed by this CA (same name, another key, or altered)"
+        yield _signature_problem(leaf, who, unsigned)
     # 6.1.3 (a)(2): validity
     yield from _validity_problems(leaf, who, now)
     # 6.1.5 (f): unknown critical extensions

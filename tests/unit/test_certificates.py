@@ -377,6 +377,27 @@ def test_an_altered_authority_is_refused(ca):
     )
 
 
+def test_a_certificate_signed_with_sha1_is_refused_for_that_reason(ca):
+    # It was refused as "not its own", which is false: nobody looks at the signature.
+    sha1 = algorithm("1.2.840.10045.4.1")
+
+    def signed_with_sha1(certificate):
+        tbs = decode(TBSCertificate, certificate.tbs, "certificate")
+        tbs.signature = sha1
+        signature = bits(certificate.signature)
+        signed = Signed(tbs=raw(encode(tbs)), signature_algorithm=sha1, signature=signature)
+        return Certificate.from_der(encode(signed))
+
+    leaf = issue(ca)
+    reason = "is made with SHA-1, which is no longer safe"
+    assert problems(leaf, signed_with_sha1(ca.certificate)) == (
+        f"the signature of the CA certificate {reason}",
+    )
+    assert problems(signed_with_sha1(leaf), ca.certificate) == (
+        f"the signature of the certificate of {leaf.subject_name} {reason}",
+    )
+
+
 def test_an_intermediate_authority_is_refused(ca):
     key = row("p256").generate()
     extensions = [
