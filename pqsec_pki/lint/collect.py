@@ -10,6 +10,7 @@ from pqsec_pki.errors import FileError
 from pqsec_pki.lint._search import Search
 from pqsec_pki.lint.document import Document, document_of
 from pqsec_pki.lint.file import File
+from pqsec_pki.lint.profile import profile_file_of
 from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
 
 _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
@@ -32,7 +33,9 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
             f"{where}: nothing to check",
             hint="name a keystore, or files: .pem, .p7s and .xml",
         )
-    documents = tuple(document_of(file) for file in files if _is_document(file, search))
+    all_xml = [document_of(file) for file in files if _is_document(file, search)]
+    profiles = {each.path: found for each in all_xml if (found := profile_file_of(each))}
+    documents = tuple(each for each in all_xml if each.path not in profiles)
     certificates = tuple(CertificateFile(file) for file in files if "CERTIFICATE" in file.labels)
     subjects: dict[Path, Document | CertificateFile] = {each.path: each for each in certificates}
     subjects |= {each.path: each for each in documents}
@@ -41,6 +44,7 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
         files=files,
         folders=search.folders,
         documents=tuple(each for each in documents if not _is_copy(each, subjects)),
+        profiles=tuple(profiles.values()),
         certificates=certificates,
         enclaves=tuple(_enclaves(search, subjects)),
         keystore=search.keystore,

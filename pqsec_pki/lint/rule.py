@@ -43,6 +43,7 @@ FAMILIES = {
     "5": "size",
     "6": "post-quantum",
     "7": "files",
+    "8": "configuration",
 }
 """Hundreds of a rule's number -> the family that reports name."""
 

@@ -97,6 +97,7 @@ def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
     subjects = (
         *inventory.files,
         *inventory.documents,
+        *inventory.profiles,
         *inventory.certificates,
         *inventory.enclaves,
         inventory,

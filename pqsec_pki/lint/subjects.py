@@ -26,6 +26,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
+from pqsec_pki.lint.profile import ProfileFile
 from pqsec_pki.lint.roles import CertificateRole, role_of
 from pqsec_pki.lint.signed import DocumentAndSigners
 
@@ -160,6 +161,7 @@ class Inventory:
     folders: Mapping[Path, int] = field(repr=False)
     """Folder -> its st_mode."""
     documents: tuple[Document, ...] = field(repr=False)
+    profiles: tuple[ProfileFile, ...] = field(repr=False)
     certificates: tuple[CertificateFile, ...] = field(repr=False)
     enclaves: tuple[EnclaveFolder, ...] = field(repr=False)
     keystore: Keystore | None

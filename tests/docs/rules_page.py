@@ -27,6 +27,7 @@ FAMILIES = {
     "5": ("Size", "of what is sent in the handshake"),
     "6": ("Post-quantum", "what is missing, weak, or not for stock stacks"),
     "7": ("Files on disk", "who can read and change them"),
+    "8": ("Configurations", "profiles of Fast DDS with security properties"),
 }
 HEAD = """# Rules
 
