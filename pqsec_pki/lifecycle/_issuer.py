@@ -42,9 +42,9 @@ class Issued:
     shortened: bool
     """Whether the certificate ends earlier than asked, because the identity CA does."""
     certificate_size: int
-    """Bytes of cert.pem; it travels in every handshake."""
+    """Bytes of cert.pem, which is sent in every handshake."""
     permissions_size: int
-    """Bytes of permissions.p7s; it travels in every handshake."""
+    """Bytes of permissions.p7s, which is sent in every handshake."""
     entries: tuple[Entry, Entry] = field(repr=False)
 
 

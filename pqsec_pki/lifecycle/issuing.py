@@ -41,7 +41,7 @@ class ParticipantSpec:
     keys: PublicKeys | None = None
     """The keys of a verified request; None to make new keys here."""
     config_digest: str = ""
-    """A value of the caller's, kept in the ledger through renewals; see `ParticipantState`."""
+    """The caller's value, which the ledger keeps through renewals; see `ParticipantState`."""
 
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name

@@ -48,7 +48,7 @@ class Revoked:
     before: bool
     """Whether it had been revoked before."""
     listed: bool
-    """Whether the list has it: not if a previous CA issued it, which issues no more lists."""
+    """Whether the list contains it; not if a previous CA issued it, which issues no lists now."""
 
 
 def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -189,7 +189,7 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
     good = [each for each in named if now <= each.ends]
     if not good:
         raise KeystoreError(
-            f"{subject} expired on {named[-1].ends:%Y-%m-%d}: no participant accepts it any more",
+            f"{subject} expired on {named[-1].ends:%Y-%m-%d}: no participant accepts it",
             hint="there is nothing to revoke",
         )
     return good

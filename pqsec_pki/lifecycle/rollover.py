@@ -77,7 +77,7 @@ class RolloverPlan:
     issuing: Certificate
     """The identity CA that issued when the plan was made."""
     overlap: Overlap | None
-    """The overlap that goes on or ends; None if there is none yet."""
+    """The overlap that continues or ends; None if there is none yet."""
     head: str = field(repr=False)
     """The ledger's head when the plan was made; another change makes the plan invalid."""
     generation: int
@@ -95,7 +95,7 @@ class RolloverPlan:
     new_list: bool = False
     """Whether a new, empty revocation list replaces the old one."""
     drop_list: bool = False
-    """Whether the empty revocation list is removed: it would be of one of two CAs only."""
+    """Whether the empty revocation list is removed: it would cover only one of two CAs."""
 
     @property
     def steps(self) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class RolloverPlan:
                     f" after {self._issuing_name}, which still issues"
                 )
                 if self.drop_list:
-                    yield "remove the revocation list, which is empty: it would be of one CA only"
+                    yield "remove the revocation list, which is empty: it would cover one CA only"
             case OverlapStep.FINISH:
                 yield f"trust only {self._issuing_name}"
                 yield f"refuse certificates that {self._other_name} issued"

@@ -71,7 +71,7 @@ class RolloverResult:
     """With the new profile."""
     issued: list[Issued]
     overlap: Overlap | None
-    """The overlap that began, went on or ended."""
+    """The overlap that began, continued or ended."""
 
 
 def apply_rollover(
@@ -194,7 +194,7 @@ class _Execution:
             self.transaction.record(trust_entry(switched, self.now))
 
     def _reissue(self) -> list[Issued]:
-        """Reissue participants; add missing links, and remove files that they need no more."""
+        """Reissue participants; add missing links, and remove files that they no longer need."""
         issuer = Issuer(self.new, self.authorities, self.now)
         names = sorted((*self.plan.keeping, *self.plan.rekeyed))
         rekeyed = frozenset(self.plan.rekeyed)

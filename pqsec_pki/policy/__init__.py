@@ -7,7 +7,7 @@
     who_may        who may publish and subscribe to each topic
     differences    the rights that a change of documents or keystores grants and removes
 
-The decisions are made in the room `access`; here are the documents that they are made by.
+The room `access` decides; this room reads the documents for it.
 """
 
 from typing import TYPE_CHECKING

@@ -30,7 +30,7 @@ class LogFinding:
 def findings(
     outcomes: Sequence[tuple[PeerOutcome, str]], *, topic: str, by_standard: bool = False
 ) -> tuple[LogFinding, ...]:
-    """The most important messages of the outcomes, each of a stack; equal ones of several
+    """The most important messages of the outcomes, each with its stack; equal messages of several
     participants once.
 
     `by_standard` if pqsec's plugin decided instead of the stack's own. Causes if there are any,

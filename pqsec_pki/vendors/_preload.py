@@ -1,4 +1,4 @@
-"""What a process of Fast DDS preloads to run pqsec's plugin."""
+"""The library that a process of Fast DDS preloads to run pqsec's plugin."""
 
 import re
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ NOTE = (
 )
 _SEPARATORS = re.compile("[ :]")
 _UNFIT = re.compile(r"[\s:$]")
-"""What separates paths in LD_PRELOAD, or is replaced there (ld.so(8))."""
+"""Characters that separate paths in LD_PRELOAD, or are replaced there (ld.so(8))."""
 
 
 def preloaded(folder: Path, options: Options, release: Version = ()) -> Path:
     """The library of the plugin in `folder`.
 
-    UsageError where the loader cannot be told of it, FileError if it is not for a Fast DDS of that
-    release that is installed here.
+    UsageError if the loader cannot load from that path, FileError if it is not for a Fast DDS of
+    that release that is installed here.
     """
     path = folder.absolute() / PRELOAD
     if unfit := _UNFIT.search(str(path)):
@@ -33,7 +33,7 @@ def preloaded(folder: Path, options: Options, release: Version = ()) -> Path:
             " its name",
             hint="install the plugin elsewhere: `pqsec plugin install fastdds --dir DIR`",
         )
-    if options.at is None:  # what another machine has is not to be seen here
+    if options.at is None:  # another machine cannot be checked from here
         there = [each for each in installed(folder) if agree(each.release, release)]
         if all(each.problem for each in there):
             why = "; ".join(f"{each.library}: {each.problem}" for each in there)

@@ -1,4 +1,4 @@
-"""Configuration texts, by the templates in templates/vendors."""
+"""Renders configuration texts from the templates in templates/vendors."""
 
 import os
 from functools import cache
@@ -46,7 +46,7 @@ def _carried(value: object) -> object:
     """`value`, if a configuration can contain it. It is not shown: it may be a passphrase."""
     if found := UNFIT.search(str(value)):
         raise UsageError(
-            f"a path or the passphrase holds {shown(found[0])}, which a configuration cannot carry",
+            f"a path or the passphrase contains {shown(found[0])}, and a configuration cannot",
             hint="put the keystore elsewhere, or choose another passphrase",
         )
     return value

@@ -1,9 +1,8 @@
 """pqsec's own plugin under ROS 2.
 
-rmw_cyclonedds names the libraries itself, whatever is configured (rmw_node.cpp), so the folder
-where ours have these names goes first where the loader looks. It takes a configuration for the
-rest: a post-quantum handshake in datagrams that fit a frame of Ethernet. Under rmw_fastrtps a
-library is preloaded.
+rmw_cyclonedds always loads the same library names (rmw_node.cpp). So the folder in which ours have
+these names is put first into the loader's search path. A configuration sets the rest: datagrams for
+a post-quantum handshake that fit an Ethernet frame. Under rmw_fastrtps a library is preloaded.
 """
 
 import shlex
@@ -29,18 +28,18 @@ _NOTES = {
     ),
 }
 EXTRA = (ALT_KEY, PERMISSIONS_ALT_CA, SETTINGS)
-"""What the plugin reads beside the files that ROS 2 knows, where it is there."""
+"""Files that the plugin reads beside those that ROS 2 knows, if they exist."""
 _URI = "CYCLONEDDS_URI"
 _FRAGMENTS = (
     "<CycloneDDS><Domain><General><MaxMessageSize>1400B</MaxMessageSize>"
     "<FragmentSize>1300B</FragmentSize></General></Domain></CycloneDDS>"
 )
 _UNFIT = set(":;$")
-"""What the loader takes for its own in LD_LIBRARY_PATH (ld.so(8))."""
+"""Characters with a meaning of their own in LD_LIBRARY_PATH (ld.so(8))."""
 
 
 def variables(options: Options) -> dict[str, str]:
-    """Those that hold one value, whatever was there."""
+    """Variables that replace an earlier value."""
     return {RMW: middleware(options)} if options.plugin else {}
 
 
@@ -50,14 +49,14 @@ def middleware(options: Options) -> str:
 
 
 def notes(options: Options) -> tuple[str, ...]:
-    """What to know about it, a sentence each."""
+    """Notes for the user, a sentence each."""
     return (*_NOTES[middleware(options)], own_plugin.NOTE)
 
 
 def assignments(enclave: StackEnclave, options: Options) -> tuple[str, ...]:
-    """Those that keep what was there, in the words of a shell.
+    """Variables that keep an earlier value, as shell assignments.
 
-    UsageError for a folder that the loader cannot be told of.
+    UsageError for a folder that the loader cannot search.
     """
     if options.plugin is None:
         return ()
@@ -81,7 +80,7 @@ def files(enclave: StackEnclave) -> Iterator[Path]:
 
 
 def loaded(environment: Mapping[str, str], participant: str) -> Iterator[Check]:
-    """Whether who finds the plugin also loads it; nothing where it is not to be found."""
+    """Checks that the middleware that finds the plugin also loads it; none without the plugin."""
     value = environment.get(RMW)
     found = "is not set" if value is None else f"is {shown(value)!r}"
     export = f"pqsec export ros2 {participant} --plugin"
@@ -98,7 +97,7 @@ def loaded(environment: Mapping[str, str], participant: str) -> Iterator[Check]:
 
 
 def folder_of(environment: Mapping[str, str]) -> Path | None:
-    """Where the plugin is that a node with this environment runs."""
+    """The folder of the plugin that a node with this environment runs."""
     preloaded = _preload.preloaded_in(environment)
     if preloaded and environment.get(RMW) in {None, FAST}:
         return preloaded

@@ -1,4 +1,4 @@
-"""Which functions a library exports, and which it calls in a way that another can replace.
+"""Reads which functions a library exports, and which it calls so that others can replace them.
 
 Read from the tables of symbols and relocations of an ELF64 library (System V gABI: Sections, Symbol
 Table, Relocation) for x86-64 and AArch64. C++'s tables of virtual functions are those of the
@@ -27,7 +27,7 @@ _WORD, _HEAD = 8, 16
 _CALLS = {62: {6, 7}, 183: {1025, 1026}}
 """By e_machine: relocations through which functions are called, GLOB_DAT and JUMP_SLOT."""
 _POINTERS = {62: {1}, 183: {257}}
-"""Those that put the address of a symbol into a table."""
+"""Relocations that put the address of a symbol into a table."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,13 +35,13 @@ class Symbols:
     """The functions of a library, by their names in it."""
 
     exported: frozenset[str]
-    """Those that others can call, and define in its place."""
+    """Functions that others can call, and define in its place."""
     called: frozenset[str]
-    """Those that it calls through its table of addresses, so that another definition counts."""
+    """Functions that it calls through its table of addresses, so that another definition counts."""
     pointed: frozenset[str]
-    """Those that are virtual functions, likewise."""
+    """Virtual functions that it calls in that way."""
     tables: Mapping[str, tuple[frozenset[str], ...]]
-    """Table of virtual functions -> the names of each one; none for one without a name."""
+    """Table of virtual functions -> the names of each function; empty for one without a name."""
     is_symbolic: bool
     """Whether the loader takes its own definitions first in any case (-Bsymbolic)."""
 
@@ -68,8 +68,8 @@ class _Symbol:
 def read_symbols(path: Path, tables: Iterable[str] = ()) -> Symbols:
     """The symbols of the library at `path`, with the functions of these virtual tables.
 
-    FileError if it cannot be read, MalformedError if it is not a library or not of a kind that is
-    understood here. A table that the library does not have is left out.
+    A table that the library does not have is left out. FileError if it cannot be read,
+    MalformedError if it is not a library, or is of a kind that this reader does not support.
     """
     with opened(path) as image:
         if not image.wide or image.order != "<" or image.machine not in _CALLS:
@@ -158,7 +158,7 @@ def _symbol_list(image: Image, sections: list[_Section], section: _Section) -> I
 def _relocations(
     image: Image, sections: list[_Section], lists: Mapping[int, list[_Symbol]]
 ) -> Iterator[tuple[int, int, str, int]]:
-    """Where, of which kind, of which symbol if of any, and the addend."""
+    """(place, kind, symbol if it has one, addend) of each relocation."""
     for section in sections:
         if section.kind != _RELOCATIONS:
             continue
@@ -175,13 +175,13 @@ def _functions(
     slots: Mapping[int, tuple[str, int]],
     names: Mapping[int, set[str]],
 ) -> Iterator[frozenset[str]]:
-    """Behind the first two words: the names of the function that each slot points to."""
+    """The names of the function that each slot after the first two words points to."""
     for place in range(table.address + _HEAD, table.address + min(table.size, 1 << 12), _WORD):
         symbol, address = slots.get(place) or ("", _word(image, place))
         yield frozenset([symbol]) if symbol else frozenset(names.get(address, ()))
 
 
 def _word(image: Image, address: int) -> int:
-    """What stands there in the file; a packed relative relocation adds where it is loaded."""
+    """The word at that place in the file; a packed relative relocation adds the load address."""
     found: int = struct.unpack("<Q", image.at(image.offset(address), _WORD))[0]
     return found

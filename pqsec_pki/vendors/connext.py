@@ -27,13 +27,13 @@ def export(enclave: StackEnclave, options: Options) -> Export:
     properties = LOADING | standard_properties(enclave)
     if _VARIABLE in "".join([*properties.values(), options.password or ""]):
         raise UsageError(
-            f"a path or the passphrase holds {_VARIABLE}, which Connext would replace",
+            f"a path or the passphrase contains {_VARIABLE}, which Connext would replace",
             hint="put the keystore elsewhere, or choose another passphrase",
         )
-    warnings = ["written by RTI's documents: Connext was not run with it"]
+    warnings = ["written from RTI's documents: Connext was not run with it"]
     if enclave.key_is_encrypted:
         properties["dds.sec.auth.password"] = options.password or f"$({PASSWORD_VARIABLE})"
-        warnings += ["how Connext expects a passphrase to be encoded is not known: it is not"]
+        warnings += ["Connext may expect the passphrase in another encoding: it is not encoded"]
     if enclave.has_crl:
         warnings += [_NO_CRL]
     return Export(

@@ -38,9 +38,9 @@ class CyclonePlugin:
 
     path: Path
     soname: str
-    """Of the libddsc that it is linked to, such as libddsc.so.0debian; empty if to none."""
+    """The libddsc that it is linked to, such as libddsc.so.0debian; empty if to none."""
     library: Path | None
-    """That libddsc, links resolved, where it is beside the plugin or one folder above."""
+    """That libddsc, links resolved, if it is beside the plugin or one folder above."""
 
     @property
     def release(self) -> Version:
@@ -98,23 +98,23 @@ def installed(root: Path) -> Iterator[tuple[Path, CyclonePlugin]]:
 def installed_plugins(
     root: Path, fits: Callable[[CyclonePlugin], bool] = lambda _: True
 ) -> Path | None:
-    """The one folder below `root` with plugins that fit; None where there is none, or several."""
+    """The one folder below `root` with plugins that fit; None if there is none, or several."""
     found = [folder for folder, plugin in installed(root) if fits(plugin)]
     return found[0] if len(found) == 1 else None
 
 
 def mixed(plugins: Collection[CyclonePlugin], release: Version) -> str:
-    """What is wrong with loading them into one process of that version; empty if nothing is."""
+    """Why one process of that version cannot load them all; empty if it can."""
     for each in plugins:
         if not agree(each.release, release):
             return (
                 f"{each.path} is {each.owner}, and not for a process of Cyclone DDS"
-                f" {in_words(release)}: with parts of both in it, it can crash"
+                f" {in_words(release)}: a process with parts of both can crash"
             )
     for one, other in pairwise(each for each in plugins if each.soname):
         if (one.soname, one.library) != (other.soname, other.library):
             return (
-                f"{one.path} is {one.owner}, and {other.path} is {other.owner}: with parts of"
-                " both in it, a process can crash"
+                f"{one.path} is {one.owner}, and {other.path} is {other.owner}: a process with"
+                " parts of both can crash"
             )
     return ""

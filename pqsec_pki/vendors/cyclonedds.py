@@ -2,8 +2,8 @@
 
 Cyclone DDS trims values in it, and replaces ${NAME} by the variable; `${:-}` is empty, which is
 used to write a literal "${". A handshake whose certificates carry ML-DSA has up to 22 KB. By
-default it is sent in datagrams of 14 KB, which IP fragments; a lost fragment costs the whole
-message and a second. So in that case the datagrams are limited to fit an Ethernet frame.
+default it is sent in datagrams of 14 KB, which IP fragments; if a fragment is lost, the whole
+message is sent again after a second. So in that case datagrams are limited to an Ethernet frame.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
-"""What a compiled library says of itself: its name, what it is linked to, which build it is.
+"""Reads the name, the linked libraries and the build of a compiled library.
 
-A strict reader of the few parts of ELF that tell it (System V gABI: ELF Header, Program Header,
-Dynamic Section, Note Section), since a robot has no binutils. Of a library of any size it reads
-some kilobytes; nothing in it is followed without a limit, and nothing of it is run.
+A strict reader of the few parts of ELF that have them (System V gABI: ELF Header, Program Header,
+Dynamic Section, Note Section), because a robot has no binutils. It reads some kilobytes of a
+library of any size, follows nothing in it without a limit, and runs nothing of it.
 """
 
 import hashlib
@@ -38,24 +38,24 @@ _RELEASE = re.compile(r"\.so\.([0-9]{1,4}(?:\.[0-9]{1,4}){0,3})")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Library:
-    """A shared library, or a program that loads some."""
+    """A shared library, or a program that loads shared libraries."""
 
     path: Path
     """Where the file itself is, links resolved."""
     soname: str
-    """The name by which others load it (DT_SONAME); empty if it says none."""
+    """The name by which others load it (DT_SONAME); empty if it has none."""
     needed: tuple[str, ...]
-    """The names of those that it loads (DT_NEEDED), in their order."""
+    """The names of the libraries that it loads (DT_NEEDED), in their order."""
     build_id: str
-    """In hexadecimal; empty for one without."""
+    """The build ID in hexadecimal; empty if it has none."""
     build: str
-    """The build ID; SHA-256 of the file for one without."""
+    """The build ID; SHA-256 of the file if it has none."""
     machine: tuple[int, int]
-    """EI_CLASS and e_machine: what sort of processor it is for, in which mode."""
+    """EI_CLASS and e_machine: the processor and the mode that it is for."""
 
     @property
     def release(self) -> Version:
-        """The version as far as the file's name or soname tells it; () if they do not."""
+        """The version as far as the file's name or soname shows it; () if they do not."""
         return max(release_in(self.path.name), release_in(self.soname), key=len)
 
 
@@ -87,7 +87,7 @@ def read_library(path: Path) -> Library:
 
 @contextmanager
 def opened(path: Path) -> "Iterator[Image]":
-    """The ELF file at `path`, while the block runs; errors as those of read_library."""
+    """The ELF file at `path`, while the block runs; errors as of read_library."""
     with located(path), disk_errors(path):
         handle = os.open(resolved(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
@@ -108,7 +108,7 @@ class _Segment:
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """An open ELF file. What is not as it must be is a MalformedError."""
+    """An open ELF file. Methods raise MalformedError for an invalid one."""
 
     handle: int
     order: str
@@ -124,7 +124,7 @@ class Image:
         if len(start) < 52 or start[:4] != b"\x7fELF" or start[4] not in {1, 2}:  # noqa: PLR2004
             raise MalformedError("not a library: it is not ELF")
         if start[5] not in {1, 2}:
-            raise MalformedError("not a library: of no byte order that ELF has")
+            raise MalformedError("not a library: its byte order is unknown")
         order, wide = "<>"[start[5] - 1], start[4] == 2  # noqa: PLR2004 -- ELFCLASS64
         (machine,) = struct.unpack_from(f"{order}H", start, 18)
         bare = cls(handle, order, wide, machine)
@@ -155,7 +155,7 @@ class Image:
         )
 
     def at(self, offset: int, size: int) -> bytes:
-        """Those bytes; MalformedError where the file has fewer."""
+        """Those bytes; MalformedError if the file has fewer."""
         try:
             data = os.pread(self.handle, size, offset)
         except (OverflowError, OSError):
@@ -169,7 +169,7 @@ class Image:
         return struct.Struct(self.order + ("IIQQQQQQ" if self.wide else "8I"))
 
     def _table(self, start: bytes) -> tuple[int, int, int]:
-        """Where the program headers are, the size of one, and how many."""
+        """The position of the program headers, the size of one, and their number."""
         if self.wide:
             (offset,) = struct.unpack_from(f"{self.order}Q", start.ljust(64, b"\0"), 32)
             size, count = struct.unpack_from(f"{self.order}HH", start.ljust(64, b"\0"), 54)
@@ -196,16 +196,16 @@ class Image:
             yield tag, value
 
     def offset(self, address: int) -> int:
-        """Where in the file what is loaded at `address` stands."""
+        """The position in the file of what is loaded at `address`."""
         for each in self.segments:
             if each.kind == _LOAD and 0 <= address - each.address < each.size:
                 return each.offset + address - each.address
-        raise MalformedError("not a library: its names are in no segment of it")
+        raise MalformedError("not a library: its names are not in a segment")
 
     def _name(self, strings: int, size: int, index: int) -> str:
-        """The string that begins at `index` of the table of strings."""
+        """The string at `index` of the string table."""
         if index >= size:
-            raise MalformedError("not a library: a name is outside of its names")
+            raise MalformedError("not a library: a name is outside the string table")
         data, end, _ = self.at(strings + index, min(MAX_NAME, size - index)).partition(b"\0")
         if not end:
             raise MalformedError("not a library: a name has no end")
@@ -220,7 +220,7 @@ class Image:
         return ""
 
     def _notes(self, data: bytes) -> Iterator[tuple[tuple[bytes, int], bytes]]:
-        """((name, type), description) of each whole note; those of a build ID align to 4."""
+        """((name, type), description) of each complete note; notes of a build ID align to 4."""
         while len(data) >= 12:  # noqa: PLR2004 -- three words
             name_size, text_size, kind = struct.unpack_from(f"{self.order}III", data)
             text = 12 + name_size + -name_size % 4

@@ -47,7 +47,7 @@ class StackEnclave:
     has_crl: bool
     """Whether there is a revocation list beside the certificate."""
     has_large_handshake: bool
-    """Whether its messages carry ML-DSA, and so are three times as large as classical ones."""
+    """Whether its messages contain ML-DSA signatures, and so are three times as large."""
     at: PurePosixPath
     """Where the folder will be when a stack reads it; absolute."""
 

@@ -36,23 +36,23 @@ class Options:
     """The options of an export."""
 
     version: str | None = None
-    """Of the stack, such as 3.1.2 or 3.1; None if the user does not say."""
+    """Of the stack, such as 3.1.2 or 3.1; None if not given."""
     loopback: bool = False
-    """For tests on one machine: 127.0.0.1 alone, no multicast."""
+    """For tests on one machine: only 127.0.0.1, no multicast."""
     password: str | None = field(default=None, repr=False)
-    """Of the participant's encrypted key, to stand in the file as it is."""
+    """The passphrase of the participant's encrypted key, to be written unchanged into the file."""
     at: PurePosixPath | None = None
     """The enclave's folder on the machine that the export is for; None: where it is now."""
     plugins: Path | None = None
     """The folder with the security plugins, for stacks that load them by path."""
     plugin: Path | None = None
-    """The folder with pqsec's own plugin, if that is to run in place of the stack's."""
+    """The folder with pqsec's own plugin, if that is to run instead of the stack's."""
     rmw: str | None = None
-    """Of ROS 2, what runs our plugin: `cyclonedds`, the default, or `fastrtps`."""
+    """The middleware of ROS 2 that runs our plugin: `cyclonedds`, the default, or `fastrtps`."""
     crypto: Path | None = None
-    """The stack's own plugin for encryption, where it is not with `plugins`, or ours runs."""
+    """The stack's own plugin for encryption, if it is not in `plugins`, or our plugin runs."""
     anyway: bool = False
-    """Whether to write, with a warning, what the stack is known to refuse."""
+    """Whether to write an export that the stack is known to refuse, with a warning."""
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)
     """The variables of the user's shell, for stacks that read them."""
 
@@ -68,7 +68,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Export:
-    """What one stack needs to run as one participant."""
+    """The files, variables and commands that one stack needs to run as one participant."""
 
     stack: str
     participant: str
@@ -82,7 +82,7 @@ class Export:
     notes: tuple[str, ...] = ()
     """Notes for the user, a sentence each."""
     warnings: tuple[str, ...] = ()
-    """What may not work or is a risk."""
+    """Warnings: what may not work, or is a risk."""
     is_private: bool = False
     """Whether a secret is in a text: it is then written 0600."""
     unfit_folder: str = ""
@@ -99,7 +99,7 @@ class Export:
         return {name: value.replace(FOLDER, where) for name, value in self.environment.items()}
 
     def commands(self, folder: Path) -> list[str]:
-        """What to type in a shell, for an export that is written to `folder`."""
+        """The lines to type in a shell, for an export that is written to `folder`."""
         found = [f"export {k}={shlex.quote(v)}" for k, v in self.variables(folder).items()]
         where = shlex.quote(str(folder.absolute()))
         return found + [step.replace(FOLDER, where) for step in self.steps]

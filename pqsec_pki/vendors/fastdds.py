@@ -2,7 +2,7 @@
 
 The two differ in the name space, which only `fastdds xml validate` looks at, and in the
 variable that names the file. From 2.12 on, ${NAME} in a value is replaced by the variable;
-there is no way to write it so that it is not.
+it cannot be escaped.
 
 pqsec's own plugin takes the place of Fast DDS's under the same names. Fast DDS runs without
 security if it does not know a plugin's name, so a process that does not preload ours must find
@@ -55,7 +55,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
         notes += (own_plugin.NOTE, _preload.NOTE)
     if any(map(_REPLACED.search, properties.values())):
         raise UsageError(
-            "a path or the passphrase holds ${NAME}, which Fast DDS would replace",
+            "a path or the passphrase contains ${NAME}, which Fast DDS would replace",
             hint="put the keystore elsewhere, or choose another passphrase",
         )
     return Export(
@@ -101,7 +101,7 @@ def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
     if enclave.has_crl:
         found[f"{_AUTH}.identity_crl"] = enclave.uri(REVOCATION_LIST)
     if not options.plugin:
-        # 2.10.7, 2.14.5, 3.0.2, 3.1.1 and later; others pass over it and use DH.
+        # 2.10.7, 2.14.5, 3.0.2, 3.1.1 and later; other versions ignore it and use DH.
         found[f"{_AUTH}.preferred_key_agreement"] = "ECDH"
     found |= {
         "dds.sec.access.plugin": "builtin.Access-Permissions",
@@ -114,8 +114,8 @@ def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
 
 
 def _password(options: Options) -> str:
-    """A reference to a variable would do from 2.12 on; but where the variable is not set, 3.1.2
-    drops the whole profile, and runs unsecured."""
+    """From 2.12 on, a reference to a variable is possible. It is not used: if the variable is not
+    set, 3.1.2 drops the whole profile, and runs unsecured."""
     if options.password is None:
         raise UsageError(
             "the participant's key is encrypted, and Fast DDS can take its passphrase from the"

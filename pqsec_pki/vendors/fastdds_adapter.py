@@ -1,8 +1,8 @@
 """pqsec's plugin for Fast DDS: compiled for one build of the library, and compared with it.
 
-The preload library (C) catches the functions by which Fast DDS makes its plugins, and opens the
-adapter (C++) whose name has the build ID of the library that calls. So another build of Fast DDS
-gets no plugin that was made for this one.
+The preload library (C) replaces the functions with which Fast DDS creates its plugins. It opens the
+adapter (C++) that has the build ID of the calling library in its name. So another build of Fast DDS
+does not get a plugin that was made for this one.
 """
 
 import json
@@ -27,7 +27,7 @@ from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, FastDds, ta
 from pqsec_pki.vendors.own_plugin import PRELOAD
 
 ADAPTER, RECORD = "pqsec-fastdds-{}.so", "pqsec-fastdds-{}.json"
-"""By the build ID of the library that they are for."""
+"""Files of an adapter, named by the build ID of the library that it is for."""
 FASTDDS_SOURCES = SOURCES.with_name("fastdds")
 
 _SHIM = ("wire.c", "frames.c", "link.c", "agent.c")
@@ -41,7 +41,7 @@ _SECONDS = 300
 _DESTRUCTORS = 2
 
 Run = Callable[[Sequence[str], Path], None]
-"""Runs a command of a compiler in a folder; CompileError with its words if it fails."""
+"""Runs a compiler's command in a folder; CompileError with its message if it fails."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +52,7 @@ class Compilers:
     cxx: str
     run: Run
     folder: Path | None = None
-    """Where they see folders of this process; None for everywhere."""
+    """The folder below which they see files of this process; None for everywhere."""
 
 
 def here() -> Compilers:
@@ -83,7 +83,7 @@ def sources() -> list[Path]:
 
 
 def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
-    """What compiles them, in a folder with the sources."""
+    """The commands that compile them, in a folder with the sources."""
     build = stack.library.build
     python = f'-DPQSEC_PYTHON="{sys.executable}"'
     yield [compilers.c, "-std=c11", *_FLAGS, python, "-c", *_SHIM]
@@ -124,15 +124,15 @@ def _refuse_unlike(stack: FastDds, adapter: Path) -> None:
             raise AdapterError(
                 f"the functions of {stack.title}'s plugins are not those that pqsec knows"
                 f" ({theirs.lstrip('0123456789')}: {len(slots)}, pqsec's: {len(ours)})",
-                hint="use another version of Fast DDS, or tell pqsec's authors of this one",
+                hint="use another version of Fast DDS, or report this one to pqsec's authors",
             )
 
 
 def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool = False) -> Path:
     """Compile both into `folder`, with a record of the library; the path of the preload library.
 
-    What was installed for an earlier build at the same path is removed. ExistsError if what is
-    installed for this build runs, unless `force`; else as compile_adapter.
+    An adapter for an earlier build at the same path is removed. ExistsError if a working adapter
+    for this build is installed, unless `force`; other errors as of compile_adapter.
     """
     adapter, record = (folder / name.format(stack.library.build) for name in (ADAPTER, RECORD))
     runs = [each.build for each in installed(folder) if not each.problem]
@@ -168,9 +168,9 @@ class InstalledAdapter:
     build: str
     release: Version
     protocol: int
-    """Version of the protocol that it speaks to the agent."""
+    """Version of its protocol with the agent."""
     python: Path
-    """What starts the agent."""
+    """The Python that starts the agent."""
 
     @property
     def problem(self) -> str:
@@ -187,7 +187,7 @@ class InstalledAdapter:
 
 
 def installed(folder: Path) -> list[InstalledAdapter]:
-    """Those in `folder`; a record that cannot be read is left out."""
+    """The adapters in `folder`; one whose record cannot be read is left out."""
     found = []
     for path in sorted(folder.glob(RECORD.format("*"))):
         with suppress(PqsecError, ValueError, KeyError, TypeError, RecursionError):

@@ -1,8 +1,8 @@
-"""The Fast DDS of this machine, and whether pqsec's plugin can run in it.
+"""Finds the Fast DDS of this machine, and checks whether pqsec's plugin can run in it.
 
-Its plugins are C++ objects that it makes itself. Another library of the process can make them in
-its place only if the functions that make them are exported, and called by their names. That is
-decided from the library's symbols alone, never from its version.
+Fast DDS creates its plugins itself, as C++ objects. Another library of the process can create them
+instead only if Fast DDS exports the functions that do, and calls them by name. The library's
+symbols decide this, never its version.
 """
 
 import re
@@ -48,9 +48,9 @@ class FastDds:
     generation: int
     """2 or 3: the name space of its classes."""
     version: Version
-    """As far as names and headers tell it."""
+    """The version, as far as names and headers show it."""
     by_properties: bool
-    """Whether its plugins are told of a participant by a PropertyPolicy."""
+    """Whether its plugins get the properties of a participant as a PropertyPolicy."""
     include: Path
     """The folder of its headers."""
     tables: tuple[tuple[frozenset[str], ...], ...]
@@ -99,7 +99,7 @@ def examine(path: Path, root: Path = MACHINE) -> FastDds:
     """
     library = read_library(path)
     if not runs_here(library):
-        raise AdapterError(f"{shown(str(path))} is for another processor than this one's")
+        raise AdapterError(f"{shown(str(path))} is for another processor than this machine's")
     names = {table_of(each, name) for each in _SPACES for name in PLUGINS}
     symbols = read_symbols(path, names)
     generation = next((each for each in _SPACES if _factories(each) <= symbols.exported), None)
@@ -111,7 +111,7 @@ def examine(path: Path, root: Path = MACHINE) -> FastDds:
         )
     if not library.build_id:
         raise AdapterError(
-            f"{shown(str(path))} has no build ID, by which pqsec's plugin knows it again",
+            f"{shown(str(path))} has no build ID, by which pqsec's plugin recognises it",
             hint="link Fast DDS with -Wl,--build-id",
         )
     _refuse_bound(path, generation, symbols)
@@ -141,15 +141,15 @@ def _refuse_bound(path: Path, generation: int, symbols: Symbols) -> None:
     if symbols.is_symbolic or not _factories(generation) <= reached:
         raise AdapterError(
             f"{shown(str(path))} calls the functions that make its security plugins directly:"
-            " nothing can take their place",
+            " they cannot be replaced",
             hint=_WAY_OUT,
         )
     for name in PLUGINS:
         slots = symbols.tables.get(table_of(generation, name), ())
         if len(slots) < 3 or not all(slots[2:]):  # noqa: PLR2004 -- the first two are destructors
             raise AdapterError(
-                f"{shown(str(path))} hides the names of its plugins' functions, so it cannot be"
-                " said whether pqsec's fit",
+                f"{shown(str(path))} hides the names of its plugins' functions, so pqsec"
+                " cannot check whether its own fit",
                 hint="use a Fast DDS that exports its symbols, as packages do",
             )
 

@@ -1,7 +1,7 @@
-"""pqsec's own plugin in place of a stack's: where it is, and whether it takes a participant.
+"""pqsec's own plugin in place of a stack's: where it is, and whether it accepts a participant.
 
-Rules of `pqsec check` about stacks tell what their own plugins do. Ours is asked itself, by the
-calls with which a stack would ask its agent.
+Rules of `pqsec check` about stacks describe their own plugins. Our plugin is run instead, with the
+calls that a stack would make to its agent.
 """
 
 import re
@@ -20,11 +20,11 @@ from pqsec_pki.vendors.exports import Options
 FASTRTPS = "fastrtps"
 """ROS 2's middleware on Fast DDS."""
 PRELOAD = "libpqsec_fastdds.so"
-"""What a process of Fast DDS preloads."""
+"""The library that a process of Fast DDS preloads."""
 PATH = "LD_LIBRARY_PATH"
 NOTE = (
-    "the process starts pqsec's agent, or finds it by XDG_RUNTIME_DIR;"
-    " PQSEC_AGENT=private gives it one of its own"
+    "the process starts pqsec's agent, or finds a running one by XDG_RUNTIME_DIR;"
+    " PQSEC_AGENT=private starts one for this process only"
 )
 _CRL, _PASSWORD = "org.eclipse.cyclonedds.sec.auth.crl", "dds.sec.auth.password"
 _ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
@@ -41,7 +41,7 @@ def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
 
 
 def folder_in(variables: Mapping[str, str]) -> Path | None:
-    """Where a stack that loads plugins by name finds ours; None where it finds another's."""
+    """The folder where a stack that loads plugins by name finds ours; None if it finds others."""
     for folder in map(Path, filter(None, re.split("[:;]", variables.get(PATH, "")))):
         if _is_file(folder / NAMES[0]):
             return folder if (folder / NAMES[0]).resolve().name == LIBRARY else None
@@ -49,27 +49,27 @@ def folder_in(variables: Mapping[str, str]) -> Path | None:
 
 
 def severity(finding: Finding, options: Options) -> Severity | None:
-    """How bad it is. What the stacks' own plugins make of it does not matter where ours runs."""
+    """The severity. Findings for the stacks' own plugins do not matter if ours runs."""
     return None if options.plugin and is_of_others(finding) else finding.rule.severity
 
 
 def is_of_others(finding: Finding) -> bool:
-    """Whether it matters to the stacks' own plugins alone."""
+    """Whether it matters only to the stacks' own plugins."""
     stacks = finding.rule.stacks
     return bool(stacks) and stacks != {Target.ROS2}
 
 
 def refusal(enclave: StackEnclave, options: Options, now: datetime) -> VerificationError | None:
-    """What our plugin has against the participant, if it is to run at all.
+    """Why our plugin refuses the participant, if it is to run at all; empty if it accepts it.
 
-    It is not asked about a key that is on its robot, or locked here.
+    It is not run with a key that is on its robot, or is encrypted here.
     """
     if options.plugin is None:
         return None
     try:
         _ask(enclave, options, now)
     except PqsecError as error:
-        words = f"pqsec's plugin does not take {enclave.name}: {error}"
+        words = f"pqsec's plugin refuses {enclave.name}: {error}"
         return VerificationError(words, hint=error.hint)
     return None
 
@@ -86,7 +86,7 @@ def _ask(enclave: StackEnclave, options: Options, now: datetime) -> None:
 
 
 def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
-    """As the stack will give them, of the files where they are now."""
+    """The properties as the stack will give them, with the files where they are now."""
     here = replace(enclave, at=PurePosixPath(enclave.folder))
     found = standard_properties(here)
     if enclave.has_crl:

@@ -19,17 +19,17 @@ class InstalledPlugin:
     stack: str
     """What a user types."""
     title: str
-    """The stack and its version, as far as the plugin is for one."""
+    """The stack, with its version if the plugin is for one version."""
     file: Path
-    """What the stack loads."""
+    """The file that the stack loads."""
     library: Path | None = None
-    """The library of the stack that it was compiled for, if for one."""
+    """The library of the stack that it was compiled for; None if it is for any."""
     problem: str = ""
-    """Why it does not run in that library."""
+    """Why it does not run in that library; empty if it does."""
 
 
 def installed_plugins(folder: Path) -> list[InstalledPlugin]:
-    """Those in `folder`; FileError if it cannot be read."""
+    """The plugins in `folder`; FileError if it cannot be read."""
     with disk_errors(folder):
         return list(_installed(folder))
 
@@ -51,13 +51,13 @@ def _installed(folder: Path) -> Iterator[InstalledPlugin]:
 def remove_plugins(folder: Path) -> list[Path]:
     """Remove all files of pqsec's plugin from `folder`, and the folder if that leaves it empty.
 
-    What was removed; FileError if that is not allowed. Other files stay.
+    Returns the removed files. Other files stay. FileError if removing is not allowed.
     """
     with disk_errors(folder):
         removed = list(_files_in(folder))
         for path in removed:
             path.unlink()
-        with suppress(OSError):  # it has other files, or is not there
+        with suppress(OSError):  # it has other files, or does not exist
             folder.rmdir()
     return removed
 

@@ -50,7 +50,7 @@ class Stack:
         if options.loopback and not self.knows_loopback:
             able = ", ".join(each.name for each in STACKS if each.knows_loopback)
             raise UsageError(
-                f"how {self.title} is kept to one machine is not known here",
+                f"pqsec does not know how to restrict {self.title} to one machine",
                 hint=f"--loopback is for {able}",
             )
         made: Export = import_module(f"pqsec_pki.vendors.{self.name}").export(enclave, options)
@@ -64,7 +64,7 @@ class Stack:
         meant = options.release
         if meant and (meant < self.first or (self.end and meant >= self.end)):
             raise UsageError(
-                f"how {self.title} {options.version} is configured is not known here",
+                f"pqsec does not know the configuration of {self.title} {options.version}",
                 hint=hint,
             )
 

@@ -193,7 +193,7 @@ def test_an_encrypted_key_is_asked_about_where_the_passphrase_is_known(own, fold
     key = load_private_key((enclave / "key.pem").read_bytes())
     (enclave / "key.pem").write_bytes(private_key_pem(key, b"open sesame"))
     if password == "wrong":
-        with pytest.raises(VerificationError, match="does not take /talker"):
+        with pytest.raises(VerificationError, match="plugin refuses /talker"):
             exported("cyclonedds", keystore, folder, password=password)
     else:
         assert exported("cyclonedds", keystore, folder, password=password).warnings == ()
