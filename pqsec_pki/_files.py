@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from pqsec_pki._owners import user
 from pqsec_pki.errors import ExistsError, FileError, MissingError
 
 MAX_FILE = 8 << 20
@@ -247,8 +248,19 @@ def sync_filesystem(folder: Path | int) -> None:
 
 
 def _refused(path: Path | str, error: OSError | ValueError) -> FileError:
-    reason = error.strerror if isinstance(error, OSError) else None
-    kind = FileError
-    if isinstance(error, OSError):
-        kind = _KINDS.get(error.errno or 0, FileError)
-    return kind((reason or str(error)).lower(), where=path)
+    if not isinstance(error, OSError):
+        return FileError(str(error).lower(), where=path)
+    kind = _KINDS.get(error.errno or 0, FileError)
+    hint = _owner_of(path) if isinstance(error, PermissionError) else None
+    return kind((error.strerror or str(error)).lower(), where=path, hint=hint)
+
+
+def _owner_of(path: Path | str) -> str | None:
+    """A hint if `path`, or the folder that hides it, belongs to another user."""
+    for each in (Path(path), *Path(path).parents):
+        with suppress(OSError):
+            number = each.stat().st_uid
+            owner = user(number)
+            who = f"{each} belongs to another user ({owner})"
+            return f"{who}: run pqsec as {owner}, or ask for access" * (number != os.geteuid())
+    return None

@@ -56,6 +56,6 @@ def adopt(folder: Path | None) -> None:
 def _lines(found: Adopted) -> list[str]:
     keystore = found.keystore
     count = _printing.counted(len(found.participants), "participant")
-    first = f"{keystore.root}: {count}, profile {keystore.profile.name}, domains {keystore.domains}"
+    first = f"{keystore.root}: {count}, profile {keystore.profile.name}, {keystore.domains.words}"
     refused = [f"not taken: {place}: {reason}" for place, reason in found.refused.items()]
     return [first, *refused]

@@ -1,7 +1,6 @@
 """pqsec apply: change the keystore to match a domain file."""
 
 import sys
-from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -204,10 +203,13 @@ def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Pat
     if waiting and not written:
         fix = "write their bundles with --bundles DIR or `pqsec bundle`"
         _printing.note(f"the keys of these are on their robots: {few(waiting)}; {fix}")
-    counts: Counter[StepAction] = Counter()
+    names: dict[StepAction, list[str]] = {}
     for step in done:
-        counts[step.action] += bool(step.name)
-    lines = [f"{action.words}: {count or 'done'}" for action, count in counts.items()]
+        names.setdefault(step.action, []).extend(filter(None, [step.name]))
+    lines = [
+        f"{action.words}: {len(each)} ({few(each)})" if each else f"{action.words}: done"
+        for action, each in names.items()
+    ]
     lines += [f"bundles: {len(written)}"] if written else []
     made = {"done": True, "bundles": list(map(str, written))}
     as_json = _settings.settings().json

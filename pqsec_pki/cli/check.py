@@ -118,7 +118,7 @@ def check(  # noqa: PLR0913 -- one for each option
     if sarif:
         _printing.emit(None, [json.dumps(to_sarif(report), indent=2)], verbatim=True)
     else:
-        _printing.emit(report_value(report, strict=strict), report_lines(report))
+        _printing.emit(report_value(report, strict=strict), [*report_lines(report), *_more(report)])
     if code := _exit_code(report, strict=strict):
         click.get_current_context().exit(code)
 
@@ -154,6 +154,12 @@ def report_lines(report: LintReport) -> list[str]:
     if unread := len(report.unread):
         summary += f"; incomplete: {unread} could not be read"
     return [*map(str, report.findings), summary]
+
+
+def _more(report: LintReport) -> list[str]:
+    """The command that explains the first finding."""
+    ids = [each.rule.id for each in report.findings[:1]]
+    return [f"`pqsec check --explain {each}` explains a finding, and how to fix it" for each in ids]
 
 
 def report_value(report: LintReport, *, strict: bool) -> dict[str, Any]:
@@ -193,6 +199,8 @@ def _explain(rule: Rule) -> None:
         "title": rule.title,
         "why": rule.why,
         "fix": rule.fix,
+        "bad": rule.bad,
+        "good": rule.good,
         "stacks": sorted(rule.stacks),
         "measured": rule.measured,
         "only_when_asked": rule.only_when_asked,

@@ -1,7 +1,10 @@
 """pqsec demo: create a secured domain and run its handshake in one command."""
 
+import os
 from datetime import timedelta
+from itertools import count
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -10,6 +13,7 @@ from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
+from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.selfcheck import verify_handshake
@@ -42,6 +46,7 @@ def demo(folder: Path | None, profile_name: str) -> None:
     profile = profile_named(profile_name)
     now = _settings.now()
     domains = DomainSet.of(0)
+    _refuse_occupied(folder)
     keystore = Keystore.create(
         folder,
         profile,
@@ -63,6 +68,17 @@ def demo(folder: Path | None, profile_name: str) -> None:
     )
     if not report.ok:
         click.get_current_context().exit(1)
+
+
+def _refuse_occupied(folder: Path) -> None:
+    """ExistsError for a folder with a keystore; the hint leaves it as it is."""
+    try:
+        Keystore.refuse_occupied(folder)
+    except ExistsError as error:
+        others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
+        other = quote(str(next(each for each in others if not os.path.lexists(each))))
+        error.hint = f"`pqsec demo {other}` creates another domain, and leaves this one as it is"
+        raise
 
 
 def _spec(

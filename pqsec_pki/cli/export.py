@@ -71,7 +71,8 @@ from pqsec_pki.vendors import export as make_export
 @click.option(
     "--rmw",
     type=click.Choice(["cyclonedds", "fastrtps"]),
-    help="With ros2 and --plugin: run it in this middleware. [default: cyclonedds]",
+    help="With ros2 and --plugin: run it in this middleware. [default: that of $RMW_IMPLEMENTATION,"
+    " without one or for another machine cyclonedds]",
 )
 @click.option(
     "--password-file",

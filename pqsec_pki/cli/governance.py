@@ -84,7 +84,7 @@ def _warn(value: Governance) -> None:
     for rule in value.domain_rules:
         if rule.topic_rules[-1].topic_expression != "*":
             _printing.note(
-                f"domains {rule.domains}: the last topic rule is not for '*': topics that no rule"
+                f"{rule.domains.words}: the last topic rule is not for '*': topics that no rule"
                 " names cannot be used"
             )
 

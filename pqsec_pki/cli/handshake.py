@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -213,15 +214,12 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
     keystore, now, domain = _keystore(given["kem"]), _settings.now(), given["domain"]
-    joinable = JoinableDomains.of(keystore, names, now)
+    agreement = _agreement(given["kem"])
+    setup = HandshakeSetup(keystore=keystore, domain=domain or 0, now=now, agreement=agreement)
+    joinable = JoinableDomains.of(setup, names)
     if domain is None:
         joinable.refuse_split()
-    setup = HandshakeSetup(
-        keystore=keystore,
-        domain=joinable.domain if domain is None else domain,
-        now=now,
-        agreement=_agreement(given["kem"]),
-    )
+        setup = replace(setup, domain=joinable.domain)
     first, second = (HandshakeParty(name=name) for name in names)
     return _handshake_attacks.try_attacks(setup, (first, second), attacks)
 

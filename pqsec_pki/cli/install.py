@@ -22,8 +22,8 @@ from pqsec_pki.enrolment import rollback as roll_back
     exit_codes={
         0: "installed, now or earlier",
         1: (
-            "refused: the bundle is not valid under the trusted CAs, belongs to no key here, or is"
-            " older"
+            "refused: the bundle is not valid under the trusted CAs, does not belong to a key"
+            " here, or is older"
         ),
         3: "the bundle cannot be read, or DIR cannot be written",
     },
@@ -108,5 +108,5 @@ def rollback(folder: Path, *, older: bool) -> None:
     earlier = roll_back(folder, older=older)
     value = {"current": str(earlier.path), "installed_at": earlier.at.isoformat()}
     _printing.emit(
-        value, [f"restored what was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]
+        value, [f"restored the set that was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]
     )

@@ -16,7 +16,7 @@ from pqsec_pki.documents import (
     ros,
     sros2,
 )
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import UsageError, meant
 
 
 @_help.group()
@@ -166,7 +166,8 @@ def _wanted(
     there = [enclave.path for enclave in enclaves]
     if missing := [name for name in names if name not in there]:
         raise UsageError(
-            f"the policy has no enclave {missing[0]}", hint=f"it has {', '.join(there)}"
+            f"the policy has no enclave {missing[0]}",
+            hint=meant(missing[0], there) or f"it has {', '.join(there)}",
         )
     return tuple(enclave for enclave in enclaves if not names or enclave.path in names)
 

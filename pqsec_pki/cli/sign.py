@@ -16,9 +16,8 @@ from pqsec_pki.documents import (
     governance_from_yaml,
     permissions_from_yaml,
 )
-from pqsec_pki.errors import FileError, InvalidDocumentError, MalformedError, located
+from pqsec_pki.errors import FileError, located
 from pqsec_pki.lifecycle import sign_document
-from pqsec_pki.problems import Problem
 
 
 def _options(command: _settings.Command) -> _settings.Command:
@@ -105,12 +104,9 @@ def _sign(  # noqa: PLR0913 -- one for each option
 ) -> None:
     document = read(file)
     with located(file):
-        try:
-            if file.suffix in {".yaml", ".yml"}:
-                document = _rendered(kind, document)
-            check(document)
-        except MalformedError as error:  # not XML: exit code 1, as in `validate`
-            raise InvalidDocumentError([Problem(str(error))], hint=error.hint) from error
+        if file.suffix in {".yaml", ".yml"}:
+            document = _rendered(kind, document)
+        check(document)
     goal = output or file.with_suffix(".p7s")
     if not force:  # before the passphrase is asked for
         refuse_existing(goal)

@@ -13,6 +13,7 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.selfcheck import HandshakeSetup
 from pqsec_pki.selfcheck.shared_domains import JoinableDomains
 from pqsec_pki.trial import (
     MACHINE,
@@ -185,7 +186,8 @@ def _route(
     for name in names:
         keystore.refuse_unknown(name)
     if domain is None:
-        joinable = JoinableDomains.of(keystore, names, now)
+        setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
+        joinable = JoinableDomains.of(setup, names)
         joinable.refuse_split()
         domain = joinable.domain
     if topic is None:

@@ -154,8 +154,8 @@ def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
 def _topic(row: TopicRow) -> str:
     if not row.is_pattern:
         return printable(row.topic)
-    asked = printable(row.asked) if row.asked else "no topic was found"
-    return f"{printable(row.topic)} (asked: {asked})"
+    sample = f"as for {printable(row.asked)}" if row.asked else "no topic that it matches was found"
+    return f"{printable(row.topic)} (pattern, {sample})"
 
 
 def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:

@@ -72,9 +72,8 @@ _PLACE = re.compile(r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^'
 def validate(xml: bytes) -> Kind:
     """Validate `xml`, and return which of the two documents it is.
 
-    InvalidDocumentError lists everything that breaks the schema, with line, element and
-    rule; if several children of an element are out of place, only the first. MalformedError
-    if it is not XML.
+    InvalidDocumentError if it is not XML; else it lists everything that breaks the schema, with
+    line, element and rule; if several children of an element are out of place, only the first.
     """
     root = parse(xml)
     kind = _kind(root)

@@ -43,8 +43,8 @@ def read_policy(path: Path, *, root: Path | None = None) -> tuple[PolicyProfiles
     """The enclaves of the policy, with its includes resolved.
 
     An include of a file outside `root` is refused; by default `root` is the policy's folder.
-    FileError for files that cannot be read, MalformedError if a file is not XML,
-    InvalidDocumentError if it is not a policy, and for includes that are not supported.
+    FileError for files that cannot be read, InvalidDocumentError if a file is not XML
+    or not a policy, and for includes that are not supported.
     """
     policy = assembled(path, root=root)
     with located(path):

@@ -8,7 +8,7 @@ one on depth in libxml2.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pqsec_pki.errors import MalformedError, shown
+from pqsec_pki.errors import InvalidDocumentError, shown
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -22,19 +22,21 @@ def parse(xml: bytes) -> "_Element":
     """The root element of `xml`, without its comments and processing instructions.
 
     The encoding is found as in XML 1.0, appendix F: by byte order mark, by declaration, else
-    UTF-8. MalformedError, with the line, if it is not well formed, too large or too deep, or
-    has a DOCTYPE.
+    UTF-8. InvalidDocumentError, with the line, if it is not well formed, too large or too deep,
+    or has a DOCTYPE.
     """
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
     if len(xml) > MAX_DOCUMENT:
-        raise MalformedError(f"larger than {MAX_DOCUMENT} bytes, so not a document of this kind")
+        raise invalid(f"larger than {MAX_DOCUMENT} bytes, so not a document of this kind")
     try:
         root = etree.fromstring(xml, _parser())
     except etree.XMLSyntaxError as error:
-        raise MalformedError(_not_well_formed(error)) from None
+        reason, _, _ = (error.msg or "not XML").partition(", line ")
+        words = f"not well-formed XML: {shown(reason.strip())}"
+        raise invalid(words, error.lineno or 1) from None
     if root.getroottree().docinfo.internalDTD is not None:
-        raise MalformedError("has a DOCTYPE, which is not allowed: remove it")
+        raise invalid("has a DOCTYPE, which is not allowed: remove it")
     return root
 
 
@@ -53,9 +55,9 @@ def _parser() -> "XMLParser":
     )
 
 
-def _not_well_formed(error: SyntaxError) -> str:
-    reason, _, _ = (error.msg or "not XML").partition(", line ")
-    return f"line {error.lineno or 1}: not well-formed XML: {shown(reason.strip())}"
+def invalid(message: str, line: int | None = None) -> InvalidDocumentError:
+    """The error for a document with one problem."""
+    return InvalidDocumentError([Problem(message, line=line)])
 
 
 def problem(element: "_Element", message: str) -> Problem:

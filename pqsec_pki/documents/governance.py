@@ -111,7 +111,7 @@ class Governance:
     def from_xml(cls, xml: bytes) -> Self:
         """The governance in the XML document.
 
-        MalformedError if it is not XML; InvalidDocumentError if it breaks its schema,
+        InvalidDocumentError if it is not XML, or breaks its schema,
         or names a domain id of more than 31 bits.
         """
         [rules] = _schema.read(xml, _schema.Kind.GOVERNANCE)

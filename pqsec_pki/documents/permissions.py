@@ -123,7 +123,7 @@ class Permissions:
     def from_xml(cls, xml: bytes) -> Self:
         """The permissions in the XML document.
 
-        MalformedError if it is not XML; InvalidDocumentError if it breaks its schema, or has
+        InvalidDocumentError if it is not XML, or breaks its schema, or has
         a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits.
         """
         [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)

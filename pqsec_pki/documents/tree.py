@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pqsec_pki.documents import _reading
-from pqsec_pki.documents._xml import parse
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.documents._xml import invalid, parse
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -84,12 +83,12 @@ class Tree:
 def read_tree(xml: bytes) -> Tree:
     """The whole content of `xml`.
 
-    MalformedError as for other documents, for more than MAX_ELEMENTS elements, and for an
+    InvalidDocumentError as for other documents, for more than MAX_ELEMENTS elements, and for an
     element with more than MAX_ATTRIBUTES attributes.
     """
     root = parse(xml)
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
-        raise MalformedError(f"more than {MAX_ELEMENTS} elements, so not a document of this kind")
+        raise invalid(f"more than {MAX_ELEMENTS} elements, so not a document of this kind")
     return Tree(
         root=_node(root),
         comments=tuple(_comments(xml)),
@@ -107,7 +106,7 @@ def _encoding(xml: bytes, root: "_Element") -> str:
 
 def _node(element: "_Element") -> Node:
     if len(element.attrib) > MAX_ATTRIBUTES:
-        raise MalformedError(f"an element has more than {MAX_ATTRIBUTES} attributes")
+        raise invalid(f"an element has more than {MAX_ATTRIBUTES} attributes")
     # The parser limits the depth to 256.
     return Node(
         tag=element.tag,
@@ -129,7 +128,7 @@ def _comments(xml: bytes) -> Iterator[Comment]:
     waiting: dict[_Element, list[Comment]] = {}  # comments that no element has followed yet
     for count, node in enumerate(etree.fromstring(xml, parser).iterdescendants()):
         if count > MAX_ELEMENTS:
-            raise MalformedError(f"more than {MAX_ELEMENTS} elements and comments")
+            raise invalid(f"more than {MAX_ELEMENTS} elements and comments")
         parent = node.getparent()
         if parent is None:  # only the root has none
             continue

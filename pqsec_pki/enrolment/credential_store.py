@@ -108,7 +108,7 @@ class CredentialStore:
         try:
             record = json.loads(read(path / RECORD))
             if record["format"] != FORMAT:
-                raise KeystoreError(f"{path}: made by another version of pqsec")
+                raise KeystoreError(f"{path} was made by another version of pqsec")
             at, previous = datetime.fromisoformat(record["at"]), _set_name(record["previous"])
             return InstalledSet(path, at, previous)
         except (ValueError, KeyError, TypeError, RecursionError) as error:

@@ -144,7 +144,7 @@ def _trust_state(
         if not needed:
             return None
         error.hint = error.hint or (
-            "to ignore what was installed before: --older, and --ca-fingerprint for each CA"
+            "--older, with --ca-fingerprint for each CA, ignores what was installed before"
         )
         raise
 
@@ -191,7 +191,7 @@ def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> No
     """
     problems = [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
-        raise VerificationError(*dict.fromkeys(problems), hint="to install it anyway: --older")
+        raise VerificationError(*dict.fromkeys(problems), hint="--older installs it anyway")
 
 
 def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
@@ -200,7 +200,7 @@ def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
     problems += [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
         raise VerificationError(
-            *dict.fromkeys(problems), hint="to roll back anyway: `pqsec rollback --older`"
+            *dict.fromkeys(problems), hint="`pqsec rollback --older` restores it anyway"
         )
 
 

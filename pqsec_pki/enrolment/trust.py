@@ -160,7 +160,7 @@ class TrustState:
         try:
             value: dict[str, Any] = json.loads(data)
             if value["format"] != FORMAT:
-                raise KeystoreError(f"format {value['format']}; this is format {FORMAT}")
+                raise KeystoreError(f"its format is {value['format']}; this pqsec reads {FORMAT}")
             marks = value["marks"]
             return cls(
                 pins={

@@ -32,7 +32,7 @@ def governance_fact(governance: Governance) -> Fact:
 
 def _rule_words(rule: DomainRule) -> Iterator[str]:
     joining = (rule.allow_unauthenticated_participants, rule.enable_join_access_control)
-    yield f"domains {rule.domains}"
+    yield rule.domains.words
     yield f"who may join: {_JOINING[joining]}"
     yield f"discovery: {_PROTECTION[rule.discovery_protection_kind]}"
     yield f"liveliness: {_PROTECTION[rule.liveliness_protection_kind]}"

@@ -24,7 +24,7 @@ def _grant_words(grant: Grant, now: datetime) -> Iterator[str]:
         yield f"name: {grant.name}"
     yield f"validity: {_times.window(grant.not_before, grant.not_after, now)}"
     for rule in grant.rules:
-        yield f"{_verb(rule)} on domains {rule.domains}"
+        yield f"{_verb(rule)} on {rule.domains.words}"
         yield from (f"  {line}" for line in _rule_words(rule))
     yield f"{'everything' if not grant.rules else 'everything else'}: {grant.default.lower()}"
 

@@ -69,12 +69,8 @@ def recover(root: Path) -> bool:
 
     Errors as with `change`.
     """
-    journal = root / JOURNAL
-    with disk_errors(journal):
-        try:
-            journal.lstat()
-        except FileNotFoundError:
-            return False
+    if not _is_interrupted(root):
+        return False
     with hold(root):
         return True
 
@@ -90,15 +86,26 @@ def refuse_interrupted(root: Path) -> None:
 
     Nothing is altered. FileError for a disk error.
     """
-    journal = root / JOURNAL
-    with disk_errors(journal), suppress(FileNotFoundError):
-        journal.lstat()
-        with at_rest(root) as folder:
+    if _is_interrupted(root):
+        with disk_errors(root), suppress(FileNotFoundError), at_rest(root) as folder:
             if folder.kind(JOURNAL) is not None:
                 raise InterruptedChangeError(
                     f"{root}: a change was interrupted when it was half done",
                     hint=f"`pqsec -k {root} ca recover` finishes it",
                 )
+
+
+def _is_interrupted(root: Path) -> bool:
+    """Whether there is a journal. FileError names the keystore: no user knows the journal."""
+    with disk_errors(root):
+        try:
+            (root / JOURNAL).lstat()
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            error.filename = str(root)
+            raise
+    return True
 
 
 def _commit(transaction: Transaction, name: str) -> None:

@@ -73,7 +73,7 @@ def _lock(folder: Folder, kind: int) -> None:
         except BlockingIOError:
             if time.monotonic() > give_up:
                 raise KeystoreError(
-                    f"{folder.path}: another pqsec command is at work here"
+                    f"{folder.path}: another pqsec command is using this keystore"
                 ) from None
             time.sleep(0.05)
         else:

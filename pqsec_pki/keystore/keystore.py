@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from shlex import quote
 from typing import Self
 
 from pqsec_pki import credentials
@@ -91,12 +92,7 @@ class Keystore:
         with disk_errors(path):
             there = path.is_file()
         if not there:
-            hint = "make one with `pqsec ca init`, or name another with -k"
-            if _parts_in(root):
-                hint = f"restore {layout.SETTINGS} from a backup, or `pqsec adopt {root}`"
-            raise KeystoreError(
-                f"{root} is not a pqsec keystore: it has no {layout.SETTINGS}", hint=hint
-            )
+            raise _not_a_keystore(root)
         if to_change:
             _journal.check(root)
         profile, domains = _settings.read_settings(path)
@@ -276,6 +272,17 @@ class Keystore:
             root.below(layout.PRIVATE) as private,
         ):
             return Ledger(private)
+
+
+def _not_a_keystore(root: Path) -> KeystoreError:
+    """The error for a folder that has no settings, or is not there."""
+    if not exists(root):
+        hint = f"`pqsec -k {quote(str(root))} ca init` creates a keystore there; -k names another"
+        return KeystoreError(f"{root} does not exist", hint=hint)
+    hint = "make one with `pqsec ca init`, or name another with -k"
+    if _parts_in(root):
+        hint = f"restore {layout.SETTINGS} from a backup, or `pqsec adopt {quote(str(root))}`"
+    return KeystoreError(f"{root} is not a pqsec keystore: it has no {layout.SETTINGS}", hint=hint)
 
 
 def _parts_in(root: Path) -> list[str]:

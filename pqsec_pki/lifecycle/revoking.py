@@ -15,7 +15,7 @@ from pqsec_pki.certificates import (
     RevokedCertificate,
     revocation_list,
 )
-from pqsec_pki.errors import KeystoreError, PqsecError, UsageError
+from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, meant
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
@@ -184,7 +184,8 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
     if not named:
         raise KeystoreError(
             f"the ledger has no participant and no serial number {subject}",
-            hint="`pqsec status` lists both",
+            hint=meant(subject, (row[0] for row in ledger.participants()))
+            or "`pqsec status` lists both",
         )
     good = [each for each in named if now <= each.ends]
     if not good:

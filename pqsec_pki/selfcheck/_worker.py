@@ -5,14 +5,12 @@ Only names, numbers and steps pass between processes; no key does.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from pqsec_pki.access.sharing import ParticipantDocuments
 from pqsec_pki.algorithms import KEY_AGREEMENTS
-from pqsec_pki.credentials import Credentials
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck.handshake_check import (
     HandshakeCheck,
@@ -22,7 +20,7 @@ from pqsec_pki.selfcheck.handshake_check import (
     load_party,
 )
 from pqsec_pki.selfcheck.report import CheckedStep, Steps, StoppedError, TopicFlow
-from pqsec_pki.selfcheck.shared_domains import documents_of, domains_of, talks_between
+from pqsec_pki.selfcheck.shared_domains import domains_of, talks_between
 from pqsec_pki.selfcheck.stacks import PQSEC, stack_named
 
 
@@ -83,12 +81,10 @@ class PairResult(NamedTuple):
 
 @dataclass(slots=True)
 class Worker:
-    """Does the work for one all-pairs job, and caches what it read."""
+    """Does the work for one all-pairs job; its setup caches what was read."""
 
     job: AllPairsJob
     setup: HandshakeSetup
-    _read: dict[str, Credentials] = field(default_factory=dict)
-    _documents: dict[str, ParticipantDocuments] = field(default_factory=dict)
 
     @classmethod
     def of(cls, job: AllPairsJob) -> "Worker":
@@ -113,36 +109,24 @@ class Worker:
     def _finding(self, party: PartyRef) -> ParticipantCheck:
         steps, domains = Steps(), frozenset[int]()
         with suppress(StoppedError):
-            participant = self._participant(party.name, steps)
-            domains, named = domains_of(participant, self.job.now)
+            loaded = self._loaded(party, steps)
+            domains, named = domains_of(self.setup, party.name)
             # If it may join no domain, check one that its governance names: that shows why not.
             setup = replace(self.setup, domain=min(domains or named or {0}))
-            check_party(setup, LoadedParty(participant, stack_named(party.stack)), steps)
+            check_party(setup, loaded, steps)
             return ParticipantCheck(party, domains, None)
         return ParticipantCheck(party, domains, steps.done[-1])
 
     def _result(self, pair: ParticipantPair) -> PairResult:
-        check = HandshakeCheck(replace(self.setup, domain=pair.domain))
+        setup = replace(self.setup, domain=pair.domain)
+        check = HandshakeCheck(setup)
         with suppress(StoppedError):
             one, other = (self._loaded(party, check.steps) for party in (pair.first, pair.second))
             check.perform(check.pair(one, other))
         found = check.report()
-        talks = () if found.failed else self._talks(pair)
+        names = pair.first.name, pair.second.name
+        talks = () if found.failed else talks_between(setup, *names)
         return PairResult(found.initiator, found.replier, found.failed, found.milliseconds, talks)
 
-    def _talks(self, pair: ParticipantPair) -> tuple[TopicFlow, ...]:
-        names = pair.first.name, pair.second.name
-        for name in names:
-            if name not in self._documents:
-                self._documents[name] = documents_of(self._read[name])
-        one, other = ((name, self._documents[name]) for name in names)
-        return talks_between(one, other, pair.domain, self.job.now)
-
     def _loaded(self, party: PartyRef, steps: Steps) -> LoadedParty:
-        return LoadedParty(self._participant(party.name, steps), stack_named(party.stack))
-
-    def _participant(self, name: str, steps: Steps) -> Credentials:
-        """The participant, from the cache after the first read."""
-        if name not in self._read:
-            self._read[name] = load_party(self.setup.keystore, name, steps)
-        return self._read[name]
+        return LoadedParty(load_party(self.setup, party.name, steps), stack_named(party.stack))

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import NamedTuple
 
+from pqsec_pki.access.sharing import ParticipantDocuments
 from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.credentials import Credentials
+from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
 from pqsec_pki.keystore import Keystore, regular_name
@@ -18,6 +20,7 @@ from pqsec_pki.selfcheck.report import HandshakeReport, Steps, StoppedError
 from pqsec_pki.selfcheck.run import HandshakeRun
 from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
 from pqsec_pki.selfcheck.stacks import PQSEC, SimulatedStack, asked, policy
+from pqsec_pki.smime import document_in
 
 _ENTITY_ID = bytes.fromhex("000001c1")
 """ENTITYID_PARTICIPANT (RTPS 2.3, table 9.1)."""
@@ -40,11 +43,34 @@ class HandshakeSetup:
     now: datetime
     agreement: KeyAgreement | None = None
     """None: the profile's, or the one that the stacks ask for."""
+    _read: dict[str, Credentials] = field(default_factory=dict, compare=False, repr=False)
+    _documents: dict[str, ParticipantDocuments] = field(
+        default_factory=dict, compare=False, repr=False
+    )
 
     @property
     def profile(self) -> Profile:
         """The keystore's profile."""
         return self.keystore.profile
+
+    def participant(self, name: str) -> Credentials:
+        """The participant of that name, read from the keystore once; errors as of a keystore."""
+        name = regular_name(name)
+        if name not in self._read:
+            self._read[name] = self.keystore.participant(name)
+        return self._read[name]
+
+    def documents(self, name: str) -> ParticipantDocuments:
+        """Its subject and documents, not verified; MalformedError, or others, if unreadable."""
+        name = regular_name(name)
+        if name not in self._documents:
+            own = self.participant(name)
+            self._documents[name] = ParticipantDocuments(
+                subject=own.certificate.subject_name,
+                governance=Governance.from_xml(document_in(own.governance)),
+                permissions=Permissions.from_xml(document_in(own.permissions)),
+            )
+        return self._documents[name]
 
 
 def run_handshake(
@@ -71,12 +97,12 @@ class LoadedParty(NamedTuple):
     stack: SimulatedStack
 
 
-def load_party(keystore: Keystore, name: str, steps: Steps) -> Credentials:
-    """The participant of that name, read from the keystore. StoppedError if it is unreadable."""
+def load_party(setup: HandshakeSetup, name: str, steps: Steps) -> Credentials:
+    """The participant of that name. StoppedError if it is unreadable."""
     name = regular_name(name)
     with steps.step(f"files of {name}") as detail:
         try:
-            participant = keystore.participant(name)
+            participant = setup.participant(name)
         except PqsecError as error:
             error.hint = error.hint or f"restore it from a backup, or reissue it: {renewal(name)}"
             raise
@@ -161,7 +187,7 @@ class HandshakeCheck:
 
     def _load(self, party: HandshakeParty) -> LoadedParty:
         """The participant, once it was read and its own credentials are valid."""
-        participant = load_party(self.setup.keystore, party.name, self.steps)
+        participant = load_party(self.setup, party.name, self.steps)
         loaded = LoadedParty(participant, party.stack)
         check_party(self.setup, loaded, self.steps)
         return loaded

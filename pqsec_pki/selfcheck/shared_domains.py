@@ -6,10 +6,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from pqsec_pki.access import may_join
-from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
+from pqsec_pki.access.sharing import topics_between
 from pqsec_pki.algorithms import KeyAgreement
-from pqsec_pki.credentials import Credentials
-from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.handshake_check import (
@@ -23,7 +21,6 @@ from pqsec_pki.selfcheck.handshake_check import (
 )
 from pqsec_pki.selfcheck.report import HandshakeReport, Steps, StoppedError, TopicFlow
 from pqsec_pki.selfcheck.stacks import PQSEC, SimulatedStack
-from pqsec_pki.smime import document_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +33,17 @@ class JoinableDomains:
     """The domain ID to use for a participant that may join none, to show what is wrong."""
 
     @classmethod
-    def of(cls, keystore: Keystore, names: Sequence[str], now: datetime) -> "JoinableDomains":
+    def of(cls, setup: HandshakeSetup, names: Sequence[str]) -> "JoinableDomains":
         """KeystoreError if one of them does not exist, FileError if it cannot be read."""
         found = dict[str, frozenset[int]]()
         for name in map(regular_name, names):
-            keystore.refuse_unknown(name)
+            setup.keystore.refuse_unknown(name)
             found[name] = frozenset()
             with suppress(StoppedError):
-                participant = load_party(keystore, name, Steps())
-                found[name], _ = domains_of(participant, now)
+                load_party(setup, name, Steps())
+                found[name], _ = domains_of(setup, name)
         somewhere = frozenset[int]().union(*found.values())
-        return cls(found, min(somewhere or keystore.domains.ids()))
+        return cls(found, min(somewhere or setup.keystore.domains.ids()))
 
     @property
     def shared(self) -> tuple[int, ...]:
@@ -96,13 +93,10 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
     domain` fails. `stacks` are those that the two behave like; `agreement` replaces the
     profile's key agreement. KeystoreError if a participant does not exist.
     """
-    joinable = JoinableDomains.of(keystore, (first, second), now)
-    setup = HandshakeSetup(
-        keystore=keystore,
-        domain=joinable.domain if domain is None else domain,
-        now=now,
-        agreement=agreement,
-    )
+    setup = HandshakeSetup(keystore=keystore, domain=domain or 0, now=now, agreement=agreement)
+    joinable = JoinableDomains.of(setup, (first, second))
+    if domain is None:
+        setup = replace(setup, domain=joinable.domain)
     names = regular_name(first), regular_name(second)
     parties = [
         HandshakeParty(name=name, stack=stack) for name, stack in zip(names, stacks, strict=True)
@@ -112,8 +106,7 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
     report = replace(run_handshake(setup, *parties), domain=setup.domain, shared=joinable.shared)
     if not report.ok:
         return report
-    one, other = ((name, documents_of(keystore.participant(name))) for name in names)
-    return replace(report, talks=talks_between(one, other, setup.domain, now))
+    return replace(report, talks=talks_between(setup, *names))
 
 
 def _apart(
@@ -123,7 +116,7 @@ def _apart(
     check = HandshakeCheck(setup)
     with suppress(StoppedError):
         for party, domains in zip(parties, joinable.domains.values(), strict=True):
-            participant = load_party(setup.keystore, party.name, check.steps)
+            participant = load_party(setup, party.name, check.steps)
             here = replace(setup, domain=min(domains))
             check_party(here, LoadedParty(participant, party.stack), check.steps)
         with check.steps.step("common domain"):
@@ -131,40 +124,27 @@ def _apart(
     return check.report()
 
 
-def documents_of(participant: Credentials) -> ParticipantDocuments:
-    """Its subject and documents, not verified; MalformedError, or others, if unreadable."""
-    return ParticipantDocuments(
-        subject=participant.certificate.subject_name,
-        governance=Governance.from_xml(document_in(participant.governance)),
-        permissions=Permissions.from_xml(document_in(participant.permissions)),
-    )
-
-
-def domains_of(participant: Credentials, now: datetime) -> tuple[frozenset[int], set[int]]:
+def domains_of(setup: HandshakeSetup, name: str) -> tuple[frozenset[int], set[int]]:
     """The domain IDs it may join, and those its governance names; no signature is verified."""
     try:
-        own = documents_of(participant)
+        own = setup.documents(name)
         named = {each for rule in own.governance.domain_rules for each in rule.domains.ids()}
         return frozenset(
             domain
             for domain in named
-            if may_join(own.governance, own.permissions, own.subject, domain, now).allowed
+            if may_join(own.governance, own.permissions, own.subject, domain, setup.now).allowed
         ), named
     except PqsecError:
         return frozenset(), set()
 
 
-def talks_between(
-    one: tuple[str, ParticipantDocuments],
-    other: tuple[str, ParticipantDocuments],
-    domain: int,
-    now: datetime,
-) -> tuple[TopicFlow, TopicFlow]:
+def talks_between(setup: HandshakeSetup, one: str, other: str) -> tuple[TopicFlow, ...]:
     """The topics that one may publish and the other subscribe to, in both directions."""
-    (first, its), (second, others) = one, other
-    return (
-        TopicFlow(first, second, topics_between(its, others, domain=domain, now=now)),
-        TopicFlow(second, first, topics_between(others, its, domain=domain, now=now)),
+    domain, now = setup.domain, setup.now
+    ways = ((one, other), (other, one))
+    return tuple(
+        TopicFlow(*way, topics_between(*map(setup.documents, way), domain=domain, now=now))
+        for way in ways
     )
 
 

@@ -45,7 +45,7 @@ def variables(options: Options) -> dict[str, str]:
 
 def middleware(options: Options) -> str:
     """The value of RMW_IMPLEMENTATION that runs the plugin."""
-    return FAST if options.rmw == FASTRTPS else CYCLONE
+    return FAST if options.runs_in == FASTRTPS else CYCLONE
 
 
 def notes(options: Options) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ def assignments(enclave: StackEnclave, options: Options) -> tuple[str, ...]:
     """
     if options.plugin is None:
         return ()
-    if options.rmw == FASTRTPS:
+    if options.runs_in == FASTRTPS:
         path = shlex.quote(str(_preload.preloaded(options.plugin, options)))
         return (f'{_preload.VARIABLE}={path}"${{{_preload.VARIABLE}:+:${_preload.VARIABLE}}}"',)
     folder = str(options.plugin.absolute())

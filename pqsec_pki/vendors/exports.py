@@ -48,13 +48,19 @@ class Options:
     plugin: Path | None = None
     """The folder with pqsec's own plugin, if that is to run instead of the stack's."""
     rmw: str | None = None
-    """The middleware of ROS 2 that runs our plugin: `cyclonedds`, the default, or `fastrtps`."""
+    """The middleware of ROS 2 that is to run our plugin; None: see `runs_in`."""
     crypto: Path | None = None
     """The stack's own plugin for encryption, if it is not in `plugins`, or our plugin runs."""
     anyway: bool = False
     """Whether to write an export that the stack is known to refuse, with a warning."""
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)
     """The variables of the user's shell, for stacks that read them."""
+
+    @property
+    def runs_in(self) -> str:
+        """Of ROS 2, the middleware that runs our plugin: `rmw`, else that of the shell."""
+        shell = "" if self.at else self.environment.get("RMW_IMPLEMENTATION", "")
+        return self.rmw or ("fastrtps" if shell == "rmw_fastrtps_cpp" else "cyclonedds")
 
     @property
     def release(self) -> Version:

@@ -39,7 +39,10 @@ LIMITED = ((2, 14, 4), (3, 0, 2), (3, 1, 1), (3, 1, 2), (3, 1, 3), (3, 2, 0), (3
 """The versions that cannot send them. 3.1.2 was run, the others' source was read."""
 
 _AUTH, _ACCESS = "dds.sec.auth.builtin.PKI-DH", "dds.sec.access.builtin.Access-Permissions"
-_UNREAD = "Fast DDS runs unsecured, with a message only, where it cannot read that file"
+_UNREAD = (
+    f"if Fast DDS cannot read {FILE}, the file that its variable names, it only logs a message and"
+    " runs unsecured"
+)
 _REPLACED = re.compile(r"\$\{[A-Z_][A-Z0-9_]*\}")
 
 

@@ -208,7 +208,8 @@ def _refuse_plugin(stack: Stack, options: Options) -> None:
     if not stack.loads_ours:
         able = ", ".join(each.name for each in STACKS if each.loads_ours)
         raise UsageError(f"{stack.title} cannot load pqsec's plugin", hint=f"it is for {able}")
-    names = (PRELOAD,) if options.rmw == FASTRTPS else stack.loads_ours
+    preloads = stack.target is Target.ROS2 and options.runs_in == FASTRTPS
+    names = (PRELOAD,) if preloads else stack.loads_ours
     if options.at and not options.plugin.is_absolute():
         raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")
     if not options.at:  # another machine cannot be checked from here

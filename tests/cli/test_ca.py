@@ -496,7 +496,7 @@ def test_show_tells_a_person_what_is_there(pqsec, keystore):
         "keystore       k (profile transition: runs in stock stacks, with ML-DSA signatures",
         "identity CA    CN=Identity CA, ecdsa-p256 and ml-dsa-65",
         "permissions CA CN=Permissions CA, ecdsa-p256\n",
-        "domains        0",
+        "domain         0",
         "CA keys        not encrypted",
         "participants   /listener, /talker",
     ):
@@ -534,7 +534,7 @@ def test_show_needs_no_sight_of_the_keys(pqsec, keystore):
 
 
 def test_show_says_what_is_no_keystore(pqsec, tmp_path):
-    pqsec("-k k ca show").refused(3, "k is not a pqsec keystore", hint="pqsec ca init")
+    pqsec("-k k ca show").refused(3, "k does not exist", hint="`pqsec -k k ca init`")
     assert list(tmp_path.iterdir()) == []
 
 

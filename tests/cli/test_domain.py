@@ -166,7 +166,7 @@ def test_a_robot_that_asks_is_answered_with_a_bundle_that_it_installs(pqsec, rob
     assert not (tmp_path / "out").exists()
     robots()
     told = pqsec("-k k apply --yes --bundles out").done()
-    assert told.out.splitlines() == ["issue: 1", "bundles: 1"]
+    assert told.out.splitlines() == ["issue: 1 (/r3)", "bundles: 1"]
     assert pqsec("-k k apply --bundles out").done().out.startswith("no changes; 3 participants")
     pqsec("install out/r3.bundle --dir robot --trust-first").done()
     assert (tmp_path / "robot/current/enclaves/r3/key.pem").exists()

@@ -129,7 +129,7 @@ def test_json_on_error_leaves_stdout_to_results(pqsec, keystore):
 @pytest.mark.parametrize(
     ("line", "missing"),
     [
-        ("-k no ca show", "no is not a pqsec keystore: it has no pqsec.json"),
+        ("-k no ca show", "no does not exist"),
         ("-k k verify no", "no: no such file or directory"),
         ("verify --ca no k/enclaves/governance.p7s", "no: no such file or directory"),
         ("-k k verify --alt-ca no k/enclaves/governance.p7s", "no: no such file or directory"),
@@ -143,6 +143,45 @@ def test_json_on_error_leaves_stdout_to_results(pqsec, keystore):
 def test_a_missing_file_is_named_once(pqsec, keystore, line, missing):
     keystore()
     assert pqsec(line).refused(3).errors == [missing]
+
+
+def test_an_unknown_participant_is_answered_with_one_that_is_spelled_alike(pqsec, keystore):
+    keystore()
+    for line in (
+        "renew /tlaker",
+        "needs-renewal /tlaker",
+        "revoke /tlaker",
+        "bundle /tlaker --plain-key",
+        "export fastdds /tlaker",
+        "explain --participant /tlaker --join",
+        "verify-handshake /tlaker /listener",
+        "try cyclonedds /tlaker /listener",
+    ):
+        pqsec(f"-k k {line}").refused(3, "/tlaker", hint="did you mean '/talker'?")
+
+
+def test_a_wrong_passphrase_names_the_file_of_the_key(pqsec, locked):
+    for line in ("issue /a --publish x", "ca crl", "ca passphrase --new-passphrase-file right"):
+        said = pqsec(f"-k k {line} --passphrase-file wrong")
+        assert "k/private/identity_ca.key.pem: wrong passphrase" in said.err, said
+
+
+def test_a_document_that_is_not_xml_is_a_no_to_every_command(pqsec, keystore, tmp_path):
+    keystore()
+    (tmp_path / "broken.xml").write_text("<policy><enclaves>")
+    for line in (
+        "validate broken.xml",
+        "sign-permissions broken.xml",
+        "permissions import broken.xml",
+        "permissions read broken.xml",
+        "who-may broken.xml",
+        "diff broken.xml broken.xml",
+        "explain --governance broken.xml --permissions broken.xml --join",
+        "inspect broken.xml",
+    ):
+        said = pqsec(f"-k k {line}")
+        assert said.code == 1, said
+        assert "broken.xml: line 1: not well-formed XML" in said.out + said.err
 
 
 @pytest.mark.parametrize("line", ["", "ca"])

@@ -55,6 +55,7 @@ def test_what_is_to_be_known_is_noted(pqsec, keystore):
     keystore("transition")
     noted = pqsec("-k k export fastdds /talker").done().err
     assert "too large for some versions of Fast DDS" in noted
+    assert "if Fast DDS cannot read fastdds.xml, " in noted
     assert "runs unsecured" in noted
     quiet = pqsec("-k k export fastdds /talker --stack-version 3.6.2").done().err
     assert "too large" not in quiet

@@ -402,7 +402,7 @@ def test_a_passphrase_nobody_needs_is_not_read(pqsec, keystore):
 
 
 def test_a_keystore_that_is_not_there_is_not_made(pqsec, tmp_path):
-    pqsec(f"-k k issue /a {TOPIC}").refused(3, "k is not a pqsec keystore", hint="pqsec ca init")
+    pqsec(f"-k k issue /a {TOPIC}").refused(3, "k does not exist", hint="ca init")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -259,7 +259,7 @@ def test_a_keystore_of_sros2_is_adopted_and_led_out_of_its_hole(pqsec, tmp_path)
     sros2.enclave("/listener")
     done = pqsec("adopt sros2").done()
     first, *findings = done.out.splitlines()
-    assert first == "sros2: 2 participants, profile classical, domains 0"
+    assert first == "sros2: 2 participants, profile classical, domain 0"
     assert [line for line in findings if "CVE-2023-24010" in line]
     assert "files checked" in findings[-1]
     assert "with `pqsec ca rotate`" in done.err

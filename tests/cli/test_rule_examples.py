@@ -97,6 +97,11 @@ def test_every_rule_has_an_example():
     assert [rule.id for rule in RULES.values() if not (rule.bad and rule.good)] == []
 
 
+def test_no_example_deletes_a_folder():
+    """A reader may have one of that name, with keys that exist nowhere else."""
+    assert [rule.id for rule in RULES.values() if "rm -" in rule.bad + rule.good] == []
+
+
 # XML
 
 

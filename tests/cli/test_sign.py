@@ -260,7 +260,7 @@ def test_a_broken_document_is_told_before_a_passphrase_is_needed(process, locked
 def test_without_keystore_nothing_is_signed(pqsec, keystore, tmp_path):
     keystore()
     pqsec(f"sign-governance k/{WHERE['governance']} -o out").refused(2, "no keystore named")
-    pqsec(f"-k no sign-governance k/{WHERE['governance']} -o out").refused(3, "no pqsec.json")
+    pqsec(f"-k no sign-governance k/{WHERE['governance']} -o out").refused(3, "no does not exist")
     assert not (tmp_path / "out").exists()
 
 

@@ -180,6 +180,26 @@ def test_a_keystore_that_is_closed_is_not_taken_for_a_folder_without_documents(c
     assert not found, found
 
 
+@pytest.mark.skipif(not ROOT, reason="only root can be kept out by another user")
+def test_the_closed_folder_and_its_owner_are_named(closed, as_nobody):
+    closed("private", "enclaves/talker")
+    for line, place, folder in (
+        ("-k k status", "k/private", "k/private"),
+        ("inspect k/enclaves/talker/cert.pem", "k/enclaves/talker/cert.pem", "k/enclaves/talker"),
+    ):
+        said = as_nobody(line)
+        assert said.errors == [f"{place}: permission denied"]
+        assert f"hint: {folder} belongs to another user (root): run pqsec as root" in said.err
+
+
+@pytest.mark.skipif(not ROOT, reason="only root can be kept out by another user")
+def test_a_keystore_of_another_user_is_named_with_its_owner(closed, as_nobody):
+    closed().chmod(0o700)
+    for line in ("status", "ca show", "issue /a --publish x", "ca recover"):
+        said = as_nobody(f"-k k {line}")
+        said.refused(3, "k: permission denied", hint="k belongs to another user (root)")
+
+
 def test_the_revocation_list_that_cannot_be_read_is_not_told_to_be_missing(closed, as_nobody):
     closed("public")
     for line in ("-k k ca crl --show", "-k k ca show", "-k k who-may"):

@@ -84,10 +84,12 @@ def test_a_second_demo_is_refused_and_changes_nothing(run, tmp_path):
     assert (code, out) == (3, "")
     assert err == (
         "pqsec: error: pqsec-demo already has pqsec.json, private, public, enclaves\n"
-        "pqsec: hint: CA keys are never overwritten: choose another folder\n"
+        "pqsec: hint: `pqsec demo pqsec-demo-2` creates another domain, and leaves this one as it"
+        " is\n"
     )
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-    assert run("demo", "another")[0] == 0
+    assert run("demo", "pqsec-demo-2")[0] == 0
+    assert "`pqsec demo pqsec-demo-3`" in run("demo")[2]
 
 
 @pytest.mark.parametrize(

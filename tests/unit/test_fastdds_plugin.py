@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -272,8 +273,17 @@ def test_a_folder_that_the_loader_cannot_be_told_of_is_refused(keystore, compile
 
 
 def test_ros_2_preloads_it_under_rmw_fastrtps(keystore, folder):
+    shell = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
     chosen = Options(plugin=folder, rmw="fastrtps", anyway=True)
     made = export(stack_named("ros2"), keystore, "/talker", chosen, now=NOW)
+    derived = Options(plugin=folder, environment=shell, anyway=True)
+    assert export(stack_named("ros2"), keystore, "/talker", derived, now=NOW) == made
+    assert [
+        replace(derived, **each).runs_in for each in ({"rmw": "cyclonedds"}, {"at": folder})
+    ] == [
+        "cyclonedds",
+        "cyclonedds",
+    ]
     assert made.environment["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
     script = str(made.files["ros2.sh"])
     command = ["sh", "-euc", f'{script}\nprintf %s "$LD_PRELOAD"']

@@ -297,7 +297,7 @@ def test_a_permissions_document_is_told_in_words():
         "grant 1     subject: CN=/talker",
         "name: g",
         "validity: 2026-06-01 00:00:00 UTC to 2026-06-04 00:00:00 UTC (3 days left)",
-        "deny on domains 0",
+        "deny on domain 0",
         "publish: topics rt/secret*",
         "allow on domains 0-5",
         'publish: topics rt/chatter in partitions "" (the default), lab with data tags room=east',

@@ -41,6 +41,13 @@ def test_two_meet_on_the_first_domain_that_both_may_join(original):
     assert report.key_agreement == original.profile.key_agreement.wire_name
 
 
+def test_each_participant_is_read_once(original, monkeypatch):
+    read, names = Keystore.participant, []
+    monkeypatch.setattr(Keystore, "participant", lambda *args: names.append(args[1]) or read(*args))
+    assert verify_handshake(original, "/a", "b", now=NOW).talks
+    assert names == ["/a", "/b"]
+
+
 def test_a_domain_that_is_named_is_not_replaced_by_another(original):
     report = verify_handshake(original, "/b", "/c", domain=1, now=NOW)
     assert (report.ok, report.failed.name, report.domain) == (False, "documents of /c", 1)

@@ -9,7 +9,7 @@ from lxml import etree
 
 from pqsec_pki.documents import Criteria, DomainSet, Permissions, ros, sros2
 from pqsec_pki.documents._xinclude import MAX_CHAIN, MAX_ELEMENTS, MAX_INCLUDES
-from pqsec_pki.errors import FileError, InvalidDocumentError, MalformedError, PqsecError
+from pqsec_pki.errors import FileError, InvalidDocumentError, PqsecError
 
 POLICIES = Path(__file__).parents[1] / "vectors/corpus/sros2/test/policies"
 NAMES = ["sample", "single_context", "add_two_ints", "minimal_action", "talker_listener"]
@@ -371,13 +371,13 @@ ENTITY = '<!DOCTYPE policy [<!ENTITY e SYSTEM "{secret}">]>'
 def test_entities_are_refused_in_every_file(read, secret, where):
     hostile = ENTITY.replace("{secret}", str(secret)) + GOOD.replace(">x<", ">&e;<")
     text = hostile if where == "p.policy.xml" else including()
-    with pytest.raises(MalformedError, match="DOCTYPE") as refusal:
+    with pytest.raises(InvalidDocumentError, match="DOCTYPE") as refusal:
         read(text, {"a.xml": hostile})
     assert where in str(refusal.value)
 
 
 def test_a_broken_include_is_told_with_its_name(read):
-    with pytest.raises(MalformedError, match=r"a\.xml: line 1: not well-formed"):
+    with pytest.raises(InvalidDocumentError, match=r"a\.xml: line 1: not well-formed"):
         read(including(), {"a.xml": "<profile>"})
 
 

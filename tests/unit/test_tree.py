@@ -4,7 +4,7 @@ import pytest
 
 from pqsec_pki.documents import read_tree
 from pqsec_pki.documents.tree import MAX_ATTRIBUTES
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import InvalidDocumentError
 
 XML = b"""<?xml version="1.0"?>
 <!-- before --><dds a="1">
@@ -45,11 +45,11 @@ def test_a_byte_order_mark_is_seen(codec, mark):
 
 @pytest.mark.parametrize("xml", [b"", b"<a>", b"<!DOCTYPE a><a/>"])
 def test_what_is_not_read_as_a_document_is_not_read_as_a_tree(xml):
-    with pytest.raises(MalformedError):
+    with pytest.raises(InvalidDocumentError):
         read_tree(xml)
 
 
 def test_more_attributes_than_anyone_writes_are_refused():
     many = " ".join(f"a{n}=''" for n in range(MAX_ATTRIBUTES + 1))
-    with pytest.raises(MalformedError, match="attributes"):
+    with pytest.raises(InvalidDocumentError, match="attributes"):
         read_tree(f"<a><b {many}/></a>".encode())

@@ -50,7 +50,7 @@ def of_another_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     """,
     good="""
         $ pqsec -k k issue --force --after-revocation --publish chatter /talker
-        $ rm -r robot
+        $ mv robot elsewhere/
         $ cp -rL k/enclaves/talker robot
     """,
 )  # fmt: skip
@@ -65,7 +65,7 @@ def own(inventory: Inventory) -> Iterator[Violation]:
     " have its private key.",
     fix="Delete its enclave. To allow it again, run `pqsec issue` with --force --after-revocation.",
     bad="$ pqsec -k k revoke /listener",
-    good="$ rm -r k/enclaves/listener",
+    good="$ mv k/enclaves/listener elsewhere/",
 )  # fmt: skip
 def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     if inventory.keystore:
@@ -81,7 +81,7 @@ def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     measured="OpenDDS 3.13.3, and the plugins of 3.34: a revoked sender was heard",
     bad="$ pqsec -k k revoke /listener",
     good="""
-        $ rm -r k/enclaves/listener
+        $ mv k/enclaves/listener elsewhere/
         $ rm k/enclaves/talker/crl.pem
     """,
 )  # fmt: skip

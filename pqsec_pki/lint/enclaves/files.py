@@ -31,7 +31,7 @@ def incomplete(enclave: EnclaveFolder) -> Iterator[Violation]:
     fix="Follow the links when you copy (cp -rL, rsync -L), or restore the shared files.",
     bad="$ cp -r k/enclaves/talker robot",
     good="""
-        $ rm -r robot
+        $ mv robot elsewhere/
         $ cp -rL k/enclaves/talker robot
     """,
 )  # fmt: skip

@@ -75,14 +75,13 @@ class LargestMessage:
     ),
     measured="Fast DDS 3.1.2; the other versions by source",
     bad="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase --profile transition
-        $ pqsec -k k issue --publish chatter /talker
+        $ pqsec -k large ca init --no-passphrase --profile transition
+        $ pqsec -k large issue --publish chatter /talker
     """,
     good="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase --profile classical
-        $ pqsec -k k issue --publish chatter /talker
+        $ mv k large elsewhere/
+        $ pqsec -k small ca init --no-passphrase --profile classical
+        $ pqsec -k small issue --publish chatter /talker
     """,
 )  # fmt: skip
 def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:

@@ -117,11 +117,10 @@ def forgotten_copy(file: File) -> Iterator[Violation]:
     fix="Encrypt it: openssl pkcs8 -topk8 -v2 aes-256-cbc -iter 600000 (3.5 or later for ML-DSA"
     " keys). `pqsec ca init` asks for a passphrase, except with --no-passphrase.",
     bad="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase
+        $ pqsec -k open ca init --no-passphrase
     """,
     good="""
-        $ rm -r k
+        $ mv k open elsewhere/
         $ mkdir home
         $ echo 'correct horse battery staple' > home/passphrase
         $ pqsec -k k ca init --passphrase-file home/passphrase

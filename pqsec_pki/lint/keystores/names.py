@@ -41,7 +41,7 @@ class _NamePieces:
     measured=_CYCLONES,
     bad="$ pqsec -k k issue --publish chatter /talker/admin",
     good="""
-        $ rm -r k/enclaves/talker/admin
+        $ mv k/enclaves/talker/admin elsewhere/
         $ pqsec -k k issue --publish chatter /admin
     """,
 )  # fmt: skip
@@ -113,7 +113,7 @@ def _pieces(name: str) -> frozenset[tuple[str, str]]:
         $ cp -rL k/enclaves/talker robots/two
     """,
     good="""
-        $ rm -r robots/two
+        $ mv robots/two elsewhere/
         $ cp -rL k/enclaves/listener robots/two
     """,
 )  # fmt: skip

@@ -23,12 +23,11 @@ STOCK = (Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS, Target.CONNEXT, Targ
     rows=("identity all ML-DSA-65", "ML-DSA CA, EC leaf", "EC CA, ML-DSA leaf"),
     measured=SIX_STACKS + "; OpenDDS by source",
     bad="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase --profile pq
+        $ pqsec -k quantum ca init --no-passphrase --profile pq
     """,
     good="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase --profile transition
+        $ mv quantum elsewhere/
+        $ pqsec -k both ca init --no-passphrase --profile transition
     """,
 )  # fmt: skip
 def post_quantum_identity(file: CertificateFile) -> Iterator[Violation]:
@@ -48,12 +47,11 @@ def post_quantum_identity(file: CertificateFile) -> Iterator[Violation]:
     rows=("governance/permissions CMS-signed ML-DSA-65",),
     measured=SIX_STACKS + "; OpenDDS by source",
     bad="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase --profile pq
+        $ pqsec -k quantum ca init --no-passphrase --profile pq
     """,
     good="""
-        $ rm -r k
-        $ pqsec -k k ca init --no-passphrase --profile transition
+        $ mv quantum elsewhere/
+        $ pqsec -k both ca init --no-passphrase --profile transition
     """,
 )  # fmt: skip
 def post_quantum_documents(file: CertificateFile) -> Iterator[Violation]:
@@ -108,7 +106,7 @@ def below_profile(inventory: Inventory) -> Iterator[Violation]:
         $ cp -rL c/enclaves/talker robot
     """,
     good="""
-        $ rm -r robot
+        $ mv robot elsewhere/
         $ cp -rL k/enclaves/talker robot
     """,
 )  # fmt: skip
