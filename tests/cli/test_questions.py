@@ -599,7 +599,7 @@ def test_a_keystore_without_its_settings_gets_no_unverified_answer(pqsec, keysto
 def test_a_folder_that_the_environment_names_gets_no_unverified_answer(pqsec, keystore):
     (keystore() / "pqsec.json").unlink()
     pqsec("who-may", PQSEC_KEYSTORE="k").refused(3, "not a pqsec keystore", hint="pqsec adopt k")
-    pqsec("who-may", PQSEC_KEYSTORE="no").refused(3, "not a pqsec keystore", hint="pqsec ca init")
+    pqsec("who-may", PQSEC_KEYSTORE="no").refused(3, "no does not exist", hint="ca init")
 
 
 def test_what_cannot_be_read_in_a_folder_does_not_hold_who_may_up(pqsec, policy, tmp_path):

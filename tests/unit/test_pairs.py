@@ -262,7 +262,7 @@ def pair_of(outcome):
 def test_a_participant_that_vanishes_after_the_first_look_is_told(keystore):
     keystore = keystore(domains="0", names=("/a", "/b"))
     with surveyed(keystore) as found:
-        found._pool.worker._read.clear()
+        found._pool.worker.setup._read.clear()
         (keystore.root / "enclaves/b/cert.pem").unlink()
         [outcome] = found.outcomes()
     assert outcome.ok is False
