@@ -14,6 +14,7 @@ from pqsec_pki.access._checks import (
 )
 from pqsec_pki.access.interpretation import Check, Interpretation, Viewpoint
 from pqsec_pki.errors import UsageError
+from pqsec_pki.stacks import Stack
 
 
 def _both(*checks: Check) -> dict[Viewpoint, tuple[Check, ...]]:
@@ -41,8 +42,8 @@ SPEC = Interpretation(
 )
 
 CYCLONEDDS = Interpretation(
-    name="cyclonedds",
-    title="Cyclone DDS 0.10.2",
+    name=Stack.CYCLONEDDS.value,
+    title=f"{Stack.CYCLONEDDS.product} 0.10.2",
     covers=_patterns.cyclonedds,
     governs=_patterns.cyclonedds,
     is_for=_subjects.cyclonedds,
@@ -61,8 +62,8 @@ CYCLONEDDS = Interpretation(
 )
 
 FASTDDS = Interpretation(
-    name="fastdds",
-    title="Fast DDS 2.9.1",
+    name=Stack.FASTDDS.value,
+    title=f"{Stack.FASTDDS.product} 2.9.1",
     covers=_patterns.posix_without_escapes,
     governs=_patterns.either_way,
     is_for=_subjects.fastdds,
@@ -85,8 +86,8 @@ FASTDDS = Interpretation(
 )
 
 OPENDDS = Interpretation(
-    name="opendds",
-    title="OpenDDS 3.34",
+    name=Stack.OPENDDS.value,
+    title=f"{Stack.OPENDDS.product} 3.34",
     covers=_patterns.opendds,
     governs=_patterns.opendds,
     is_for=_subjects.opendds,

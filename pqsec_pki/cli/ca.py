@@ -270,8 +270,7 @@ def _show(keystore: Keystore) -> None:
     for role, each in cas:
         lines.append(f"{role:<14} {each.subject_name}, {_algorithms(each)}")
         lines.append(f"{'':<14} until {each.not_after:%Y-%m-%d}, SHA-256 {each.fingerprint}")
-    word, domains = keystore.domains.words.split(maxsplit=1)
-    lines.append(f"{word:<14} {domains}")
+    lines.append(f"{keystore.domains.noun:<14} {keystore.domains}")
     lines.append(f"CA keys        {_keys(keystore)}")
     lines.append(f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}")
     _printing.emit(value, lines)

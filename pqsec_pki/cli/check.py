@@ -16,12 +16,12 @@ from pqsec_pki.lint import (
     Rule,
     Severity,
     Suppression,
-    Target,
     from_option,
     rule_named,
     to_sarif,
 )
 from pqsec_pki.lint import check as check_all
+from pqsec_pki.stacks import Stack, stack_named
 
 # A file or a folder; like FILE and FOLDER it refuses an empty path.
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
@@ -34,15 +34,15 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[Target, ...]:
+    ) -> tuple[Stack, ...]:
         """The targets. Raises click's error for an unknown one."""
         if isinstance(value, tuple):
             return value
         words = [word.strip().lower() for word in str(value).split(",")]
         for word in words:
-            if word not in set(Target):
-                self.fail(f"{word!r} is not one of {', '.join(Target)}", param, ctx)
-        return tuple(map(Target, words))
+            if word not in set(Stack):
+                self.fail(f"{word!r} is not one of {', '.join(Stack)}", param, ctx)
+        return tuple(map(stack_named, words))
 
 
 @_help.command(
@@ -69,8 +69,8 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     type=_Targets(),
     default=(),
     metavar="STACK,...",
-    help=f"Report only findings for these stacks: {', '.join(Target)}.",
-    shell_complete=_completion.among(Target),
+    help=f"Report only findings for these stacks: {', '.join(Stack)}.",
+    shell_complete=_completion.among(Stack),
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
 @click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
@@ -90,7 +90,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
 @_settings.command_options
 def check(  # noqa: PLR0913 -- one for each option
     paths: tuple[Path, ...],
-    targets: tuple[Target, ...],
+    targets: tuple[Stack, ...],
     ignored: tuple[str, ...],
     explain: str | None,
     *,

@@ -10,18 +10,15 @@ import click
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.messages import Message, Recognised, messages, nearest, recognise
 
 MAX_LOG = 16 << 20
 """Bytes. A log of a day of errors is smaller."""
 MOST_ALIKE = 3
 """The most explanations of one message with different values, such as many peers."""
-TITLES = {
-    "cyclonedds": "Cyclone DDS",
-    "fastdds": "Fast DDS",
-    "opendds": "OpenDDS",
-    "ros2": "ROS 2",
-}
+STACKS = [each.value for each in Stack if each is not Stack.CONNEXT]
+"""Those whose messages are known."""
 
 
 @_help.command(
@@ -38,9 +35,7 @@ TITLES = {
     },
 )
 @click.argument("text", nargs=-1, metavar="TEXT|CODE|-")
-@click.option(
-    "--stack", type=click.Choice(list(TITLES)), help="Recognise only messages of this stack."
-)
+@click.option("--stack", type=click.Choice(STACKS), help="Recognise only messages of this stack.")
 @click.option("--list", "as_list", is_flag=True, help="List all known messages.")
 @_settings.command_options
 def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) -> None:
@@ -114,7 +109,7 @@ def _explained(each: Recognised, *, in_log: bool) -> Iterator[str]:
 
 
 def _source(row: Message) -> str:
-    who = " or ".join(TITLES[stack] for stack in row.stacks)
+    who = " or ".join(stack.product for stack in row.stacks)
     return f"{who}, code {row.code}" if row.code else who
 
 

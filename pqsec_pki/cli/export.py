@@ -9,8 +9,10 @@ import click
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError
-from pqsec_pki.vendors import STACKS, Export, Options, stack_named, write
+from pqsec_pki.stacks import Stack, stack_named
+from pqsec_pki.vendors import Export, Options, write
 from pqsec_pki.vendors import export as make_export
+from pqsec_pki.vendors.own_plugin import FASTRTPS
 
 
 @_help.command(
@@ -27,7 +29,7 @@ from pqsec_pki.vendors import export as make_export
         3: "the keystore, participant or a file cannot be read or written",
     },
 )
-@click.argument("stack", type=click.Choice([each.name for each in STACKS]), metavar="STACK")
+@click.argument("stack", type=click.Choice([each.value for each in Stack]), metavar="STACK")
 @click.argument("name", shell_complete=_completion.participants)
 @click.option(
     "-o",
@@ -70,7 +72,7 @@ from pqsec_pki.vendors import export as make_export
 )
 @click.option(
     "--rmw",
-    type=click.Choice(["cyclonedds", "fastrtps"]),
+    type=click.Choice([Stack.CYCLONEDDS.value, FASTRTPS]),
     help="With ros2 and --plugin: run it in this middleware. [default: that of $RMW_IMPLEMENTATION,"
     " without one or for another machine cyclonedds]",
 )

@@ -9,10 +9,11 @@ import click
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.plugin import build, home, units_folder, written_units
+from pqsec_pki.stacks import Stack
 
 DEFAULT_FOLDER = Path(".local/lib/pqsec")
 """In the user's home."""
-CYCLONEDDS, FASTDDS = "cyclonedds", "fastdds"
+CYCLONEDDS, FASTDDS = Stack.CYCLONEDDS.value, Stack.FASTDDS.value
 
 
 def default_folder() -> Path:

@@ -15,6 +15,7 @@ from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck import HandshakeSetup
 from pqsec_pki.selfcheck.shared_domains import JoinableDomains
+from pqsec_pki.stacks import Stack
 from pqsec_pki.trial import (
     MACHINE,
     STACKS,
@@ -29,7 +30,7 @@ from pqsec_pki.trial import (
     topic_route,
 )
 
-ROS2, FASTDDS = "ros2", "fastdds"
+ROS2, FASTDDS = Stack.ROS2.value, Stack.FASTDDS.value
 PAIRS = tuple(map(",".join, permutations(STACKS, 2)))
 TIMEOUT = 10.0
 _PAIR = 2
@@ -56,7 +57,7 @@ _PAIR = 2
         3: "the stack, the keystore or a participant is missing, or a program cannot be compiled",
     },
 )
-@click.argument("stack", type=click.Choice([*STACKS, *PAIRS, ROS2]), metavar="STACK")
+@click.argument("stack", type=click.Choice([*map(str, STACKS), *PAIRS, ROS2]), metavar="STACK")
 @click.argument("names", nargs=-1, metavar="A B", shell_complete=_completion.participants)
 @click.option(
     "--topic",

@@ -68,10 +68,14 @@ class DomainSet:
         return cls.of(*(_part(part) for part in text.split(",")))
 
     @property
+    def noun(self) -> str:
+        """`domain` for one, else `domains`."""
+        return "domain" if len(self.parts) == 1 and isinstance(self.parts[0], int) else "domains"
+
+    @property
     def words(self) -> str:
         """With the noun: `domain 0`, `domains 0-3`."""
-        is_one = len(self.parts) == 1 and isinstance(self.parts[0], int)
-        return f"domain{'' if is_one else 's'} {self}"
+        return f"{self.noun} {self}"
 
     def ids(self) -> list[int]:
         """The domains in the set that a stack can join (0 to 230), ascending."""

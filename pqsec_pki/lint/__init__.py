@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
+    from pqsec_pki.lint.rule import Finding, Rule, Severity
     from pqsec_pki.lint.run import LintReport, check
     from pqsec_pki.lint.sarif import to_sarif
     from pqsec_pki.lint.suppress import Suppression, from_option
@@ -24,7 +24,6 @@ __all__ = [
     "Rule",
     "Severity",
     "Suppression",
-    "Target",
     "check",
     "from_option",
     "rule_named",

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pqsec_pki.problems import Code
+from pqsec_pki.stacks import Stack
 
 Check = TypeVar("Check", bound=Callable[[Any], Iterable[Any]])
 
@@ -54,16 +55,6 @@ class Severity(StrEnum):
     ERROR = "error"
     WARNING = "warning"
     INFO = "info"
-
-
-class Target(StrEnum):
-    """A stack that is to use the files."""
-
-    CYCLONEDDS = "cyclonedds"
-    FASTDDS = "fastdds"
-    OPENDDS = "opendds"
-    CONNEXT = "connext"
-    ROS2 = "ros2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +86,7 @@ class Rule:
     """The same, fixed. Commands continue after those of `bad`."""
     scope: type
     check: Callable[[Any], Iterable[Violation]]
-    stacks: frozenset[Target]
+    stacks: frozenset[Stack]
     """The stacks that it affects; none means all, or that the rule is about security."""
     rows: tuple[str, ...] = ()
     """The measurements that it is based on (rows in docs/reference/rules.md)."""
@@ -110,7 +101,7 @@ class Rule:
         """The family that reports name."""
         return FAMILIES[self.id[3]]
 
-    def matters_to(self, targets: frozenset[Target]) -> bool:
+    def matters_to(self, targets: frozenset[Stack]) -> bool:
         """Whether the rule runs for these targets; no targets means all."""
         if not targets:
             return not self.only_when_asked
@@ -126,7 +117,7 @@ def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
     fix: str,
     bad: str,
     good: str,
-    stacks: Iterable[Target] = (),
+    stacks: Iterable[Stack] = (),
     rows: Iterable[str] = (),
     measured: str = "",
     only_when_asked: bool = False,

@@ -12,10 +12,11 @@ from pqsec_pki.lint.collect import take_inventory
 from pqsec_pki.lint.enclaves.trust import without_repetitions
 from pqsec_pki.lint.keystores.files import PRIVATE
 from pqsec_pki.lint.keystores.incomplete import UNREAD
-from pqsec_pki.lint.rule import Finding, Rule, Severity, Target
+from pqsec_pki.lint.rule import Finding, Rule, Severity
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
 from pqsec_pki.lint.table import RULES
+from pqsec_pki.stacks import Stack
 
 COMMAND_LINE = Path("--ignore")
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
@@ -55,7 +56,7 @@ def check(
     paths: Iterable[Path],
     *,
     now: datetime,
-    targets: Iterable[Target] = (),
+    targets: Iterable[Stack] = (),
     ignore: Iterable[Suppression] = (),
 ) -> LintReport:
     """Find everything that is wrong or risky in these files, folders and keystores.

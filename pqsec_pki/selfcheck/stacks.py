@@ -20,15 +20,7 @@ from pqsec_pki.algorithms import (
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import UnknownAlgorithmError, VerificationError
 from pqsec_pki.handshake import Dialect, PeerRequirements
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limit:
-    """The largest message that some versions can send."""
-
-    size: int
-    """Size of the sample in bytes."""
-    versions: str
+from pqsec_pki.stacks import FAST_DDS_LIMIT, MessageLimit, Stack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +44,7 @@ class SimulatedStack:
     identity_ca_keys: tuple[str, ...] = ()
     hint_as_initiator: str | None = None
     """The hint if another stack refuses its Request."""
-    limit: Limit | None = None
+    limit: MessageLimit | None = None
     fails_at_limit: bool = False
     """Whether this row describes the versions with the limit."""
 
@@ -89,7 +81,7 @@ class SimulatedStack:
     def check_size(self, size: int) -> Iterator[str]:
         """A note on a message of `size` bytes, if any; VerificationError if it cannot be sent."""
         if self.limit and size > self.limit.size:
-            words = f"over {self.limit.size} bytes, which {self.limit.versions} cannot send"
+            words = f"over {self.limit.size} bytes, which {self.limit} cannot send"
             if self.fails_at_limit:
                 raise VerificationError(
                     f"a message of {size} bytes: {words}",
@@ -105,8 +97,8 @@ _RSA = ("rsa-2048", "rsa-3072", "rsa-4096")
 _P256_OR_RSA_2048 = ("ecdsa-p256", "rsa-2048")
 
 CYCLONE = SimulatedStack(
-    name="cyclonedds",
-    title="Cyclone DDS",
+    name=Stack.CYCLONEDDS.value,
+    title=Stack.CYCLONEDDS.product,
     evidence="0.10.2, 0.10.5 and 11.0.1 run",
     dialect=Dialect(answers_in_kind=False, sends_optional=False),
     agreements=(_ECDH, MODP_DER),
@@ -114,8 +106,8 @@ CYCLONE = SimulatedStack(
     identity_ca_keys=_P256_OR_RSA_2048,
 )
 FASTDDS = SimulatedStack(
-    name="fastdds",
-    title="Fast DDS",
+    name=Stack.FASTDDS.value,
+    title=Stack.FASTDDS.product,
     evidence="2.9.1 run; for 3.2.3 and later its source",
     dialect=Dialect(
         ends_names_in_nul=False,
@@ -132,19 +124,19 @@ FASTDDS = SimulatedStack(
     identity_ca_keys=("ecdsa-p256", *_RSA),
     hint_as_initiator="Fast DDS and Cyclone DDS understand each other only where Cyclone DDS"
     " initiates: choose names so that its GUID is the smaller one, or use one stack",
-    limit=Limit(size=8192, versions="Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2"),
+    limit=FAST_DDS_LIMIT,
 )
 FASTDDS_LIMITED = replace(
     FASTDDS,
-    name="fastdds-3.1",
-    title="Fast DDS 3.1",
+    name=f"{Stack.FASTDDS}-3.1",
+    title=f"{Stack.FASTDDS.product} 3.1",
     evidence="3.1.2 run",
     asks_for_any=True,  # preferred_key_agreement; 2.10.7, 2.14.5 and 3.0.2 have it too
     fails_at_limit=True,
 )
 OPENDDS = SimulatedStack(
-    name="opendds",
-    title="OpenDDS",
+    name=Stack.OPENDDS.value,
+    title=Stack.OPENDDS.product,
     evidence="its source, not run",
     dialect=Dialect(
         answers_in_kind=False,

@@ -46,7 +46,7 @@ class Installation:
     @property
     def title(self) -> str:
         """Name and version: `Cyclone DDS 0.10.2`."""
-        return f"{self.build.title} {self.version}"
+        return f"{self.build.stack.product} {self.version}"
 
     @property
     def soname(self) -> str:
@@ -122,7 +122,7 @@ def find(stack: str, root: Path = MACHINE) -> Installation:
         headers = next(_headers(peer_builds, root), None)
         if headers is None:
             raise MissingStackError(
-                f"{peer_builds[0].title} is not installed with its headers below {root}",
+                f"{peer_builds[0].stack.product} is not installed with its headers below {root}",
                 hint=" or: ".join(
                     f"apt-get install {build.packages}" for build in reversed(peer_builds)
                 ),
@@ -151,7 +151,7 @@ def _headers(peer_builds: list[PeerBuild], root: Path) -> Iterator[tuple[PeerBui
 
 def _with_library(build: PeerBuild, version: str, prefix: str, root: Path) -> Installation:
     """The installation with the library of that prefix; MissingStackError if versions differ."""
-    headers = f"the headers of {build.title} {version} are in {root / prefix / 'include'}"
+    headers = f"the headers of {build.stack.product} {version} are in {root / prefix / 'include'}"
     hint = f"install all packages of one version there, or remove the headers: {build.packages}"
     found_in = next(_libraries(build, root / prefix), None)
     if found_in is None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins
 
 Command = tuple[str, ...]
@@ -17,9 +18,7 @@ _LIBRARY = ("-L{lib}", "-Wl,--disable-new-dtags", "-Xlinker", "-rpath", "-Xlinke
 class PeerBuild:
     """How to compile a peer, and how to find what it needs."""
 
-    stack: str
-    """Its name in the package `vendors`."""
-    title: str
+    stack: Stack
     header: str
     """The header with the version: a pattern below a folder of headers."""
     macro: str
@@ -48,8 +47,7 @@ class PeerBuild:
 def _fastdds(major: int, header: str, macro: str, *libraries: str, package: str) -> PeerBuild:
     name = {2: "FASTRTPS", 3: "FASTDDS"}[major]
     return PeerBuild(
-        stack="fastdds",
-        title="Fast DDS",
+        stack=Stack.FASTDDS,
         header=header,
         macro=macro,
         library=f"{libraries[0].replace('-l', 'lib')}.so",
@@ -65,8 +63,7 @@ def _fastdds(major: int, header: str, macro: str, *libraries: str, package: str)
 
 PEER_BUILDS = (
     PeerBuild(
-        stack="cyclonedds",
-        title="Cyclone DDS",
+        stack=Stack.CYCLONEDDS,
         header="dds/version.h",
         macro="DDS_VERSION",
         library="libddsc.so",

@@ -17,7 +17,7 @@ from pqsec_pki.trial.installation import Installation
 from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
 from pqsec_pki.trial.running import TrialRun, TrialSetup, run_peers, unique_text
 from pqsec_pki.trial.topics import TopicRoute
-from pqsec_pki.vendors import Options, StackEnclave, export, stack_named, write
+from pqsec_pki.vendors import Options, StackEnclave, export, write
 
 UNAUTHENTICATED = "a participant without credentials"
 _IN_MEMORY = Path("/dev/shm")  # noqa: S108 -- writable for all like /tmp, and used like it
@@ -182,8 +182,7 @@ def credentialed(trial: Trial, name: str, act: Act, folder: Path, text: str = ""
         plugins=installation.plugins,
         plugin=plugin.folder if plugin else None,
     )
-    stack = stack_named(installation.build.stack)
-    made = export(stack, trial.keystore, name, options, now=trial.now)
+    made = export(installation.build.stack, trial.keystore, name, options, now=trial.now)
     place = folder / act.value
     write(made, place)
     return TrialRole(

@@ -11,17 +11,17 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.vendors.enclave import StackEnclave
     from pqsec_pki.vendors.exports import Export, Options, write
-    from pqsec_pki.vendors.stacks import STACKS, Stack, export, stack_named
+    from pqsec_pki.vendors.stacks import EXPORTERS, Exporter, export, exporter_of
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "STACKS",
+    "EXPORTERS",
     "Export",
+    "Exporter",
     "Options",
-    "Stack",
     "StackEnclave",
     "export",
-    "stack_named",
+    "exporter_of",
     "write",
 ]

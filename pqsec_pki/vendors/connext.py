@@ -5,6 +5,7 @@ not run. Connext replaces $(NAME) in a value by the variable.
 """
 
 from pqsec_pki.errors import UsageError
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
 from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options
@@ -37,7 +38,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
     if enclave.has_crl:
         warnings += [_NO_CRL]
     return Export(
-        stack="connext",
+        stack=Stack.CONNEXT,
         participant=enclave.name,
         files={FILE: render("connext.xml", properties=properties)},
         environment={"NDDS_QOS_PROFILES": f"file://{FOLDER}/{FILE}"},

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError, shown
 from pqsec_pki.plugin import LIBRARY
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.cyclone_plugins import (
@@ -67,7 +68,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
         fragments=enclave.has_large_handshake,
     )
     return Export(
-        stack="cyclonedds",
+        stack=Stack.CYCLONEDDS,
         participant=enclave.name,
         files={FILE: text},
         environment={"CYCLONEDDS_URI": f"file://{FOLDER}/{FILE}"},

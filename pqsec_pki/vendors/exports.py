@@ -18,6 +18,7 @@ from pqsec_pki._files import (
     refuse_existing,
 )
 from pqsec_pki.errors import FileError, UsageError, shown
+from pqsec_pki.stacks import Stack
 
 FOLDER = "\0"
 """In steps and variables it is replaced by the absolute path of the export's folder. No path and no
@@ -60,7 +61,7 @@ class Options:
     def runs_in(self) -> str:
         """Of ROS 2, the middleware that runs our plugin: `rmw`, else that of the shell."""
         shell = "" if self.at else self.environment.get("RMW_IMPLEMENTATION", "")
-        return self.rmw or ("fastrtps" if shell == "rmw_fastrtps_cpp" else "cyclonedds")
+        return self.rmw or ("fastrtps" if shell == "rmw_fastrtps_cpp" else Stack.CYCLONEDDS.value)
 
     @property
     def release(self) -> Version:
@@ -76,7 +77,7 @@ class Options:
 class Export:
     """The files, variables and commands that one stack needs to run as one participant."""
 
-    stack: str
+    stack: Stack
     participant: str
     files: Mapping[str, str | Path] = field(repr=False)
     """Path below the export's folder -> its text, or the file of the keystore to copy there.

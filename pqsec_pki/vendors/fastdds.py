@@ -22,6 +22,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import Finding, Severity
+from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack
 from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.enclave import StackEnclave
@@ -35,8 +36,6 @@ NAMESPACES = {
 VARIABLES = {2: "FASTRTPS_DEFAULT_PROFILES_FILE", 3: "FASTDDS_DEFAULT_PROFILES_FILE"}
 OVER_LIMIT = "PQS501"
 """The rule of the check about handshakes over 8192 bytes."""
-LIMITED = ((2, 14, 4), (3, 0, 2), (3, 1, 1), (3, 1, 2), (3, 1, 3), (3, 2, 0), (3, 2, 1), (3, 2, 2))
-"""The versions that cannot send them. 3.1.2 was run, the others' source was read."""
 
 _AUTH, _ACCESS = "dds.sec.auth.builtin.PKI-DH", "dds.sec.access.builtin.Access-Permissions"
 _UNREAD = (
@@ -62,7 +61,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
             hint="put the keystore elsewhere, or choose another passphrase",
         )
     return Export(
-        stack="fastdds",
+        stack=Stack.FASTDDS,
         participant=enclave.name,
         files={
             FILE: render(
@@ -86,9 +85,9 @@ def severity(finding: Finding, options: Options) -> Severity | None:
     meant = options.release
     if finding.rule.id != OVER_LIMIT:
         return finding.rule.severity
-    if meant[:3] in LIMITED:
+    if meant[:3] in FAST_DDS_LIMIT.versions:
         return Severity.ERROR
-    may_be = any(each[: len(meant)] == meant for each in LIMITED)
+    may_be = any(each[: len(meant)] == meant for each in FAST_DDS_LIMIT.versions)
     return Severity.WARNING if may_be else None
 
 

@@ -14,6 +14,7 @@ from importlib.resources import files
 from itertools import accumulate, pairwise
 
 from pqsec_pki.errors import shown
+from pqsec_pki.stacks import Stack, stack_named
 from pqsec_pki.vendors._log import MAX_VALUE, Log, lowered
 from pqsec_pki.vendors._nearest import nearest_texts
 
@@ -36,7 +37,7 @@ class Tells(StrEnum):
 class Message:
     """A row of the table: the messages of stacks for one reason."""
 
-    stacks: tuple[str, ...]
+    stacks: tuple[Stack, ...]
     code: int | None
     texts: tuple[str, ...]
     """{name} replaces words that vary."""
@@ -123,7 +124,7 @@ def _table() -> tuple[Message, ...]:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     return tuple(
         Message(
-            stacks=tuple(row["stacks"]),
+            stacks=tuple(map(stack_named, row["stacks"])),
             code=row.get("code"),
             texts=tuple(row.get("texts", ())),
             tells=Tells(row.get("tells", Tells.CAUSE)),

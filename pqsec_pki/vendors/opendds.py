@@ -11,6 +11,7 @@ from pqsec_pki.credentials import GOVERNANCE
 from pqsec_pki.documents import Governance, ProtectionKind
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.smime import document_in
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
 from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options
@@ -47,7 +48,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
     if enclave.has_crl:
         warnings += ["OpenDDS reads no revocation list (crl.pem): it accepts revoked participants"]
     return Export(
-        stack="opendds",
+        stack=Stack.OPENDDS,
         participant=enclave.name,
         files={
             INI: render("opendds.ini"),

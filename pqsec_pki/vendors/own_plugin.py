@@ -12,8 +12,9 @@ from pathlib import Path, PurePosixPath
 
 from pqsec_pki.credentials import KEY, REVOCATION_LIST
 from pqsec_pki.errors import FileError, PqsecError, VerificationError
-from pqsec_pki.lint import Finding, Severity, Target
+from pqsec_pki.lint import Finding, Severity
 from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.enclave import StackEnclave, standard_properties
 from pqsec_pki.vendors.exports import Options
 
@@ -56,7 +57,7 @@ def severity(finding: Finding, options: Options) -> Severity | None:
 def is_of_others(finding: Finding) -> bool:
     """Whether it matters only to the stacks' own plugins."""
     stacks = finding.rule.stacks
-    return bool(stacks) and stacks != {Target.ROS2}
+    return bool(stacks) and stacks != {Stack.ROS2}
 
 
 def refusal(enclave: StackEnclave, options: Options, now: datetime) -> VerificationError | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.cyclone_plugins import in_words
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
 from pqsec_pki.vendors.own_plugin import PRELOAD
@@ -16,8 +17,7 @@ from pqsec_pki.vendors.own_plugin import PRELOAD
 class InstalledPlugin:
     """pqsec's plugin for one stack."""
 
-    stack: str
-    """What a user types."""
+    stack: Stack
     title: str
     """The stack, with its version if the plugin is for one version."""
     file: Path
@@ -36,12 +36,14 @@ def installed_plugins(folder: Path) -> list[InstalledPlugin]:
 
 def _installed(folder: Path) -> Iterator[InstalledPlugin]:
     if (folder / LIBRARY).is_file():
-        yield InstalledPlugin(stack="cyclonedds", title="Cyclone DDS", file=folder / LIBRARY)
+        yield InstalledPlugin(
+            stack=Stack.CYCLONEDDS, title=Stack.CYCLONEDDS.product, file=folder / LIBRARY
+        )
     missing = "" if (folder / PRELOAD).is_file() else f"{PRELOAD} is missing"
     for each in installed(folder):
         yield InstalledPlugin(
-            stack="fastdds",
-            title=f"Fast DDS {in_words(each.release)}",
+            stack=Stack.FASTDDS,
+            title=f"{Stack.FASTDDS.product} {in_words(each.release)}",
             file=folder / PRELOAD,
             library=each.library,
             problem=missing or each.problem,

@@ -14,7 +14,8 @@ from pqsec_pki.credentials import REVOCATION_LIST
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.keystore import Keystore, regular_name
-from pqsec_pki.lint import Severity, Target, check
+from pqsec_pki.lint import Severity, check
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import _ros2_plugin, own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors._ros2_environment import (
@@ -70,7 +71,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
         middleware=_ros2_plugin.middleware(options),
     )
     return Export(
-        stack="ros2",
+        stack=Stack.ROS2,
         participant=enclave.name,
         files={SCRIPT: script, **(_copies(enclave, options) if options.at else {})},
         environment=EXACT | {KEYSTORE: keystore} | more,
@@ -158,7 +159,7 @@ def _domain(needs: Needs, variables: Mapping[str, str]) -> int | None:
 
 def _credentials(enclave: StackEnclave, options: Options, now: datetime) -> Iterator[Check]:
     """Findings of `pqsec check` that ROS 2, a stack below it or our plugin refuses."""
-    report = check([enclave.folder], now=now, targets=[Target.ROS2])
+    report = check([enclave.folder], now=now, targets=[Stack.ROS2])
     errors = [
         each for each in report.findings if own_plugin.severity(each, options) is Severity.ERROR
     ]

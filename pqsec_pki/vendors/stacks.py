@@ -6,9 +6,10 @@ from importlib import import_module
 
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lint import Finding, Severity, Target, check
+from pqsec_pki.lint import Finding, Severity, check
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.problems import Code, Problem
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Export, Options, Version
@@ -16,7 +17,7 @@ from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stack:
+class Exporter:
     """A stack, and the module of this room that writes its configuration.
 
     The module has `export(enclave, options) -> Export`, and may have
@@ -25,10 +26,7 @@ class Stack:
     findings that do not apply when our own plugin runs.
     """
 
-    name: str
-    """What a user types."""
-    title: str
-    target: Target
+    stack: Stack
     versions: str
     """The versions whose configuration is known, in words."""
     first: Version = ()
@@ -48,39 +46,37 @@ class Stack:
     def make(self, enclave: StackEnclave, options: Options) -> Export:
         """The export, unchecked; UsageError for an option that the stack cannot have."""
         if options.loopback and not self.knows_loopback:
-            able = ", ".join(each.name for each in STACKS if each.knows_loopback)
+            able = ", ".join(each.stack for each in EXPORTERS if each.knows_loopback)
             raise UsageError(
-                f"pqsec does not know how to restrict {self.title} to one machine",
+                f"pqsec does not know how to restrict {self.stack.product} to one machine",
                 hint=f"--loopback is for {able}",
             )
-        made: Export = import_module(f"pqsec_pki.vendors.{self.name}").export(enclave, options)
+        made: Export = import_module(f"pqsec_pki.vendors.{self.stack}").export(enclave, options)
         return made
 
     def refuse_unknown(self, options: Options) -> None:
         """UsageError for a version whose configuration is not known."""
         hint = f"exports are for {self.versions}"
         if options.version is not None and not self.has_numbers:
-            raise UsageError(f"versions of {self.title} have no numbers", hint=hint)
+            raise UsageError(f"versions of {self.stack.product} have no numbers", hint=hint)
         meant = options.release
         if meant and (meant < self.first or (self.end and meant >= self.end)):
             raise UsageError(
-                f"pqsec does not know the configuration of {self.title} {options.version}",
+                f"pqsec does not know the configuration of {self.stack.product} {options.version}",
                 hint=hint,
             )
 
     def severity(self, finding: Finding, options: Options) -> Severity | None:
         """The severity for this stack; None if the finding does not apply to it."""
-        module = import_module(f"pqsec_pki.vendors.{self.name}")
+        module = import_module(f"pqsec_pki.vendors.{self.stack}")
         judge = getattr(module, "severity", own_plugin.severity)
         judged: Severity | None = judge(finding, options)
         return judged
 
 
-STACKS = (
-    Stack(
-        name="cyclonedds",
-        title="Cyclone DDS",
-        target=Target.CYCLONEDDS,
+EXPORTERS = (
+    Exporter(
+        stack=Stack.CYCLONEDDS,
         versions="0.10 and later",
         first=(0, 10),
         knows_loopback=True,
@@ -88,10 +84,8 @@ STACKS = (
         loads_ours=(LIBRARY,),
         evidence="run",
     ),
-    Stack(
-        name="fastdds",
-        title="Fast DDS",
-        target=Target.FASTDDS,
+    Exporter(
+        stack=Stack.FASTDDS,
         versions="2.x and 3.x",
         first=(2,),
         end=(4,),
@@ -99,28 +93,22 @@ STACKS = (
         loads_ours=(PRELOAD,),
         evidence="run",
     ),
-    Stack(
-        name="opendds",
-        title="OpenDDS",
-        target=Target.OPENDDS,
+    Exporter(
+        stack=Stack.OPENDDS,
         versions="3.x",
         first=(3,),
         end=(4,),
         evidence="run with 3.13.3; later ones by their source",
     ),
-    Stack(
-        name="connext",
-        title="RTI Connext",
-        target=Target.CONNEXT,
+    Exporter(
+        stack=Stack.CONNEXT,
         versions="7.x",
         first=(7,),
         end=(8,),
         evidence="its documents; not run",
     ),
-    Stack(
-        name="ros2",
-        title="ROS 2",
-        target=Target.ROS2,
+    Exporter(
+        stack=Stack.ROS2,
         versions="Jazzy",
         has_numbers=False,
         knows_loopback=True,
@@ -130,13 +118,9 @@ STACKS = (
 )
 
 
-def stack_named(name: str) -> Stack:
-    """The stack `name`; UsageError, with all names, if there is none."""
-    for stack in STACKS:
-        if stack.name == name.lower():
-            return stack
-    known = ", ".join(stack.name for stack in STACKS)
-    raise UsageError(f"no stack named {name!r}", hint=f"known: {known}")
+def exporter_of(stack: Stack) -> Exporter:
+    """The row of that stack."""
+    return next(each for each in EXPORTERS if each.stack is stack)
 
 
 def export(
@@ -149,24 +133,25 @@ def export(
     `options.anyway`; UsageError if an option is not for that
     stack; KeystoreError if there is no such participant, FileError if our plugin is not there.
     """
-    stack.refuse_unknown(options)
-    _refuse_place(stack, options)
-    _refuse_plugin(stack, options)
+    exporter = exporter_of(stack)
+    exporter.refuse_unknown(options)
+    _refuse_place(exporter, options)
+    _refuse_plugin(exporter, options)
     enclave = StackEnclave.find(keystore, name, options.at)
     if options.password is not None and not enclave.key_is_encrypted:
         raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
-    made = stack.make(enclave, options)
-    report = check([enclave.folder], now=now, targets=[stack.target])
+    made = exporter.make(enclave, options)
+    report = check([enclave.folder], now=now, targets=[stack])
     found: dict[Severity | None, list[Finding]] = {}
     for finding in report.findings:
-        found.setdefault(stack.severity(finding, options), []).append(finding)
+        found.setdefault(exporter.severity(finding, options), []).append(finding)
     errors, warnings = found.get(Severity.ERROR, []), found.get(Severity.WARNING, [])
     told = {each.code for each in errors}
     problems = [_problem(each) for each in errors]
     problems += [each for each in enclave.refusals(now) if each.code not in told]
     refusal: VerificationError | None = None
     if problems:
-        refusal = VerificationError(*problems, hint=_way_out(stack, errors))
+        refusal = VerificationError(*problems, hint=_way_out(exporter, errors))
     else:
         refusal = own_plugin.refusal(enclave, options, now)
     if refusal and not options.anyway:
@@ -175,11 +160,11 @@ def export(
     return replace(made, warnings=(*made.warnings, *refused, *map(_message_of, warnings)))
 
 
-def _way_out(stack: Stack, errors: list[Finding]) -> str:
+def _way_out(exporter: Exporter, errors: list[Finding]) -> str:
     if not errors:
         return "`pqsec check` shows more"
     hint = errors[0].rule.fix
-    if stack.loads_ours and own_plugin.is_of_others(errors[0]):
+    if exporter.loads_ours and own_plugin.is_of_others(errors[0]):
         hint += " Or run pqsec's plugin in it: --plugin."
     return hint
 
@@ -188,28 +173,32 @@ def _problem(finding: Finding) -> Problem:
     return Problem(_message_of(finding), finding.code or Code.OTHER)
 
 
-def _refuse_place(stack: Stack, options: Options) -> None:
+def _refuse_place(exporter: Exporter, options: Options) -> None:
     """UsageError for paths of the stack's own plugins that cannot be configured."""
     places = [each for each in (options.plugins, options.crypto) if each]
-    if places and not stack.loads_plugins:
-        raise UsageError(f"the configuration of {stack.title} does not name security plugins")
+    if places and not exporter.loads_plugins:
+        raise UsageError(
+            f"the configuration of {exporter.stack.product} does not name security plugins"
+        )
     for each in places:
         if options.at and not each.is_absolute():
             raise UsageError(f"{each}: not an absolute path", hint="as it is there")
 
 
-def _refuse_plugin(stack: Stack, options: Options) -> None:
-    if options.rmw and (stack.target is not Target.ROS2 or options.plugin is None):
+def _refuse_plugin(exporter: Exporter, options: Options) -> None:
+    if options.rmw and (exporter.stack is not Stack.ROS2 or options.plugin is None):
         raise UsageError(
             "--rmw is for ros2 with --plugin", hint="it says which middleware runs the plugin"
         )
     if options.plugin is None:
         return
-    if not stack.loads_ours:
-        able = ", ".join(each.name for each in STACKS if each.loads_ours)
-        raise UsageError(f"{stack.title} cannot load pqsec's plugin", hint=f"it is for {able}")
-    preloads = stack.target is Target.ROS2 and options.runs_in == FASTRTPS
-    names = (PRELOAD,) if preloads else stack.loads_ours
+    if not exporter.loads_ours:
+        able = ", ".join(each.stack for each in EXPORTERS if each.loads_ours)
+        raise UsageError(
+            f"{exporter.stack.product} cannot load pqsec's plugin", hint=f"it is for {able}"
+        )
+    preloads = exporter.stack is Stack.ROS2 and options.runs_in == FASTRTPS
+    names = (PRELOAD,) if preloads else exporter.loads_ours
     if options.at and not options.plugin.is_absolute():
         raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")
     if not options.at:  # another machine cannot be checked from here

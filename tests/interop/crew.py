@@ -8,7 +8,8 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.documents import permissions_from_yaml
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.vendors import Options, export, stack_named, write
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, export, write
 from tests.interop.conftest import YEAR, Lab
 
 POLICY = b"""

@@ -11,7 +11,8 @@ import pytest
 from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.vendors import Options, StackEnclave, export, stack_named, write
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, StackEnclave, export, exporter_of, write
 from pqsec_pki.vendors.cyclone_plugins import installed_plugins, read_plugin
 from tests.interop.conftest import NOT_STOCK, STOCK
 from tests.interop.fastdds import find_compiler
@@ -220,7 +221,7 @@ def test_opendds_header_compiles_and_holds_the_values_that_were_meant(own, tmp_p
     keystore = own(name=f'{ODD} "??/ \\')
     encrypt(keystore, "secret")
     enclave = StackEnclave.find(keystore, "/lab/alice")
-    write(stack_named("opendds").make(enclave, Options()), tmp_path / "conf")
+    write(exporter_of(stack_named("opendds")).make(enclave, Options()), tmp_path / "conf")
     (tmp_path / "dds").mkdir()
     shutil.copy(HERE / "opendds_stub.h", tmp_path / "dds/DdsDcpsInfrastructureC.h")
     (tmp_path / "main.cpp").write_text(

@@ -13,8 +13,9 @@ import pytest
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.stacks import stack_named
 from pqsec_pki.trial import MissingStackError, find
-from pqsec_pki.vendors import Options, export, stack_named, write
+from pqsec_pki.vendors import Options, export, write
 from tests.interop.conftest import LAB_PROFILES
 from tests.interop.test_trials import TRIXIE
 

@@ -8,7 +8,8 @@ from pqsec_pki.documents import ros
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.vendors import Options, export, stack_named, write
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, export, write
 from pqsec_pki.vendors.messages import recognise
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR, Lab
 

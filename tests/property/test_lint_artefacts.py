@@ -7,7 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pqsec_pki.lint import Finding, Target, check
+from pqsec_pki.lint import Finding, check
+from pqsec_pki.stacks import Stack
 from tests.longer import examples
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab
@@ -54,7 +55,7 @@ def test_a_garbled_file_is_a_finding_or_nothing(lab, name, cuts, inside):
     sound = path.read_bytes()
     try:
         path.write_bytes(garbled(sound, cuts, inside=inside))
-        findings = check([lab.root], now=NOW, targets=list(Target)).findings
+        findings = check([lab.root], now=NOW, targets=list(Stack)).findings
     finally:
         path.write_bytes(sound)
     assert all(isinstance(each, Finding) and each.message.isprintable() for each in findings)

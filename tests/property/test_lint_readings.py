@@ -21,7 +21,8 @@ from pqsec_pki.documents import (
     PermissionRule,
     Permissions,
 )
-from pqsec_pki.lint import Target, check
+from pqsec_pki.lint import check
+from pqsec_pki.stacks import Stack
 from tests.docs.stack_differences import HABITS
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -110,7 +111,7 @@ def test_a_stack_that_reads_otherwise_is_told_of(interpretation, tmp_path):
         policy = governance(chance), permissions(chance)
         for name, document in zip(("governance.xml", "permissions.xml"), policy, strict=True):
             (tmp_path / name).write_bytes(document.to_xml())
-        findings = check([tmp_path], now=NOW, targets=[Target(interpretation.name)]).findings
+        findings = check([tmp_path], now=NOW, targets=[Stack(interpretation.name)]).findings
         if ours & {each.rule.id for each in findings}:
             loud += differs(policy, interpretation)
         else:

@@ -12,10 +12,10 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.errors import ExistsError, FileError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.problems import Code
-from pqsec_pki.vendors import STACKS, Export, Options, StackEnclave, export, stack_named, write
+from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack, stack_named
+from pqsec_pki.vendors import Export, Options, StackEnclave, export, exporter_of, write
 from pqsec_pki.vendors.cyclone_plugins import NAMES, installed_plugins
 from pqsec_pki.vendors.exports import FOLDER
-from pqsec_pki.vendors.fastdds import LIMITED
 from tests.unit.keystores import NOW, made
 
 FAST, CYCLONE = "{http://www.eprosima.com}", "{https://cdds.io/config}"
@@ -67,7 +67,7 @@ def unchecked(stack, keystore, **options):
     """The export of /talker, without the check that comes before."""
     wanted = Options(**options)
     enclave = StackEnclave.find(keystore, "/talker", wanted.at)
-    return stack_named(stack).make(enclave, wanted)
+    return exporter_of(stack_named(stack)).make(enclave, wanted)
 
 
 def checked(stack, keystore, **options):
@@ -363,7 +363,7 @@ def test_fast_dds_on_loopback_uses_one_transport(models):
     assert {each.text for each in root.iter(f"{FAST}transport_id")} == {"loopback"}
 
 
-@pytest.mark.parametrize("version", [".".join(map(str, each)) for each in LIMITED])
+@pytest.mark.parametrize("version", [".".join(map(str, each)) for each in FAST_DDS_LIMIT.versions])
 def test_fast_dds_that_cannot_send_large_messages_is_refused_them(models, version):
     with pytest.raises(VerificationError, match="over 8192") as refusal:
         checked("fastdds", models("transition"), version=version)
@@ -577,10 +577,10 @@ def test_what_is_no_version_is_refused(version):
 
 
 def test_a_stack_is_found_by_name():
-    assert stack_named("FastDDS").title == "Fast DDS"
+    assert stack_named("FastDDS").product == "Fast DDS"
     with pytest.raises(UsageError, match="no stack named") as refusal:
         stack_named("zenoh")
-    assert all(stack.name in refusal.value.hint for stack in STACKS)
+    assert all(stack in refusal.value.hint for stack in Stack)
 
 
 # Writing
@@ -700,7 +700,7 @@ def test_commands_are_quoted_for_the_shell(tmp_path):
     assert made.commands(folder) == [f"export V='file://{quoted[1:]}/main'", f"run {quoted}'/main"]
 
 
-@pytest.mark.parametrize("stack", [each.name for each in STACKS])
+@pytest.mark.parametrize("stack", list(Stack))
 def test_credentials_that_cannot_be_trusted_are_exported_only_if_told_to(own, stack):
     keystore = own()
     ca = keystore.root / "public/identity_ca.cert.pem"

@@ -18,7 +18,8 @@ import pytest
 from pqsec_pki.errors import FileError, MalformedError, UsageError
 from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.calls import CALLS, VERSION
-from pqsec_pki.vendors import Options, export, stack_named
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, installed
 from pqsec_pki.vendors.fastdds_library import AdapterError, examine, find_fastdds, table_of

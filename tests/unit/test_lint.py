@@ -16,13 +16,13 @@ from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.lint import (
     RULES,
     Severity,
-    Target,
     _search,
     check,
     from_option,
     rule_named,
     to_sarif,
 )
+from pqsec_pki.stacks import Stack
 from tests.unit.test_lint_documents import GOVERNANCE, NOW, PERMISSIONS, governance, topic
 
 OPEN = governance(">*<", ">rt/*<")  # PQS229, a warning
@@ -145,16 +145,16 @@ def test_of_a_signed_file_and_its_source_only_the_source_is_told(tmp_path):
 def test_rules_for_stacks_that_are_not_meant_are_not_asked(tmp_path):
     files = {"permissions.xml": topic("rt/[^a]")}
     assert [id_ for id_, *_ in told(checked(tmp_path, files))] == ["PQS236"]
-    assert told(checked(tmp_path, targets=[Target.FASTDDS])) == []
-    assert told(checked(tmp_path, targets=[Target.FASTDDS, Target.CYCLONEDDS])) != []
+    assert told(checked(tmp_path, targets=[Stack.FASTDDS])) == []
+    assert told(checked(tmp_path, targets=[Stack.FASTDDS, Stack.CYCLONEDDS])) != []
 
 
 def test_a_rule_that_contradicts_another_stack_is_asked_only_when_that_is_meant():
     rule = RULES["PQS416"]
     assert not rule.matters_to(frozenset())
-    assert rule.matters_to(frozenset({Target.OPENDDS}))
-    assert not rule.matters_to(frozenset({Target.CYCLONEDDS}))
-    assert RULES["PQS202"].matters_to(frozenset({Target.CYCLONEDDS}))
+    assert rule.matters_to(frozenset({Stack.OPENDDS}))
+    assert not rule.matters_to(frozenset({Stack.CYCLONEDDS}))
+    assert RULES["PQS202"].matters_to(frozenset({Stack.CYCLONEDDS}))
 
 
 # Suppressions
@@ -233,7 +233,7 @@ def test_an_entry_holds_beside_those_that_cannot_be_read(tmp_path):
 def test_a_suppression_for_other_stacks_is_not_called_superfluous(tmp_path):
     files = {"permissions.xml": topic("rt/[^a]")}
     with_suppressions(tmp_path, ENTRY.replace("229", "236"), files)
-    assert told(checked(tmp_path, targets=[Target.FASTDDS])) == []
+    assert told(checked(tmp_path, targets=[Stack.FASTDDS])) == []
 
 
 def test_one_file_of_a_folder_is_checked_with_the_folders_suppressions(tmp_path):

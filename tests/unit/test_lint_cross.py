@@ -16,10 +16,11 @@ from pqsec_pki._asn1 import ContentInfo, Oid, algorithm, encode
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, load_private_key, pem
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Permissions
-from pqsec_pki.lint import Target, check
+from pqsec_pki.lint import check
 from pqsec_pki.smime import Signer, document_in, sign, signers_in
 from pqsec_pki.smime._cms import SIGNED_DATA, parse
 from pqsec_pki.smime._mime import split
+from pqsec_pki.stacks import Stack
 from tests.unit.keystores import DAY, NOW, TWO, made
 from tests.unit.linting import TALKER, Lab, certificate, found, p256
 from tests.unit.signed_files import CONSTRUCTIONS
@@ -42,7 +43,7 @@ def other(lab, profile="classical"):
 
 
 @pytest.mark.parametrize("profile", [profile.name for profile in PROFILES])
-@pytest.mark.parametrize("target", [None, Target.ROS2])
+@pytest.mark.parametrize("target", [None, Stack.ROS2])
 def test_a_keystore_of_ours_has_no_flaw(tmp_path, profile, target):
     lab = Lab(tmp_path, profile)
     pq_only = {"hybrid", "pq", "cnsa2"} if target else set()
@@ -230,7 +231,7 @@ def test_a_certificate_of_an_intermediate_ca_is_found(lab):
         "PQS316",
         "PQS319",
     }  # that of the key is right too
-    assert "PQS316" not in lab.found(Target.FASTDDS)
+    assert "PQS316" not in lab.found(Stack.FASTDDS)
 
 
 def test_a_certificate_of_a_ca_of_another_name_is_found(lab):
@@ -369,7 +370,7 @@ def test_times_of_a_grant(lab, rules, begin, end):
 
 def test_who_does_not_run_fast_dds_may_write_fresh_grants(lab):
     regrant(lab, not_before=NOW - timedelta(hours=1), not_after=NOW + 90 * DAY)
-    assert lab.found(Target.CYCLONEDDS) == {}
+    assert lab.found(Stack.CYCLONEDDS) == {}
 
 
 def test_a_keystore_that_is_left_alone_runs_out(lab):

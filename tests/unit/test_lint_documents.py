@@ -6,8 +6,9 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from pqsec_pki.documents import PRESETS, DomainSet, Governance, Grant, Permissions
-from pqsec_pki.lint import RULES, Severity, Target, check
+from pqsec_pki.lint import RULES, Severity, check
 from pqsec_pki.lint.documents.expressions import _BRACE, _ODD_BRACKET
+from pqsec_pki.stacks import Stack
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -331,10 +332,10 @@ def test_brackets_and_commas_beyond_number_are_gone_through_once(text):
 
 
 @pytest.mark.parametrize("text", [GOVERNANCE, PERMISSIONS], ids=["governance", "permissions"])
-@pytest.mark.parametrize("target", [None, *Target])
+@pytest.mark.parametrize("target", [None, *Stack])
 def test_the_documents_the_flaws_are_made_from_have_none(text, target, tmp_path):
     found = found_in(tmp_path, text, *([target] if target else []))
-    is_unfit = target is Target.OPENDDS and text is GOVERNANCE  # OpenDDS creates no participant
+    is_unfit = target is Stack.OPENDDS and text is GOVERNANCE  # OpenDDS creates no participant
     assert [each.rule.id for each in found] == ["PQS230"] * is_unfit
 
 

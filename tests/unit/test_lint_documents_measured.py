@@ -8,7 +8,8 @@ import re
 
 import pytest
 
-from pqsec_pki.lint import Severity, Target
+from pqsec_pki.lint import Severity
+from pqsec_pki.stacks import Stack
 from tests.docs.rules_page import MEASURED
 from tests.unit.test_lint_documents import (
     ALLOW,
@@ -113,7 +114,7 @@ VARIANTS = {
     "`[!A-C]`, `[S-U]`, `?`, `*` crossing `/`": [topic("rt/[!A-C]"), topic("[S-U]?*")],
     "brace `{T,U}` in topic": [topic("rt/{T,U}")],
 }  # fmt: skip
-CYCLONE, FAST = Target.CYCLONEDDS, Target.FASTDDS
+CYCLONE, FAST = Stack.CYCLONEDDS, Stack.FASTDDS
 OTHERWISE = {
     ("garbage not_before (silently accepted!)", CYCLONE): "a hole: it is taken without a word",
     ("`<default>` missing or lower case", CYCLONE): "`allow` is taken for DENY without a word",

@@ -22,7 +22,8 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from pqsec_pki.documents import DomainSet, Governance, Grant, Permissions
-from pqsec_pki.lint import Severity, Target, check
+from pqsec_pki.lint import Severity, check
+from pqsec_pki.stacks import Stack
 from tests.docs.rules_page import MEASURED as ROWS
 from tests.unit.keystores import DAY, NOW
 from tests.unit.linting import YEAR, certificate, p256, usage
@@ -246,5 +247,5 @@ def has_error(folder, target):
 def test_an_error_is_told_to_those_whose_stack_refuses(tmp_path, row, variant):
     site(tmp_path, **variant)
     cyclonedds, fastdds = VERDICTS[row][:3], VERDICTS[row][3:]
-    assert has_error(tmp_path, Target.CYCLONEDDS) is bool({"R", "X"} & set(cyclonedds))
-    assert has_error(tmp_path, Target.FASTDDS) is bool({"R", "X"} & set(fastdds))
+    assert has_error(tmp_path, Stack.CYCLONEDDS) is bool({"R", "X"} & set(cyclonedds))
+    assert has_error(tmp_path, Stack.FASTDDS) is bool({"R", "X"} & set(fastdds))

@@ -7,9 +7,9 @@ import pytest
 from pqsec_pki.algorithms import PROFILES, STOCK_AGREEMENT
 from pqsec_pki.documents import Criteria, Permissions
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lint import Target
-from pqsec_pki.lint.enclaves.size import DATAGRAM, FAST_DDS_LIMIT, FRAGMENT, MANY, reply_size
+from pqsec_pki.lint.enclaves.size import DATAGRAM, FRAGMENT, MANY, reply_size
 from pqsec_pki.selfcheck import verify_handshake
+from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab
 
@@ -44,15 +44,15 @@ def with_topics(lab, number):
 @pytest.mark.parametrize(
     ("profile", "topics", "targets", "rules"),
     [
-        ("classical", 0, [Target.FASTDDS], set()),
+        ("classical", 0, [Stack.FASTDDS], set()),
         ("classical", 80, [], set()),
-        ("classical", 80, [Target.CYCLONEDDS], set()),
-        ("classical", 80, [Target.FASTDDS], {"PQS501"}),
-        ("transition", 0, [Target.FASTDDS], {"PQS501"}),
-        ("transition", 0, [Target.OPENDDS], set()),
+        ("classical", 80, [Stack.CYCLONEDDS], set()),
+        ("classical", 80, [Stack.FASTDDS], {"PQS501"}),
+        ("transition", 0, [Stack.FASTDDS], {"PQS501"}),
+        ("transition", 0, [Stack.OPENDDS], set()),
         ("classical", 900, [], {"PQS503"}),
         ("classical", 1500, [], {"PQS502", "PQS503"}),
-        ("classical", 1500, [Target.CYCLONEDDS], {"PQS503"}),
+        ("classical", 1500, [Stack.CYCLONEDDS], {"PQS503"}),
         ("cnsa2", 0, [], set()),
         ("classical", 5000, [], {"PQS502", "PQS503", "PQS504"}),
     ],
@@ -66,17 +66,17 @@ def test_sizes(tmp_path, profile, topics, targets, rules):
 
 def test_a_limit_is_told_with_what_it_is_made_of(tmp_path):
     lab = Lab(tmp_path)
-    finding = lab.found(Target.FASTDDS)["PQS501"]
+    finding = lab.found(Stack.FASTDDS)["PQS501"]
     certificate, permissions = (
         (lab / TALKER / name).read_bytes() for name in ("cert.pem", "permissions.p7s")
     )
     assert str(len(certificate)) in finding.message
     assert finding.path.name in {"talker", "listener"}
-    assert len(certificate) + len(permissions) < 2 * FAST_DDS_LIMIT
+    assert len(certificate) + len(permissions) < 2 * FAST_DDS_LIMIT.size
 
 
 def test_the_limits_stand_in_their_order():
-    assert FAST_DDS_LIMIT < MANY * FRAGMENT < DATAGRAM
+    assert FAST_DDS_LIMIT.size < MANY * FRAGMENT < DATAGRAM
 
 
 def test_stock_stacks_are_reckoned_with_their_own_suite(tmp_path):

@@ -12,7 +12,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from pqsec_pki._asn1 import Signed, TBSCertList, bits, decode, encode, raw
 from pqsec_pki.algorithms import SIGNATURES, pem, unpem
 from pqsec_pki.certificates import Authority
-from pqsec_pki.lint import Target
+from pqsec_pki.stacks import Stack
 from tests.unit.keystores import DAY, NOW
 from tests.unit.linting import (
     TALKER,
@@ -200,7 +200,7 @@ def test_what_stacks_take_is_not_complained_of(tmp_path, make):
 
 @pytest.mark.parametrize(
     ("rule", "target"),
-    [("PQS101", Target.FASTDDS), ("PQS104", Target.CYCLONEDDS), ("PQS113", Target.OPENDDS)],
+    [("PQS101", Stack.FASTDDS), ("PQS104", Stack.CYCLONEDDS), ("PQS113", Stack.OPENDDS)],
 )
 def test_what_one_stack_minds_is_not_told_to_the_others(tmp_path, rule, target):
     made = FLAWED[rule][0]()
@@ -217,9 +217,9 @@ def test_ros_2_cannot_open_encrypted_keys(tmp_path, format_):
     )
     (tmp_path / "key.pem").write_bytes(text)
     (tmp_path / "key.pem").chmod(0o600)
-    assert "PQS150" in found(tmp_path, targets=[Target.ROS2])
+    assert "PQS150" in found(tmp_path, targets=[Stack.ROS2])
     assert "PQS150" not in found(tmp_path)
-    assert "PQS150" not in found(tmp_path, targets=[Target.CYCLONEDDS])
+    assert "PQS150" not in found(tmp_path, targets=[Stack.CYCLONEDDS])
 
 
 def crl(
@@ -331,5 +331,5 @@ def test_of_a_list_that_cannot_be_checked_nothing_false_is_said(lab):
 
 def test_opendds_reads_no_revocation_list(lab):
     give(lab, crl(key=ca_key(lab)))
-    assert "PQS147" in lab.found(Target.OPENDDS)
+    assert "PQS147" in lab.found(Stack.OPENDDS)
     assert lab.found() == {}

@@ -35,8 +35,9 @@ from pqsec_pki.policy import policy_input_of
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.smime import Signer, document_in, sign
+from pqsec_pki.stacks import stack_named
 from pqsec_pki.trial import refuse_untrusted
-from pqsec_pki.vendors import Options, export, stack_named
+from pqsec_pki.vendors import Options, export
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.plugin_wire import refusals
 from tests.unit.signed_files import CONSTRUCTIONS

@@ -15,7 +15,8 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.lint import RULES, Finding
 from pqsec_pki.plugin import LIBRARY, NAMES
-from pqsec_pki.vendors import Options, export, stack_named
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors.ros2 import preflight
 from tests.unit.keystores import DAY, NOW
 

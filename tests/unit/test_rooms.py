@@ -12,9 +12,26 @@ from types import ModuleType
 import pytest
 
 import pqsec_pki
+from pqsec_pki.access import INTERPRETATIONS, SPEC
+from pqsec_pki.cli.explain_error import STACKS as STACKS_WITH_MESSAGES
+from pqsec_pki.selfcheck import PQSEC
+from pqsec_pki.selfcheck import STACKS as SIMULATED
+from pqsec_pki.stacks import Stack
+from pqsec_pki.vendors import EXPORTERS
+from pqsec_pki.vendors.messages import messages
 
 ROOT = Path(pqsec_pki.__file__).parent
-GROUND = {"errors", "problems", "_assets", "_files", "_lazy", "_owners", "_processes", "_asn1"}
+GROUND = {
+    "errors",
+    "problems",
+    "stacks",
+    "_assets",
+    "_files",
+    "_lazy",
+    "_owners",
+    "_processes",
+    "_asn1",
+}
 ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))
 
 # A room may import the rooms named here, and the ground.
@@ -110,6 +127,31 @@ def test_no_message_is_parsed_back():
     assert {name: calls for name, calls in found.items() if calls} == {}
     assert list(parsed_messages("str(error).removeprefix(f'{path}: ')"))
     assert list(parsed_messages("problem.message.startswith('is not expected here')"))
+
+
+def stacks_in(source: str) -> Iterator[str]:
+    """The strings in `source` that are the name or the product of a stack, and nothing else."""
+    tree = ast.parse(source)
+    known = {each.value for each in Stack} | {each.product for each in Stack}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in known:
+            yield node.value
+
+
+def test_no_stack_is_named_outside_the_one_table():
+    here = {ROOT / "stacks.py"}
+    found = {str(path): list(stacks_in(path.read_text())) for path in {*ROOT.rglob("*.py")} - here}
+    source = found.pop(str(ROOT / "vendors/fastdds_adapter.py"))  # the name of a folder
+    assert {name: texts for name, texts in found.items() if texts} == {}
+    assert source == [Stack.FASTDDS]
+    assert list(stacks_in("row = Row(title='RTI Connext')")) == [Stack.CONNEXT.product]
+
+
+def test_every_row_of_a_room_is_for_a_stack_of_the_table():
+    assert [each.stack for each in EXPORTERS] == list(Stack)
+    assert {stack for each in messages() for stack in each.stacks} == {*STACKS_WITH_MESSAGES}
+    rows = {each.name.partition("-")[0] for each in (*INTERPRETATIONS, *SIMULATED)}
+    assert rows - {SPEC.name, PQSEC.name} < {*Stack}
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -12,7 +12,8 @@ from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.vendors import Options, export, stack_named, write
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, export, write
 from pqsec_pki.vendors.enclave import SIX
 from pqsec_pki.vendors.ros2 import preflight
 

@@ -12,8 +12,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.lint.certificates._keys import extension, is_ca
 from pqsec_pki.lint.roles import CertificateRole
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
+from pqsec_pki.stacks import Stack
 
 _OLD = "Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1"
 
@@ -91,7 +92,7 @@ def identity_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violation]:
     why="Fast DDS 3.1.2 and later check the CA against itself, strictly. A certificate that is"
     " marked as a CA and has keyUsage must include keyCertSign.",
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
-    stacks=(Target.FASTDDS,),
+    stacks=(Stack.FASTDDS,),
     rows=("KU digitalSignature only",), measured="Fast DDS 3.1.2, 3.6.2",
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
@@ -118,7 +119,7 @@ def permissions_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violatio
     why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer. If keyUsage is"
     " present, it must include digitalSignature.",
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
-    stacks=(Target.CYCLONEDDS, Target.FASTDDS),
+    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
     rows=("KU keyCertSign+cRLSign only (no digitalSignature)",), measured=_OLD,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
@@ -143,7 +144,7 @@ def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
     why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer. If"
     " extendedKeyUsage is present, it must include emailProtection.",
     fix="Create the CA without extendedKeyUsage.",
-    stacks=(Target.CYCLONEDDS, Target.FASTDDS),
+    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
     rows=("EKU serverAuth",), measured=_OLD,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \

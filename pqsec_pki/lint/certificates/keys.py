@@ -11,8 +11,9 @@ from pqsec_pki.credentials import KEYS
 from pqsec_pki.lint.certificates._keys import UNREADABLE, family_of, key_kind
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.roles import CertificateRole
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
+from pqsec_pki.stacks import Stack
 
 WEAKEST_RSA = 2048
 """Bits: the minimum in DDS-Security 1.1 and NIST SP 800-131A."""
@@ -42,7 +43,7 @@ _BROKEN = {
     why="Cyclone DDS supports only P-256 and RSA-2048 for identity CAs and participants, with any"
     " version of OpenSSL. For other keys it reports 'algorithm unknown (code: 125)'.",
     fix="Use ecdsa-p256, the default of pqsec, for the identity CA and the participants.",
-    stacks=(Target.CYCLONEDDS,),
+    stacks=(Stack.CYCLONEDDS,),
     rows=(
         "identity CA P-384, leaf P-256", "leaf P-384", "all RSA-3072", "all RSA-4096",
         "identity CA RSA-4096, leaf P-256",
@@ -121,7 +122,7 @@ def mistaken_for_p256(file: CertificateFile) -> Iterator[Violation]:
     why="Fast DDS reads the algorithm from the certificate's signature and supports only SHA-256"
     " with ECDSA or RSA (PKCS #1 v1.5). Its error message is empty.",
     fix="Sign certificates with SHA-256: use -sha256, and no -sigopt rsa_padding_mode:pss.",
-    stacks=(Target.FASTDDS,),
+    stacks=(Stack.FASTDDS,),
     rows=("certs signed ecdsa-with-SHA384 or SHA512", "certs signed RSASSA-PSS"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="$ openssl req -x509 -key key.pem -sha384 -subj /CN=talker -out cert.pem",
@@ -185,7 +186,7 @@ def empty_subject(file: CertificateFile) -> Iterator[Violation]:
     "PQS150", Severity.ERROR, "ROS 2 cannot open an encrypted private key",
     why="ROS 2 has no setting to pass the passphrase to the middleware.",
     fix="Leave the key unencrypted, with mode 0600, on an encrypted disk.",
-    stacks=(Target.ROS2,), only_when_asked=True,
+    stacks=(Stack.ROS2,), only_when_asked=True,
     rows=("wrong / missing password",),
     measured="source of rmw_dds_common (security.cpp)",
     bad="$ openssl pkcs8 -topk8 -passout pass:secret -in k/enclaves/talker/key.pem -out key.pem",

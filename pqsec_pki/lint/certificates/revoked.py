@@ -6,8 +6,9 @@ from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import key_of
 from pqsec_pki.lint.certificates.revocation import NEW_LIST
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
+from pqsec_pki.stacks import Stack
 
 _BAD_LIST = "CRL expired / wrong CA / bad signature"
 
@@ -77,7 +78,7 @@ def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     why="OpenDDS still accepts a revoked participant: its documentation lists 'CRL and OCSP' as not"
     " implemented.",
     fix="Issue certificates with a short validity, or replace the identity CA.",
-    stacks=(Target.OPENDDS,), only_when_asked=True,
+    stacks=(Stack.OPENDDS,), only_when_asked=True,
     measured="OpenDDS 3.13.3, and the plugins of 3.34: a revoked sender was heard",
     bad="$ pqsec -k k revoke /listener",
     good="""

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 
 from pqsec_pki.certificates.authority import LAST_YEAR
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
+from pqsec_pki.stacks import Stack
 
 SOON = timedelta(days=30)
 
@@ -79,7 +80,7 @@ def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
     why="Fast DDS (3.6.2) counts nanoseconds in 64 bits, which overflow in 2262. It reports 'Local"
     " identity certificate has expired' and crashes.",
     fix=f"Issue the certificate with an end in {LAST_YEAR} at the latest.",
-    stacks=(Target.FASTDDS,),
+    stacks=(Stack.FASTDDS,),
     rows=("cert notAfter 9999 (or 2500)",),
     measured="Fast DDS 3.6.2",
     bad="$ openssl req -x509 -key key.pem -days 100000 -subj /CN=talker -out cert.pem",

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 
 from pqsec_pki.documents import Node
 from pqsec_pki.lint.document import Document
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
 MAX_DOMAIN = 230
-_CYCLONE = Target.CYCLONEDDS
+_CYCLONE = Stack.CYCLONEDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 

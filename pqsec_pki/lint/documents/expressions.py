@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 from pqsec_pki.access import opendds_reads_beyond
 from pqsec_pki.lint.document import Document
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
 MAX_STARS = 4
@@ -15,7 +16,7 @@ _PATTERNS = ("topic", "topic_expression", "partition")
 # Brackets that Cyclone DDS reads differently: []a], [a-], [a]-b, [[:digit:]], and an open one.
 # The expression starts at the last [ of each, so that the search takes linear time.
 _ODD_BRACKET = re.compile(r"\[(?:[!^]?\]|[^\[\]]*+(?:(?<=-)\]|\]-|\[[:.=]|\Z))")
-_CYCLONE, _OPENDDS = Target.CYCLONEDDS, Target.OPENDDS
+_CYCLONE, _OPENDDS = Stack.CYCLONEDDS, Stack.OPENDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 
@@ -141,7 +142,7 @@ def star_inside(document: Document) -> Iterator[Violation]:
     why="Cyclone DDS lets every participant of the domain use its builtin topics, such as"
     " DCPSTopic. Governance and permissions have no effect on them.",
     fix="Give the topic another name.",
-    stacks=(Target.CYCLONEDDS,), measured="Cyclone DDS 0.10.2",
+    stacks=(Stack.CYCLONEDDS,), measured="Cyclone DDS 0.10.2",
     bad="<topic>DCPSTopic</topic>",
     good="<topic>rt/chatter</topic>",
 )  # fmt: skip

@@ -5,10 +5,11 @@ from itertools import pairwise
 
 from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.documents._elements import CHILDREN, NEW, SCHEMA_ATTRIBUTES
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-_CYCLONE, _FAST = Target.CYCLONEDDS, Target.FASTDDS
+_CYCLONE, _FAST = Stack.CYCLONEDDS, Stack.FASTDDS
 
 _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2, all six"
 

@@ -21,11 +21,12 @@ from pqsec_pki.lint.documents.xml_values import (
     spaces,
 )
 from pqsec_pki.lint.permissions.times import unreadable_time
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.problems import Code
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-_CYCLONE, _FAST = Target.CYCLONEDDS, Target.FASTDDS
+_CYCLONE, _FAST = Stack.CYCLONEDDS, Stack.FASTDDS
 
 _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2, all six"
 

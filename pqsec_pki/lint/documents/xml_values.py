@@ -4,10 +4,11 @@ from collections.abc import Iterator
 
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.documents._elements import BOOLEANS, KINDS, NAMES, NEEDED, WORDS
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-_FAST, _OPENDDS = Target.FASTDDS, Target.OPENDDS
+_FAST, _OPENDDS = Stack.FASTDDS, Stack.OPENDDS
 _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2, all six"
 
 

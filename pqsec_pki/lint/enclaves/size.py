@@ -28,11 +28,10 @@ from pqsec_pki.handshake import (
 )
 from pqsec_pki.handshake.messages import HASH_SIZE
 from pqsec_pki.handshake.wire import GUID_SIZE, MAX_TOKEN
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
+from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack
 
-FAST_DDS_LIMIT = 8192
-"""Bytes of a message in Fast DDS 2.14.4, 3.0.2, 3.1.1 to 3.1.3 and 3.2.0 to 3.2.2."""
 DATAGRAM = 65507
 """Bytes: the largest UDP payload over IPv4, in which Fast DDS sends a message whole."""
 FRAGMENT = 1344
@@ -66,7 +65,7 @@ class LargestMessage:
     " 'Cannot serialize ParticipantGenericMessage', and sometimes crash the peer.",
     fix=f"{_SMALLER}, use the classical profile, or use another version. 2.14.5 and 3.2.3 have the"
     " fix.",
-    stacks=(Target.FASTDDS,), only_when_asked=True,
+    stacks=(Stack.FASTDDS,), only_when_asked=True,
     rows=(
         "EC P-256 + X.509 alt ML-DSA-44/65/87 (5.8/7.8/10.5 KB PEM)", "RSA-2048 + alt ML-DSA-65",
         "leaf padded +4…32 KB", "all RSA-4096",
@@ -86,8 +85,10 @@ class LargestMessage:
 )  # fmt: skip
 def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     for size in _sizes(inventory, None):
-        if size.message > FAST_DDS_LIMIT:
-            words = f"{size.found}: over {FAST_DDS_LIMIT}, too large for some versions of Fast DDS"
+        if size.message > FAST_DDS_LIMIT.size:
+            words = (
+                f"{size.found}: over {FAST_DDS_LIMIT.size}, too large for some versions of Fast DDS"
+            )
             yield _found(size, words)
 
 
@@ -95,7 +96,7 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     "PQS502", Severity.ERROR, "the handshake does not fit into a datagram",
     why="Fast DDS (2.9.1, 3.1.2) cannot send more than 64 KB. Fast DDS 3.6.2 and Cyclone DDS can.",
     fix=f"{_SMALLER}, or a smaller certificate.",
-    stacks=(Target.FASTDDS,),
+    stacks=(Stack.FASTDDS,),
     rows=("leaf padded +48…128 KB", "permissions document 512 KB"),
     measured="Fast DDS 2.9.1, 3.1.2",
     bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..1500})",

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pqsec_pki.documents import TopicRule
 from pqsec_pki.lint.document import GovernanceFile
 from pqsec_pki.lint.documents._shadows import Patterns, covers_all, covers_domains
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
 MAX_COMPARED = 64
@@ -109,7 +110,7 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
     " other stacks accept this governance, and pqsec writes it.",
     fix="For OpenDDS, add a first topic rule for a name that is not used, with"
     " enable_read_access_control false. It opens no other topic.",
-    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    stacks=(Stack.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
     bad="""
         <topic_rule>
           <topic_expression>*</topic_expression>
@@ -144,7 +145,7 @@ def no_participant_in_opendds(document: GovernanceFile) -> Iterator[Violation]:
     " without access control opens topics that an earlier rule protects.",
     fix="For OpenDDS, change the expression of the open rule so that it does not match the"
     " protected topics.",
-    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    stacks=(Stack.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
     bad="""
         <topic_rule>
           <topic_expression>rt/cmd</topic_expression>

@@ -9,11 +9,12 @@ from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import CUTS, parsed
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-_CYCLONE = Target.CYCLONEDDS
+_CYCLONE = Stack.CYCLONEDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 

@@ -6,10 +6,11 @@ from pqsec_pki.documents import DefaultAction, Grant
 from pqsec_pki.lint.document import ACTIONS, PermissionsFile
 from pqsec_pki.lint.documents._shadows import covers_all
 from pqsec_pki.lint.permissions._names import parsed, shown
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
-_CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
+_CYCLONE, _FAST, _OPENDDS = Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS
 
 
 @lint_rule(

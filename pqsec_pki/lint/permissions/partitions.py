@@ -6,10 +6,11 @@ from itertools import pairwise
 
 from pqsec_pki.lint.document import ACTIONS, PermissionsFile
 from pqsec_pki.lint.permissions._names import criteria_of
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
-_CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
+_CYCLONE, _FAST, _OPENDDS = Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS
 _INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
 
 
@@ -148,7 +149,7 @@ def _some(words: tuple[str, ...]) -> str:
     why="In OpenDDS, an allow_rule with partitions also applies to an endpoint without a"
     " partition.",
     fix="Do not use partitions to separate participants with OpenDDS; use other topics.",
-    stacks=(Target.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    stacks=(Stack.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
     rows=("allow partition P, endpoint in none",),
     bad="""
         <publish>
@@ -177,7 +178,7 @@ def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
     " matches the name floor*, and an endpoint in floor* receives what is sent in floor12. The"
     " plugin of pqsec and `pqsec explain` check everything that the wildcards can match.",
     fix="Write full names, or a prefix with one * at the end: these work in all stacks.",
-    stacks=(Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS),
+    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS),
     measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
     " OpenDDS by source",
     bad="""

@@ -7,7 +7,8 @@ from pqsec_pki.documents import DefaultAction, PermissionRule, ros
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns
 from pqsec_pki.lint.permissions._names import shown
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
 _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
@@ -18,7 +19,7 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
     why="Since Iron, every node offers this service. Without permission for it, the node fails in"
     " its constructor. SROS2's own sample policy lacks it.",
     fix="Allow its topics, or create the permissions with `pqsec permissions import --complete`.",
-    stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
+    stacks=(Stack.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
     bad="""
         <topics>
@@ -58,7 +59,7 @@ def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
     why="Every ROS 2 participant publishes and subscribes to this topic, and cannot start without"
     " it.",
     fix=f"Allow the participant to publish and to subscribe to {ros.DISCOVERY}.",
-    stacks=(Target.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
+    stacks=(Stack.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
     bad="<publish><topics><topic>rt/chatter</topic></topics></publish>",
     good="""

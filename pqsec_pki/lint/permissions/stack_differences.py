@@ -10,7 +10,8 @@ from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, Permi
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns, Starts, covers_domains, domains_meet
 from pqsec_pki.lint.permissions._names import criteria_of
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 MAX_DOMAIN_SETS = 16
 """Different sets of domains in one grant that are compared with each other."""
@@ -66,7 +67,7 @@ def _entries(grant: Grant) -> list[_Entry]:
     " that names the topic decides, for publishing and for subscribing. A participant that may not"
     " publish a topic cannot subscribe to it either.",
     fix="Move the allow_rule before the deny_rule.",
-    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+    stacks=(Stack.CYCLONEDDS,), measured=_CYCLONE,
     bad="""
         <deny_rule>
           <domains><id>0</id></domains>
@@ -138,7 +139,7 @@ def _is_covered(entry: _Entry, patterns: Patterns[PermissionRule]) -> bool:
     " domain is denied for all.",
     fix="If a participant joins several domains, give it separate permissions for each domain, each"
     " in its own folder.",
-    stacks=(Target.FASTDDS,), measured="Fast DDS 2.9.1",
+    stacks=(Stack.FASTDDS,), measured="Fast DDS 2.9.1",
     bad="""
         <deny_rule>
           <domains><id>1</id></domains>
@@ -175,7 +176,7 @@ def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
     " allow_rule names the topic and governance controls both reading and writing.",
     fix="Write default DENY and allow only what is needed. Or name the partitions in the deny_rule"
     " too; <partition>*</partition> means all.",
-    stacks=(Target.CYCLONEDDS,), measured=_CYCLONE,
+    stacks=(Stack.CYCLONEDDS,), measured=_CYCLONE,
     bad="""
         <allow_rule>
           <domains><id>0</id></domains>

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from pqsec_pki.documents import Grant, Subject
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import named, shown
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
 MAX_COMMON_NAME = 64
 """X.520, ub-common-name."""
-_CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
+_CYCLONE, _FAST, _OPENDDS = Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 _WORDS = frozenset(

@@ -5,12 +5,13 @@ from collections.abc import Iterator
 
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import CUTS, named, parsed, repeated, shown
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
 MAX_PIECES = 20
 """The maximum for one name in Cyclone DDS."""
-_CYCLONE, _FAST, _OPENDDS = Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS
+_CYCLONE, _FAST, _OPENDDS = Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS
 _SPACED = re.compile(r"\s=|(?<!\\)=\s|(?<!\\),\s|\s,")
 
 

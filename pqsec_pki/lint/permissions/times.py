@@ -6,11 +6,12 @@ from datetime import UTC, datetime
 
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import shown
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
 LAST_YEAR = 2261
-_CYCLONE, _FAST = Target.CYCLONEDDS, Target.FASTDDS
+_CYCLONE, _FAST = Stack.CYCLONEDDS, Stack.FASTDDS
 _TIMES = ("not_before", "not_after")
 _INSTANT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(?P<zone>Z|[+-]\d\d:\d\d)?", re.ASCII)
 

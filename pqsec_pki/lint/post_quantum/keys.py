@@ -7,10 +7,11 @@ from pqsec_pki.algorithms import SignatureAlgorithm
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.certificates._keys import alternative_key_of, family_of, key_kind
 from pqsec_pki.lint.roles import CertificateRole
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, Inventory
+from pqsec_pki.stacks import Stack
 
-STOCK = (Target.CYCLONEDDS, Target.FASTDDS, Target.OPENDDS, Target.CONNEXT, Target.ROS2)
+STOCK = (Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS, Stack.CONNEXT, Stack.ROS2)
 
 
 @lint_rule(

@@ -9,9 +9,10 @@ from difflib import get_close_matches
 
 from pqsec_pki.errors import shown
 from pqsec_pki.lint.profile import ParticipantProfile, ProfileFile
-from pqsec_pki.lint.rule import Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.stacks import Stack
 
-_FAST = (Target.FASTDDS,)
+_FAST = (Stack.FASTDDS,)
 _RUN = "Fast DDS 2.9.1, 3.1.2"
 _AUTH, _ACCESS, _CRYPTO = (f"dds.sec.{each}.plugin" for each in ("auth", "access", "crypto"))
 _PLUGINS = {

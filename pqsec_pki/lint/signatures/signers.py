@@ -5,16 +5,17 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.lint.certificates._keys import family_of
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Target, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import DocumentAndSigners, broken_digests, embedded, is_by
 from pqsec_pki.lint.subjects import Inventory
+from pqsec_pki.stacks import Stack
 
 
 @lint_rule(
     "PQS336", Severity.ERROR, "the signer's certificate is not in the document",
     why="Cyclone DDS 0.10 and Fast DDS 2.9 search for it only in the document.",
     fix="Sign without -nocerts, or run `pqsec sign-permissions --embed-certificate`.",
-    stacks=(Target.CYCLONEDDS, Target.FASTDDS),
+    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
     rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
     bad=r"""
         $ cp k/public/permissions_ca.cert.pem .

@@ -17,6 +17,7 @@ import pytest
 
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status
+from pqsec_pki.stacks import stack_named
 from pqsec_pki.trial import (
     MACHINE,
     Act,
@@ -36,7 +37,7 @@ from pqsec_pki.trial import (
     run_trial,
     unique_text,
 )
-from pqsec_pki.vendors import Options, export, stack_named
+from pqsec_pki.vendors import Options, export
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
 from tests.interop.plugin.processes import PATIENCE
 from tests.interop.trials import (
