@@ -1,8 +1,8 @@
 """The security plugin that Cyclone DDS loads: its agent, and the shim that asks it.
 
-The shim (`shim/`, C) is what a DDS process loads. It hands each call that needs thought
-to the agent, one process for each user, over a socket. The agent holds the identities
-and answers with the rooms of this package; private keys never enter the DDS process.
+A DDS process loads the shim (`shim/`, C). It passes each call that needs a decision to the
+agent over a socket. The agent is one process for each user. It holds the identities and
+answers with the code of this package; private keys never enter the DDS process.
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,8 @@
 """The agent as a process: `python -I -m pqsec_pki.plugin [--detach] SOCKET [IDLE-SECONDS]`.
 
-The shim calls `start` with such words, without the command line's weight. With --detach the
-process ends once it listens, and a child goes on. The log goes to stderr. Like the command
-line it has a clock; nothing else in the room has.
+The shim runs this module, which starts faster than `pqsec`. With --detach the process ends when
+the socket listens, and a child continues. The log is written to stderr. Only this module of the
+room has a clock.
 """
 
 import gc
@@ -19,7 +19,7 @@ from pqsec_pki.plugin.server import Agent
 
 IDLE_SECONDS = 300.0
 MAX_LOG = 1 << 20
-"""Bytes; then its older half goes."""
+"""Bytes; a longer log loses its older half."""
 
 
 def _now() -> datetime:
@@ -27,7 +27,7 @@ def _now() -> datetime:
 
 
 def _log(line: str) -> None:
-    with suppress(OSError):  # a full disk does not end it
+    with suppress(OSError):  # a full disk must not stop the agent
         status = os.fstat(sys.stderr.fileno())
         if stat.S_ISREG(status.st_mode) and status.st_size > MAX_LOG:
             _halve(sys.stderr.fileno())
@@ -45,16 +45,16 @@ def _halve(handle: int) -> None:
 
 
 def _detach() -> None:
-    """Go on as a child, and let who waits for this process know that all is well."""
+    """Continue as a child. The exit of this process tells its parent that the agent listens."""
     if os.fork():
         os._exit(0)
 
 
 def main(arguments: list[str]) -> int:
-    """0 when it has ended, 3 if it could not begin."""
-    gc.freeze()  # what was imported stays
+    """Run the agent. Returns 0 after it has stopped, 3 if it could not start."""
+    gc.freeze()  # imported modules are never freed
     gc.enable()
-    os.closerange(3, 1 << 20)  # what a careless host left open
+    os.closerange(3, 1 << 20)  # files that the host did not close
     detach = arguments[:1] == ["--detach"]
     place, *more = arguments[detach:]
     idle = float(more[0]) if more else IDLE_SECONDS
@@ -67,7 +67,7 @@ def main(arguments: list[str]) -> int:
 
 
 def start() -> None:
-    """Run with the words of the command line."""
+    """Run with the arguments of the command line."""
     sys.exit(main(sys.argv[1:]))
 
 

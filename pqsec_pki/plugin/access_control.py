@@ -1,7 +1,7 @@
 """The access control plugin's calls: DDS-Security 1.1, 8.4.2.9 and 9.4.3, table 63.
 
-Names, arguments and results are those in `calls`; decisions are the room `access`'s. A
-refusal is a PqsecError with the rule that decided.
+Names, arguments and results are those in `calls`; the room `access` decides. A refusal is a
+PqsecError with the rule that decided.
 """
 
 from dataclasses import astuple, replace
@@ -87,27 +87,27 @@ class AccessControl:
         )
         return _OK, self._handles.add(rights), end_of(grant, own.anchors)
 
-    # The handle tells whose rights they are: a check of the local participant's own is made as
-    # it makes a thing, of a peer's as the thing is discovered.
+    # The handle determines whose rights are checked: the local participant's when it creates an
+    # entity, a peer's when the entity is discovered.
 
     def check_create_participant(self, handle: int, domain: int) -> tuple[int]:
-        """May it join?"""
+        """Check that it may join the domain."""
         return self._refuse_unless(handle, domain, Action.JOIN)
 
     def check_create_datawriter(
         self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
     ) -> tuple[int]:
-        """May it publish that, there?"""
+        """Check that it may publish the topic in those partitions, with those data tags."""
         return self._refuse_unless(handle, domain, Action.PUBLISH, topic, (partitions, tags))
 
     def check_create_datareader(
         self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
     ) -> tuple[int]:
-        """May it subscribe to that, there?"""
+        """Check that it may subscribe to the topic in those partitions, with those data tags."""
         return self._refuse_unless(handle, domain, Action.SUBSCRIBE, topic, (partitions, tags))
 
     def check_create_topic(self, handle: int, domain: int, topic: str) -> tuple[int]:
-        """May it publish or subscribe? In which partition, its endpoints will tell."""
+        """Check that it may publish or subscribe to the topic, in any partition."""
         rights = self._handles.get(handle, Rights)
         if rights.side is Viewpoint.OWN and topic in attributes.BUILTIN:
             return (_OK,)
@@ -128,11 +128,11 @@ class AccessControl:
     def check_remote_datareader(
         self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
     ) -> tuple[int, int]:
-        """May it subscribe to that, there? The last result is 0: not for relaying only."""
+        """The same for a peer. The last result is 0: not for relaying only."""
         return *self.check_create_datareader(handle, domain, topic, partitions, tags), 0
 
     def get_permissions_token(self, handle: int) -> tuple[int, DataHolder]:
-        """Without properties, as Cyclone DDS sends it: Fast DDS 2.9.1 refuses the standard's."""
+        """An empty token, as Cyclone DDS sends it: Fast DDS 2.9.1 refuses the standard's."""
         self._handles.get(handle, LocalRights)
         return _OK, PermissionsToken().to_holder()
 
@@ -142,26 +142,26 @@ class AccessControl:
         return _OK, DataHolder(CREDENTIAL, ((CREDENTIAL_PROPERTY, document),))
 
     def get_participant_sec_attributes(self, handle: int) -> tuple[Any, ...]:
-        """How the domain is protected."""
+        """The security attributes of the participant, from the domain rule."""
         rule = self._handles.get(handle, LocalRights).domain_rule
         return _OK, *astuple(attributes.of_participant(rule))
 
     def get_topic_sec_attributes(self, handle: int, topic: str) -> tuple[Any, ...]:
-        """How a topic is controlled."""
+        """The security attributes of a topic."""
         rights = self._handles.get(handle, LocalRights)
         if topic in attributes.BUILTIN:
             return _OK, *astuple(attributes.TopicAttributes())
         return _OK, *astuple(attributes.of_topic(rights.topic_rule(topic)))
 
     def get_endpoint_sec_attributes(self, handle: int, topic: str) -> tuple[Any, ...]:
-        """How a writer or reader of the topic is protected."""
+        """The security attributes of a writer or reader of the topic."""
         rights = self._handles.get(handle, LocalRights)
         if topic in attributes.BUILTIN:
             return _OK, *astuple(attributes.of_builtin(rights.domain_rule, topic))
         return _OK, *astuple(attributes.of_endpoint(rights.topic_rule(topic)))
 
     def return_permissions_handle(self, handle: int) -> tuple[int]:
-        """The participant is gone, or the peer."""
+        """Forget the rights: the participant or the peer was deleted."""
         self._handles.drop(handle)
         return (_OK,)
 
@@ -179,8 +179,8 @@ class AccessControl:
         topic: str | None = None,
         where: tuple[tuple[str, ...], Pairs] = ((), ()),
     ) -> tuple[int]:
-        """VerificationError with the reason, unless the answer is yes; `where` are partitions
-        and data tags."""
+        """VerificationError with the reason if it is denied; `where` is the partitions and the
+        data tags."""
         rights = self._handles.get(handle, Rights)
         if rights.side is Viewpoint.OWN and topic in attributes.BUILTIN:
             return (_OK,)

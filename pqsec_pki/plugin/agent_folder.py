@@ -21,7 +21,7 @@ _WRITABLE = 0o022
 """By others."""
 _RUN_USER = Path("/run/user")
 _MAX_FOLDER = 85
-"""Octets: a socket's path has 108 with its end, and the longest name of one is a slash and 21."""
+"""Octets. A socket's path has at most 108 with its NUL, and a file's name here up to 22."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class AgentFolder:
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Self:
-        """In $XDG_RUNTIME_DIR, /run/user/UID or $HOME, whichever is the user's; else in /tmp."""
+        """In the user's $XDG_RUNTIME_DIR, /run/user/UID or $HOME, in that order; else in /tmp."""
         runtime, home = environment.get("XDG_RUNTIME_DIR", ""), environment.get("HOME", "")
         for folder in (runtime, str(_RUN_USER / str(os.geteuid()))):
             if folder.startswith("/") and _is_own_folder(Path(folder), 0):
@@ -47,7 +47,7 @@ class AgentFolder:
 
     @property
     def lock(self) -> Path:
-        """Held by an agent that begins to listen, or ends."""
+        """The lock file. An agent holds the lock while it starts or stops."""
         return self.folder / "agent.lock"
 
     @property
@@ -55,15 +55,15 @@ class AgentFolder:
         return self.folder / "agent.log"
 
     def prepare(self) -> None:
-        """Make the folder; FileError if it is not this user's alone."""
+        """Create the folder; FileError if other users own it or may enter it."""
         with disk_errors(self.folder):
             self.folder.mkdir(mode=0o700, exist_ok=True)
         self.is_there()
 
     def is_there(self) -> bool:
-        """Whether the folder is; FileError if it is not this user's alone.
+        """Whether the folder exists; FileError if other users own it or may enter it.
 
-        Anyone can make one of that name in /tmp, with a socket and a log in it.
+        In /tmp, anyone can create a folder of that name, with a socket and a log in it.
         """
         if not os.path.lexists(self.folder):
             return False
@@ -76,9 +76,9 @@ class AgentFolder:
 
 
 def _is_good_home(home: str) -> bool:
-    """Whether the user alone can make a folder there, with a socket in it.
+    """Whether only the user can create a folder there, with a socket in it.
 
-    It may be a link: root makes homes.
+    It may be a link: root creates homes.
     """
     if not home.startswith("/") or home == "/":
         return False

@@ -17,7 +17,7 @@ _PLAIN = {
     *("DCPSTypeLookupRequest", "DCPSTypeLookupReply"),
 }
 BUILTIN = frozenset({*_BY_DISCOVERY, _BY_LIVELINESS, _VOLATILE, *_PLAIN})
-"""Topics that Cyclone DDS makes for itself; permissions documents do not rule them."""
+"""Topics that Cyclone DDS creates for itself; permissions do not apply to them."""
 
 _ENCRYPTS = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
 _BY_ORIGIN = {
@@ -63,7 +63,7 @@ class EndpointAttributes:
 
 
 def of_participant(rule: DomainRule) -> ParticipantAttributes:
-    """9.4.2.3 and 9.4.2.4: three kinds of traffic; whether encrypted, whether by origin."""
+    """9.4.2.3 and 9.4.2.4: for three kinds of traffic, whether encrypted, and whether by origin."""
     rtps, discovery = rule.rtps_protection_kind, rule.discovery_protection_kind
     liveliness = rule.liveliness_protection_kind
     plugin = VALID
@@ -90,7 +90,7 @@ def of_topic(rule: TopicRule) -> TopicAttributes:
 
 
 def of_endpoint(rule: TopicRule) -> EndpointAttributes:
-    """9.4.2.5 and 9.4.2.6. A payload that is encrypted has its key hash encrypted too."""
+    """9.4.2.5 and 9.4.2.6. If a payload is encrypted, so is its key hash."""
     topic, data = of_topic(rule), rule.data_protection_kind
     submessage = rule.metadata_protection_kind
     encrypted = data is ProtectionKind.ENCRYPT
@@ -107,7 +107,7 @@ def of_endpoint(rule: TopicRule) -> EndpointAttributes:
 
 
 def of_builtin(rule: DomainRule, topic: str) -> EndpointAttributes:
-    """8.4.2.9: discovery and liveliness as the domain says, the key exchange encrypted."""
+    """8.4.2.9: discovery and liveliness as in the domain rule; the key exchange is encrypted."""
     if topic == _VOLATILE:
         return _protected(ProtectionKind.ENCRYPT)
     if topic == _BY_LIVELINESS:

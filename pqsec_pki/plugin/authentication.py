@@ -41,14 +41,14 @@ from pqsec_pki.plugin.pending import PendingReplies
 from pqsec_pki.plugin.revocation_watch import RevocationWatch
 
 NO_TOKEN = DataHolder("")
-"""TOKEN_NIL: Cyclone DDS looks at the length of its class id, so it must have one."""
+"""TOKEN_NIL. Cyclone DDS reads the length of the class id, so there must be one."""
 CREDENTIAL, CREDENTIAL_PROPERTY = "DDS:Access:PermissionsCredential", "dds.perm.cert"
 PEER_CREDENTIAL = "DDS:Auth:PKI-DH:1.0"
 _TEXT = "surrogateescape"
 
 
 class ValidationResult(IntEnum):
-    """DDS_Security_ValidationResult_t, those that are given."""
+    """The values of DDS_Security_ValidationResult_t that are returned here."""
 
     OK = 0
     PENDING_HANDSHAKE_REQUEST = 3
@@ -57,7 +57,7 @@ class ValidationResult(IntEnum):
 
 
 class LateError(VerificationError):
-    """A message that was good and comes too late. Nothing is wrong: an agent or network is slow."""
+    """A valid message that came too late, because the agent or the network is slow."""
 
 
 class Authentication:
@@ -77,8 +77,8 @@ class Authentication:
     def validate_local_identity(
         self, domain: int, folder: str, properties: Pairs, candidate: bytes
     ) -> tuple[ValidationResult, int, bytes, int, bool]:
-        """The handle, the adjusted GUID, the second when the identity ends, and whether
-        find_revoked is to be called."""
+        """The handle, the adjusted GUID, the second (of Unix time) when the identity expires, and
+        whether the caller must call find_revoked."""
         del domain
         local = Local.load(Properties(properties, folder), candidate, self._now())
         local = self._revocation_watch.admitted(local)
@@ -92,7 +92,7 @@ class Authentication:
         )
 
     def get_identity_token(self, identity: int) -> tuple[ValidationResult, DataHolder]:
-        """What discovery will say of the participant."""
+        """The IdentityToken that discovery announces."""
         local = self._handles.get(identity, Local)
         ca, agreements = local.anchors.identity_ca, local.policy.agreements
         token = IdentityToken.announced(local.certificate, ca, agreements)
@@ -101,7 +101,7 @@ class Authentication:
     def set_permissions_credential_and_token(
         self, identity: int, credential: DataHolder, permissions: DataHolder
     ) -> tuple[ValidationResult]:
-        """The permissions document that handshakes will carry."""
+        """Set the permissions document that handshakes will contain."""
         del permissions
         local = self._handles.get(identity, Local)
         document = dict(credential.properties).get(CREDENTIAL_PROPERTY)
@@ -141,7 +141,7 @@ class Authentication:
     ) -> tuple[ValidationResult, int, DataHolder]:
         """The handshake's handle, and the Request.
 
-        VerificationError, and none is sent, to a peer that may not know its key agreement.
+        VerificationError if the peer may not know the key agreement: no Request is sent.
         """
         local, remote, peer_state = self._peers.met(identity, peer)
         _check_known(peer_state.said, local.agreement)
@@ -168,7 +168,7 @@ class Authentication:
     def process_handshake(
         self, token: DataHolder, handle: int
     ) -> tuple[ValidationResult, DataHolder]:
-        """The Final to a Reply; after a Final nothing."""
+        """The Final that answers a Reply; an empty token after a Final."""
         handshake = self._handles.get(handle, Handshake)
         is_final = token.class_id == Final.CLASS_ID
         if handshake.answer and (is_final or handshake.asked is None):
@@ -187,9 +187,9 @@ class Authentication:
     def get_shared_secret(
         self, handle: int
     ) -> tuple[ValidationResult, int, int, bytes, bytes, bytes]:
-        """The peer's handle, when its identity ends, both challenges, and the secret.
+        """The peer's handle, when its identity expires, both challenges, and the SharedSecret.
 
-        VerificationError if the peer was taken back since its certificate was looked at.
+        VerificationError if the peer was revoked after its certificate was checked.
         """
         handshake, done = self._done(handle)
         certificate = done.peer.certificate
@@ -219,41 +219,41 @@ class Authentication:
         return ValidationResult.OK, DataHolder(PEER_CREDENTIAL, items)
 
     def finish(self) -> None:
-        """The connection ends."""
+        """Forget all handshakes: the connection ends."""
         self._peers.drop_all()
 
     def find_revoked(self) -> tuple[ValidationResult, int]:
-        """A participant or a peer that is taken back since; 0 if there is no other.
+        """The handle of a revoked participant or peer; 0 if there is no other.
 
-        Where a revocation list cannot be taken, the one before it still counts, and the
-        refusal comes when all others are told.
+        If a revocation list is refused, the one before it stays in force, and the error is
+        raised after all handles were reported.
         """
         return ValidationResult.OK, self._revocation_watch.next()
 
     def check_guid_comes_from(
         self, handle: int, adjusted: bytes, candidate: bytes
     ) -> tuple[ValidationResult]:
-        """Whether that identity, ours or an authenticated peer's, made the one GUID of the other.
+        """Check that `adjusted` was derived from `candidate` for that identity, ours or a peer's.
 
-        Fast DDS asks, for discovery servers that are configured by their GUID. VerificationError
-        if not.
+        Fast DDS calls it for discovery servers that are configured by their GUID.
+        VerificationError if it was not.
         """
         if adjusted_guid(self._certificate(handle).subject_der, candidate) != adjusted:
-            raise VerificationError("the GUID was not made of the other by this identity")
+            raise VerificationError("the GUID was not derived from the candidate for this identity")
         return (ValidationResult.OK,)
 
     def return_handshake_handle(self, handle: int) -> tuple[ValidationResult]:
-        """Cyclone DDS never calls it: a handshake goes with its identities."""
+        """Forget the handshake. Cyclone DDS never calls it; a handshake ends with an identity."""
         self._peers.drop_handshake(handle)
         return (ValidationResult.OK,)
 
     def return_identity_handle(self, handle: int) -> tuple[ValidationResult]:
-        """The participant is gone, or the peer."""
+        """Forget the identity: the participant or the peer was deleted."""
         self._peers.drop(handle)
         return (ValidationResult.OK,)
 
     def _certificate(self, handle: int) -> Certificate:
-        """Of a participant or an authenticated peer; VerificationError if it is not one."""
+        """That of a participant or an authenticated peer; VerificationError if it is neither."""
         local = self._handles.find(handle, Local)
         if local is not None:
             return local.certificate
@@ -276,7 +276,7 @@ class Authentication:
 
 
 def _check_known(said: IdentityToken, agreement: KeyAgreement) -> None:
-    """A Request that a stock stack does not understand may end it: OpenDDS does crash."""
+    """VerificationError if the peer may not know it: OpenDDS crashes on an unknown one."""
     if not said.knows(agreement):
         raise VerificationError(
             f"the peer does not say that it knows {agreement.wire_name}, so it was sent no"
@@ -286,6 +286,6 @@ def _check_known(said: IdentityToken, agreement: KeyAgreement) -> None:
 
 
 def end_of(*certificates: Certificate) -> int:
-    """The first second since 1970 when one of them is no longer good."""
+    """The first second (of Unix time) when one of them is no longer valid."""
     end = min(each.not_after for each in certificates)
     return int((end + timedelta(seconds=1)).timestamp())

@@ -1,4 +1,4 @@
-"""Compiling the shim, and trying it."""
+"""Compiles the shim, and tests it."""
 
 import os
 import sys
@@ -12,12 +12,12 @@ from pqsec_pki.plugin.units import planned_units, write_units
 
 LIBRARY = "libpqsec_dds.so"
 NAMES = ("libdds_security_auth.so", "libdds_security_ac.so")
-"""What ROS 2 loads, whatever is configured: links to the library, first in the search path."""
+"""The names that ROS 2 always loads: links to the library, first in the search path."""
 SOURCES = Path(__file__).with_name("shim")
 _FLAGS = (
     *("-std=c11", "-O2", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
     *("-fstack-protector-strong", "-D_FORTIFY_SOURCE=2"),
-    # It stays in memory: a thread may still be on its way out of it when Cyclone unloads it.
+    # It stays in memory: a thread may still run in it when Cyclone DDS unloads it.
     *("-Wl,-z,nodelete", "-Wl,-z,now", "-Wl,-z,relro"),
 )
 _FUNCTIONS = tuple(
@@ -31,12 +31,12 @@ _MODE = 0o755
 
 
 class CompileError(PqsecError):
-    """The shim cannot be compiled, or what was compiled does not work."""
+    """The shim cannot be compiled, or the compiled library does not work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """A shim that was compiled, and tried."""
+    """A shim that was compiled and tested."""
 
     library: Path
     links: tuple[Path, ...]
@@ -95,7 +95,7 @@ def compiler() -> str:
 
 
 def command(cc: str, output: Path, *more: str) -> list[str]:
-    """What compiles the shim, for this interpreter's agent."""
+    """The compiler's command for the shim, with this interpreter for the agent."""
     python = f'-DPQSEC_PYTHON="{sys.executable}"'
     sources = sorted(map(str, SOURCES.glob("*.c")))
     return [cc, *_FLAGS, python, *more, "-o", str(output), *sources]
@@ -124,7 +124,7 @@ def _compiled() -> bytes:
 
 
 def _try_out(library: Path) -> None:
-    """It loads, and has what Cyclone DDS looks for."""
+    """CompileError unless it loads, and has the functions that Cyclone DDS calls."""
     import ctypes  # noqa: PLC0415 -- as above
 
     try:

@@ -1,6 +1,6 @@
 """The shim's calls to the agent: arguments and results, in one table for both sides.
 
-`tests/unit/test_plugin_calls.py` holds the C sources in `shim/` to it.
+`tests/unit/test_plugin_calls.py` compares the C sources in `shim/` with it.
 """
 
 from collections.abc import Mapping
@@ -14,26 +14,26 @@ VERSION = 2
 """Version of the protocol on the socket. Shim and agent must have the same."""
 MAGIC = "pqsec"
 CONTROL = "control"
-"""The command line, whose calls all versions have: it must be able to stop an old agent."""
+"""The plugin name for the command line. All versions have its calls, to stop an old agent."""
 
 Arguments: TypeAlias = list[Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Letters for what a call takes and gives; Reader and Writer say what each stands for."""
+    """The letters of a call's arguments and results; `octets` has the meaning of each."""
 
     takes: str
     gives: str
 
     def arguments(self, reader: MessageReader) -> Arguments:
-        """What the shim sent; MalformedError if it is anything else."""
+        """The arguments that the shim sent; MalformedError for others."""
         found = [reader.one(kind) for kind in self.takes]
         reader.finish()
         return found
 
     def results(self, values: tuple[Any, ...]) -> bytes:
-        """What goes back."""
+        """The results, encoded."""
         writer = MessageWriter()
         for kind, value in zip(self.gives, values, strict=True):
             writer.one(kind, value)

@@ -1,4 +1,4 @@
-"""One connection of the agent: frames in, calls, frames out. No socket is touched here."""
+"""One connection of the agent: reads frames, makes calls, writes frames. It has no socket."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -20,13 +20,13 @@ _MOST_SHOWN = 600
 
 
 class ProtocolError(PqsecError):
-    """What came is not the protocol; nothing that follows can be understood."""
+    """The octets are not the protocol, so the connection must end."""
 
 
 @dataclass(frozen=True, slots=True)
 class AgentContext:
-    """What connections share: the clock, the log, what the command line may ask for, what is
-    known of revocation lists, and what waits for a Final."""
+    """What connections share: the clock, the log, the agent's status and its stop, the newest
+    revocation lists, and the handshakes that wait for a Final."""
 
     clock: Clock
     log: Log
@@ -46,13 +46,13 @@ class Control:
         return 0
 
     def status(self) -> tuple[int, str]:
-        """What the agent does, as JSON."""
+        """The agent's status as JSON."""
         import json  # noqa: PLC0415 -- not for a host that waits for the agent to start
 
         return 0, json.dumps(self._context.status() | {"version": __version__})
 
     def stop(self) -> tuple[int]:
-        """End once this is answered."""
+        """Stop the agent after this answer."""
         self._context.stop()
         return (0,)
 
@@ -69,17 +69,17 @@ class Connection:
 
     @property
     def what(self) -> tuple[str, str, int]:
-        """Who it is, the plugin, and how many objects that has."""
+        """(the process, the plugin, the number of its objects)."""
         return self._who, self._name, len(self._plugin) if self._plugin is not None else 0
 
     def finish(self) -> None:
-        """The other end has gone."""
+        """Forget everything: the other end has closed the connection."""
         if isinstance(self._plugin, Authentication):
             self._plugin.finish()
         self._notes.finish()
 
     def receive(self, octets: bytes) -> Iterator[bytes]:
-        """The answers to what has come. ProtocolError if it cannot be understood."""
+        """The answers to the octets so far. ProtocolError if they are not the protocol."""
         self._inbox += octets
         while len(self._inbox) >= _HEAD:
             size = int.from_bytes(self._inbox[:_HEAD], "little")
@@ -119,7 +119,7 @@ class Connection:
         return Control(self._context)
 
     def _called(self, frame: bytes) -> bytes:
-        """An error of ours is a refusal too: a host must get an answer, and others theirs."""
+        """The answer to a call: a refusal for any error, because the host needs an answer."""
         name = ""
         try:
             reader = MessageReader(frame)
@@ -150,12 +150,12 @@ class Connection:
 
 
 def framed(body: bytes) -> bytes:
-    """As it goes over the socket."""
+    """The frame of `body`, with its length."""
     return len(body).to_bytes(_HEAD, "little") + body
 
 
 def refusal(words: str) -> bytes:
-    """The answer that says why there is no other."""
+    """The answer that refuses a call, with the reason."""
     writer = MessageWriter()
     writer.number("B", _REFUSED)
     writer.text(shown(words, _MOST_SHOWN))

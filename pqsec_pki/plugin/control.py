@@ -1,4 +1,4 @@
-"""Asking the agent how it is, and telling it to end."""
+"""Asks the agent for its status, and stops it."""
 
 import socket
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _SECONDS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class AgentStatus:
-    """What an agent says of itself."""
+    """The status of an agent."""
 
     process: int
     version: str
@@ -23,7 +23,7 @@ class AgentStatus:
 
 
 class Client:
-    """A connection to the agent, as the shim has one."""
+    """A connection to the agent, like the shim's."""
 
     def __init__(self, place: AgentFolder, plugin: str) -> None:
         self._plugin = plugin
@@ -48,17 +48,17 @@ class Client:
         self._link.close()
 
     def wait_for_end(self) -> None:
-        """Return when the agent has hung up; FileError if it does not."""
+        """Wait until the agent closes the connection; FileError if it does not."""
         try:
             while self._link.recv(1 << 16):
                 pass
         except ConnectionError:
             return
         except OSError as error:
-            raise FileError(f"the agent does not end: {error}") from error
+            raise FileError(f"the agent does not stop: {error}") from error
 
     def call(self, name: str, *arguments: Any) -> tuple[int, Arguments]:
-        """The result and what the call gives; MalformedError with the words of a refusal."""
+        """The result and values of a call; MalformedError with the message of a refusal."""
         kinds, writer = CALLS[self._plugin][name], MessageWriter()
         writer.text(name)
         for kind, value in zip(kinds.takes, arguments, strict=True):
@@ -91,9 +91,9 @@ class Client:
 
 
 def agent_status(place: AgentFolder) -> AgentStatus | None:
-    """What the agent says; None if none listens.
+    """The agent's status; None if no agent listens.
 
-    FileError if it does not answer, or if its folder is not this user's alone.
+    FileError if it does not answer, or if other users own its folder or may enter it.
     """
     if not place.is_there() or not place.socket.exists():
         return None
@@ -114,7 +114,7 @@ def agent_status(place: AgentFolder) -> AgentStatus | None:
 
 
 def stop_agent(place: AgentFolder) -> bool:
-    """Let the agent end, and its socket be gone; whether there was one."""
+    """Stop the agent, and wait until its socket is removed. Whether there was an agent."""
     if agent_status(place) is None:
         return False
     client = Client(place, "control")

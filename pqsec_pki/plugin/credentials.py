@@ -1,9 +1,9 @@
-"""What a participant is configured with: properties of its QoS, to values.
+"""Reads a participant's configuration: properties of its QoS, and the files that they name.
 
-Names and forms are Cyclone DDS's (dds_security_api_defs.h), whose configuration file says
-the same in elements. Beside a file may lie what Cyclone has no property for: `alt.key.pem`
-beside `key.pem`, `permissions_ca.alt.cert.pem` beside `permissions_ca.cert.pem`, and
-`pqsec.toml` beside the identity certificate.
+Names and forms are Cyclone DDS's (dds_security_api_defs.h), whose configuration file has them
+as elements. Cyclone DDS has no properties for some files, which are read from beside others:
+`alt.key.pem` beside `key.pem`, `permissions_ca.alt.cert.pem` beside `permissions_ca.cert.pem`,
+and `pqsec.toml` beside the identity certificate.
 """
 
 import stat
@@ -29,7 +29,7 @@ FileState: TypeAlias = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a property says that something is: a file, or the octets themselves."""
+    """The value of a property: a file, or the octets themselves."""
 
     name: str
     path: Path | None
@@ -54,19 +54,19 @@ class Source:
 
 
 class Properties:
-    """The properties of a participant, and the folder that its relative paths begin in."""
+    """The properties of a participant, and the folder that relative paths are relative to."""
 
     def __init__(self, pairs: Iterable[tuple[str, str]], folder: str) -> None:
-        """UsageError for a property of security that is not understood."""
+        """UsageError for an unknown security property."""
         self._values = {name: value.strip(" \t") for name, value in understood(pairs).items()}
         self._folder = Path(folder)
 
     def optional(self, name: str) -> str:
-        """Its value, empty if it is not there."""
+        """Its value; empty if it is not set."""
         return self._values.get(name, "")
 
     def source(self, name: str) -> Source:
-        """Where the property points; UsageError if it is not there or not understood."""
+        """The source that the property names; UsageError if it is not set, or has another form."""
         value = self.optional(name)
         kind, colon, rest = value.partition(":")
         if not value:
@@ -75,23 +75,23 @@ class Properties:
             return Source(name, None, rest[1:].encode(errors="surrogateescape"))
         if kind == "file" and colon and not _CONTROL & set(rest):
             return Source(name, self._folder / rest.removeprefix("//"))
-        raise UsageError(  # which does not quote it: it may be a key
+        raise UsageError(  # the message does not quote it: it may be a key
             f"{name} is neither file: and a path nor data:,",
             hint="keys in PKCS#11 modules are not supported",
         )
 
     def folder(self, name: str) -> Path | None:
-        """The folder that the property names, if it is there."""
+        """The folder that the property names; None if it is not set."""
         value = self.optional(name)
         return self._folder / value.removeprefix("file:").removeprefix("//") if value else None
 
 
 def octets_of(path: Path, *, limit: int = MAX_FILE) -> bytes:
-    """What the file holds; FileError if it cannot be read, or is not one.
+    """The content of the file; FileError if it cannot be read, or is not a regular file.
 
-    Who reads a pipe or a terminal waits, and here everybody would.
+    Reading a pipe or a terminal may block, and would block all connections.
     """
-    with suppress(OSError, ValueError):  # which `read` has words for
+    with suppress(OSError, ValueError):  # `read` has a message for it
         kind = path.stat().st_mode
         if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
             raise FileError(f"{path} is not a file")
@@ -99,29 +99,29 @@ def octets_of(path: Path, *, limit: int = MAX_FILE) -> bytes:
 
 
 def certificate_at(source: Source) -> Certificate:
-    """MalformedError, also where there are several, or FileError; they name the file."""
+    """The one certificate in it. MalformedError if there is none or several, or FileError."""
     return only_certificate(source.read(), source.where)
 
 
 def certificates_at(source: Source) -> tuple[Certificate, ...]:
-    """All that stand in it; the same errors."""
+    """All certificates in it; the same errors."""
     return certificates_in(source.read(), source.where)
 
 
 def key_at(source: Source, password: str) -> PrivateKey:
-    """The same, and PassphraseError."""
+    """The private key in it. MalformedError, FileError or PassphraseError."""
     secret = password.encode(errors="surrogateescape") if password else None
     with located(source.where):
         return load_private_key(source.read(), secret)
 
 
 def revocation_list_at(source: Source) -> RevocationList:
-    """MalformedError or FileError, which name the file."""
+    """The revocation list in it. MalformedError or FileError."""
     return only_list(source.read(), source.where)
 
 
 def state_of(source: Source | None) -> FileState:
-    """Which file it is, and when it was written last; empty for what is not a file, or is gone."""
+    """(device, inode, time of change, size) of the file; empty if there is no file."""
     if source is None or source.path is None:
         return ()
     try:
@@ -132,7 +132,7 @@ def state_of(source: Source | None) -> FileState:
 
 
 def certificates_below(folder: Path) -> tuple[Certificate, ...]:
-    """Those in the files of a folder; what is not a certificate is passed over.
+    """The certificates in the files of a folder; other files are ignored.
 
     MalformedError for a file with several; FileError if the folder cannot be read or has too
     many files.

@@ -1,4 +1,4 @@
-"""Handles: what Cyclone DDS knows our objects by."""
+"""Handles: the numbers by which a stack refers to our objects."""
 
 import secrets
 from typing import Any, TypeVar
@@ -6,26 +6,26 @@ from typing import Any, TypeVar
 from pqsec_pki.errors import VerificationError
 
 MAX_OBJECTS = 16384
-"""Of one connection. A peer costs an identity, and a handshake with each local participant."""
+"""Of one connection. A peer has an identity, and a handshake with each local participant."""
 SPARE = 256
-"""Of these, those that peers leave to local participants."""
+"""Objects that are reserved for local participants."""
 
 Kind = TypeVar("Kind")
 
 
 class Handles:
-    """The objects of one connection. A handle is random, so none fits another connection."""
+    """The objects of one connection. Handles are random, so none is valid in another connection."""
 
     def __init__(self) -> None:
         self._objects: dict[int, Any] = {}
 
     @property
     def are_many(self) -> bool:
-        """Whether there is no room for another peer."""
+        """Whether the objects for another peer would be too many."""
         return len(self._objects) >= MAX_OBJECTS - SPARE
 
     def add(self, thing: Any) -> int:
-        """Its new handle; VerificationError if there are too many objects already."""
+        """Add the object: its handle. VerificationError if there are too many objects."""
         if len(self._objects) >= MAX_OBJECTS:
             raise VerificationError(f"more than {MAX_OBJECTS} identities and handshakes")
         handle = 1 + secrets.randbits(62)
@@ -33,7 +33,7 @@ class Handles:
         return handle
 
     def replace(self, handle: int, thing: Any) -> None:
-        """Another object by the same handle."""
+        """Put another object in the place of that handle's."""
         self._objects[handle] = thing
 
     def find(self, handle: int, kind: type[Kind]) -> Kind | None:
@@ -46,13 +46,13 @@ class Handles:
         found = self.find(handle, kind)
         if found is None:
             raise VerificationError(
-                "the handle is unknown to the agent, as after its restart",
-                hint="make the participant again",
+                "the agent does not know the handle: it may have been restarted",
+                hint="create the participant again",
             )
         return found
 
     def drop(self, handle: int) -> Any:
-        """The object, which is no longer known; None if there was none."""
+        """Forget the object, and return it; None if there was none."""
         return self._objects.pop(handle, None)
 
     def all(self, kind: type[Kind]) -> list[tuple[int, Kind]]:

@@ -1,4 +1,4 @@
-"""Who a local participant is: what validate_local_identity finds in its configuration."""
+"""A local participant: the result of validate_local_identity."""
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -28,46 +28,46 @@ from pqsec_pki.plugin.trust import ParticipantTrust
 from pqsec_pki.problems import Code, Problem
 
 _PASSWORD = "dds.sec.auth.password"  # noqa: S105 -- a property's name
-_WAY_OUT = 'put all files of the enclave there, or say peers = "stock" in pqsec.toml'
+_WAY_OUT = 'put all files of the enclave there, or set peers = "stock" in pqsec.toml'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalIdentity(Identity):
-    """An identity with the participant data that Cyclone DDS has written for it."""
+    """An identity with the participant data that the stack gave for it."""
 
     participant_data: bytes
 
     def introduction(self, agreement: KeyAgreement, *, nul: bool) -> Introduction:
-        """With all of that data in c.pdata: only what stands there is authenticated."""
+        """With all participant data in c.pdata: only the content of c.pdata is authenticated."""
         plain = Identity.introduction(self, agreement, nul=nul)
         return replace(plain, participant_data=self.participant_data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Local:
-    """A local participant: what it shows, signs with and insists on."""
+    """A local participant: its certificate, keys, trust anchors and requirements."""
 
     certificate: Certificate
     key: PrivateKey = field(repr=False)
     anchors: TrustAnchors
-    """Whom it trusts, with the revocation list that counts."""
+    """The CAs that it trusts, with the revocation list that applies."""
     list_at: Source | None
     list_state: FileState
-    """How the list's file was when it last was read."""
+    """The state of the list's file when it was last read."""
     guid: bytes
     """16 bytes."""
     agreement: KeyAgreement
-    """What it asks for."""
+    """The key agreement that it proposes."""
     policy: PeerRequirements
     permissions: bytes = field(default=b"", repr=False)
-    """The signed document, once access control has said so."""
+    """The signed permissions document; empty until access control has set it."""
 
     @classmethod
     def load(cls, properties: Properties, candidate: bytes, now: datetime) -> Self:
         """Steps of DDS-Security 1.1, 9.3.3, table 52, validate_local_identity.
 
-        VerificationError with all that is wrong, or the error of a file that is missing
-        or cannot be read.
+        VerificationError with all problems, or the error of a file that is missing or cannot
+        be read.
         """
         source = trust.list_source(properties)
         state = state_of(source)
@@ -97,11 +97,11 @@ class Local:
 
     @property
     def revoked(self) -> RevocationList | None:
-        """What its revocation list said when it last was read."""
+        """Its revocation list as it was last read; None if it has none."""
         return self.anchors.revocation_list
 
     def terms(self, discovered: Discovered, announced: bytes | None, data: bytes) -> Terms:
-        """For a handshake with one peer; `data` is our participant data."""
+        """The terms of a handshake with one peer; `data` is our participant data."""
         own = LocalIdentity(
             certificate=self.certificate,
             key=self.key,
@@ -116,7 +116,7 @@ class Local:
     def with_newer_list(self) -> Self:
         """The same, with the revocation list that its file has now.
 
-        PqsecError, and nothing is changed, if that is gone or not the CA's.
+        PqsecError if the file is missing or its CA did not sign it.
         """
         state = state_of(self.list_at)
         if self.list_at is None or state == self.list_state:
@@ -127,16 +127,16 @@ class Local:
         return replace(self.with_list(fresh), list_state=state)
 
     def with_list(self, fresh: RevocationList) -> Self:
-        """The same, for which `fresh` counts."""
+        """The same, with the revocation list `fresh`."""
         return replace(self, anchors=replace(self.anchors, revocation_list=fresh))
 
     def revokes(self, certificate: Certificate) -> bool:
-        """Whether its revocation list, as it was read last, names the certificate."""
+        """Whether its revocation list, as it was last read, contains the certificate."""
         return self.revoked is not None and self.revoked.revocation_of(certificate) is not None
 
 
 def _keys(properties: Properties, *, both: bool) -> tuple[PrivateKey, PrivateKey | None]:
-    """The certificate's, and with `both` its alternative one, if it is there."""
+    """The certificate's key, and with `both` its alternative key, if that exists."""
     password = properties.optional(_PASSWORD)
     key = credentials.key_at(properties.source(trust.PROPERTIES[KEY]), password)
     beside = trust.beside(properties, ALT_KEY) if both else None

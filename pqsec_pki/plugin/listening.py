@@ -17,29 +17,29 @@ from pqsec_pki.plugin.agent_folder import AgentFolder
 BACKLOG = 128
 LOCK_SECONDS = 2.0
 _FIRST_GIVEN = 3
-"""The handle of the first socket that systemd hands over (sd_listen_fds(3))."""
+"""The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
 
 
 def given(environment: Mapping[str, str], place: AgentFolder) -> socket.socket | None:
     """The socket that systemd listens at for this process; None if it does not.
 
-    FileError if it is not one where the library looks for the agent.
+    FileError if the library does not look for the agent at that socket.
     """
     if environment.get("LISTEN_PID") != str(os.getpid()):
         return None
     try:
         mode = os.fstat(_FIRST_GIVEN).st_mode
         if environment.get("LISTEN_FDS") != "1" or not stat.S_ISSOCK(mode):
-            raise FileError("systemd has to hand over one socket")
+            raise FileError("systemd must pass exactly one socket")
         listener = socket.socket(fileno=_FIRST_GIVEN)
         at, listens = listener.getsockname(), _option(listener, socket.SO_ACCEPTCONN)
         is_stream = (listener.family, listener.type) == (socket.AF_UNIX, socket.SOCK_STREAM)
     except OSError as error:
-        raise FileError(f"what systemd handed over is not a socket: {error.strerror}") from error
+        raise FileError(f"what systemd passed is not a socket: {error.strerror}") from error
     if not is_stream or not listens or at != str(place.socket):
         listener.detach()
         raise FileError(
-            f"systemd listens at {at!r}, and the library asks at {place.socket}",
+            f"systemd listens at {at!r}, and the library connects to {place.socket}",
             hint="ListenStream=%t/pqsec/agent.sock",
         )
     listener.set_inheritable(False)
@@ -53,20 +53,20 @@ def _option(link: socket.socket, name: int) -> int:
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Lock: one agent at a time starts or stops. FileError if another takes too long."""
+    """Lock, so that one agent at a time starts or stops. FileError if another takes too long."""
     until = time.monotonic() + LOCK_SECONDS
     with disk_errors(path):
         file = path.open("w")
     with file:
         while not _is_locked(file.fileno()):
             if time.monotonic() > until:
-                raise FileError(f"{path}: another agent has it")
+                raise FileError(f"{path}: another agent has locked it")
             time.sleep(0.01)
         yield
 
 
 def _is_locked(handle: int) -> bool:
-    """Whether it is now, and by us."""
+    """Whether this process has locked it now."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -80,7 +80,7 @@ def answers(path: Path) -> bool:
         link.settimeout(0)
         try:
             link.connect(str(path))
-        except BlockingIOError:  # so many that it does not come to it
+        except BlockingIOError:  # its queue is full
             return True
         except OSError:
             return False
@@ -88,7 +88,7 @@ def answers(path: Path) -> bool:
 
 
 def made(path: Path) -> tuple[int, int]:
-    """Which file it is; the number of one that is gone may be given to the next."""
+    """(inode, time of change) of the file: the inode of a deleted file may be reused."""
     found = path.stat()
     return found.st_ino, found.st_ctime_ns
 
@@ -122,5 +122,5 @@ def peer(link: socket.socket) -> tuple[int, int]:
 def name_of(process: int) -> str:
     with suppress(OSError):
         name = Path(f"/proc/{process}/comm").read_text(errors="replace").strip()
-        return f"{shown(name)}[{process}]"  # a process may call itself anything
+        return f"{shown(name)}[{process}]"  # a process may choose any name
     return f"[{process}]"

@@ -13,7 +13,7 @@ Log: TypeAlias = Callable[[str], None]
 
 WINDOW = timedelta(minutes=1)
 MOST = 30
-"""Lines of one connection in that time."""
+"""Lines of one connection within WINDOW."""
 
 
 class Notes:
@@ -26,7 +26,7 @@ class Notes:
         self._left_out = 0
 
     def add(self, line: str) -> None:
-        """Write it, unless that was done, or much else was, within WINDOW."""
+        """Write it, unless the same line or MOST others were written within WINDOW."""
         if abs(self._now() - self._since) > WINDOW:
             self.finish()
         if line in self._said or len(self._said) >= MOST:
@@ -35,10 +35,10 @@ class Notes:
         self._said.add(line)
         self._log(f"{self._who}: {line}")
         if len(self._said) == MOST:
-            self._log(f"{self._who}: what it has to say more this minute is only counted")
+            self._log(f"{self._who}: further lines of this minute are counted, not written")
 
     def finish(self) -> None:
-        """Tell what was left out, and begin again."""
+        """Write how many lines were left out, and start a new WINDOW."""
         if self._left_out:
             since = f"{self._since:%H:%M:%S}"
             self._log(f"{self._who}: {self._left_out} lines like these were left out since {since}")

@@ -1,11 +1,11 @@
-"""The octets between shim and agent, and back to values. `shim/wire.c` is the other end.
+"""Encodes and decodes the octets between shim and agent. `shim/wire.c` is the other side.
 
 Little-endian; strings and lists have a 32-bit count in front. A letter names each kind:
 
     h handle   n int32   s string   o octets   g GUID, 16 octets   c challenge, 32 octets
     t token, a DataHolder   p strings   d, q pairs of strings   b octet   m uint32   x int64
 
-Text that is not UTF-8 is kept by surrogates: documents travel in strings here.
+Octets that are not UTF-8 become surrogates: signed documents are sent as strings.
 """
 
 import struct
@@ -17,30 +17,30 @@ from pqsec_pki.handshake import DataHolder
 from pqsec_pki.handshake.wire import MAX_TOKEN
 
 MAX_FRAME = 1 << 20
-"""Octets. No token is larger than MAX_TOKEN, and few of them travel together."""
+"""Octets. No token is larger than MAX_TOKEN, and few are in one frame."""
 MAX_ITEMS = 1024
 """In one list."""
 _TEXT = ("utf-8", "surrogateescape")
 _FORMS = {"h": "Q", "n": "i", "b": "B", "m": "I", "x": "q"}
-"""Numbers, as struct names them."""
+"""Letter -> format of struct, of numbers."""
 
 Item = TypeVar("Item")
 Pairs = tuple[tuple[str, str], ...]
 
 
 class MessageReader:
-    """Values off a frame. MalformedError for anything that is not what is asked for."""
+    """Reads the values of a frame. MalformedError if the octets are not the expected value."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
 
     @property
     def left(self) -> int:
-        """How many octets are still to be read."""
+        """The number of octets that are not read yet."""
         return len(self._data) - self._at
 
     def one(self, kind: str) -> Any:
-        """The next value, of the kind that letter stands for."""
+        """The next value, of the kind with that letter."""
         return _READERS[kind](self)
 
     def raw(self, size: int) -> bytes:
@@ -53,7 +53,7 @@ class MessageReader:
         return found
 
     def number(self, form: str) -> int:
-        """The next number, in the form that `struct` names so."""
+        """The next number, in that format of struct."""
         found: int
         (found,) = struct.unpack(f"<{form}", self.raw(struct.calcsize(form)))
         return found
@@ -71,7 +71,7 @@ class MessageReader:
         return tuple(item(self) for _ in range(count))
 
     def finish(self) -> None:
-        """MalformedError if something is left."""
+        """MalformedError if octets are left."""
         if self._at != len(self._data):
             raise MalformedError("a frame is too long")
 
@@ -85,7 +85,7 @@ def _binary_pair(reader: MessageReader) -> tuple[str, bytes]:
 
 
 def _token(reader: MessageReader) -> DataHolder:
-    """No larger than on the network: Cyclone DDS hands over what a peer sent, whatever its size."""
+    """A token, no larger than on the network: Cyclone DDS passes tokens of any size from peers."""
     before = reader.left
     found = DataHolder(reader.text(), reader.items(_pair), reader.items(_binary_pair))
     if before - reader.left > MAX_TOKEN:
@@ -115,7 +115,7 @@ _READERS: dict[str, Callable[[MessageReader], Any]] = {
 
 
 class MessageWriter:
-    """Values to a frame. MalformedError if it would be too long for one."""
+    """Writes values into a frame. MalformedError if the frame would be too long."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -128,15 +128,15 @@ class MessageWriter:
         return whole
 
     def one(self, kind: str, value: Any) -> None:
-        """Add a value of the kind that letter stands for."""
+        """Add a value of the kind with that letter."""
         _WRITERS[kind](self, value)
 
     def raw(self, value: bytes) -> None:
-        """Add octets whose number is known."""
+        """Add octets without their number, which the other side knows."""
         self._parts.append(value)
 
     def number(self, form: str, value: int) -> None:
-        """Add a number in the form that `struct` names so."""
+        """Add a number in that format of struct."""
         self._parts.append(struct.pack(f"<{form}", value))
 
     def block(self, value: bytes) -> None:

@@ -20,21 +20,21 @@ from pqsec_pki.plugin.pending import MAX_HELD, PendingReplies, Rates
 MAX_WAITING = 4096
 """Peers that have not authenticated. As many may join a domain at a time."""
 MAX_EARLIER = 8
-"""Requests of ours, before the latest, that a Reply may come late for."""
+"""Earlier Requests of ours for which a late Reply may still come."""
 
 
 @dataclass(slots=True)
 class PeerState:
-    """What passed between a local participant and a peer before and in their handshake."""
+    """The state between a local participant and a peer, before and during their handshake."""
 
     said: IdentityToken = field(default_factory=IdentityToken)
-    """What discovery says of the peer."""
+    """The IdentityToken that the peer announced in discovery."""
     announced: bytes | None = None
     """The challenge in our AuthRequest, if we sent one."""
     heard: bytes | None = None
-    """That in the peer's."""
+    """The challenge in the peer's AuthRequest, if it sent one."""
     handshake: int | None = None
-    """The handle of the latest."""
+    """The handle of the latest handshake."""
 
 
 @dataclass(slots=True, eq=False)
@@ -43,15 +43,15 @@ class Remote:
 
     guid: bytes
     states: dict[int, PeerState] = field(default_factory=dict)
-    """By the handle of the local identity."""
+    """Handle of the local identity -> state."""
 
 
 @dataclass(slots=True, eq=False)
 class Handshake:
-    """Where a handshake stands. A message that is refused leaves it there.
+    """The state of a handshake. A refused message does not change it.
 
-    A new Request, ours or the peer's, begins it again; until that is finished too, what was
-    finished before counts: anybody may send a Request.
+    A new Request, ours or the peer's, starts it again. The finished handshake stays valid until
+    the new one is finished too, because anybody can send a Request.
     """
 
     local: Local
@@ -60,18 +60,18 @@ class Handshake:
     remote: int
     """The handle of the peer's identity."""
     asked: RequestSent | None = None
-    """That waits for a Reply."""
+    """Our latest Request, which waits for a Reply."""
     earlier: list[bytes] = field(default_factory=list)
-    """dh1 of Requests before it, which were given up."""
+    """dh1 of earlier Requests, which the latest one replaces."""
     answer: ReplySent | None = None
-    """That waits for a Final. There is one: the latest counts."""
+    """Our latest Reply, which waits for a Final."""
     number: int = 0
-    """The answer's, in `PendingReplies`."""
+    """The number of that Reply in `PendingReplies`."""
     done: Done | None = None
 
 
 class PeerTable:
-    """The peers and handshakes of a connection; `note` is told when a limit is reached."""
+    """The peers and handshakes of a connection; `note` is called when a limit is reached."""
 
     def __init__(
         self, handles: Handles, answers: PendingReplies, note: Callable[[str], None]
@@ -82,11 +82,11 @@ class PeerTable:
         self._waiting: dict[int, None] = {}
         """The handles of peers that have not authenticated, the oldest first."""
         self._rates: dict[int, Rates] = {}
-        """By the handle of the local identity."""
+        """Handle of the local identity -> rates."""
 
     def peer_state(self, identity: int, guid: bytes) -> tuple[int, PeerState]:
-        """A fresh one. A peer that one of ours has met already was lost and found again:
-        it gets another handle, because the former is still to be returned."""
+        """The handle of a peer, and a new state. A peer that is discovered again by the same local
+        participant gets another handle, because the stack still has to return the old one."""
         handle = self._remotes.get(guid)
         known = self._handles.get(handle, Remote) if handle else None
         if handle is None or known is None or identity in known.states:
@@ -98,18 +98,18 @@ class PeerTable:
         return handle, peer_state
 
     def met(self, identity: int, peer: int) -> tuple[Local, Remote, PeerState]:
-        """VerificationError if they have not."""
+        """The two, and the state between them; VerificationError if they have not met."""
         local, remote = self._handles.get(identity, Local), self._handles.get(peer, Remote)
         if identity not in remote.states:
             raise VerificationError("a handshake with a peer that was not validated")
         return local, remote, remote.states[identity]
 
     def refuse_early(self, identity: int, certificate: Certificate, now: datetime) -> None:
-        """VerificationError if too many Requests came in that certificate's name lately."""
+        """VerificationError if too many Requests were answered lately for that certificate."""
         self._rates.setdefault(identity, Rates()).refuse_early(certificate, now)
 
     def asked(self, local: Local, identity: int, peer: int, state: RequestSent) -> int:
-        """The handle of a handshake that was begun, in the place of an earlier one."""
+        """Record our Request, in place of an earlier one: the handshake's handle."""
         handle, handshake = self._handshake(local, identity, peer)
         if handshake.asked:
             handshake.earlier = [*handshake.earlier, handshake.asked.request.dh1][-MAX_EARLIER:]
@@ -119,7 +119,7 @@ class PeerTable:
     def answered(
         self, local: Local, identity: int, peer: int, state: ReplySent, now: datetime
     ) -> int:
-        """The handle of a handshake that waits for a Final, in the place of an earlier one."""
+        """Record our Reply, in place of an earlier one: the handshake's handle."""
         handle, handshake = self._handshake(local, identity, peer)
         certificate = state.peer.certificate
         self._rates.setdefault(identity, Rates()).count(certificate, now)
@@ -136,25 +136,25 @@ class PeerTable:
         if self._answers.make_room():
             self._note(
                 f"handshakes that wait for a Final hold more than {MAX_HELD >> 20} MiB: of the"
-                " certificate in whose name most is held, the largest ends"
+                " certificate with the most, the largest handshake is dropped"
             )
         return handle
 
     def finished(self, handshake: Handshake, done: Done) -> None:
-        """The peer has authenticated."""
+        """Record that the peer has authenticated."""
         self._forget_answer(handshake)
         handshake.asked, handshake.done = None, done
         self._answers.proved(done.peer.certificate, done.peer.permissions)
         self._waiting.pop(handshake.remote, None)
 
     def authenticated(self) -> Iterator[tuple[int, int, Certificate]]:
-        """Who has: the handles of the local identity and of the peer's, and its certificate."""
+        """Of authenticated peers: (handle of the local identity, of the peer's, certificate)."""
         for _, handshake in self._handles.all(Handshake):
             if handshake.done:
                 yield handshake.identity, handshake.remote, handshake.done.peer.certificate
 
     def drop(self, handle: int) -> None:
-        """A participant is gone, or a peer, and their handshakes with it."""
+        """Forget a participant or a peer, with its handshakes."""
         gone = self._handles.drop(handle)
         self._waiting.pop(handle, None)
         self._rates.pop(handle, None)
@@ -170,14 +170,14 @@ class PeerTable:
                 self.drop_handshake(peer_state.handshake)
 
     def drop_handshake(self, handle: int) -> None:
-        """It ends, however far it came."""
+        """Forget the handshake, in any state."""
         handshake = self._handles.find(handle, Handshake)
         if handshake is not None:
             self._handles.drop(handle)
             self._forget_answer(handshake)
 
     def drop_all(self) -> None:
-        """The connection ends."""
+        """Forget all handshakes."""
         for handle, _ in self._handles.all(Handshake):
             self.drop_handshake(handle)
 
@@ -186,19 +186,21 @@ class PeerTable:
         handshake.answer = None
 
     def _make_room(self, newest: int = 0) -> None:
-        """For a peer, or a handshake with `newest`: the oldest that wait are lost."""
+        """Drop the oldest unauthenticated peers if there is no room for one, or for `newest`."""
         while len(self._waiting) >= MAX_WAITING and not newest:
-            self._note(f"more than {MAX_WAITING} peers have not authenticated: the oldest is lost")
+            self._note(
+                f"more than {MAX_WAITING} peers have not authenticated: the oldest is dropped"
+            )
             self.drop(next(iter(self._waiting)))
         while self._handles.are_many:
             oldest = next((each for each in self._waiting if each != newest), None)
             if oldest is None:
                 return
-            self._note("more peers and handshakes than fit: the oldest not authenticated is lost")
+            self._note("too many peers and handshakes: the oldest unauthenticated peer is dropped")
             self.drop(oldest)
 
     def _handshake(self, local: Local, identity: int, peer: int) -> tuple[int, Handshake]:
-        """That of the two, which may be a fresh one."""
+        """The handle and the handshake of the two; a new one if there is none."""
         _, _, peer_state = self.met(identity, peer)
         if peer_state.handshake is not None:
             handshake = self._handles.find(peer_state.handshake, Handshake)

@@ -1,21 +1,21 @@
 """Handshakes that wait for a Final, and what they may cost an agent.
 
-A Request proves nothing: anybody who has recorded a certificate can send as many in its
-holder's name as it likes, each with a document of 256 kB that has to be kept until the Final.
-So all that wait in an agent together hold MAX_HELD octets, and when that is not enough, one ends:
-of the certificate in whose name most is held, the largest, and of equals the oldest. Who replays
-one certificate thus pushes out handshakes in that name alone, and there the larger ones first: a
-real participant's (28 kB) is in danger after some 600 forged Requests no larger than its own,
-which take an agent more than two seconds, and its Final comes within a round trip.
+A Request proves nothing: anybody who has recorded a certificate can send any number of Requests in
+its holder's name, each with a document of 256 kB that must be kept until the Final. So all waiting
+handshakes of an agent together hold at most MAX_HELD octets. If they need more, one is dropped: of
+the certificate that holds most, the largest, and of equals the oldest. An attacker who replays one
+certificate thus displaces only handshakes with that certificate, the larger ones first. A real
+participant's (28 kB) can be displaced after some 600 forged Requests of its size. An agent needs
+more than two seconds to answer these, and the real Final comes within a round trip.
 
 Equal documents of one certificate are kept once: a hundred processes with one identity, as nodes of
-ROS 2 have, are not a flood. A lower limit of a document's size would not do: a participant with two
-thousand topics has one of 150 kB.
+ROS 2 have, are not a flood. A lower limit for the size of a document is not possible: a participant
+with two thousand topics has one of 150 kB.
 
 An answer costs a key agreement and a signature, 3 to 5 ms. So each local identity answers BURST
-Requests in the name of one certificate, and then PER_SECOND more each second; those who come too
-early ask again each second. Requests whose certificate is not good do not count: a forger must not
-use up what is for others.
+Requests for one certificate, and then PER_SECOND more each second; a peer that is refused repeats
+its Request each second. Requests with an invalid certificate are not counted: a forger must not use
+up the answers for others.
 """
 
 from collections.abc import Callable
@@ -28,26 +28,26 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 
 MAX_HELD = 16 << 20
-"""Octets. With what Python needs beside them, less than 30 MB."""
+"""Octets. With the overhead of Python, less than 30 MB."""
 COST = 4096
-"""Octets of a handshake beside its document: keys, challenges, hashes, and objects around them."""
+"""Octets of a handshake besides its document: keys, challenges, hashes and Python objects."""
 BURST = 256
-"""Answers. As many processes with one identity may start at once."""
+"""Answers at once: so many processes with one identity may start together."""
 PER_SECOND = 32
-"""Answers: a tenth of a core."""
+"""Answers a second: a tenth of a core."""
 MAX_RATES = 4096
 """Certificates whose Requests are counted."""
 
 
 @dataclass(slots=True)
 class _Group:
-    """What waits in the name of one certificate."""
+    """The waiting handshakes of one certificate."""
 
     held: int = 0
     ends: dict[int, tuple[bytes, Callable[[], None]]] = field(default_factory=dict)
-    """By number, the oldest first: its document, and what ends it."""
+    """Number, the oldest first -> its document, and the function that drops it."""
     documents: dict[bytes, tuple[bytes, int]] = field(default_factory=dict)
-    """Each document, and how many have it."""
+    """Document -> the kept copy, and the number of handshakes that have it."""
 
     def add(self, number: int, document: bytes, end: Callable[[], None]) -> None:
         document, others = self.documents.get(document, (document, 0))
@@ -64,33 +64,33 @@ class _Group:
 
     @property
     def largest(self) -> int:
-        """The number of the one to end first."""
+        """The number of the handshake to drop first."""
         return max(self.ends, key=lambda number: len(self.ends[number][0]))
 
 
 class PendingReplies:
-    """Those of all connections of an agent."""
+    """The waiting handshakes of all connections of an agent."""
 
     def __init__(self) -> None:
         self._numbers = count(1)
         self._names: dict[int, Certificate] = {}
         self._groups: dict[Certificate, _Group] = {}
         self._proved: WeakKeyDictionary[Certificate, bytes] = WeakKeyDictionary()
-        """The document of a participant that has authenticated, while it is there."""
+        """Certificate of an authenticated participant -> its document, as long as both exist."""
 
     def __len__(self) -> int:
         return len(self._names)
 
     @property
     def held(self) -> int:
-        """Octets."""
+        """The octets that all hold."""
         return sum(each.held for each in self._groups.values())
 
     def one_copy(self, certificate: Certificate, document: bytes) -> bytes:
-        """`document`, or the same octets that are kept already for its holder.
+        """`document`, or an equal copy that is already kept for its holder.
 
-        Of what is to be kept, not of what came: OpenDDS's document comes with a NUL, and is kept
-        without. The group's copy goes first, because `add` counts that one.
+        Call it with the document as it is kept: OpenDDS's comes with a NUL, and is kept without.
+        The group's copy is preferred, because `add` counts that one.
         """
         group = self._groups.get(certificate)
         if group and document in group.documents:
@@ -99,9 +99,9 @@ class PendingReplies:
         return proved if proved == document else document
 
     def add(self, certificate: Certificate, document: bytes, end: Callable[[], None]) -> int:
-        """The number of one more; `end` is called if it has to make room later.
+        """Add a handshake: its number. `end` is called if it is dropped to make room.
 
-        The certificate must be one that is good: then there are not many.
+        The certificate must be verified, so that there are not many.
         """
         number = next(self._numbers)
         self._names[number] = certificate
@@ -109,7 +109,7 @@ class PendingReplies:
         return number
 
     def make_room(self) -> int:
-        """How many had to end."""
+        """Drop handshakes until they hold at most MAX_HELD: how many were dropped."""
         ended = 0
         while self.held > MAX_HELD and len(self._names) > 1:
             group = max(self._groups.values(), key=lambda each: each.held)
@@ -121,7 +121,7 @@ class PendingReplies:
         return ended
 
     def drop(self, number: int) -> None:
-        """It is over, or ended."""
+        """Forget the handshake: it is finished, or was dropped."""
         certificate = self._names.pop(number, None)
         if certificate is None:
             return
@@ -131,27 +131,27 @@ class PendingReplies:
             del self._groups[certificate]
 
     def proved(self, certificate: Certificate, document: bytes) -> None:
-        """The certificate's holder has authenticated, with that document."""
+        """Record that the certificate's holder has authenticated, with that document."""
         self._proved[certificate] = document
 
 
 class Rates:
-    """How many Requests a participant has answered lately in whose name."""
+    """The number of Requests that a participant has answered lately, for each certificate."""
 
     def __init__(self) -> None:
         self._left: dict[str, tuple[float, datetime]] = {}
-        """By the SHA-256 of a good certificate: answers that are left, and when that was so."""
+        """SHA-256 of a valid certificate -> the answers that were left, and when."""
 
     def refuse_early(self, certificate: Certificate, now: datetime) -> None:
-        """VerificationError if too many came in that name."""
+        """VerificationError if too many were answered for that certificate."""
         if certificate.fingerprint in self._left and self._now_left(certificate, now) < 1:
             raise VerificationError(
-                f"more than {PER_SECOND} handshakes a second are begun in the name of"
-                f" {certificate.subject_name}: this one has to come again"
+                f"more than {PER_SECOND} handshakes a second begin in the name of"
+                f" {certificate.subject_name}: this one must be repeated"
             )
 
     def count(self, certificate: Certificate, now: datetime) -> None:
-        """One was answered. The certificate is good."""
+        """Count an answer; the certificate is valid."""
         left = self._now_left(certificate, now)
         self._left.pop(certificate.fingerprint, None)
         self._left[certificate.fingerprint] = left - 1, now

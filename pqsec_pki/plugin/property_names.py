@@ -1,8 +1,8 @@
-"""Which properties of security a participant may have, and how other stacks name the same.
+"""The security properties that a participant may have, and other stacks' names for them.
 
-A property that is not understood must not be passed over: who names a revocation list in
-another stack's words believes that it counts. So a property in a name space of security is
-known here, or the participant is not made. Other properties are the application's.
+An unknown security property must not be ignored: a user who gives a revocation list under
+another stack's name expects it to apply. So a property in a security name space is known here,
+or the participant is not created. Other properties belong to the application.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,12 +11,12 @@ from difflib import get_close_matches
 from pqsec_pki.errors import UsageError, shown
 
 REVOCATION_LIST = "org.eclipse.cyclonedds.sec.auth.crl"
-"""Cyclone DDS's name, by which the rest of this room asks for it."""
+"""Cyclone DDS's name, which the rest of this room uses."""
 _REVOCATION_LISTS = (
     REVOCATION_LIST,
     "dds.sec.auth.builtin.PKI-DH.identity_crl",  # Fast DDS 2.9 to 3.x
-    "dds.sec.auth.identity_crl",  # the same without the plugin's name, as DDS-Security's names are
-    "dds.sec.auth.crl",  # what adapters to OpenDDS, which has no such property, pass on
+    "dds.sec.auth.identity_crl",  # the same without the plugin's name, like DDS-Security's names
+    "dds.sec.auth.crl",  # used by adapters for OpenDDS, which has no such property
 )
 _UNDERSTOOD = (
     "dds.sec.auth.identity_ca",
@@ -44,23 +44,23 @@ _SPACES = (
     "com.rti.serv.secure",
     "pqsec.",
 )
-"""Name spaces of security: those of DDS-Security, Cyclone DDS, RTI and this project."""
+"""Security name spaces: those of DDS-Security, Cyclone DDS, RTI and this project."""
 
 _CLOSE = 0.85
-"""Of difflib's measure: crl and clr at the end, but not crl and ocsp."""
+"""Similarity by difflib: names that end in crl and clr reach it, crl and ocsp do not."""
 
 
 def understood(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
     """A participant's properties, with a revocation list under REVOCATION_LIST.
 
-    UsageError for one of security that is unknown here, or has two values.
+    UsageError for a security property that is unknown, or has two values.
     """
     found: dict[str, str] = {}
     for given, value in pairs:
         _refuse_unknown(given)
         name = REVOCATION_LIST if given in _REVOCATION_LISTS else given
         if name in _KNOWN and found.get(name, value) != value:
-            raise UsageError(f"the property {given} has two values, or one by another name")
+            raise UsageError(f"the property {given} has two values, perhaps under two names")
         found[name] = value
     return found
 
@@ -76,7 +76,7 @@ def _refuse_unknown(name: str) -> None:
 
 
 def _near(name: str) -> list[str]:
-    """The name that was meant: it ends alike, as another stack's does, or is spelled alike."""
+    """The known name that is most similar: by its ending, as another stack's, or its spelling."""
     last = name.rpartition(".")[2]
     alike = [each for each in _UNDERSTOOD if each.endswith(f".{last}")]
     return alike or get_close_matches(name, sorted(_KNOWN), n=1, cutoff=_CLOSE)

@@ -1,4 +1,4 @@
-"""Watches revocation lists, and finds participants and peers that are revoked in a session."""
+"""Watches revocation lists, and finds participants and peers that were revoked while running."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,7 +13,7 @@ from pqsec_pki.plugin.peer_table import PeerTable
 
 
 class RevocationWatch:
-    """What the lists of a connection's participants say of them and of their peers."""
+    """Applies the revocation lists of a connection's participants to them and their peers."""
 
     def __init__(
         self,
@@ -28,7 +28,7 @@ class RevocationWatch:
         self._told: set[int] = set()
 
     def admitted(self, local: Local) -> Local:
-        """A participant that begins, with the newest list of its CA that the agent knows.
+        """A new participant, with the newest list of its CA that the agent knows.
 
         VerificationError if the list revokes it, or is not valid.
         """
@@ -40,9 +40,9 @@ class RevocationWatch:
         return newest
 
     def next(self) -> int:
-        """The handle of a revoked one that was not reported yet; 0 if there is none.
+        """The handle of a revoked identity that was not reported yet; 0 if there is none.
 
-        Then PqsecError of a list that cannot be taken.
+        PqsecError for a refused list, after all handles were reported.
         """
         refusal = self._read_again()
         self._told.intersection_update(handle for handle, _ in self._handles.all(object))
@@ -55,7 +55,7 @@ class RevocationWatch:
         return 0
 
     def _read_again(self) -> PqsecError | None:
-        """The lists whose files have changed, for further handshakes too."""
+        """Read the lists whose files have changed, for later handshakes; returns the last error."""
         refusal = None
         for handle, local in self._handles.all(Local):
             try:
@@ -66,7 +66,7 @@ class RevocationWatch:
                 continue
             if fresh is not local and newest is not fresh and fresh.revoked and newest.revoked:
                 refusal = lists.refusal(fresh.revoked, newest.revoked)
-                newest = replace(newest, list_state=local.list_state)  # to be told again
+                newest = replace(newest, list_state=local.list_state)  # to report it again
             self._handles.replace(handle, newest)
         return refusal
 
@@ -80,7 +80,7 @@ class RevocationWatch:
             return local
         self._note(
             f"list {newest.number} of {ca.subject_name}, which another"
-            f" participant has, counts in place of list {local.revoked.number}"
+            f" participant has, applies in place of list {local.revoked.number}"
         )
         return local.with_list(newest)
 

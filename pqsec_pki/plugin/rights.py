@@ -1,4 +1,4 @@
-"""What participants may do: signed documents, and what they say of one subject."""
+"""What participants may do: signed documents, applied to one subject."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -22,18 +22,18 @@ from pqsec_pki.problems import Code
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rights:
-    """What a participant may do, local or remote, in the eyes of a local one."""
+    """What a local or remote participant may do, as a local one decides it."""
 
     subject: str
     domain: int
     governance: Governance
     permissions: Permissions
     side: ClassVar[Viewpoint]
-    """Who asks what the subject may: its own stack or a peer."""
+    """Who decides about the subject: its own stack or a peer."""
 
     @property
     def domain_rule(self) -> DomainRule:
-        """VerificationError if governance does not name the domain."""
+        """The domain rule; VerificationError if the governance does not name the domain."""
         rule = self.governance.rule_for(self.domain)
         if rule is None:
             words = f"no governance rule names domain {self.domain}"
@@ -41,7 +41,7 @@ class Rights:
         return rule
 
     def topic_rule(self, topic: str) -> TopicRule:
-        """VerificationError if no rule covers the topic."""
+        """The topic rule; VerificationError if no rule covers the topic."""
         for rule in self.domain_rule.topic_rules:
             if SPEC.governs(rule.topic_expression, topic):
                 return rule
@@ -52,16 +52,16 @@ class Rights:
     def question(
         self, domain: int, action: Action, now: datetime, topic: str | None = None
     ) -> Question:
-        """May the subject do that? UsageError for a name that cannot be one."""
+        """The access question for the subject. UsageError for an invalid topic name."""
         return Question(subject=self.subject, domain=domain, action=action, now=now, topic=topic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocalRights(Rights):
-    """Those of a local participant."""
+    """The rights of a local participant."""
 
     anchors: TrustAnchors
-    """Whose signatures on documents count, its peers' too."""
+    """The trust anchors that verify its documents and its peers'."""
     message: bytes = field(repr=False)
     """The signed permissions document."""
     identity: int
@@ -77,14 +77,15 @@ class RemoteRights(Rights):
 
 
 def end_of(grant: Grant, anchors: TrustAnchors) -> int:
-    """The first second since 1970 when the grant is no longer in force, or one of those who
-    sign documents is no longer good."""
+    """The first second (of Unix time) when the grant, or a certificate that signs documents, is no
+    longer valid."""
     end = min(grant.not_after, *(each.not_after for each in anchors.signers))
     return int((end + timedelta(seconds=1)).timestamp())
 
 
 def anywhere(permissions: Permissions) -> Permissions:
-    """What they say of topics alone: allowed in one partition is allowed, denied in one is not."""
+    """The rules for topics alone: what is allowed in one partition is allowed, and rules that deny
+    only in some partitions are left out."""
     return Permissions(grants=tuple(map(_grant_anywhere, permissions.grants)))
 
 

@@ -1,6 +1,6 @@
 """The agent's sockets: one thread that serves all connections in turn.
 
-Calls take milliseconds, so nobody waits long, and what connections share needs no lock.
+Calls take milliseconds, so no process waits long, and shared state needs no lock.
 """
 
 import errno
@@ -21,21 +21,21 @@ from pqsec_pki.plugin.connection import AgentContext, Connection, framed, refusa
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 
 MAX_CONNECTIONS = 512
-"""Two for each domain of a DDS process."""
+"""Connections. A DDS process has two for each domain."""
 _AT_ONCE = 1 << 18
-"""Octets that are read of one connection before it is another's turn."""
+"""Octets that are read from one connection in its turn."""
 _GRACE_SECONDS = 20.0
-"""How long who started the agent may take to connect."""
+"""Seconds that the process that started the agent may take to connect."""
 _LONGEST_WAIT = 3600.0
 _RESERVE = 32
-"""Files that are kept for other things than connections."""
+"""Open files that are reserved for other things than connections."""
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _PAUSE = 0.5
-"""Seconds until the next connection is tried, when the system had no file left for one."""
+"""Seconds until the next try to accept a connection, if the system had no file left."""
 
 
 class _Client:
-    """A connected socket: what it sent is in its connection, what it is owed here."""
+    """A connected socket, with the answers that are not sent yet."""
 
     def __init__(self, link: socket.socket, connection: Connection) -> None:
         self.link, self.connection = link, connection
@@ -43,7 +43,7 @@ class _Client:
 
 
 class Agent:
-    """Listens until it is stopped, or no process was connected for a while."""
+    """The agent. It listens until it is stopped, or no process was connected for a while."""
 
     def __init__(self, place: AgentFolder, idle: float, clock: Clock, log: Log) -> None:
         self._place, self._idle, self._log = place, idle, log
@@ -58,9 +58,9 @@ class Agent:
     def run(
         self, ready: Callable[[], None] = lambda: None, given: socket.socket | None = None
     ) -> bool:
-        """False if another agent listens there. FileError if there is no place to listen.
+        """Serve until the end; False if another agent listens there. FileError if it cannot listen.
 
-        `ready` is called when it listens. A socket that was `given` is another's to remove.
+        `ready` is called when it listens. A `given` socket belongs to systemd, and is not removed.
         """
         self._place.prepare()
         if given:
@@ -82,7 +82,7 @@ class Agent:
     def _listen_at(self, listener: socket.socket, ready: Callable[[], None]) -> None:
         self._most = min(MAX_CONNECTIONS, max(1, _limited() - _RESERVE))
         ready()
-        self._selector = selectors.DefaultSelector()  # which would not outlive a fork
+        self._selector = selectors.DefaultSelector()  # which would not survive a fork
         self._selector.register(listener, selectors.EVENT_READ)
         self._log(f"listening at {self._place.socket}")
         with listener:
@@ -110,7 +110,7 @@ class Agent:
                 _give_back()
 
     def _listen(self, listener: socket.socket, wait: float) -> float:
-        """`wait`, or less where the pause ends before; then whoever waits is heard again."""
+        """`wait`, or less if the pause ends before; after the pause, accept connections again."""
         pause = self._deaf_until - time.monotonic()
         if pause > 0:
             return min(pause, wait)
@@ -124,7 +124,7 @@ class Agent:
             link, _ = listener.accept()
         except OSError as error:  # it may have gone already
             if error.errno in _EXHAUSTED:
-                self._notes.add(f"nobody new can be served: {error.strerror}")
+                self._notes.add(f"no more processes can be served: {error.strerror}")
                 self._selector.unregister(listener)
                 self._deaf_until = time.monotonic() + _PAUSE
             return
@@ -136,7 +136,7 @@ class Agent:
             return
         if len(self._guests) >= self._most:
             why = (
-                f"{self._most} connections are the most, two for each domain of a DDS process:"
+                f"{self._most} connections are the maximum, two for each domain of a DDS process:"
                 f" {self._most // 2} processes with one domain each"
             )
             self._notes.add(f"process {process} of user {user} is not served: {why}")
@@ -157,11 +157,11 @@ class Agent:
         except BlockingIOError:
             pass
         except (OSError, PqsecError) as error:
-            if not isinstance(error, ConnectionError):  # who hangs up has done nothing wrong
+            if not isinstance(error, ConnectionError):  # closing a connection is not an error
                 self._notes.add(f"{client.connection.what[0]}: {error}")
             self._part(client)
             return
-        # Who does not read answers is not heard either, so what it is owed stays small.
+        # A process that does not read its answers is not read from, so few answers wait.
         waiting = selectors.EVENT_WRITE if client.outbox else selectors.EVENT_READ
         self._selector.modify(client.link, waiting, client)
 
@@ -196,7 +196,7 @@ class Agent:
 
 
 def _give_back() -> None:
-    """To the system, what those who left held: glibc keeps it else, in pieces between what stays.
+    """Return freed memory to the system. glibc would keep it, because it lies between used memory.
 
     bench/agent_memory.py measures it. Other C libraries have no such function.
     """
@@ -207,9 +207,9 @@ def _give_back() -> None:
 
 
 def _limited() -> int:
-    """No core file, which would hold keys; and files enough for all connections: how many.
+    """Disable core files, which would contain keys, and allow files for all connections: how many.
 
-    A host may have a priority of real time, which is not for who serves all of them.
+    The priority is reset: a host may have a real-time priority, which the agent must not inherit.
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with suppress(OSError):

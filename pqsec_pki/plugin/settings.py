@@ -1,4 +1,4 @@
-"""What a participant insists on in handshakes: by its keys, or as `pqsec.toml` says."""
+"""What a participant requires in handshakes: from its keys, or from `pqsec.toml`."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -19,18 +19,18 @@ _USUAL = KEY_AGREEMENTS.named("x25519mlkem768")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentSettings:
-    """How an identity is used. A peer cannot change any of it."""
+    """How an identity is used in handshakes. A peer cannot change it."""
 
     agreements: tuple[KeyAgreement, ...]
-    """Those a peer may ask for; the first is what we ask for."""
+    """The key agreements that a peer may propose; we propose the first."""
     stock_peers: bool
-    """Whether peers run Cyclone DDS's own plugin: then plain keys and agreements do."""
+    """Whether peers run the stack's own plugin: plain keys and key agreements are then accepted."""
 
     @classmethod
     def of(cls, certificate: Certificate, source: Source) -> Self:
-        """What `pqsec.toml` beside the certificate says, else what its keys are for.
+        """The settings in `pqsec.toml` beside the certificate, else those of its keys.
 
-        UsageError if the file is not understood.
+        UsageError for an invalid file.
         """
         stock, agreements = OURS, None
         if path := source.beside(FILE):
@@ -42,13 +42,13 @@ class AgentSettings:
         return cls(agreements=agreements or usual, stock_peers=stock == STOCK)
 
     def policy(self, certificate: Certificate) -> PeerRequirements:
-        """For the handshakes of the holder of `certificate`."""
+        """The requirements on peers of the holder of `certificate`."""
         pairs = certificate.alternative_key is not None and not self.stock_peers
         return PeerRequirements(agreements=self.agreements, require_alternative=pairs)
 
 
 def _by_keys(certificate: Certificate) -> tuple[KeyAgreement, ...]:
-    """What the profile with such keys has; for keys that no profile has, what fits them."""
+    """The key agreement of the profile with such keys; for other keys, one of their kind."""
     own, second = certificate.public_key.algorithm, certificate.alternative_key
     alternative = second.algorithm if second else None
     if own.family is Family.CLASSICAL and alternative is None:
@@ -63,7 +63,7 @@ def _refuse_without_plain_key(certificate: Certificate) -> None:
     row = certificate.public_key.algorithm
     if row.family is not Family.CLASSICAL:
         raise UsageError(
-            f"a peer with Cyclone DDS's own plugin takes no {row.name} key",
+            f"a peer with the stack's own plugin accepts no {row.name} key",
             hint=f"leave peers out of {FILE}, or issue identities of profile transition",
         )
 

@@ -1,4 +1,4 @@
-"""Whom a local participant trusts: from its properties to the one value that decides."""
+"""The trust anchors of a local participant, from its properties."""
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
@@ -37,15 +37,15 @@ PROPERTIES: Mapping[str, str] = {
     PERMISSIONS: "dds.sec.access.permissions",
     REVOCATION_LIST: LIST_PROPERTY,
 }
-"""The names of what an enclave calls by the names of files."""
+"""File of an enclave -> the property that names it."""
 _NEIGHBOURS: Mapping[str, str] = {ALT_KEY: KEY, PERMISSIONS_ALT_CA: PERMISSIONS_CA}
-"""What no property names, and what lies beside it."""
+"""File that no property names -> the file that it is beside."""
 _TRUSTED = "dds.sec.auth.trusted_ca_dir"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantTrust:
-    """What both plugins read first: the participant's certificate and its trust anchors."""
+    """The participant's certificate and its trust anchors, which both plugins read first."""
 
     certificate: Certificate
     settings: AgentSettings
@@ -53,8 +53,10 @@ class ParticipantTrust:
 
     @classmethod
     def of(cls, properties: Properties, now: datetime) -> Self:
-        """MalformedError or FileError, which name the file; UsageError for a property or a
-        setting. Nothing is verified but that CAs in a folder are good `now`."""
+        """Read both from the properties. Only CAs in a folder are verified, at `now`.
+
+        MalformedError or FileError, which name the file; UsageError for a property or a setting.
+        """
         source = properties.source(PROPERTIES[CERTIFICATE])
         certificate = credentials.certificate_at(source)
         settings = AgentSettings.of(certificate, source)
@@ -72,7 +74,7 @@ class ParticipantTrust:
 
 
 def list_source(properties: Properties) -> Source | None:
-    """Where its revocation list is, if it has one; UsageError beside a folder of CAs."""
+    """Its revocation list; None without one. UsageError if it has a folder of trusted CAs too."""
     if not properties.optional(LIST_PROPERTY):
         return None
     if properties.optional(_TRUSTED):
@@ -84,14 +86,14 @@ def list_source(properties: Properties) -> Source | None:
 
 
 def beside(properties: Properties, file: str) -> Source | None:
-    """The alternative key or the countersigner, if it is there."""
+    """The alternative key or the countersigner; None if the file does not exist."""
     source = properties.source(PROPERTIES[_NEIGHBOURS[file]])
     path = _path_beside(source, file)
     return replace(source, path=path) if path and source.beside(path.name) else None
 
 
 def places(properties: Properties) -> Mapping[str, str]:
-    """What `refusal` calls the files: by their paths, or the properties that they stand in."""
+    """File -> the path or property with which `refusal` names it."""
     found = {
         file: properties.source(name).where
         for file, name in PROPERTIES.items()
@@ -107,14 +109,14 @@ def places(properties: Properties) -> Mapping[str, str]:
 def refusal(
     problems: Collection[Problem], where: Mapping[str, str], *, hint: str | None = None
 ) -> VerificationError:
-    """Of all `problems`, each once, with its place in `where` instead of its file's name."""
+    """An error with each of `problems` once, with its place in `where` instead of its file."""
     found = distinct(problems)
     placed = (replace(each, subject=where.get(each.subject, each.subject)) for each in found)
     return VerificationError(*placed, hint=hint)
 
 
 def _path_beside(source: Source, file: str) -> Path | None:
-    """None where its neighbour is not a file, or is not named so that it can have one."""
+    """The path of `file`; None if its neighbour is not a file, or has an unusual name."""
     if source.path is None:
         return None
     name = source.path.name
@@ -125,8 +127,8 @@ def _path_beside(source: Source, file: str) -> Path | None:
 def _others(
     properties: Properties, own: tuple[Certificate, ...], now: datetime
 ) -> Iterator[Certificate]:
-    """Identity CAs in a folder, each key once. One that is not good is passed over: its own
-    participants are refused then, and nobody else."""
+    """The valid identity CAs in a folder, each key once. Invalid ones are ignored: only their
+    participants are refused."""
     folder, known = properties.folder(_TRUSTED), {each.spki for each in own}
     for each in credentials.certificates_below(folder) if folder else ():
         with suppress(PqsecError):

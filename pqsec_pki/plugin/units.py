@@ -1,4 +1,4 @@
-"""Units for systemd, so that the agent is there before the first participant asks for it."""
+"""Units for systemd, which start the agent before the first participant needs it."""
 
 import sys
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ NAME = "pqsec-agent"
 _SOCKET = """\
 # Written by `pqsec plugin install --systemd`.
 [Unit]
-Description=Where the pqsec agent is asked for
+Description=Socket of the pqsec agent
 
 [Socket]
 ListenStream=%t/pqsec/agent.sock
@@ -40,7 +40,7 @@ Also={name}.socket
 
 
 def units_folder(environment: Mapping[str, str]) -> Path:
-    """Where systemd looks for units of this user; FileError if there is no home."""
+    """The folder of this user's systemd units; FileError if there is no home folder."""
     found = environment.get("XDG_CONFIG_HOME", "")
     return (Path(found) if found.startswith("/") else home() / ".config") / "systemd" / "user"
 
@@ -56,9 +56,9 @@ def home() -> Path:
 
 
 def planned_units(folder: Path, *, force: bool) -> dict[Path, bytes]:
-    """The socket and the service for this interpreter: what is to stand in which file.
+    """File -> content, of the socket and the service for this interpreter.
 
-    ExistsError for files that are there already and say something else, unless `force`.
+    ExistsError for existing files with other content, unless `force`.
     """
     service = _SERVICE.format(name=NAME, python=_quoted(sys.executable))
     texts = {f"{NAME}.socket": _SOCKET, f"{NAME}.service": service}
@@ -70,7 +70,7 @@ def planned_units(folder: Path, *, force: bool) -> dict[Path, bytes]:
 
 
 def write_units(units: Mapping[Path, bytes]) -> None:
-    """Put them there. FileError if that cannot be done."""
+    """Write the units. FileError if that fails."""
     for path, octets in units.items():
         with _files.disk_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,14 +78,14 @@ def write_units(units: Mapping[Path, bytes]) -> None:
 
 
 def written_units(folder: Path) -> list[Path]:
-    """Those in `folder` that `pqsec plugin install --systemd` wrote."""
+    """The units in `folder` that `pqsec plugin install --systemd` wrote."""
     paths = [folder / f"{NAME}.{kind}" for kind in ("socket", "service")]
     first = _SOCKET.partition("\n")[0].encode()
     return [path for path in paths if path.is_file() and _files.read(path).startswith(first)]
 
 
 def _quoted(path: str) -> str:
-    """As systemd.service(5) reads it between double quotes."""
+    """`text` as systemd.service(5) reads it between double quotes."""
     for character in ("\\", '"', "%", "$"):
         path = path.replace(character, {"%": "%%", "$": "$$"}.get(character, f"\\{character}"))
     return path

@@ -140,7 +140,7 @@ def test_there_is_one_agent(place):
 
 def test_only_one_agent_at_a_time_comes_or_goes(tmp_path, monkeypatch):
     monkeypatch.setattr(listening, "LOCK_SECONDS", 0.05)
-    lock, refused = tmp_path / "lock", pytest.raises(FileError, match="another agent has it")
+    lock, refused = tmp_path / "lock", pytest.raises(FileError, match="another agent has locked it")
     with listening.lock(lock), refused, listening.lock(lock):
         pass
     with listening.lock(lock):
@@ -243,7 +243,7 @@ def test_a_user_with_a_large_number_is_known():
 def test_one_guest_cannot_keep_another_from_being_served(place, octets):
     with running(place), connected(place, octets):
         client = Client(place, "authentication")
-        with pytest.raises(MalformedError, match="unknown to the agent"):
+        with pytest.raises(MalformedError, match="does not know the handle"):
             client.call("get_identity_token", 1)
         client.close()
 
@@ -335,7 +335,7 @@ def test_another_user_who_is_first_in_tmp_keeps_nobody_from_an_agent(tmp_path, r
 
 
 MOST = (
-    b"the agent is full: 16 connections are the most, two for each domain of a DDS process:"
+    b"the agent is full: 16 connections are the maximum, two for each domain of a DDS process:"
     b" 8 processes with one domain each"
 )
 
@@ -370,7 +370,7 @@ def test_more_connections_than_there_are_files_are_refused_and_those_that_are_st
         first.close()
         process.terminate()
         said = process.stderr.read()
-    assert "is not served: 16 connections are the most" in said
+    assert "is not served: 16 connections are the maximum" in said
     assert said.count("is not served") == 1  # and the rest is counted
 
 
@@ -397,7 +397,7 @@ def test_an_agent_with_no_file_left_waits_and_then_serves_who_waits(place):
             waiting.settimeout(PATIENCE)
             assert waiting.recv(5) == framed(b"\0")
         process.terminate()
-        assert "nobody new can be served" in process.stderr.read()
+        assert "no more processes can be served" in process.stderr.read()
 
 
 _URGENT = (

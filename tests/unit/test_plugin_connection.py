@@ -58,7 +58,7 @@ def test_a_refused_call_leaves_the_connection_as_it_was():
         (framed(b""), "a frame ends early"),
         (asked("access_control", "get_permissions_token", 1), "no call is named"),
         (framed(asked("authentication", "get_identity_token", 1)[4:] + b"\0"), "too long"),
-        (asked("authentication", "get_identity_token", 1), "unknown to the agent"),
+        (asked("authentication", "get_identity_token", 1), "does not know the handle"),
     ):
         (answer,) = shim.connection.receive(frame)
         assert answer[4] == 1

@@ -159,7 +159,7 @@ def test_on_another_machine_it_is_taken_for_granted(model, stack):
 
 
 FLAWS = {
-    "stock peers": ("pq", "pqsec.toml", 'peers = "stock"', "takes no ml-dsa-65 key"),
+    "stock peers": ("pq", "pqsec.toml", 'peers = "stock"', "accepts no ml-dsa-65 key"),
     "settings": ("pq", "pqsec.toml", "peers: stock", "not TOML"),
     "alternative key": ("transition", "alt.key.pem", "", "alt.key.pem"),
     "revocation list": ("pq", "crl.pem", "nonsense", "crl.pem"),
@@ -312,4 +312,4 @@ def test_the_preflight_asks_the_plugin(own, folder):
     keystore, enclave = own("pq")
     good = environment(exported("ros2", keystore, folder))
     (enclave / "pqsec.toml").write_text('peers = "stock"')
-    assert "takes no ml-dsa-65 key" in checks(keystore, **good)["credentials"].problem
+    assert "accepts no ml-dsa-65 key" in checks(keystore, **good)["credentials"].problem

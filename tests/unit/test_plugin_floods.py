@@ -130,7 +130,7 @@ def test_a_handshake_that_had_to_make_room_is_unknown_and_takes_no_handle(enclav
     forger = Forger(enclaves["talker"], victim)
     monkeypatch.setattr(pending, "MAX_HELD", 10 * COST)
     begun = [forger.send(size=100) for _ in range(20)]
-    with pytest.raises(RefusedError, match="unknown to the agent"):
+    with pytest.raises(RefusedError, match="does not know the handle"):
         victim[0].call("process_handshake", NO_TOKEN, begun[0])
     peers = len(begun)
     assert victim[0].connection.what[2] < 1 + peers + 10
@@ -247,7 +247,7 @@ def test_requests_that_are_refused_do_not_count_against_their_name(enclaves, mon
             forger.send(size=9)
     forger.heard = heard
     assert [bool(forger.send(size=9)) for _ in range(2)] == [True, True]
-    with pytest.raises(RefusedError, match="this one has to come again"):
+    with pytest.raises(RefusedError, match="this one must be repeated"):
         forger.send(size=9)
     victim[0].now += ONE_SECOND
     assert forger.send(size=9)

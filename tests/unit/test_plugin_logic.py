@@ -64,7 +64,7 @@ def test_an_identity_asks_for_the_key_agreement_of_its_profile(folders, profile)
         ("key_agreements = ['kyber768']", "kyber768"),
         ("key_agreement = ['mlkem768']", "key_agreement is not a setting"),
         ("peers: stock", "not TOML"),
-        ("peers = 'stock'", "takes no ml-dsa-65 key"),
+        ("peers = 'stock'", "accepts no ml-dsa-65 key"),
     ],
 )
 def test_a_setting_that_is_not_understood_is_refused(folders, tmp_path, text, words):
@@ -225,7 +225,7 @@ def test_what_belongs_to_a_participant_goes_with_it(folders):
     _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
     shim.call("return_identity_handle", identity)
     for call in ("get_shared_secret", "get_authenticated_peer_credential_token"):
-        with pytest.raises(RefusedError, match="unknown to the agent"):
+        with pytest.raises(RefusedError, match="does not know the handle"):
             shim.call(call, handshake)
     shim.call("return_identity_handle", peer)
     assert shim.connection.what == ("test[1]", "authentication", 0)
@@ -238,7 +238,7 @@ def test_only_a_handshake_is_returned_as_one(folders):
     _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
     for handle in (handshake, handshake, 1, identity, peer):
         shim.call("return_handshake_handle", handle)
-    with pytest.raises(RefusedError, match="unknown to the agent"):
+    with pytest.raises(RefusedError, match="does not know the handle"):
         shim.call("get_shared_secret", handshake)
     assert shim.call("begin_handshake_request", identity, peer, b"")[1]
 
@@ -334,7 +334,7 @@ def test_a_secret_is_told_only_when_the_handshake_is_over(folders):
 
 def test_a_handle_of_another_connection_is_unknown(folders):
     handle, _ = Shim("authentication", NOW).identity(folders["pq"][0])
-    with pytest.raises(RefusedError, match="unknown to the agent"):
+    with pytest.raises(RefusedError, match="does not know the handle"):
         Shim("authentication", NOW).call("get_identity_token", handle)
 
 
@@ -442,7 +442,7 @@ def test_a_guid_comes_from_the_identity_that_made_it_and_from_a_peer_once_authen
         sides.append((shim, handle, guid))
         assert shim.call("check_guid_comes_from", handle, guid, candidate) == [ValidationResult.OK]
         for wrong in ((guid, os.urandom(16)), (os.urandom(16), candidate), (guid, guid)):
-            with pytest.raises(RefusedError, match="was not made of"):
+            with pytest.raises(RefusedError, match="was not derived"):
                 shim.call("check_guid_comes_from", handle, *wrong)
         with pytest.raises(RefusedError, match="has not authenticated"):
             shim.call("check_guid_comes_from", handle + 1, guid, candidate)
@@ -453,5 +453,5 @@ def test_a_guid_comes_from_the_identity_that_made_it_and_from_a_peer_once_authen
             if guid != next(guid for mine, _, guid in sides if mine is shim)
         ]  # fmt: skip
         assert shim.call("check_guid_comes_from", peer, other, candidate) == [ValidationResult.OK]
-        with pytest.raises(RefusedError, match="was not made of"):
+        with pytest.raises(RefusedError, match="was not derived"):
             shim.call("check_guid_comes_from", peer, other, os.urandom(16))

@@ -80,12 +80,12 @@ def test_who_connects_before_the_agent_runs_is_served_and_the_socket_stays(runti
 @pytest.mark.parametrize(
     ("flaw", "words"),
     [
-        ("elsewhere", "the library asks at"),
-        ("no listener", "the library asks at"),
-        ("another kind", "the library asks at"),
-        ("two sockets", "has to hand over one socket"),
-        ("a file", "has to hand over one socket"),
-        ("nothing", "what systemd handed over is not a socket: Bad file descriptor"),
+        ("elsewhere", "the library connects to"),
+        ("no listener", "the library connects to"),
+        ("another kind", "the library connects to"),
+        ("two sockets", "must pass exactly one socket"),
+        ("a file", "must pass exactly one socket"),
+        ("nothing", "what systemd passed is not a socket: Bad file descriptor"),
         ("a folder for all", "is not a folder of this user's alone"),
     ],
 )

@@ -294,7 +294,7 @@ static bool usable(const struct link *link, struct exception *ex)
 {
   if (link->socket >= 0)
     return true;
-  refuse(ex, "pqsec: the agent was lost; make the participant again");
+  refuse(ex, "pqsec: the agent was lost; create the participant again");
   return false;
 }
 

@@ -170,7 +170,7 @@ def test_what_was_asked_once_is_known_even_when_the_agent_is_gone(shim, labs):
         assert after == before
         with pytest.raises(RefusedError, match="the agent is gone"):
             answers.endpoint("datareader", "another")
-        with pytest.raises(RefusedError, match="make the participant again"):
+        with pytest.raises(RefusedError, match="create the participant again"):
             answers.topic(TOPIC)
 
 

@@ -134,7 +134,9 @@ def test_a_full_agent_tells_the_library_that_it_is_full(shim, labs):
         guests = [Client(shim.place, "authentication") for _ in range(16)]
         for _ in range(5):  # whether it hangs up before the library has greeted, or after
             with (
-                pytest.raises(RefusedError, match="the agent is full: 16 connections are the most"),
+                pytest.raises(
+                    RefusedError, match="the agent is full: 16 connections are the maximum"
+                ),
                 participant(shim.folder, labs("pq").alice),
             ):
                 pass
