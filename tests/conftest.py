@@ -7,6 +7,7 @@ PQSEC_REQUIRE_INTEROP=1, as in .ci/run, such a skip is a failure.
 
 import os
 import signal
+from collections import Counter
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import TypeVar
@@ -26,13 +27,28 @@ ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e"}
 """Folders whose tests run the same code over and over, or processes of their own. So do those that
 kill at every call."""
+MEASURED_ONCE = {
+    *("test_attack_checks", "test_attacks", "test_commands_hostile", "test_diff", "test_errors"),
+    *("test_foreign_keystores", "test_handshake_modes", "test_smime", "test_tamper"),
+}
+"""Files whose tests take long and run the same code in each case: the first is measured."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Their coverage is not measured: that takes as long again, and other tests run it all."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Coverage is measured where it shows something new: it takes as long again as the tests.
+
+    Workers begin with the files that have most slow tests: none is left with one at the end.
+    """
+    if hasattr(config, "workerinput"):
+        slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+        items.sort(key=lambda item: -slow[item.path])
+    seen: set[str] = set()
     for item in items:
-        if item.path.parent.name in NOT_MEASURED or item.path.stem.endswith("_kill"):
+        file, test = item.path.stem, item.nodeid.partition("[")[0]
+        repeated = item.path.parent.name in NOT_MEASURED or file.endswith("_kill")
+        if repeated or (file in MEASURED_ONCE and test in seen):
             item.add_marker(pytest.mark.no_cover)
+        seen.add(test)
 
 
 @pytest.fixture(scope="session")

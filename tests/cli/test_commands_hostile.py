@@ -2,6 +2,7 @@
 
 The commands are those of the click tree, so a new one is tested by being there. None may
 hang, show a traceback, pass on what a terminal would obey, or leave anything half done.
+In the gate each command meets a part of them, and each of them a part of the commands.
 """
 
 import os
@@ -14,6 +15,7 @@ import pytest
 
 from pqsec_pki.cli import pqsec as tree
 from tests.cli.conftest import copy, snapshot
+from tests.longer import some
 
 ENDLESS = {"agent run": "it serves until it is told to stop"}
 VALUES = {"names": "/talker", "name": "/talker", "subjects": "/talker", "text": "141"}
@@ -225,14 +227,26 @@ def place(template, tmp_path, monkeypatch) -> Path:
 
 def flaws(run_in, place: Path, said: list[str]) -> list[str]:
     """What is wrong with how that command ends."""
-    before = snapshot(place / "k")
+    before, stamps_before = snapshot(place / "k"), stamps(place / "k")
     try:
         result = run_in(place, "", *said)
     except (Exception, SystemExit) as error:  # noqa: BLE001 -- whatever a user would see as a traceback
         return [f"{type(error).__name__}: {error}"]
-    after = snapshot(place / "k")
+    after = before if stamps(place / "k") == stamps_before else snapshot(place / "k")
     quoted = [each for each in secrets_of(before, after) if each in result.out + result.err]
     return [*found_in(result, unchanged=before == after), *["a key is quoted"] * bool(quoted)]
+
+
+def stamps(folder: Path | str) -> dict[str, tuple[int, ...]]:
+    """What changes with each file and folder below; quicker to look at than their content."""
+    found: dict[str, tuple[int, ...]] = {}
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            status = entry.stat(follow_symlinks=False)
+            found[entry.path] = status.st_ino, status.st_mode, status.st_mtime_ns, status.st_size
+            if entry.is_dir(follow_symlinks=False):
+                found |= stamps(entry.path)
+    return found
 
 
 def secrets_of(*snapshots: dict[str, bytes]) -> set[str]:
@@ -272,41 +286,46 @@ def test_the_tree_has_commands_that_take_files():
     assert len(tried(is_text)) > 50
 
 
-def renew(template: Path, place: Path) -> None:
-    """The keystore as it was."""
-    shutil.rmtree(place / "k")
-    copy(template / "k", place / "k")
+def renewed(template: Path, place: Path) -> Iterator[None]:
+    """Each time that it is asked, the keystore is as it was."""
+    while True:
+        before = stamps(place / "k")
+        yield
+        if stamps(place / "k") != before:
+            shutil.rmtree(place / "k")
+            copy(template / "k", place / "k")
 
 
 @pytest.mark.parametrize(("words", "opened"), tried(is_path))
 def test_files_that_cannot_be_liked(template, place, run_in, words, opened):
     found = []
     takes_files = tried(is_path)[words, opened].type.file_okay
-    for number, (kind, make) in enumerate(FILES.items()):
-        if not (takes_files or kind in FOR_FOLDERS):
-            continue
-        (place / f"case{number}").mkdir()
-        name = f"case{number}/{NAMES.get(kind, 'file')}"
-        make(place / name)
+    kinds = [kind for kind in FILES if takes_files or kind in FOR_FOLDERS]
+    turn = list(tried(is_path)).index((words, opened))
+    for _, kind in zip(renewed(template, place), some(kinds, turn), strict=False):
+        folder = f"case{kinds.index(kind)}"
+        (place / folder).mkdir()
+        name = f"{folder}/{NAMES.get(kind, 'file')}"
+        FILES[kind](place / name)
         found += [f"{kind}: {each}" for each in flaws(run_in, place, line(words, opened, name))]
-        renew(template, place)
     assert found == []
 
 
 @pytest.mark.parametrize(("words", "opened"), tried(is_text))
 def test_words_that_cannot_be_liked(template, place, run_in, words, opened):
     found = []
-    for kind, value in WORDS.items():
-        found += [f"{kind}: {each}" for each in flaws(run_in, place, line(words, opened, value))]
-        renew(template, place)
+    turn = list(tried(is_text)).index((words, opened))
+    for _, kind in zip(renewed(template, place), some([*WORDS], turn), strict=False):
+        said = line(words, opened, WORDS[kind])
+        found += [f"{kind}: {each}" for each in flaws(run_in, place, said)]
     assert found == []
 
 
 @pytest.mark.parametrize("words", COMMANDS)
 def test_keystores_that_cannot_be_liked(template, place, run_in, words):
     found = []
-    for state, make in STATES.items():
-        make(place / "k")
+    turn = list(COMMANDS).index(words)
+    for _, state in zip(renewed(template, place), some([*STATES], turn), strict=False):
+        STATES[state](place / "k")
         found += [f"{state}: {each}" for each in flaws(run_in, place, line(words, "", ""))]
-        renew(template, place)
     assert found == []
