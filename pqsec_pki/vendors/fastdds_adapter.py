@@ -31,7 +31,7 @@ ADAPTER, RECORD = "pqsec-fastdds-{}.so", "pqsec-fastdds-{}.json"
 FASTDDS_SOURCES = SOURCES.with_name("fastdds")
 
 _SHIM = ("wire.c", "frames.c", "link.c", "agent.c")
-_ADAPTER = ("agent.cpp", "authentication.cpp", "access_control.cpp")
+_ADAPTER = ("agent.cpp", "sessions.cpp", "authentication.cpp", "access_control.cpp")
 _FLAGS = (
     *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),
     *("-U_FORTIFY_SOURCE", "-D_FORTIFY_SOURCE=2"),

@@ -1,7 +1,7 @@
 // The access control plugin of Fast DDS: DDS-Security 1.1, 8.4.2.9. The agent answers. It is asked
 // at discovery, never for a sample.
 
-#include "agent.hpp"
+#include "sessions.hpp"
 
 namespace PQSEC_RTPS::security {
 
@@ -83,7 +83,9 @@ class PqsecAccessControl : public AccessControl {
       const int result = link_.ask(exception, "validate_remote_permissions", "hhtt>hx",
                                    number_of(identity), number_of(peer), Lent(token).get(),
                                    Lent(credential).get(), &number, &end);
-      return result < 0 ? nullptr : new pqsec::Numbered(number);
+      if (result < 0) return nullptr;
+      static_cast<const pqsec::Identity&>(peer).lasts_until(end);
+      return new pqsec::Numbered(number);
     });
   }
 

@@ -1,18 +1,10 @@
 // The authentication plugin of Fast DDS: DDS-Security 1.1, 8.3.2.7. The agent answers.
 
-#include <atomic>
-
-#include "agent.hpp"
+#include "sessions.hpp"
 
 namespace PQSEC_RTPS::security {
 
 #pragma GCC visibility push(hidden)
-
-// A participant, ours or a peer.
-struct PqsecIdentity : pqsec::Numbered {
-  using Numbered::Numbered;
-  std::atomic<pqsec::handle_t> handshake{0};  // the latest with that peer
-};
 
 struct PqsecHandshake : pqsec::Numbered {
   using Numbered::Numbered;
@@ -72,7 +64,8 @@ class PqsecAuthentication : public Authentication {
         fprintf(stderr, "%s\n", exception.what());  // the stack does not log it
         return VALIDATION_FAILED;
       }
-      *identity = new PqsecIdentity(number);
+      if (has_list != 0) sessions_.has_list();
+      *identity = new pqsec::Identity(number);
       adjusted = pqsec::guid_of(after);
       return VALIDATION_OK;
     });
@@ -93,7 +86,10 @@ class PqsecAuthentication : public Authentication {
       const int result =
           link_.ask(exception, "validate_remote_identity", "thtg>ht", no_request,
                     number_of(identity), Lent(token).get(), &octets, &number, request.get());
-      if (result >= 0) *peer = new PqsecIdentity(number);
+      if (result < 0) return VALIDATION_FAILED;
+      auto made = std::make_unique<pqsec::Identity>(number, octets);
+      sessions_.add(made.get());
+      *peer = made.release();
       return validation(result);
     });
   }
@@ -154,6 +150,7 @@ class PqsecAuthentication : public Authentication {
           link_.ask(exception, "get_shared_secret", "h>hxcco", number_of(handshake), &peer, &end,
                     first.data(), second.data(), &found.octets);
       if (result < 0) return nullptr;
+      sessions_.lasts_until(peer, end);
       auto secret = std::make_shared<PqsecSecret>();
       auto& data = (*secret)->data_;
       data.reserve(3);  // so that none is copied
@@ -164,11 +161,12 @@ class PqsecAuthentication : public Authentication {
     });
   }
 
-  // 2.9 and 3.1 call no listener, so it is not told of revocation and expiry.
+  // 2.9 and 3.1 give none; see sessions.hpp.
   bool set_listener(AuthenticationListener*, SecurityException&) override { return true; }
 
   bool get_identity_token(DataHolder** token, const Handle& identity,
                           SecurityException& exception) override {
+    sessions_.is_being_made();
     return guarded(exception, false, [&] {
       return link_.give(token, [&](agent::token* into) {
         return link_.ask(exception, "get_identity_token", "h>t", number_of(identity), into);
@@ -188,12 +186,13 @@ class PqsecAuthentication : public Authentication {
 
   // For a peer of whom nothing is known yet.
   Handle* get_identity_handle(SecurityException& exception) override {
-    return guarded<Handle*>(exception, nullptr, [] { return new PqsecIdentity(0); });
+    return guarded<Handle*>(exception, nullptr, [] { return new pqsec::Identity(0); });
   }
 
   // Done whether the agent is still there or not.
   bool return_identity_handle(Handle* handle, SecurityException& exception) override {
-    const std::unique_ptr<PqsecIdentity> identity(static_cast<PqsecIdentity*>(handle));
+    const std::unique_ptr<pqsec::Identity> identity(static_cast<pqsec::Identity*>(handle));
+    sessions_.remove(identity.get());
     if (identity && identity->number != 0)
       link_.ask(exception, "return_identity_handle", "h>", identity->number);
     return true;
@@ -218,7 +217,7 @@ class PqsecAuthentication : public Authentication {
                                                SecurityException& exception) override {
     return guarded(exception, false, [&] {
       return link_.give(token, [&](agent::token* into) {
-        const pqsec::handle_t handshake = static_cast<const PqsecIdentity&>(peer).handshake;
+        const pqsec::handle_t handshake = static_cast<const pqsec::Identity&>(peer).handshake;
         return link_.ask(exception, "get_authenticated_peer_credential_token", "h>t", handshake,
                          into);
       });
@@ -251,13 +250,14 @@ class PqsecAuthentication : public Authentication {
     if (result < 0) return VALIDATION_FAILED;
     auto made = std::make_unique<PqsecHandshake>(number);
     made->message = token.holder();
-    static_cast<PqsecIdentity&>(peer).handshake = number;
+    static_cast<pqsec::Identity&>(peer).handshake = number;
     *message = &made->message;
     *handshake = made.release();
     return validation(result);
   }
 
   pqsec::Link link_{"authentication"};
+  mutable pqsec::Sessions sessions_{link_};
 };
 
 #pragma GCC visibility pop

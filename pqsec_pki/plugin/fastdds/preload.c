@@ -35,6 +35,14 @@ enum { MAX_ID = 32, MAX_PATH = 4096, MAX_ADAPTERS = 8 };
   DISCOVERY(space, "3PDP39notify_and_maybe_ignore_new_participantEPNS1_20ParticipantProxyDataERb")
 #define CONNECT(space) \
   DISCOVERY(space, "9PDPSimple33assign_low_level_remote_endpointsERKNS1_20ParticipantProxyDataEb")
+#define INITIALIZE(space) \
+  DISCOVERY(space, "9PDPSimple30initializeParticipantProxyDataEPNS1_20ParticipantProxyDataE")
+#define REPEAT(space) \
+  DISCOVERY(space, "9PDPSimple24announceParticipantStateEbbRNS1_11WriteParamsE")
+#define REMOVE(space, status) \
+  DISCOVERY(space, "3PDP25remove_remote_participantERKNS1_6GUID_tENS1_" status)
+#define STATUS_2 "24ParticipantDiscoveryInfo16DISCOVERY_STATUSE"
+#define STATUS_3 "26ParticipantDiscoveryStatusE"
 #define IN_2 "8fastrtps"
 #define IN_3 "7fastdds"
 #define AUTHENTICATION "28create_authentication_plugin"
@@ -46,6 +54,11 @@ typedef size_t (*sizer)(const void *tokens, size_t alignment);
 typedef void (*connector)(void *self, const void *peer, bool secure);
 typedef void *(*keeper)(void *self, const void *peer, const void *writer);
 typedef void (*announcer)(void *self, void *peer, bool *ignore);
+typedef void (*initializer)(void *self, void *data);
+typedef void (*repeater)(void *self, bool fresh, bool dispose, void *parameters);
+typedef bool (*remover)(void *self, const uint8_t *guid, int status);
+typedef void (*maker_seen)(const void *discovery);
+typedef void (*loser)(const void *discovery, void (*drop)(void *, const uint8_t *), void *context);
 
 /* ---- Plugins that refuse: objects with a table of virtual functions, as C++ lays them out. */
 
@@ -169,8 +182,9 @@ static void *opened(const char *id)
   return size < MAX_PATH ? dlopen(path, RTLD_NOW | RTLD_LOCAL) : NULL;
 }
 
-/* It is never closed: the stack may be anywhere in it. */
-static void *adapter_for(const char *id)
+/* It is never closed: the stack may be anywhere in it. With `open` false, only one that a secured
+ * participant has opened. */
+static void *adapter_for(const char *id, bool open)
 {
   static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
   static struct { char id[2 * MAX_ID + 1]; void *library; } known[MAX_ADAPTERS];
@@ -178,6 +192,8 @@ static void *adapter_for(const char *id)
   pthread_mutex_lock(&mutex);
   for (int i = 0; i < MAX_ADAPTERS && found == NULL; i++) {
     if (known[i].library == NULL) {
+      if (!open)
+        break;
       found = known[i].library = opened(id);
       strcpy(known[i].id, id);
       break;
@@ -198,7 +214,7 @@ static void *make(const struct plugin *plugin, const char *symbol, void *self, c
   if (own_path() == NULL)
     return refuse(plugin, "LD_PRELOAD must name pqsec's plugin by its absolute path, in",
                   caller.name);
-  void *adapter = adapter_for(caller.id);
+  void *adapter = adapter_for(caller.id, true);
   if (adapter == NULL)
     return refuse(plugin, "pqsec's plugin was not compiled for this build of", caller.name);
   const char *id = dlsym(adapter, "pqsec_build_id");
@@ -290,3 +306,69 @@ static void connected(const char *const names[4], void *self, const void *peer, 
 
 DEFINE_NOTIFY(notify_2, IN_2)
 DEFINE_NOTIFY(notify_3, IN_3)
+
+/* ---- Peers that are revoked, or expire, in a session
+ *
+ * The adapter learns which object of discovery belongs to a participant while that object asks for
+ * the identity token. When the participant announces itself again, the adapter is asked for peers
+ * to drop. Nothing is fresh then: the caller is the thread of events, which drops silent peers too,
+ * or the application; neither holds a lock. */
+
+enum { DROPPED_PARTICIPANT = 3 };
+
+struct dropping { remover remove; void *discovery; };
+
+static void drop(void *context, const uint8_t *guid)
+{
+  const struct dropping *dropping = context;
+  dropping->remove(dropping->discovery, guid, DROPPED_PARTICIPANT);
+}
+
+static void initialized(const char *name, void *self, void *data, const void *address)
+{
+  struct caller caller = caller_at(address);
+  initializer original = (initializer)original_of(&caller, name);
+  void *adapter = adapter_for(caller.id, false);
+  maker_seen seen = adapter != NULL ? (maker_seen)dlsym(adapter, "pqsec_discovery") : NULL;
+  if (seen != NULL)
+    seen(self);
+  if (original != NULL)
+    original(self, data);
+  if (seen != NULL)
+    seen(NULL);
+}
+
+static void repeated(const char *const names[2], void *self, bool fresh, bool dispose,
+                     void *parameters, const void *address)
+{
+  struct caller caller = caller_at(address);
+  repeater original = (repeater)original_of(&caller, names[0]);
+  struct dropping dropping = {(remover)original_of(&caller, names[1]), self};
+  void *adapter = adapter_for(caller.id, false);
+  loser lost = adapter != NULL ? (loser)dlsym(adapter, "pqsec_lost") : NULL;
+  if (original != NULL)
+    original(self, fresh, dispose, parameters);
+  if (!fresh && !dispose && lost != NULL && dropping.remove != NULL)
+    lost(self, drop, &dropping);
+}
+
+#define DEFINE_INITIALIZE(name, space)                                           \
+  EXPORT void name(void *self, void *data) __asm__(INITIALIZE(space));           \
+  void name(void *self, void *data)                                              \
+  {                                                                              \
+    initialized(INITIALIZE(space), self, data, __builtin_return_address(0));     \
+  }
+
+#define DEFINE_REPEAT(name, space, status)                                                     \
+  EXPORT void name(void *self, bool fresh, bool dispose, void *parameters)                     \
+      __asm__(REPEAT(space));                                                                  \
+  void name(void *self, bool fresh, bool dispose, void *parameters)                            \
+  {                                                                                            \
+    static const char *const names[] = {REPEAT(space), REMOVE(space, status)};                 \
+    repeated(names, self, fresh, dispose, parameters, __builtin_return_address(0));            \
+  }
+
+DEFINE_INITIALIZE(initialize_2, IN_2)
+DEFINE_INITIALIZE(initialize_3, IN_3)
+DEFINE_REPEAT(repeat_2, IN_2, STATUS_2)
+DEFINE_REPEAT(repeat_3, IN_3, STATUS_3)

@@ -25,6 +25,8 @@ using namespace rtps::security;
 using Factory = void* (*)(void*, const PropertyPolicy*);
 extern "C" void* pqsec_authentication(const PropertyPolicy*, Factory, void*) noexcept;
 extern "C" void* pqsec_access_control(const PropertyPolicy*, Factory, void*) noexcept;
+extern "C" void pqsec_discovery(const void*) noexcept;
+extern "C" void pqsec_lost(const void*, void (*)(void*, const uint8_t*), void*) noexcept;
 extern "C" const char pqsec_build_id[];
 
 namespace {
@@ -93,7 +95,16 @@ struct Participant {
     CALL(authentication, set_permissions_credential_and_token, *identity,
          credential != nullptr ? *credential : nothing);
     must("return", control->return_permissions_credential_token(credential, exception));
+    pqsec_discovery(this);  // as while Fast DDS describes the participant
     CALL(authentication, get_identity_token, &identity_token, *identity);
+    pqsec_discovery(nullptr);
+  }
+
+  // How many peers must go.
+  int lost() const {
+    int count = 0;
+    pqsec_lost(this, [](void* context, const uint8_t*) { ++*static_cast<int*>(context); }, &count);
+    return count;
   }
 
   void create(const std::string& topic) {
@@ -229,6 +240,7 @@ int main(int count, char** words) {
   }
   one.agree(other, words[3]);
   other.agree(one, words[3]);
+  must("nobody is revoked", one.lost() == 0 && other.lost() == 0);
   one.leave();
   other.leave();
   printf("%d\n", calls);

@@ -311,7 +311,7 @@ def test_each_function_that_the_preload_library_names_is_one_of_fast_dds(stage):
     space = b"8fastrtps" if "fastrtps" in library.name else b"7fastdds"
     octets = (stage.plugin.folder / PRELOAD).read_bytes()
     named = {each.decode() for each in re.findall(rb"_ZN8eprosima%s\w+" % space, octets)}
-    assert len(named) == 7
+    assert len(named) == 10
     missing = named - read_symbols(library, ()).exported
     is_old = space == b"8fastrtps"
     # 2.9 does not wait for a second announcement.

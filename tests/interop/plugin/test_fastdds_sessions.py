@@ -1,0 +1,225 @@
+"""A peer in Fast DDS that is revoked, or expires, while samples flow."""
+
+import os
+import re
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
+
+import pytest
+
+from pqsec_pki.certificates import Reason
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list, revoke
+from pqsec_pki.trial import (
+    MACHINE,
+    Act,
+    Installation,
+    MissingStackError,
+    Trial,
+    credentialed,
+    find,
+    plugin,
+    unique_text,
+)
+from pqsec_pki.trial.building import run_tool, source
+from pqsec_pki.trial.network import alone
+from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, Lab
+from tests.interop.plugin.test_plugin_try import AT_ONCE, ROOTS
+from tests.interop.trials import RECEIVER, SENDER
+from tests.longer import LONG
+
+pytestmark = pytest.mark.interop
+
+PATIENCE = 90.0
+LIFETIME = timedelta(seconds=20)
+QUIET = 3.0
+"""Seconds without a sample; there are twenty a second."""
+LEASE = 25.0
+"""Seconds after which Fast DDS drops a peer that it no longer hears of."""
+
+
+def revoke_it(lab: Lab) -> None:
+    revoke(lab.keystore, lab.authorities, [SENDER], reason=Reason.KEY_COMPROMISE, now=lab.now)
+
+
+def let_it_expire(lab: Lab) -> None:
+    """It was issued for a short time only."""
+
+
+HOW = {"revoked": (revoke_it, "it was revoked"), "expired": (let_it_expire, "permissions expired")}
+CASES = [(where, how) for where in ROOTS for how in (HOW if LONG else ["revoked"])]
+MIXED = ("bookworm", "trixie")
+
+
+class Heard:
+    """What a process says, as it says it."""
+
+    def __init__(self, process: subprocess.Popen) -> None:
+        self.lines: list[str] = []
+        self.last = time.monotonic()
+        self._process = process
+        self._thread = Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        for line in iter(self._process.stdout.readline, ""):
+            self.lines.append(line)
+            if line.startswith("received"):
+                self.last = time.monotonic()
+
+    def wait(self) -> None:
+        """Until it has ended."""
+        self._thread.join()
+
+    def says(self, words: str) -> bool:
+        return any(words in line for line in [*self.lines])
+
+    @property
+    def is_quiet(self) -> bool:
+        return time.monotonic() - self.last > QUIET
+
+
+def wait(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:
+    end = time.monotonic() + seconds
+    while not (met := condition()) and time.monotonic() < end:
+        time.sleep(0.05)
+    return met
+
+
+@pytest.fixture(scope="module")
+def there(requires) -> Callable[[str], Installation]:
+    def of(where: str) -> Installation:
+        try:
+            return find("fastdds", ROOTS[where])
+        except MissingStackError as error:
+            return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def lasting(there) -> Iterator[Callable[[str], list[str]]]:
+    """lasting("trixie") is the command of a peer that receives until its time is over."""
+    text = source("fastdds.cpp")
+    line = b'      say("received " + text);\n'
+    once = line + b"      return;\n"
+    assert once in text
+    with ExitStack() as stack:
+        made = {}
+        for where in ROOTS:
+            installation = there(where)
+            parent = None if installation.root == MACHINE else installation.root / "tmp"
+            folder = Path(stack.enter_context(TemporaryDirectory(dir=parent)))
+            (folder / "fastdds.cpp").write_bytes(text.replace(once, line))
+            place = f"/{folder.relative_to(installation.root)}"
+            for command in installation.build.commands:
+                code, said = run_tool(command[0], installation.tool(command, place))
+                assert code == 0, said
+            made[where] = installation.peer(folder / "peer")
+        yield made.__getitem__
+
+
+@pytest.fixture(scope="module")
+def session(there, lasting, tmp_path_factory):
+    """session(where, sending, change, until) is what a receiver heard of a sender until then."""
+    with ExitStack() as stack:
+        plugins = {where: stack.enter_context(plugin(fastdds=there(where))) for where in ROOTS}
+
+        def run(where, sending, how, during):
+            now = datetime.now(UTC)
+            folder = tmp_path_factory.mktemp("session")
+            lab = Lab.create(folder / "lab", LAB_PROFILES["pq"], now)
+            renew_list(lab.keystore, lab.authorities, now=now)
+            if how == "expired":
+                spec = ParticipantSpec(
+                    name=SENDER, publish=(TOPIC,), domains=DOMAINS, validity=LIFETIME
+                )
+                issue(lab.keystore, lab.authorities, [spec], now=now, force=True)
+            (lab.keystore.root / f"enclaves{SENDER}" / "crl.pem").unlink()  # it knows nothing
+            commands = []
+            for name, act, place in ((SENDER, Act.SEND, sending), (RECEIVER, Act.RECEIVE, where)):
+                trial = Trial(
+                    installation=there(place), keystore=lab.keystore, timeout=PATIENCE,
+                    plugin=plugins[place], now=now,
+                )  # fmt: skip
+                text = unique_text() if act is Act.SEND else ""
+                role = credentialed(trial, name, act, folder, text)
+                words = [*lasting(place), act.value, "5", TOPIC, text, str(2 * PATIENCE)]
+                commands.append((words, role.environment))
+            return alone(lambda network: _watch(commands, lambda heard: during(lab, heard)))
+
+        yield run
+
+
+def _watch(commands, during):
+    with ExitStack() as stack:
+        processes = []
+        for words, environment in commands:
+            process = subprocess.Popen(
+                words, env=os.environ | dict(environment), text=True,
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            processes.append(process)
+        heard = [Heard(process) for process in processes]
+        stack.callback(lambda: [each.wait() for each in heard])
+        stack.callback(lambda: [each.kill() for each in processes])
+        with suppress(AssertionError):
+            assert wait(lambda: heard[1].says("received"))
+            during(heard[1])
+        assert [process.poll() for process in processes] == [None, None]
+        return heard[1]
+
+
+@pytest.fixture(scope="module")
+def parted(session) -> Iterator[Callable[[str, str], Heard]]:
+    def until_parted(lab: Lab, heard: Heard, how: str) -> None:
+        HOW[how][0](lab)
+        assert wait(lambda: heard.says("a peer is disconnected") and heard.is_quiet)
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        began = {
+            (where, how): pool.submit(
+                session,
+                where,
+                where,
+                how,
+                lambda lab, heard, how=how: until_parted(lab, heard, how),
+            )
+            for where, how in CASES
+        }
+        yield lambda *case: began[case].result()
+
+
+@pytest.mark.parametrize(("where", "how"), CASES)
+def test_a_peer_that_may_no_longer_take_part_is_disconnected(parted, where, how):
+    """Both processes live on, and what the peer sends is not received."""
+    heard = parted(where, how)
+    log = "".join(heard.lines)
+    assert heard.says("received"), log
+    assert heard.says(f"a peer is disconnected: {'its identity or ' if how == 'expired' else ''}"
+                      f"{HOW[how][1]}"), log  # fmt: skip
+    assert heard.is_quiet, log
+    after = log.partition("a peer is disconnected")[2]
+    assert len(re.findall("received", after)) < 5
+
+
+@pytest.mark.skipif(not LONG, reason="it takes longer than Fast DDS waits for a peer")
+@pytest.mark.parametrize("receiving", MIXED)
+def test_peers_of_two_versions_stay_connected(session, receiving):
+    """Also where one never announces itself on the protected topic."""
+    sending = next(each for each in MIXED if each != receiving)
+    ends = []
+
+    def during(lab, heard):
+        ends.append(wait(lambda: heard.is_quiet, LEASE))
+
+    heard = session(receiving, sending, "", during)
+    assert ends == [False], "".join(heard.lines)
