@@ -8,7 +8,7 @@ import hashlib
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
-from typing import Self
+from typing import Self, TypeVar
 
 from cryptography import x509
 
@@ -17,6 +17,8 @@ from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_pub
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.errors import MalformedError, PqsecError
+
+Value = TypeVar("Value", bound=x509.ExtensionType)
 
 MAX_CERTIFICATE = 256 << 10
 """Bytes of PEM or DER. The largest that pqsec issues (ML-DSA-87) has 10 kB."""
@@ -124,11 +126,15 @@ class Certificate:
     @property
     def subject_key_identifier(self) -> bytes | None:
         """The subjectKeyIdentifier extension's value, if there is one."""
+        found = self.extension(x509.SubjectKeyIdentifier)
+        return found.digest if found else None
+
+    def extension(self, kind: type[Value]) -> Value | None:
+        """The value of that extension; None if the certificate has none."""
         try:
-            found = self.extensions.get_extension_for_class(x509.SubjectKeyIdentifier)
+            return self.extensions.get_extension_for_class(kind).value
         except x509.ExtensionNotFound:
             return None
-        return found.value.digest
 
     @property
     def signature_algorithm(self) -> str:

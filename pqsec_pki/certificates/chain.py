@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
-from typing import TypeVar
 
 from cryptography import x509
 
@@ -18,8 +17,6 @@ from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code, Problem
-
-Value = TypeVar("Value", bound=x509.ExtensionType)
 
 _CA = "the CA certificate"
 _UNDERSTOOD = {"2.5.29.19", "2.5.29.15", "2.5.29.37"}
@@ -83,11 +80,11 @@ def _lasting_problems(authority: Certificate) -> tuple[Problem, ...]:
 def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem]:
     # 6.1.4 (k): basicConstraints present, cA true. A certificate of version 1 has none; it is a
     # CA because the user configured it as a trust anchor: a name and a key (6.1.1 (d))
-    constraints = _value(authority, x509.BasicConstraints)
+    constraints = authority.extension(x509.BasicConstraints)
     if authority.version > 1 and (constraints is None or not constraints.ca):
         yield Problem(f"{who} is not marked as a CA (basicConstraints)", Code.NOT_CA)
     # 6.1.4 (n): keyCertSign, if keyUsage is present
-    usage = _value(authority, x509.KeyUsage)
+    usage = authority.extension(x509.KeyUsage)
     if usage is not None and not usage.key_cert_sign:
         yield Problem(
             f"{who} may not sign certificates (keyUsage lacks keyCertSign)", Code.KEY_USAGE
@@ -122,11 +119,11 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
     # 6.1.5 (f): unknown critical extensions
     yield from _critical_problems(leaf, who)
     # 4.2.1.9: a participant is not a CA
-    constraints = _value(leaf, x509.BasicConstraints)
+    constraints = leaf.extension(x509.BasicConstraints)
     if constraints is not None and constraints.ca:
         yield Problem(f"{who} is a CA's, not a participant's", Code.NOT_PARTICIPANT)
     # 4.2.1.3: it signs handshakes
-    usage = _value(leaf, x509.KeyUsage)
+    usage = leaf.extension(x509.KeyUsage)
     if usage is not None and not usage.digital_signature:
         yield Problem(f"{who} may not sign (keyUsage lacks digitalSignature)", Code.KEY_USAGE)
 
@@ -174,10 +171,3 @@ def _validity_problems(certificate: Certificate, who: object, now: datetime) -> 
         yield Problem(
             f"{who} expired on {certificate.not_after:%Y-%m-%d %H:%M:%S} UTC", Code.EXPIRED
         )
-
-
-def _value(certificate: Certificate, kind: type[Value]) -> Value | None:
-    try:
-        return certificate.extensions.get_extension_for_class(kind).value
-    except x509.ExtensionNotFound:
-        return None

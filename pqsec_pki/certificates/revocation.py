@@ -178,10 +178,7 @@ def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:
         )
         return
     # (f): cRLSign, if keyUsage is present
-    try:
-        usage = ca.extensions.get_extension_for_class(x509.KeyUsage).value
-    except x509.ExtensionNotFound:
-        usage = None
+    usage = ca.extension(x509.KeyUsage)
     if usage is not None and not usage.crl_sign:
         yield Problem(
             "the CA certificate may not sign revocation lists (keyUsage lacks cRLSign)",

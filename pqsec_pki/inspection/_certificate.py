@@ -35,10 +35,8 @@ def describe_certificate(der: bytes, now: datetime) -> Description:
 
 def _role(certificate: Certificate) -> tuple[str, str, str]:
     """(role, title, words)."""
-    try:
-        is_ca = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
-    except x509.ExtensionNotFound:
-        is_ca = False
+    constraints = certificate.extension(x509.BasicConstraints)
+    is_ca = constraints is not None and constraints.ca
     if is_ca and _may_sign_certificates(certificate):
         return CA, "CA certificate", "identity CA or permissions CA: may sign certificates"
     if is_ca:
@@ -51,11 +49,8 @@ def _role(certificate: Certificate) -> tuple[str, str, str]:
 
 
 def _may_sign_certificates(certificate: Certificate) -> bool:
-    try:
-        usage = certificate.extensions.get_extension_for_class(x509.KeyUsage).value
-    except x509.ExtensionNotFound:
-        return True
-    return usage.key_cert_sign
+    usage = certificate.extension(x509.KeyUsage)
+    return usage is None or usage.key_cert_sign
 
 
 def _issuer(certificate: Certificate) -> Fact:

@@ -8,7 +8,6 @@ from enum import StrEnum
 from cryptography import x509
 
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.lint.certificates._keys import extension
 
 
 class CertificateRole(StrEnum):
@@ -63,5 +62,5 @@ def role_of(name: str, certificate: Certificate | None) -> CertificateRole:
 
 
 def _looks_like_ca(certificate: Certificate) -> bool:
-    constraints = extension(certificate, x509.BasicConstraints)
+    constraints = certificate.extension(x509.BasicConstraints)
     return constraints.ca if constraints else certificate.is_self_issued

@@ -8,7 +8,7 @@ from functools import cached_property
 from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.lint.certificates._keys import key_kind, key_of
+from pqsec_pki.lint._keys import key_kind, key_of
 from pqsec_pki.lint.file import File
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import ListedSigner, verify

@@ -58,8 +58,9 @@ TESTS = {
     ),
     "plugin": ("plugin_*",),
     "access": ("access", "decide", "matrix_*", "everywhere", "diff", "sharing", "plugin_rights"),
+    "policy": ("one_verdict", "cli/test_questions.py"),
 }
-"""For each room the files of tests in tests/unit, test_*.py, that are there for it."""
+"""For each room the files of tests for it: test_*.py in tests/unit, or a path in tests."""
 
 KILLED, SURVIVED, NO_TEST, HANGS = "killed", "survived", "run by no test", "hangs"
 SURVIVING = {SURVIVED, NO_TEST}
@@ -134,12 +135,12 @@ class Run:
 def test_files(root: Path, rooms: tuple[str, ...]) -> list[str]:
     """For those rooms."""
     patterns = dict.fromkeys(pattern for room in rooms for pattern in TESTS[room])
-    found = [
-        path
-        for pattern in patterns
-        for path in sorted((root / "tests/unit").glob(f"test_{pattern}.py"))
-    ]
+    found = [path for pattern in patterns for path in sorted((root / "tests").glob(_path(pattern)))]
     return [str(path.relative_to(root)) for path in dict.fromkeys(found)]
+
+
+def _path(pattern: str) -> str:
+    return pattern if "/" in pattern else f"unit/test_{pattern}.py"
 
 
 def accepted(root: Path) -> dict[str, str]:

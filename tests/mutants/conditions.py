@@ -27,6 +27,7 @@ from pathlib import Path
 
 ROOMS = (
     "credentials", "smime", "certificates", "handshake", "enrolment", "plugin", "access",
+    "policy",
 )  # fmt: skip
 PACKAGE = "pqsec_pki"
 

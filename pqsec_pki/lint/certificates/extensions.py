@@ -10,7 +10,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.lint.certificates._keys import extension, is_ca
+from pqsec_pki.lint._keys import is_ca
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
@@ -153,7 +153,7 @@ def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
     good="$ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem",
 )  # fmt: skip
 def for_another_purpose(file: CertificateFile) -> Iterator[Violation]:
-    purposes = extension(file.first, x509.ExtendedKeyUsage) if file.first else None
+    purposes = file.first.extension(x509.ExtendedKeyUsage) if file.first else None
     fitting = {ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE}
     if purposes and file.role.signs_documents and not fitting & set(purposes):
         yield Violation(f"the {file.role}'s extendedKeyUsage lacks emailProtection")
@@ -246,7 +246,7 @@ def _lacks_mark(certificate: Certificate) -> bool:
 
 
 def _usage(file: CertificateFile) -> x509.KeyUsage | None:
-    return extension(file.first, x509.KeyUsage) if file.first else None
+    return file.first.extension(x509.KeyUsage) if file.first else None
 
 
 def _critical(file: CertificateFile) -> set[str]:

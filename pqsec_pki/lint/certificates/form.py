@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from cryptography import x509
 
-from pqsec_pki.lint.certificates._keys import extension, is_ca, is_signed_by
+from pqsec_pki.lint._keys import is_ca, is_signed_by
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
@@ -95,7 +95,7 @@ def without_key_identifiers(file: CertificateFile) -> Iterator[Violation]:
     if file.first is None:
         return
     if not file.first.is_self_issued:
-        if extension(file.first, x509.AuthorityKeyIdentifier) is None:
+        if file.first.extension(x509.AuthorityKeyIdentifier) is None:
             yield Violation(f"the {file.role}'s certificate lacks authorityKeyIdentifier")
     elif is_ca(file.first) and file.first.subject_key_identifier is None:
         yield Violation(f"the {file.role}'s certificate lacks subjectKeyIdentifier")

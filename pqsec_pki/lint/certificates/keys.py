@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.algorithms import Family, is_encrypted
 from pqsec_pki.credentials import KEYS
-from pqsec_pki.lint.certificates._keys import UNREADABLE, family_of, key_kind
+from pqsec_pki.lint._keys import UNREADABLE, family_of, key_kind
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule

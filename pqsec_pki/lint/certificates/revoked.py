@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.lint.certificates._keys import key_of
+from pqsec_pki.lint._keys import key_of
 from pqsec_pki.lint.certificates.revocation import NEW_LIST
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory

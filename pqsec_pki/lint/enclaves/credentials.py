@@ -7,7 +7,7 @@ from cryptography import x509
 from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.lint.certificates._keys import extension, is_signed_by, key_of
+from pqsec_pki.lint._keys import is_signed_by, key_of
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder
 from pqsec_pki.stacks import Stack
@@ -106,7 +106,7 @@ def names_another_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or ca is None or not is_signed_by(certificate, ca):
         return  # PQS306 says so
-    named = extension(certificate, x509.AuthorityKeyIdentifier)
+    named = certificate.extension(x509.AuthorityKeyIdentifier)
     wanted = ca.subject_key_identifier
     if named and named.key_identifier and wanted and named.key_identifier != wanted:
         yield Violation(

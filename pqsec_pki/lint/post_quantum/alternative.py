@@ -12,7 +12,7 @@ from pqsec_pki.credentials import (
     PERMISSIONS_CA,
 )
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.lint.certificates._keys import alternative_key_of
+from pqsec_pki.lint._keys import alternative_key_of
 from pqsec_pki.lint.enclaves.files import has_keys_on_robot
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import countersigners, is_by

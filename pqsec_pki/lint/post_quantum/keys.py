@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.algorithms import SignatureAlgorithm
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.lint.certificates._keys import alternative_key_of, family_of, key_kind
+from pqsec_pki.lint._keys import alternative_key_of, family_of, key_kind
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, Inventory

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.certificates import Certificate, name_text
-from pqsec_pki.lint.certificates._keys import family_of
+from pqsec_pki.lint._keys import family_of
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import DocumentAndSigners, broken_digests, embedded, is_by
 from pqsec_pki.lint.subjects import Inventory

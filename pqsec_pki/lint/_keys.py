@@ -1,7 +1,6 @@
-"""The key of a certificate: its kind, what it signed, and extensions."""
+"""The key of a certificate: its kind, and what it signed."""
 
 from functools import lru_cache
-from typing import TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -10,8 +9,6 @@ from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, decode, encode
 from pqsec_pki.algorithms import Family, PublicKey, load_public_key
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
-
-Value = TypeVar("Value", bound=x509.ExtensionType)
 
 UNREADABLE = "unreadable"
 _RSA, _EC = "1.2.840.113549.1.1.1", "1.2.840.10045.2.1"
@@ -26,17 +23,9 @@ _CURVES = {
 }
 
 
-def extension(certificate: Certificate, kind: type[Value]) -> Value | None:
-    """The value of that extension; None if the certificate has none."""
-    try:
-        return certificate.extensions.get_extension_for_class(kind).value
-    except x509.ExtensionNotFound:
-        return None
-
-
 def is_ca(certificate: Certificate) -> bool:
     """Whether basicConstraints marks it as a CA."""
-    constraints = extension(certificate, x509.BasicConstraints)
+    constraints = certificate.extension(x509.BasicConstraints)
     return constraints is not None and constraints.ca
 
 
