@@ -10,8 +10,20 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.access._patterns import opendds_reads_beyond
+    from pqsec_pki.access.change import Change, Difference, Sense
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
     from pqsec_pki.access.decision import Decision, Part, Protection
+    from pqsec_pki.access.diff import permissions_diff
+    from pqsec_pki.access.everywhere import (
+        Placed,
+        domain_set,
+        domains_named,
+        domains_said,
+        domains_ungoverned,
+        is_known,
+        topics_asked,
+        who_may_anywhere,
+    )
     from pqsec_pki.access.interpretation import Interpretation, Viewpoint
     from pqsec_pki.access.interpretations import (
         CYCLONEDDS,
@@ -22,7 +34,9 @@ if TYPE_CHECKING:
         interpretation_named,
     )
     from pqsec_pki.access.join import may_join
+    from pqsec_pki.access.matrix import DocumentOwner, TopicRow, topics_named
     from pqsec_pki.access.question import Action, Question
+    from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -33,15 +47,32 @@ __all__ = [
     "OPENDDS",
     "SPEC",
     "Action",
+    "Change",
     "Decision",
+    "Difference",
+    "DocumentOwner",
     "Interpretation",
     "InterpretedPolicy",
     "Part",
+    "ParticipantDocuments",
+    "Placed",
     "Protection",
     "Question",
+    "Sense",
+    "TopicRow",
     "Viewpoint",
     "decide",
+    "domain_set",
+    "domains_named",
+    "domains_said",
+    "domains_ungoverned",
     "interpretation_named",
+    "is_known",
     "may_join",
     "opendds_reads_beyond",
+    "permissions_diff",
+    "topics_asked",
+    "topics_between",
+    "topics_named",
+    "who_may_anywhere",
 ]

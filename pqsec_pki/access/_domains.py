@@ -3,8 +3,7 @@
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
-from pqsec_pki.documents import DomainRange, DomainSet
-from pqsec_pki.documents.domains import MAX_DOMAIN_ID
+from pqsec_pki.documents import MAX_DOMAIN_ID, DomainRange, DomainSet
 
 
 def stretches(sets: Iterable[DomainSet]) -> tuple[DomainRange, ...]:

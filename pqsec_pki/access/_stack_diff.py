@@ -10,8 +10,7 @@ from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC
 from pqsec_pki.access.question import MAX_NAME, Action, Question
-from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
-from pqsec_pki.documents.domains import MAX_DOMAIN
+from pqsec_pki.documents import MAX_DOMAIN, DomainRange, DomainSet, Governance, Grant, Permissions
 
 MOST_ASKED = 2_000
 """Most questions for a pair of documents, so that it takes a second."""

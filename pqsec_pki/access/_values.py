@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 
 from pqsec_pki.access._patterns import opendds_reads_beyond
 from pqsec_pki.documents import (
+    MAX_DOMAIN,
     Criteria,
     DomainRange,
     DomainSet,
@@ -17,7 +18,6 @@ from pqsec_pki.documents import (
     PermissionRule,
     Permissions,
 )
-from pqsec_pki.documents.domains import MAX_DOMAIN
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_SECOND = ((1 << 63) - 1) // 10**9

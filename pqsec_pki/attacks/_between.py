@@ -18,8 +18,7 @@ from pqsec_pki.handshake import (
     adjusted_guid,
 )
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.report import MESSAGE
-from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
+from pqsec_pki.selfcheck import MESSAGE, HandshakeSession, SessionSide
 
 _NAME = "/between"
 

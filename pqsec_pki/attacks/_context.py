@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from pqsec_pki.handshake import DataHolder, GenericMessage
-from pqsec_pki.selfcheck.report import Sent
-from pqsec_pki.selfcheck.session import HandshakeSession, Relay, SessionSide
+from pqsec_pki.selfcheck import HandshakeSession, Relay, Sent, SessionSide
 
 Impersonation = Callable[[SessionSide, SessionSide], SessionSide]
 """Takes the side that is impersonated and its peer, and returns the attacker's side."""

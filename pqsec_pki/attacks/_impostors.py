@@ -19,7 +19,7 @@ from pqsec_pki.attacks._relays import Edit, editing
 from pqsec_pki.attacks.attack import Attack, Attacker, two_keys
 from pqsec_pki.certificates import BACKDATE, Authority, Certificate
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.session import SessionSide
+from pqsec_pki.selfcheck import SessionSide
 
 _MOMENT = timedelta(seconds=1)
 _HOUR = timedelta(hours=1)

@@ -17,7 +17,7 @@ from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import adjusted_guid
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
+from pqsec_pki.selfcheck import HandshakeSession, SessionSide
 from pqsec_pki.smime import Signer, document_in, sign
 
 

@@ -9,8 +9,7 @@ from pqsec_pki.attacks._relays import putting
 from pqsec_pki.attacks.attack import COVERED, DOCUMENT, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import CHALLENGE_SIZE
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE
-from pqsec_pki.selfcheck.session import Relay
+from pqsec_pki.selfcheck import AUTH_REQUEST, HANDSHAKE, Relay
 
 _HASHES = {"request": "hash_c1", "reply": "hash_c2"}
 """The hashes that show a changed introduction; they are optional, so they can be removed."""

@@ -9,7 +9,7 @@ from pqsec_pki.attacks._relays import adding, changing_token, enveloped, on
 from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.handshake import DataHolder, GenericMessage
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE
+from pqsec_pki.selfcheck import AUTH_REQUEST, HANDSHAKE
 
 _MISLABELED: Mapping[str, Callable[[GenericMessage], GenericMessage]] = {
     "to another address": lambda it: replace(it, destination_participant=it.source),

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from pqsec_pki.handshake import DataHolder, GenericMessage
-from pqsec_pki.selfcheck.session import Relay
+from pqsec_pki.selfcheck import Relay
 
 Edit = Callable[[bytes], bytes]
 """Changes the sample of a message on its way."""

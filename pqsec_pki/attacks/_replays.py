@@ -9,8 +9,7 @@ from pqsec_pki.attacks._relays import instead, on, putting
 from pqsec_pki.attacks.attack import COVERED, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.handshake import DataHolder, Introduction, Request, reply_to
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.report import AUTH_REQUEST, HANDSHAKE, MESSAGE
-from pqsec_pki.selfcheck.session import Relay
+from pqsec_pki.selfcheck import AUTH_REQUEST, HANDSHAKE, MESSAGE, Relay
 
 
 def reflect(context: AttackContext) -> Iterator[Attempt]:

@@ -23,7 +23,7 @@ from pqsec_pki.handshake import (
     token_message,
 )
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.report import HANDSHAKE, MESSAGE
+from pqsec_pki.selfcheck import HANDSHAKE, MESSAGE
 
 _CLASSES: Mapping[str, type[Request | Reply | Final]] = {
     "request": Request,

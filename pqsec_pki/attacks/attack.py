@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.session import HandshakeSession
+from pqsec_pki.selfcheck import HandshakeSession
 
 
 class Attacker(StrEnum):

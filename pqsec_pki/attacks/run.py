@@ -9,9 +9,16 @@ from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UsageError
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck.handshake_check import HandshakeCheck, HandshakeParty, HandshakeSetup
-from pqsec_pki.selfcheck.report import CheckedStep, HandshakeReport, Steps, StoppedError
-from pqsec_pki.selfcheck.run import HandshakeRun
+from pqsec_pki.selfcheck import (
+    CheckedStep,
+    HandshakeCheck,
+    HandshakeParty,
+    HandshakeReport,
+    HandshakeRun,
+    HandshakeSetup,
+    Steps,
+    StoppedError,
+)
 
 _HINT = "a check of pqsec is broken: please report it as SECURITY.md says"
 

@@ -97,7 +97,7 @@ def _keystore(context: click.Context) -> "Keystore":
 
 
 def _topics(context: click.Context) -> Iterator[str]:
-    from pqsec_pki.access.matrix import DocumentOwner, topics_named  # noqa: PLC0415 -- lxml, too
+    from pqsec_pki.access import DocumentOwner, topics_named  # noqa: PLC0415 -- lxml, too
     from pqsec_pki.policy import own_permissions, shared_governance  # noqa: PLC0415
 
     keystore, now = _keystore(context), _settings.now()

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.selfcheck.matrix import FRAGMENT, Suite, suites
+from pqsec_pki.selfcheck import FRAGMENT, Suite, suites
 
 _HEADERS = (
     *("", "profile", "signature", "key agreement", "request", "reply", "final"),

@@ -11,9 +11,19 @@ import click
 
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.selfcheck import PQSEC, CheckedStep, stack_named
-from pqsec_pki.selfcheck.pairs import AllPairsJob, PairOutcome, PairsCheck, check_pairs, count_pairs
-from pqsec_pki.selfcheck.summary import Cause, Summary, faults
+from pqsec_pki.selfcheck import (
+    PQSEC,
+    AllPairsJob,
+    Cause,
+    CheckedStep,
+    PairOutcome,
+    PairsCheck,
+    Summary,
+    check_pairs,
+    count_pairs,
+    faults,
+    stack_named,
+)
 
 MATRIX = 20
 """The most participants for which a matrix is printed."""

@@ -9,7 +9,7 @@ from click.core import ParameterSource
 from pqsec_pki.cli import _printing
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lifecycle import OverlapStep, RolloverPlan, RolloverResult
-from pqsec_pki.vendors.rollover import TRUST
+from pqsec_pki.vendors import TRUST
 
 _COPY = (
     "copy to every robot its enclave folder, with the files that its links point to, and restart"

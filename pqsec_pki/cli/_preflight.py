@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.vendors.ros2 import preflight
-from pqsec_pki.vendors.ros2_check import Check
+from pqsec_pki.vendors import Check, preflight
 
 
 def report(names: tuple[str, ...]) -> int:

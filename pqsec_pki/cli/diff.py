@@ -5,8 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.access import SPEC
-from pqsec_pki.access.change import Sense
+from pqsec_pki.access import SPEC, Sense
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.policy import DocumentDifference, differences_between
 

@@ -9,9 +9,14 @@ from typing import Any
 
 import click
 
-from pqsec_pki.access import INTERPRETATIONS, Action, Question
-from pqsec_pki.access.everywhere import is_known
-from pqsec_pki.access.matrix import DocumentOwner, topics_named
+from pqsec_pki.access import (
+    INTERPRETATIONS,
+    Action,
+    DocumentOwner,
+    Question,
+    is_known,
+    topics_named,
+)
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import parse_subject, ros

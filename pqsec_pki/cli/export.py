@@ -10,9 +10,8 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError
 from pqsec_pki.stacks import Stack, stack_named
-from pqsec_pki.vendors import Export, Options, write
+from pqsec_pki.vendors import FASTRTPS, Export, Options, write
 from pqsec_pki.vendors import export as make_export
-from pqsec_pki.vendors.own_plugin import FASTRTPS
 
 
 @_help.command(

@@ -18,11 +18,11 @@ from pqsec_pki.selfcheck import (
     HandshakeParty,
     HandshakeReport,
     HandshakeSetup,
+    JoinableDomains,
     SimulatedStack,
     stack_named,
 )
 from pqsec_pki.selfcheck import verify_handshake as run_between
-from pqsec_pki.selfcheck.shared_domains import JoinableDomains
 
 MATRIX_ROUNDS = 5
 _PAIR = 2
@@ -175,7 +175,7 @@ def _report(names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
 def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     del names
     from pqsec_pki.cli._handshake_pairs import try_all  # noqa: PLC0415 -- not for every mode
-    from pqsec_pki.selfcheck.pairs import AllPairsJob  # noqa: PLC0415
+    from pqsec_pki.selfcheck import AllPairsJob  # noqa: PLC0415
 
     keystore = _keystore(given["kem"])
     first, second = _stacks(given["stacks"])

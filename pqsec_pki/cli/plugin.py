@@ -106,9 +106,9 @@ def install(
 
 
 def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None:
+    from pqsec_pki.vendors import examine, find_fastdds  # noqa: PLC0415
     from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- for Fast DDS alone
     from pqsec_pki.vendors.fastdds_adapter import install as install_fastdds  # noqa: PLC0415
-    from pqsec_pki.vendors.fastdds_library import examine, find_fastdds  # noqa: PLC0415
 
     stack = examine(library.absolute() if library else find_fastdds())
     preload = install_fastdds(stack, folder, here(), force=force)
@@ -143,7 +143,7 @@ def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None
 @_settings.command_options
 def status(folder: Path | None) -> int:
     """List what is installed, and for which library of which stack."""
-    from pqsec_pki.vendors.plugin_files import InstalledPlugin, installed_plugins  # noqa: PLC0415
+    from pqsec_pki.vendors import InstalledPlugin, installed_plugins  # noqa: PLC0415
 
     folder = (folder or default_folder()).absolute()
     found = installed_plugins(folder)
@@ -192,7 +192,7 @@ def uninstall(folder: Path | None) -> None:
     Participants with post-quantum keys are then refused by their stacks.
     """
     from pqsec_pki._files import disk_errors  # noqa: PLC0415 -- not for `plugin install`
-    from pqsec_pki.vendors.plugin_files import remove_plugins  # noqa: PLC0415 -- likewise
+    from pqsec_pki.vendors import remove_plugins  # noqa: PLC0415 -- likewise
 
     folder = (folder or default_folder()).absolute()
     removed = remove_plugins(folder)

@@ -22,7 +22,7 @@ from pqsec_pki.lifecycle import (
     apply_rollover,
     plan_rollover,
 )
-from pqsec_pki.vendors.rollover import TRUST
+from pqsec_pki.vendors import TRUST
 
 _CAS = {
     Scope.BOTH: "identity CA and permissions CA",

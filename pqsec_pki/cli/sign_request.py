@@ -11,8 +11,15 @@ from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.documents import DomainSet, Permissions
-from pqsec_pki.enrolment import NAMELESS, SignRequest, accept, name_asked_for, pins_of, sign
-from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
+from pqsec_pki.enrolment import (
+    MAX_ARCHIVE,
+    NAMELESS,
+    SignRequest,
+    accept,
+    name_asked_for,
+    pins_of,
+    sign,
+)
 from pqsec_pki.errors import UsageError, VerificationError, located
 from pqsec_pki.lifecycle import ParticipantSpec
 

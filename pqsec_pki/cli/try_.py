@@ -13,8 +13,7 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.selfcheck import HandshakeSetup
-from pqsec_pki.selfcheck.shared_domains import JoinableDomains
+from pqsec_pki.selfcheck import HandshakeSetup, JoinableDomains
 from pqsec_pki.stacks import Stack
 from pqsec_pki.trial import (
     MACHINE,

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.access import INTERPRETATIONS, Interpretation, interpretation_named
-from pqsec_pki.access.everywhere import (
+from pqsec_pki.access import (
+    INTERPRETATIONS,
+    Interpretation,
     Placed,
+    TopicRow,
     domains_said,
+    interpretation_named,
 )
-from pqsec_pki.access.matrix import TopicRow
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import DomainSet, ros

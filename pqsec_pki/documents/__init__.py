@@ -12,7 +12,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.documents import ros, sros2
     from pqsec_pki.documents._schema import Kind, validate
-    from pqsec_pki.documents.domains import DomainRange, DomainSet
+    from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
     from pqsec_pki.documents.governance_yaml import (
         governance_from_yaml,
@@ -39,6 +39,8 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "MAX_DOMAIN",
+    "MAX_DOMAIN_ID",
     "PRESETS",
     "Comment",
     "Criteria",

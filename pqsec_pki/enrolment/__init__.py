@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.outbox import refresh
     from pqsec_pki.enrolment.requesting import Requested, make_sealing_key, request
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
+    from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
     from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
     from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "MAX_ARCHIVE",
     "NAMELESS",
     "Accepted",
     "Bundle",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.handshake.messages import (
         CHALLENGE_SIZE,
+        HASH_SIZE,
         AuthRequest,
         Final,
         Introduction,
@@ -49,12 +50,21 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.handshake.states import Done, ReplySent, RequestSent, begin, reply_to
     from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
-    from pqsec_pki.handshake.wire import DataHolder, GenericMessage, MessageClass
+    from pqsec_pki.handshake.wire import (
+        GUID_SIZE,
+        MAX_TOKEN,
+        DataHolder,
+        GenericMessage,
+        MessageClass,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CHALLENGE_SIZE",
+    "GUID_SIZE",
+    "HASH_SIZE",
+    "MAX_TOKEN",
     "AuthRequest",
     "ByteOrder",
     "DataHolder",

@@ -13,8 +13,7 @@ from collections.abc import Callable, Collection
 from typing import Any, TypeVar
 
 from pqsec_pki.errors import MalformedError
-from pqsec_pki.handshake import DataHolder
-from pqsec_pki.handshake.wire import MAX_TOKEN
+from pqsec_pki.handshake import MAX_TOKEN, DataHolder
 
 MAX_FRAME = 1 << 20
 """Octets. No token is larger than MAX_TOKEN, and few are in one frame."""

@@ -13,9 +13,10 @@ from pqsec_pki.access import (
     InterpretedPolicy,
     Question,
     Viewpoint,
+    domain_set,
+    domains_named,
     interpretation_named,
 )
-from pqsec_pki.access.everywhere import domain_set, domains_named
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
 from pqsec_pki.policy.participants import PolicyInput
 

@@ -6,8 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import is_folder, read
-from pqsec_pki.access.change import Change, Difference
-from pqsec_pki.access.diff import permissions_diff
+from pqsec_pki.access import Change, Difference, permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import UsageError

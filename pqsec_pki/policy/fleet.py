@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import exists, is_folder, walk
-from pqsec_pki.access import Action, Interpretation, Question
-from pqsec_pki.access.matrix import DocumentOwner
+from pqsec_pki.access import Action, DocumentOwner, Interpretation, Question
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
 from pqsec_pki.errors import (
     FileError,

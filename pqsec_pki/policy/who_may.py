@@ -5,15 +5,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 
-from pqsec_pki.access import Interpretation
-from pqsec_pki.access.everywhere import (
+from pqsec_pki.access import (
+    DocumentOwner,
+    Interpretation,
     Placed,
     domains_ungoverned,
     is_known,
     topics_asked,
+    topics_named,
     who_may_anywhere,
 )
-from pqsec_pki.access.matrix import DocumentOwner, topics_named
 from pqsec_pki.documents import DomainRange, DomainSet
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet

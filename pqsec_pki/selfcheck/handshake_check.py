@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import NamedTuple
 
-from pqsec_pki.access.sharing import ParticipantDocuments
+from pqsec_pki.access import ParticipantDocuments
 from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions

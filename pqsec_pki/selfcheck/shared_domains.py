@@ -5,8 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-from pqsec_pki.access import may_join
-from pqsec_pki.access.sharing import topics_between
+from pqsec_pki.access import may_join, topics_between
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import Keystore, regular_name

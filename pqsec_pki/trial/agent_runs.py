@@ -21,8 +21,8 @@ from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
 from pqsec_pki.plugin.building import SOURCES, CompileError, command
 from pqsec_pki.trial.building import cache, is_own, run_tool
 from pqsec_pki.trial.installation import MACHINE, Installation
+from pqsec_pki.vendors import FastDds, examine
 from pqsec_pki.vendors.fastdds_adapter import Compilers, commands, here, install, sources
-from pqsec_pki.vendors.fastdds_library import FastDds, examine
 
 _RUNTIME = Path("/tmp")  # noqa: S108 -- a socket's path must be short; the folder in it is 0700
 _IDLE = "20"

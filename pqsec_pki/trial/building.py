@@ -14,7 +14,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError, shown
 from pqsec_pki.trial.installation import MACHINE, Installation
-from pqsec_pki.vendors.elf import read_library
+from pqsec_pki.vendors import read_library
 
 PATIENCE = 300
 """Seconds for one command of a compiler."""

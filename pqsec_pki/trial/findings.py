@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pqsec_pki.errors import shown
 from pqsec_pki.trial.peer import Act, PeerOutcome
 from pqsec_pki.trial.words import words
-from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
+from pqsec_pki.vendors import Recognised, Tells, fit_for_a_command, recognise
 
 _MOST = 3
 """Messages of one participant; the first ones matter most."""

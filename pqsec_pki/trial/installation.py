@@ -14,8 +14,7 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.trial.peer_builds import PEER_BUILDS, STACKS, Command, PeerBuild
-from pqsec_pki.vendors.cyclone_plugins import agree, in_words
-from pqsec_pki.vendors.elf import Library, read_library, runs_here
+from pqsec_pki.vendors import Library, agree, in_words, read_library, runs_here
 
 MACHINE = Path("/")
 PREFIXES = ("usr/local", "usr")

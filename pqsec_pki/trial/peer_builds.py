@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki.stacks import Stack
-from pqsec_pki.vendors.cyclone_plugins import installed_plugins
+from pqsec_pki.vendors import find_cyclone_plugins
 
 Command = tuple[str, ...]
 """Words; {bin}, {include} and {lib} are replaced by the folders of the stack's prefix as the
@@ -78,7 +78,7 @@ PEER_BUILDS = (
         packages="gcc libc6-dev cyclonedds-dev cyclonedds-tools",
         open="cyclonedds.open.xml",
         variable="CYCLONEDDS_URI",
-        plugins=lambda root, library: installed_plugins(root, lambda it: it.library == library),
+        plugins=lambda root, library: find_cyclone_plugins(root, lambda it: it.library == library),
     ),
     _fastdds(
         3,

@@ -9,19 +9,48 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.vendors.cyclone_plugins import agree, find_cyclone_plugins, in_words
+    from pqsec_pki.vendors.elf import Library, read_library, runs_here
     from pqsec_pki.vendors.enclave import StackEnclave
     from pqsec_pki.vendors.exports import Export, Options, write
+    from pqsec_pki.vendors.fastdds_library import FastDds, examine, find_fastdds
+    from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
+    from pqsec_pki.vendors.own_plugin import FASTRTPS
+    from pqsec_pki.vendors.plugin_files import InstalledPlugin, installed_plugins, remove_plugins
+    from pqsec_pki.vendors.rollover import TRUST
+    from pqsec_pki.vendors.ros2 import preflight
+    from pqsec_pki.vendors.ros2_check import Check
     from pqsec_pki.vendors.stacks import EXPORTERS, Exporter, export, exporter_of
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "EXPORTERS",
+    "FASTRTPS",
+    "TRUST",
+    "Check",
     "Export",
     "Exporter",
+    "FastDds",
+    "InstalledPlugin",
+    "Library",
     "Options",
+    "Recognised",
     "StackEnclave",
+    "Tells",
+    "agree",
+    "examine",
     "export",
     "exporter_of",
+    "find_cyclone_plugins",
+    "find_fastdds",
+    "fit_for_a_command",
+    "in_words",
+    "installed_plugins",
+    "preflight",
+    "read_library",
+    "recognise",
+    "remove_plugins",
+    "runs_here",
     "write",
 ]

@@ -95,7 +95,7 @@ def installed(root: Path) -> Iterator[tuple[Path, CyclonePlugin]]:
                 yield folder, _plugin(libraries[0])
 
 
-def installed_plugins(
+def find_cyclone_plugins(
     root: Path, fits: Callable[[CyclonePlugin], bool] = lambda _: True
 ) -> Path | None:
     """The one folder below `root` with plugins that fit; None if there is none, or several."""

@@ -17,9 +17,9 @@ from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.cyclone_plugins import (
     NAMES,
     agree,
+    find_cyclone_plugins,
     in_words,
     installed,
-    installed_plugins,
     mixed,
     plugins_in,
     read_plugin,
@@ -92,7 +92,7 @@ def _located(options: Options) -> dict[str, Path | None]:
     """The paths of Cyclone DDS's own plugins, if they were given or found."""
     folder = options.plugins
     if folder is None and not options.at:
-        folder = installed_plugins(Path("/"), lambda each: agree(each.release, options.release))
+        folder = find_cyclone_plugins(Path("/"), lambda each: agree(each.release, options.release))
     found = dict.fromkeys(NAMES) | (plugins_in(folder.absolute()) if folder else {})
     if options.crypto:
         found["crypto"] = options.crypto.absolute()

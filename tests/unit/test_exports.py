@@ -14,7 +14,7 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.problems import Code
 from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack, stack_named
 from pqsec_pki.vendors import Export, Options, StackEnclave, export, exporter_of, write
-from pqsec_pki.vendors.cyclone_plugins import NAMES, installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import NAMES, find_cyclone_plugins
 from pqsec_pki.vendors.exports import FOLDER
 from tests.unit.keystores import NOW, made
 
@@ -285,16 +285,16 @@ def test_plugins_are_found_where_distributions_put_them(library, tmp_path):
     folder.mkdir(parents=True)
     for name in NAMES.values():
         (folder / f"lib{name}.so").touch()
-    assert installed_plugins(tmp_path) is None  # nothing loads an empty file
+    assert find_cyclone_plugins(tmp_path) is None  # nothing loads an empty file
     library.cyclone(folder, "0.10.2", "libddsc.so.0debian")
-    assert installed_plugins(tmp_path) == folder
+    assert find_cyclone_plugins(tmp_path) == folder
     (folder.parent / "libddsc-that-leads-to-itself").symlink_to("libddsc-that-leads-to-itself")
     (tmp_path / "usr/lib/here").symlink_to(folder)  # the same folder is no second one
-    assert installed_plugins(tmp_path) == folder
+    assert find_cyclone_plugins(tmp_path) == folder
     library.cyclone(tmp_path / "usr/local/lib", "11.0.1", "libddsc.so.11")
-    assert installed_plugins(tmp_path) is None
+    assert find_cyclone_plugins(tmp_path) is None
     for place, version in ((folder, (0, 10, 2)), (tmp_path / "usr/local/lib", (11, 0, 1))):
-        assert installed_plugins(tmp_path, lambda each, of=version: each.release == of) == place
+        assert find_cyclone_plugins(tmp_path, lambda each, of=version: each.release == of) == place
 
 
 def test_what_cyclone_would_replace_is_protected(own):

@@ -154,6 +154,27 @@ def test_every_row_of_a_room_is_for_a_stack_of_the_table():
     assert rows - {SPEC.name, PQSEC.name} < {*Stack}
 
 
+PAST_THE_INIT = {
+    "documents.parts_yaml": "what a room needs to read YAML of its own",
+    "access.governance_diff": "a module of this name has the function",
+    "selfcheck.trace": "a module of this name has the function",
+    "vendors.messages": "a module of this name has the function",
+    "vendors.fastdds_adapter": "`install`, `here` and others say what they do only beside its name",
+    "plugin": "the agent's parts, for those that run an agent themselves",
+}
+"""Modules of which other rooms import more than the room's `__init__` has, and why."""
+
+
+def test_a_room_exports_what_others_use():
+    found = set()
+    for path in ROOT.rglob("*.py"):
+        for name in imports(path.read_text()):
+            room, *inside = name.removeprefix("pqsec_pki.").split(".")
+            if room in ROOMS and room != path.relative_to(ROOT).parts[0] and len(inside) > 1:
+                found.add(room if room in PAST_THE_INIT else f"{room}.{inside[0]}")
+    assert found == set(PAST_THE_INIT)
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_room_imports_only_what_the_map_allows(room):
     assert room in MAY_IMPORT, "a new room: say on the map what it may import"

@@ -32,7 +32,7 @@ from pqsec_pki.trial.findings import findings
 from pqsec_pki.trial.network import Wire
 from pqsec_pki.trial.peer import MAX_LOG, PeerOutcome
 from pqsec_pki.trial.words import words
-from pqsec_pki.vendors.cyclone_plugins import installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
 from tests.unit.keystores import NOW, made
 
 # Finding a stack
@@ -127,7 +127,7 @@ def test_a_library_for_another_processor_is_passed_over(root, library, requires)
     library.cyclone(path / "usr/lib/aarch64-linux-gnu", "0.10.5", "libddsc.so.0debian", "-m32")
     found = find("cyclonedds", path)
     assert (found.version, found.plugins) == ("0.10.4", path / "usr" / LIBRARIES)
-    assert installed_plugins(path) == path / "usr" / LIBRARIES
+    assert find_cyclone_plugins(path) == path / "usr" / LIBRARIES
 
 
 def test_headers_without_a_library_of_theirs_are_refused(root):

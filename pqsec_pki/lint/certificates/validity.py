@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 
-from pqsec_pki.certificates.authority import LAST_YEAR
+from pqsec_pki.certificates import LAST_YEAR
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 from pqsec_pki.stacks import Stack

@@ -20,14 +20,15 @@ from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import (
     CHALLENGE_SIZE,
+    GUID_SIZE,
+    HASH_SIZE,
+    MAX_TOKEN,
     GenericMessage,
     Introduction,
     MessageClass,
     Reply,
     participant_data,
 )
-from pqsec_pki.handshake.messages import HASH_SIZE
-from pqsec_pki.handshake.wire import GUID_SIZE, MAX_TOKEN
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.trial import MissingStackError, TrialRole, find, unauthenticated
-from pqsec_pki.vendors.cyclone_plugins import installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
 from tests.interop.conftest import LAB_PROFILES, TOPIC
 from tests.interop.plugin.processes import DOMAIN, REFUSAL, Stage, logs, met
 
@@ -55,7 +55,7 @@ def test_the_same_library_runs_in_a_newer_cyclone(requires, shim, labs, tmp_path
         newer = find("cyclonedds", TRIXIE)
     except MissingStackError as error:
         requires(None, "Cyclone DDS in Debian trixie", f"run .ci/trixie ({error})")
-    stage = Stage(newer, shim, installed_plugins(TRIXIE), tmp_path)
+    stage = Stage(newer, shim, find_cyclone_plugins(TRIXIE), tmp_path)
     went = stage.run_peers(stage.sender(labs(profile).alice), stage.receiver(labs(profile).bob))
     assert met(went), logs(went)
 
