@@ -16,7 +16,7 @@ from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.lint import RULES, Finding
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.stacks import stack_named
-from pqsec_pki.vendors import Options, export
+from pqsec_pki.vendors import Options, export, exporter_of
 from pqsec_pki.vendors.ros2 import preflight
 from tests.unit.keystores import DAY, NOW
 
@@ -203,7 +203,7 @@ def test_an_encrypted_key_is_asked_about_where_the_passphrase_is_known(own, fold
 def test_what_other_plugins_make_of_it_does_not_matter(model, folder):
     about_stacks = {rule for rule in RULES.values() if rule.stacks}
     assert {rule.id for rule in about_stacks} >= {"PQS601", "PQS602", "PQS267"}
-    stack, ours = stack_named("ros2"), Options(plugin=folder)
+    stack, ours = exporter_of(stack_named("ros2")), Options(plugin=folder)
     for rule in RULES.values():
         own_of_ros = {each.value for each in rule.stacks} <= {"ros2"}
         judged = stack.severity(_finding(rule), ours)
