@@ -10,6 +10,12 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.access._patterns import opendds_reads_beyond
+    from pqsec_pki.access.amending import (
+        TopicRights,
+        add_rights,
+        allowed_domains,
+        remove_rights,
+    )
     from pqsec_pki.access.change import Change, Difference, Sense
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
     from pqsec_pki.access.decision import Decision, Part, Protection
@@ -59,8 +65,11 @@ __all__ = [
     "Protection",
     "Question",
     "Sense",
+    "TopicRights",
     "TopicRow",
     "Viewpoint",
+    "add_rights",
+    "allowed_domains",
     "decide",
     "domain_set",
     "domains_named",
@@ -71,6 +80,7 @@ __all__ = [
     "may_join",
     "opendds_reads_beyond",
     "permissions_diff",
+    "remove_rights",
     "topics_asked",
     "topics_between",
     "topics_named",

@@ -47,6 +47,7 @@ COMMANDS = {
         "renew",
         "Test whether participants or the revocation list are due for renewal.",
     ),
+    "permit": ("permit", "Add or remove single rights of participants; their keys stay."),
     "revoke": (
         "revoke",
         "Revoke certificates, and put the new revocation list into every enclave.",
@@ -85,7 +86,9 @@ COMMANDS = {
 """Command -> (module in this room, one-line help for `pqsec --help`)."""
 
 GROUPS = {
-    "Issue and maintain": "demo ca adopt issue renew needs-renewal revoke status log plan apply",
+    "Issue and maintain": (
+        "demo ca adopt issue permit renew needs-renewal revoke status log plan apply"
+    ),
     "Robots with their own keys, and offline CAs": (
         "request bundle-key bundle install rollback sign-request"
     ),

@@ -21,7 +21,7 @@ _ROS = {
 }
 """Option -> function that returns the topics to publish and subscribe."""
 
-_OPTIONS = (
+_TOPICS = (
     click.option(
         "--publish",
         multiple=True,
@@ -74,6 +74,10 @@ _OPTIONS = (
         metavar="NODE",
         help="Allow the topics that this ROS 2 node needs to start.",
     ),
+)
+
+_OPTIONS = (
+    *_TOPICS,
     click.option(
         "--policy",
         type=_settings.FILE,
@@ -96,6 +100,34 @@ def participant_options(command: _settings.Command) -> _settings.Command:
     return command
 
 
+def topic_options(command: _settings.Command) -> _settings.Command:
+    """Add the options for topics; their values are the keyword arguments of `topics_of`."""
+    for option in reversed(_TOPICS):
+        command = option(command)
+    return command
+
+
+def topics_of(
+    *,
+    publish: tuple[str, ...],
+    subscribe: tuple[str, ...],
+    ros_publish: tuple[str, ...],
+    ros_subscribe: tuple[str, ...],
+    **ros_names: Any,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The DDS topics to publish and to subscribe to, each once. UsageError for a ROS name."""
+    for option, topics in (("publish", publish), ("subscribe", subscribe)):
+        for topic in topics:
+            _note_ros_name(option, topic)
+    publish += tuple(map(ros.topic, ros_publish))
+    subscribe += tuple(map(ros.topic, ros_subscribe))
+    for option, given in ros_names.items():
+        for name in given:
+            also = _ROS[option](name)
+            publish, subscribe = publish + also.publish, subscribe + also.subscribe
+    return tuple(dict.fromkeys(publish)), tuple(dict.fromkeys(subscribe))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantOptions:
     """The rights of each named participant."""
@@ -106,35 +138,12 @@ class ParticipantOptions:
     validity: timedelta
 
     @classmethod
-    def of(  # noqa: PLR0913 -- one for each option, by name
-        cls,
-        *,
-        publish: tuple[str, ...],
-        subscribe: tuple[str, ...],
-        ros_publish: tuple[str, ...],
-        ros_subscribe: tuple[str, ...],
-        policy: Path | None,
-        validity: timedelta,
-        **ros_names: Any,
-    ) -> Self:
+    def of(cls, *, policy: Path | None, validity: timedelta, **topics: Any) -> Self:
         """From the options. UsageError for an invalid ROS name, or topics and --policy."""
-        for option, topics in (("publish", publish), ("subscribe", subscribe)):
-            for topic in topics:
-                _note_ros_name(option, topic)
-        publish += tuple(map(ros.topic, ros_publish))
-        subscribe += tuple(map(ros.topic, ros_subscribe))
-        for option, given in ros_names.items():
-            for name in given:
-                also = _ROS[option](name)
-                publish, subscribe = publish + also.publish, subscribe + also.subscribe
+        publish, subscribe = topics_of(**topics)
         if policy and (publish or subscribe):
             raise UsageError("--policy and topics exclude each other")
-        return cls(
-            publish=tuple(dict.fromkeys(publish)),
-            subscribe=tuple(dict.fromkeys(subscribe)),
-            policy=policy,
-            validity=validity,
-        )
+        return cls(publish=publish, subscribe=subscribe, policy=policy, validity=validity)
 
     @property
     def policy_names(self) -> tuple[str, ...]:

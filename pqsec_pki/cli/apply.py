@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli.plan import (
     few,
     file_argument,
@@ -116,18 +117,12 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
 
 
 def _ask(found: Plan, desired: Desired) -> None:
-    if _settings.settings().json:
-        raise UsageError(
-            "--json does not ask for confirmation",
-            hint="`pqsec plan --json` shows the changes, --yes makes them",
-        )
-    if not sys.stdin.isatty():
-        raise UsageError(
-            f"there are {len(found.steps)} changes to make, and no terminal to ask",
-            hint="`pqsec plan` shows them; --yes makes them",
-        )
-    show(found, desired)
-    click.confirm("Make these changes?", abort=True, err=True)
+    confirm(
+        lambda: show(found, desired),
+        "Make these changes?",
+        what=f"there are {len(found.steps)} changes to make",
+        hint="`pqsec plan` shows them; --yes makes them",
+    )
 
 
 def _opened(

@@ -1,6 +1,6 @@
 """pqsec diff: show which rights a policy change grants and removes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -47,11 +47,12 @@ def diff(old: Path, new: Path) -> int:
         "complete": complete,
         "changes": [each for part in parts for each in part.to_json()],
     }
-    _printing.emit(value, _lines(parts))
+    _printing.emit(value, difference_lines(parts))
     return 1 if changes else 0
 
 
-def _lines(parts: list[DocumentDifference]) -> Iterator[str]:
+def difference_lines(parts: Sequence[DocumentDifference]) -> Iterator[str]:
+    """The changes of rights and protection as text, those that grant first."""
     changes = [change for part in parts for change in part.difference.changes]
     if not changes:
         same = all(part.difference.same_text for part in parts)

@@ -52,6 +52,12 @@ class PermissionRule:
     line: int | None = field(default=None, compare=False, repr=False)
     """Its line in the document; None if it was not read from one."""
 
+    @classmethod
+    def deny_all(cls, domains: DomainSet) -> Self:
+        """A rule that denies to publish and to subscribe to any topic."""
+        everything = (Criteria(topics=("*",)),)
+        return cls(allow=False, domains=domains, publish=everything, subscribe=everything)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
@@ -158,8 +164,7 @@ def _least_rule(
 ) -> PermissionRule:
     if publish or subscribe:
         return PermissionRule(allow=True, domains=domains, publish=publish, subscribe=subscribe)
-    everything = (Criteria(topics=("*",)),)
-    return PermissionRule(allow=False, domains=domains, publish=everything, subscribe=everything)
+    return PermissionRule.deny_all(domains)
 
 
 # The schema fixes the number and order of the children, so they are found by position.

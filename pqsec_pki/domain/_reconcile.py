@@ -9,7 +9,7 @@ from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there
 from pqsec_pki.domain.steps import Blocked, Step, StepAction
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Files, Keystore, ParticipantState, State
+from pqsec_pki.keystore import PERMITTED, Files, Keystore, ParticipantState, State
 
 _NEVER = datetime.max.replace(tzinfo=UTC)
 _ELSEWHERE = "has its key elsewhere"
@@ -121,6 +121,8 @@ def _why_sign_permissions(member: Member, held: ParticipantState) -> str:
         return "its permissions are not the ones signed last"
     if held.config_digest == member.config_digest:
         return ""
+    if held.config_digest == PERMITTED:
+        return "its rights were changed by `pqsec permit`"
     return (
         f"its role ({member.role.label}) was changed"
         if held.config_digest

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
         load_revocation_list,
     )
     from pqsec_pki.keystore.states import (
+        PERMITTED,
         Files,
         ParticipantState,
         State,
@@ -82,6 +83,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "PERMITTED",
     "SETTINGS",
     "WAIT",
     "Authorities",

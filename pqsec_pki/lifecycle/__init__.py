@@ -7,6 +7,7 @@ Participants and documents:
                   keys that are compromised or another participant's
     renewing      renews participants; `_inspector` finds the newest files of each
     signing       signs governance and permissions again
+    permitting    changes single rights of participants
     revoking      revokes certificates and issues revocation lists
 CAs:
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
@@ -24,6 +25,11 @@ if TYPE_CHECKING:
     from pqsec_pki.lifecycle.adopting import Adopted, adopt
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
     from pqsec_pki.lifecycle.passphrase import change_passphrase
+    from pqsec_pki.lifecycle.permitting import (
+        PermissionsChange,
+        changed_permissions,
+        sign_changed,
+    )
     from pqsec_pki.lifecycle.renewing import Renewal, renew
     from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
     from pqsec_pki.lifecycle.rollover import (
@@ -46,6 +52,7 @@ __all__ = [
     "Issued",
     "OverlapStep",
     "ParticipantSpec",
+    "PermissionsChange",
     "PublicKeys",
     "Renewal",
     "Revoked",
@@ -56,11 +63,13 @@ __all__ = [
     "adopt",
     "apply_rollover",
     "change_passphrase",
+    "changed_permissions",
     "issue",
     "plan_rollover",
     "renew",
     "renew_list",
     "revoke",
+    "sign_changed",
     "sign_document",
     "sign_governance",
     "sign_permissions",

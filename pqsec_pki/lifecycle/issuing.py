@@ -177,7 +177,7 @@ def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, forc
     if there:
         raise ExistsError(
             f"already issued: {', '.join(there)}",
-            hint="choose another name; `pqsec renew` keeps its permissions, --force replaces key,"
+            hint="`pqsec permit` changes rights and `pqsec renew` renews; --force replaces key,"
             " certificate and permissions",
         )
 

@@ -15,7 +15,7 @@ IF_WANTED = "for whom was revoked, and only if it may come back"
 JUSTIFIED = {
     "choose another place, or --force to replace it": REPLACES_A_FILE,
     "choose another -o, or --force to replace it": REPLACES_A_FILE,
-    "choose another name; `pqsec renew` keeps its permissions, --force replaces key,"
+    "`pqsec permit` changes rights and `pqsec renew` renews; --force replaces key,"
     " certificate and permissions": "the user named a participant that is there",
     "to admit it again, issue it with --force --after-revocation": IF_WANTED,
     "to admit it again: `pqsec issue` with --force --after-revocation": IF_WANTED,

@@ -1,0 +1,107 @@
+"""Changes rights of participants: keys and certificates stay, permissions are signed again.
+
+In two steps, so that a user sees the change first: `changed_permissions` reads the signed
+permissions and edits them, and `sign_changed` signs the result, unless they were changed since.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from pqsec_pki._processes import shared_out
+from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
+from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.keystore import (
+    PERMITTED,
+    Authorities,
+    Entry,
+    Keystore,
+    StagedFolder,
+    change,
+    document_entry,
+    layout,
+)
+from pqsec_pki.lifecycle._inspector import Inspector
+
+
+@dataclass(frozen=True, slots=True)
+class PermissionsChange:
+    """The permissions of a participant before and after a change of rights."""
+
+    name: str
+    old: Permissions
+    new: Permissions
+    from_domain_file: bool = False
+    """Whether the old permissions are those of a domain file."""
+
+
+def changed_permissions(
+    keystore: Keystore,
+    names: Sequence[str],
+    edit: Callable[[Grant], Grant],
+    *,
+    now: datetime,
+) -> list[PermissionsChange]:
+    """The permissions of each participant, and what `edit` makes of its grant; writes nothing.
+
+    KeystoreError for a participant that does not exist, was revoked, has no grant, or whose
+    files are not its newest; VerificationError for a signature that is not valid; and the errors
+    of `edit`.
+    """
+    names = [layout.enclave_name(name) for name in names]
+    with keystore.open_ledger() as ledger:
+        inspector = Inspector.of(keystore, ledger, names, now=now)
+    inspector.refuse_revoked(names)
+    return [_changed(inspector, name, edit) for name in names]
+
+
+def sign_changed(
+    keystore: Keystore,
+    authorities: Authorities,
+    changes: Sequence[PermissionsChange],
+    *,
+    now: datetime,
+) -> None:
+    """Sign the new permissions of all participants in `changes`, or of none.
+
+    KeystoreError as in `changed_permissions`, and if permissions have changed since.
+    """
+    names = [each.name for each in changes]
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        authorities.refuse_outdated(keystore.root)
+        inspector = Inspector.of(keystore, ledger, names, now=now)
+        inspector.refuse_revoked(names)
+        folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
+
+        def sign(wanted: PermissionsChange, folder: StagedFolder) -> Entry:
+            there = keystore.root / layout.enclave_folder(wanted.name)
+            if inspector.permissions(wanted.name, there) != wanted.old:
+                raise KeystoreError(
+                    f"the permissions of {wanted.name} were changed by another command",
+                    hint="run this command again: it shows the change to the new permissions",
+                )
+            document = wanted.new.to_xml()
+            signed = authorities.sign(document, now=now)
+            folder.public(layout.PERMISSIONS_XML, document)
+            folder.public(layout.PERMISSIONS, signed)
+            entry = document_entry("permissions", wanted.name, signed, now)
+            return replace(entry, details={"mark": PERMITTED})
+
+        transaction.record(*shared_out(sign, changes, folders))
+
+
+def _changed(inspector: Inspector, name: str, edit: Callable[[Grant], Grant]) -> PermissionsChange:
+    folder = inspector.keystore.root / layout.enclave_folder(name)
+    subject = inspector.certificate(name, folder).subject_name
+    old = inspector.permissions(name, folder)
+    with located(folder / layout.PERMISSIONS):
+        own = [
+            same_subject(parse_subject(grant.subject_name), parse_subject(subject))
+            for grant in old.grants
+        ]
+        if not any(own):
+            raise KeystoreError(f"there is no grant for {subject}")
+    grants = [edit(grant) if mine else grant for grant, mine in zip(old.grants, own, strict=True)]
+    new = Permissions(grants=tuple(grants))
+    digest = inspector.config_digest(name, folder)
+    return PermissionsChange(name, old, new, from_domain_file=digest not in {"", PERMITTED})

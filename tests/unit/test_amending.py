@@ -1,0 +1,139 @@
+"""Rights added to a grant and removed from it, and the changes that are refused."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from pqsec_pki.access import Action, Question, TopicRights, add_rights, decide, remove_rights
+from pqsec_pki.documents import (
+    Criteria,
+    DefaultAction,
+    DomainSet,
+    Governance,
+    Grant,
+    PermissionRule,
+    Permissions,
+)
+from pqsec_pki.errors import UsageError
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+ZERO, ONE = DomainSet.of(0), DomainSet.of(1)
+SUBJECT = "CN=/talker"
+
+
+def grant(*rules, default=DefaultAction.DENY):
+    return Grant(
+        name="/talker",
+        subject_name=SUBJECT,
+        not_before=NOW,
+        not_after=NOW + timedelta(days=1),
+        rules=rules,
+        default=default,
+    )
+
+
+def rule(*topics, allow=True, domains=ZERO, **limits):
+    return PermissionRule(
+        allow=allow, domains=domains, publish=(Criteria(topics=topics, **limits),)
+    )
+
+
+def may_publish(found, topic, domain=0):
+    question = Question(subject=SUBJECT, domain=domain, action=Action.PUBLISH, topic=topic, now=NOW)
+    governance = Governance.protected(DomainSet.of(0, 1))
+    return decide(governance, Permissions(grants=(found,)), question).allowed
+
+
+def rights(*topics):
+    return TopicRights(publish=topics)
+
+
+def test_a_right_is_added_to_the_rule_of_its_domains():
+    found = add_rights(grant(rule("a")), TopicRights(publish=("b",), subscribe=("c",)), ZERO)
+    assert found.rules == (
+        PermissionRule(
+            allow=True,
+            domains=ZERO,
+            publish=(Criteria(topics=("a", "b")),),
+            subscribe=(Criteria(topics=("c",)),),
+        ),
+    )
+    assert may_publish(found, "b")
+
+
+def test_a_right_on_another_domain_gets_a_rule_of_its_own():
+    found = add_rights(grant(rule("a")), rights("b"), ONE)
+    assert found.rules == (rule("a"), rule("b", domains=ONE))
+    assert [may_publish(found, "b", domain) for domain in (0, 1)] == [False, True]
+
+
+def test_what_is_allowed_already_is_not_added_again():
+    for allowed, topic in (("a", "a"), ("rt/*", "rt/a"), ("rt/*", "rt/[ab]*")):
+        before = grant(rule(allowed))
+        assert add_rights(before, rights(topic), ZERO) == before
+    wider = DomainSet.of(0, 1)
+    assert may_publish(add_rights(grant(rule("a")), rights("a"), wider), "a", 1)
+
+
+def test_a_right_within_partitions_does_not_count_as_allowed():
+    found = add_rights(grant(rule("a", partitions=("p",))), rights("a"), ZERO)
+    assert may_publish(found, "a")
+
+
+def test_a_participant_without_topics_gets_its_first():
+    empty = Grant.least(
+        subject_name=SUBJECT, not_before=NOW, not_after=NOW + timedelta(days=1), domains=ZERO
+    )
+    assert not may_publish(empty, "a")
+    found = add_rights(empty, rights("a"), ZERO)
+    assert may_publish(found, "a")
+    assert remove_rights(found, rights("a")).rules == empty.rules
+
+
+def test_a_denied_topic_is_not_added():
+    denies = rule("secret*", allow=False)
+    for rules in ((denies, rule("a")), (rule("a"), denies)):
+        for topic in ("secret/x", "s*"):
+            with pytest.raises(UsageError, match=r"may not publish .*: the deny rule denies it"):
+                add_rights(grant(*rules), rights(topic), ZERO)
+
+
+def test_a_deny_rule_that_hides_rules_below_it_stays():
+    """Without it, the rule below would allow again."""
+    everything = PermissionRule.deny_all(ZERO)
+    with pytest.raises(UsageError, match="denies it"):
+        add_rights(grant(everything, rule("a")), rights("b"), ZERO)
+    with pytest.raises(UsageError, match="denies it"):
+        add_rights(grant(everything, default=DefaultAction.ALLOW), rights("b"), ZERO)
+
+
+def test_a_right_is_removed_from_all_rules():
+    before = grant(
+        rule("a", "b"), rule("a", domains=ONE), rule("a", partitions=("p",)), rule("x", allow=False)
+    )
+    found = remove_rights(before, rights("a"))
+    assert found.rules == (rule("b"), rule("x", allow=False))
+    assert not may_publish(found, "a")
+    assert remove_rights(found, rights("a")) == found
+
+
+def test_a_right_that_a_pattern_still_allows_is_not_removed():
+    with pytest.raises(UsageError, match=r"may still publish rt/a: the allow rule allows rt/\*"):
+        remove_rights(grant(rule("rt/a", "rt/*", "x")), rights("rt/a"))
+    with pytest.raises(UsageError, match="may still publish"):
+        remove_rights(grant(rule("rt/a"), rule("*", partitions=("p",))), rights("rt/a"))
+    with pytest.raises(UsageError, match="its grant allows by default"):
+        remove_rights(grant(rule("a"), default=DefaultAction.ALLOW), rights("a"))
+
+
+def test_only_the_named_action_is_removed():
+    both = PermissionRule(
+        allow=True,
+        domains=ZERO,
+        publish=(Criteria(topics=("a",)),),
+        subscribe=(Criteria(topics=("a",)),),
+    )
+    found = remove_rights(grant(both), rights("a"))
+    assert found.rules == (
+        PermissionRule(allow=True, domains=ZERO, subscribe=(Criteria(topics=("a",)),)),
+    )
