@@ -11,6 +11,7 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._participant_options import topic_options, topics_of
 from pqsec_pki.cli.diff import difference_lines
+from pqsec_pki.cli.plan import few
 from pqsec_pki.documents import DomainSet, Grant
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
@@ -21,9 +22,9 @@ from pqsec_pki.policy import DocumentDifference
 @_help.command(
     examples={
         "Allow a ROS 2 node to publish one more topic": (
-            "pqsec -k robots permit /talker --ros-publish /status"
+            "pqsec -k robots permit /talker --ros-publish /status --yes"
         ),
-        "Remove a right from two participants, without a question": (
+        "Remove a right from two participants": (
             "pqsec permit /talker /listener --remove --publish rt/chatter --yes"
         ),
     },
@@ -87,7 +88,7 @@ def permit(
             confirm(
                 lambda: _show(differences),
                 "Sign these permissions?",
-                what=f"the rights of {len(changes)} participants change",
+                what=f"the rights of {few([each.name for each in changes])} would change",
                 hint="--yes makes the change; `pqsec diff` and `pqsec explain` show rights",
             )
         authorities = _passphrases.unlock(keystore, passphrase_file)
