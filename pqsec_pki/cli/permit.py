@@ -5,8 +5,13 @@ from typing import Any
 
 import click
 
-from pqsec_pki.access import TopicRights, add_rights, allowed_domains, remove_rights
-from pqsec_pki.access.diff import permissions_diff
+from pqsec_pki.access import (
+    TopicRights,
+    add_rights,
+    allowed_domains,
+    permissions_diff,
+    remove_rights,
+)
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._participant_options import topic_options, topics_of
