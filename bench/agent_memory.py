@@ -55,7 +55,7 @@ def enclaves(root: Path) -> list[Path]:
 
 
 @contextmanager
-def agent(folder: Path) -> Iterator[tuple[AgentFolder, int]]:
+def agent(folder: Path) -> Iterator[AgentFolder]:
     folder.mkdir(mode=0o700)
     place = AgentFolder(folder / "agent.sock")
     command = [sys.executable, "-I", "-m", "pqsec_pki.plugin", str(place.socket)]
@@ -63,15 +63,21 @@ def agent(folder: Path) -> Iterator[tuple[AgentFolder, int]]:
     while not agent_status(place):
         time.sleep(0.02)
     try:
-        yield place, process.pid
+        yield place
     finally:
         process.terminate()
         process.wait()
 
 
-def megabytes(process: int) -> float:
-    lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024
+def megabytes(place: AgentFolder) -> float:
+    """Of the agent and its workers; what they share is counted once."""
+    status = agent_status(place)
+    return sum(map(proportional, (status.process, *status.workers))) if status else 0.0
+
+
+def proportional(process: int) -> float:
+    lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
 def joined(place: AgentFolder, enclave: Path) -> Side:
@@ -107,35 +113,35 @@ def flood(victim: Side, heard: DataHolder, subject: bytes) -> None:
             continue
 
 
-def flooded(place: AgentFolder, process: int, folders: list[Path]) -> None:
+def flooded(place: AgentFolder, folders: list[Path]) -> None:
     victim, talker, eve = (joined(place, folder) for folder in folders[:3])
     shake_hands(victim, talker)
     _, (peer, _) = eve[0].call("validate_remote_identity", NO_TOKEN, eve[1], IDENTITY, victim[2])
     data = participant_data(eve[2])
     _, (_, heard) = eve[0].call("begin_handshake_request", eve[1], peer, data)
-    before = megabytes(process)
+    before = megabytes(place)
     flood(victim, heard, Certificate.from_pem((folders[2] / "cert.pem").read_bytes()).subject_der)
-    during = megabytes(process)
+    during = megabytes(place)
     shake_hands(victim, talker)
     for client, *_ in (victim, talker, eve):
         client.close()
     time.sleep(1)
     print(f"{FORGED} forged Requests of {SIZE // 1000} kB: {before:.0f} MB before")
     print(f"  in the flood {during / before:.2f} x, {during - before:+.0f} MB")
-    print(f"  when all have gone {megabytes(process) / before:.2f} x")
+    print(f"  when all have gone {megabytes(place) / before:.2f} x")
 
 
-def crowded(place: AgentFolder, process: int, folders: list[Path]) -> None:
+def crowded(place: AgentFolder, folders: list[Path]) -> None:
     before = 0.0
     for number in range(ROUNDS):
         sides = [joined(place, folder) for folder in folders]
         for pair in combinations(sides, 2):
             shake_hands(*pair)
-        full = megabytes(process)
+        full = megabytes(place)
         for client, *_ in sides:
             client.close()
         time.sleep(1)
-        after = megabytes(process)
+        after = megabytes(place)
         before = before or after
         print(
             f"{HOSTS} hosts that all meet, time {number + 1}: {full / before:.2f} x,"
@@ -147,8 +153,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="pqsec-") as name:
         folders = enclaves(Path(name, "keystore"))
         for measure in (flooded, crowded):
-            with agent(Path(name, measure.__name__)) as (place, process):
-                measure(place, process, folders)
+            with agent(Path(name, measure.__name__)) as place:
+                measure(place, folders)
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ def status() -> int:
     value = {
         "running": True,
         "process": found.process,
+        "workers": list(found.workers),
         "agent_version": found.version,
         "socket": found.socket,
         "connections": list(found.connections),
@@ -129,6 +130,7 @@ def _agent_folder() -> AgentFolder:
 def _lines(found: AgentStatus) -> list[str]:
     lines = [
         f"process   {found.process}",
+        f"workers   {' '.join(map(str, found.workers)) or 'none: no host is connected'}",
         f"version   {found.version}",
         f"socket    {found.socket}",
     ]

@@ -1,8 +1,8 @@
 """The security plugin that Cyclone DDS loads: its agent, and the shim that asks it.
 
 A DDS process loads the shim (`shim/`, C). It passes each call that needs a decision to the
-agent over a socket. The agent is one process for each user. It holds the identities and
-answers with the code of this package; private keys never enter the DDS process.
+agent over a socket. There is one agent for each user. Its workers hold the identities and
+answer with the code of this package; private keys never enter the DDS process.
 """
 
 from typing import TYPE_CHECKING

@@ -5,6 +5,7 @@ the socket listens, and a child continues. The log is written to stderr. Only th
 room has a clock.
 """
 
+import fcntl
 import gc
 import os
 import stat
@@ -27,12 +28,20 @@ def _now() -> datetime:
 
 
 def _log(line: str) -> None:
-    with suppress(OSError):  # a full disk must not stop the agent
-        status = os.fstat(sys.stderr.fileno())
-        if stat.S_ISREG(status.st_mode) and status.st_size > MAX_LOG:
-            _halve(sys.stderr.fileno())
-        sys.stderr.write(f"{_now():%Y-%m-%dT%H:%M:%SZ} {line}\n")
-        sys.stderr.flush()
+    handle = sys.stderr.fileno()
+    with suppress(OSError):  # a full disk does not end it
+        status = os.fstat(handle)
+        is_file = stat.S_ISREG(status.st_mode)
+        if is_file:
+            fcntl.lockf(handle, fcntl.LOCK_EX)  # workers write into it too
+        try:
+            if is_file and os.fstat(handle).st_size > MAX_LOG:
+                _halve(handle)
+            sys.stderr.write(f"{_now():%Y-%m-%dT%H:%M:%SZ} {line}\n")
+            sys.stderr.flush()
+        finally:
+            if is_file:
+                fcntl.lockf(handle, fcntl.LOCK_UN)
 
 
 def _halve(handle: int) -> None:

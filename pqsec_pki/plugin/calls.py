@@ -10,11 +10,24 @@ from typing import Any, TypeAlias
 
 from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 
-VERSION = 2
+VERSION = 3
 """Version of the protocol on the socket. Shim and agent must have the same."""
 MAGIC = "pqsec"
 CONTROL = "control"
 """The plugin name for the command line. All versions have its calls, to stop an old agent."""
+
+HANDSHAKE = frozenset(
+    {
+        "validate_remote_identity",
+        "begin_handshake_request",
+        "begin_handshake_reply",
+        "process_handshake",
+        "validate_remote_permissions",
+    }
+)
+"""Calls that wait until no participant is being created: peers repeat their messages."""
+WORKING = bytes(4)
+"""An empty frame: the call waits for its turn, and the deadline for its answer begins again."""
 
 Arguments: TypeAlias = list[Any]
 

@@ -8,7 +8,7 @@ from pqsec_pki import __version__
 from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import Authentication, LateError
-from pqsec_pki.plugin.calls import CALLS, CONTROL, MAGIC, VERSION
+from pqsec_pki.plugin.calls import CALLS, CONTROL, HANDSHAKE, MAGIC, VERSION
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader, MessageWriter
@@ -17,16 +17,45 @@ from pqsec_pki.plugin.pending import PendingReplies
 _HEAD = 4
 _DONE, _REFUSED = 0, 1
 _MOST_SHOWN = 600
+_HANDSHAKE = frozenset(name.encode() for name in HANDSHAKE)
+_LONGEST = max(map(len, _HANDSHAKE)) + 1
+GREETED = (1).to_bytes(_HEAD, "little") + bytes([_DONE])
+"""The answer to a greeting."""
 
 
 class ProtocolError(PqsecError):
     """The octets are not the protocol, so the connection must end."""
 
 
+class VersionError(PqsecError):
+    """The library is of another version."""
+
+
+def greeted(frame: bytes) -> str:
+    """The plugin, or CONTROL, for which a connection begins with the greeting `frame`.
+
+    ProtocolError if it is not one, VersionError with the words for the other end.
+    """
+    reader = MessageReader(frame)
+    try:
+        magic, version, name = reader.text(), reader.number("I"), reader.text()
+        reader.finish()
+    except MalformedError as error:
+        raise ProtocolError(str(error)) from error
+    if magic != MAGIC or name not in CALLS:
+        raise ProtocolError("not a greeting")
+    if version != VERSION and name != CONTROL:
+        raise VersionError(
+            f"the agent speaks version {VERSION}, the library {version}: run"
+            " `pqsec plugin install` and `pqsec agent stop`"
+        )
+    return name
+
+
 @dataclass(frozen=True, slots=True)
 class AgentContext:
-    """What connections share: the clock, the log, the agent's status and its stop, the newest
-    revocation lists, and the handshakes that wait for a Final."""
+    """What the connections of a worker share: the clock, the log, the agent's status and its stop,
+    the newest revocation lists, and the handshakes that wait for a Final."""
 
     clock: Clock
     log: Log
@@ -60,12 +89,13 @@ class Control:
 class Connection:
     """A DDS process and one plugin of it, or the command line."""
 
-    def __init__(self, context: AgentContext, who: str) -> None:
+    def __init__(self, context: AgentContext, who: str, plugin: str = "") -> None:
+        """`plugin` is that of its greeting, if that was read already."""
         self._context, self._who = context, who
         self._notes = Notes(who, context.log, context.clock)
         self._inbox = bytearray()
-        self._name = ""
-        self._plugin: Authentication | AccessControl | Control | None = None
+        self._name = plugin
+        self._plugin = self._new(plugin) if plugin else None
 
     @property
     def what(self) -> tuple[str, str, int]:
@@ -80,34 +110,38 @@ class Connection:
 
     def receive(self, octets: bytes) -> Iterator[bytes]:
         """The answers to the octets so far. ProtocolError if they are not the protocol."""
+        self.hear(octets)
+        while self.waits:
+            yield self.answer()
+
+    def hear(self, octets: bytes) -> None:
+        """Keep the octets until they are answered."""
         self._inbox += octets
-        while len(self._inbox) >= _HEAD:
-            size = int.from_bytes(self._inbox[:_HEAD], "little")
-            if size > MAX_FRAME:
-                raise ProtocolError(f"a frame of {size} octets")
-            if len(self._inbox) < _HEAD + size:
-                return
-            frame = bytes(self._inbox[_HEAD : _HEAD + size])
-            del self._inbox[: _HEAD + size]
-            answer = self._greeted(frame) if self._plugin is None else self._called(frame)
-            yield framed(answer)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a whole frame waits for its answer. ProtocolError if it is too long for one."""
+        return not missing(self._inbox, MAX_FRAME)
+
+    @property
+    def waits_for_handshake(self) -> bool:
+        """Whether that frame is a call of a handshake."""
+        size = int.from_bytes(self._inbox[_HEAD : 2 * _HEAD], "little")
+        return bytes(self._inbox[2 * _HEAD : 2 * _HEAD + min(size, _LONGEST)]) in _HANDSHAKE
+
+    def answer(self) -> bytes:
+        """The answer to the first frame that waits. ProtocolError if it cannot be understood."""
+        size = int.from_bytes(self._inbox[:_HEAD], "little")
+        frame = bytes(self._inbox[_HEAD : _HEAD + size])
+        del self._inbox[: _HEAD + size]
+        return framed(self._greeted(frame) if self._plugin is None else self._called(frame))
 
     def _greeted(self, frame: bytes) -> bytes:
-        reader = MessageReader(frame)
         try:
-            magic, version, name = reader.text(), reader.number("I"), reader.text()
-            reader.finish()
-        except MalformedError as error:
-            raise ProtocolError(str(error)) from error
-        if magic != MAGIC or name not in CALLS:
-            raise ProtocolError("not a greeting")
-        if version != VERSION and name != CONTROL:
-            return refusal(
-                f"the agent speaks version {VERSION}, the library {version}: run"
-                " `pqsec plugin install` and `pqsec agent stop`"
-            )
-        self._name = name
-        self._plugin = self._new(name)
+            self._name = greeted(frame)
+        except VersionError as error:
+            return refusal(str(error))
+        self._plugin = self._new(self._name)
         return bytes([_DONE])
 
     def _new(self, name: str) -> Authentication | AccessControl | Control:
@@ -152,6 +186,19 @@ class Connection:
 def framed(body: bytes) -> bytes:
     """The frame of `body`, with its length."""
     return len(body).to_bytes(_HEAD, "little") + body
+
+
+def missing(inbox: bytes | bytearray, limit: int) -> int:
+    """How many octets the first frame in `inbox` still needs, as far as can be told.
+
+    ProtocolError if it is to have more than `limit`.
+    """
+    if len(inbox) < _HEAD:
+        return _HEAD - len(inbox)
+    size = int.from_bytes(inbox[:_HEAD], "little")
+    if size > limit:
+        raise ProtocolError(f"a frame of {size} octets")
+    return max(0, _HEAD + size - len(inbox))
 
 
 def refusal(words: str) -> bytes:

@@ -17,6 +17,8 @@ class AgentStatus:
     """The status of an agent."""
 
     process: int
+    workers: tuple[int, ...]
+    """The processes that serve hosts and hold their keys; all end with the agent."""
     version: str
     socket: str
     connections: tuple[dict[str, Any], ...]
@@ -72,7 +74,9 @@ class Client:
     def _accepted(self, frame: bytes) -> MessageReader:
         try:
             self._link.sendall(len(frame).to_bytes(4, "little") + frame)
-            size = int.from_bytes(self._received(4), "little")
+            size = 0
+            while not size:  # the call waits for its turn
+                size = int.from_bytes(self._received(4), "little")
             reader = MessageReader(self._received(min(size, MAX_FRAME)))
         except OSError as error:
             raise FileError(f"the agent does not answer: {error}") from error
@@ -109,7 +113,11 @@ def agent_status(place: AgentFolder) -> AgentStatus | None:
 
     found = cast("dict[str, Any]", json.loads(text))
     return AgentStatus(
-        found["process"], found["version"], found["socket"], tuple(found["connections"])
+        found["process"],
+        tuple(found.get("workers", ())),  # an older agent has none
+        found["version"],
+        found["socket"],
+        tuple(found["connections"]),
     )
 
 

@@ -12,6 +12,7 @@ and could replace the agent's file too. Across restarts the program that install
 protects it: `pqsec install` refuses an older one.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TypeAlias
@@ -22,14 +23,22 @@ from pqsec_pki.errors import VerificationError
 MAX_CAS = 64
 """CAs whose lists are remembered; above it, the list of the least recently used CA is forgotten."""
 
-_Issuer: TypeAlias = tuple[bytes, bytes, bytes, bool]
+Issuer: TypeAlias = tuple[bytes, bytes, bytes, bool]
+"""A CA by its name and keys, and whether its lists need the alternative signature."""
+
+
+def _alone(issuer: Issuer, own: RevocationList | None) -> RevocationList | None:
+    del issuer
+    return own
 
 
 @dataclass(slots=True)
 class NewestLists:
-    """The newest lists of one agent, for all of its connections."""
+    """The newest lists of one agent, for all connections of a worker."""
 
-    _newest: dict[_Issuer, RevocationList] = field(default_factory=dict)
+    exchange: Callable[[Issuer, RevocationList | None], RevocationList | None] = _alone
+    """Shows the agent a worker's newest list of a CA, and returns the newest of all workers."""
+    _newest: dict[Issuer, RevocationList] = field(default_factory=dict)
     """CA -> list; the most recently used CA is last."""
 
     def newest(
@@ -44,6 +53,7 @@ class NewestLists:
         known = self._newest.pop(issuer, None)
         if known is None or is_older(known, found):
             known = found if found.number is not None and found.this_update <= now else known
+        known = self.exchange(issuer, known)
         if known is not None:
             self._newest[issuer] = known
         if len(self._newest) > MAX_CAS:
@@ -65,7 +75,7 @@ def refusal(one: RevocationList, other: RevocationList) -> VerificationError:
     )
 
 
-def _issuer(ca: Certificate, *, alternative: bool) -> _Issuer:
+def _issuer(ca: Certificate, *, alternative: bool) -> Issuer:
     """The CA by its name and keys, which stay when its certificate is renewed."""
     second = ca.alternative_key
     return ca.subject_der, ca.spki, second.spki if second else b"", alternative

@@ -2,11 +2,11 @@
 
 A Request proves nothing: anybody who has recorded a certificate can send any number of Requests in
 its holder's name, each with a document of 256 kB that must be kept until the Final. So all waiting
-handshakes of an agent together hold at most MAX_HELD octets. If they need more, one is dropped: of
+handshakes of a worker together hold at most MAX_HELD octets. If they need more, one is dropped: of
 the certificate that holds most, the largest, and of equals the oldest. An attacker who replays one
 certificate thus displaces only handshakes with that certificate, the larger ones first. A real
-participant's (28 kB) can be displaced after some 600 forged Requests of its size. An agent needs
-more than two seconds to answer these, and the real Final comes within a round trip.
+participant's (28 kB) can be displaced after some 300 forged Requests of its size. A worker needs
+more than a second to answer these, and the real Final comes within a round trip.
 
 Equal documents of one certificate are kept once: a hundred processes with one identity, as nodes of
 ROS 2 have, are not a flood. A lower limit for the size of a document is not possible: a participant
@@ -27,8 +27,8 @@ from weakref import WeakKeyDictionary
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 
-MAX_HELD = 16 << 20
-"""Octets. With the overhead of Python, less than 30 MB."""
+MAX_HELD = 8 << 20
+"""Octets, for each worker: more than BURST answers hold. With the overhead of Python, 15 MB."""
 COST = 4096
 """Octets of a handshake besides its document: keys, challenges, hashes and Python objects."""
 BURST = 256
@@ -69,7 +69,7 @@ class _Group:
 
 
 class PendingReplies:
-    """The waiting handshakes of all connections of an agent."""
+    """The waiting handshakes of all connections of a worker."""
 
     def __init__(self) -> None:
         self._numbers = count(1)

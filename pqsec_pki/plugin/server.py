@@ -1,58 +1,59 @@
-"""The agent's sockets: one thread that serves all connections in turn.
+"""The agent's socket: who may connect, and which worker serves it.
 
-Calls take milliseconds, so no process waits long, and shared state needs no lock.
+The agent reads greetings, answers the command line, and hands all other connections to its workers
+(`workers.py`). It never waits for one of them, nor for a file or a host.
 """
 
 import errno
+import gc
 import os
-import resource
 import selectors
+import signal
 import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import listening
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CONTROL
-from pqsec_pki.plugin.connection import AgentContext, Connection, framed, refusal
+from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection, VersionError
+from pqsec_pki.plugin.guest import Guest, refuse
 from pqsec_pki.plugin.notes import Clock, Log, Notes
+from pqsec_pki.plugin.system import keep_limits
+from pqsec_pki.plugin.worker import AT_ONCE, AgentWorker, OpenConnection
+from pqsec_pki.plugin.workers import Served, Workers
 
 MAX_CONNECTIONS = 512
 """Connections. A DDS process has two for each domain."""
-_AT_ONCE = 1 << 18
-"""Octets that are read from one connection in its turn."""
 _GRACE_SECONDS = 20.0
 """Seconds that the process that started the agent may take to connect."""
 _LONGEST_WAIT = 3600.0
+_ANSWER_SECONDS = 1.0
+"""Seconds that workers may take to count their objects; else their former answer is shown."""
 _RESERVE = 32
 """Open files that are reserved for other things than connections."""
+_SPARE = 8
+"""Further connections for the command line: a full agent must still answer and stop."""
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _PAUSE = 0.5
 """Seconds until the next try to accept a connection, if the system had no file left."""
-
-
-class _Client:
-    """A connected socket, with the answers that are not sent yet."""
-
-    def __init__(self, link: socket.socket, connection: Connection) -> None:
-        self.link, self.connection = link, connection
-        self.outbox = bytearray()
 
 
 class Agent:
     """The agent. It listens until it is stopped, or no process was connected for a while."""
 
     def __init__(self, place: AgentFolder, idle: float, clock: Clock, log: Log) -> None:
-        self._place, self._idle, self._log = place, idle, log
+        self._place, self._idle, self._clock, self._log = place, idle, clock, log
         self._notes = Notes("agent", log, clock)
         self._context = AgentContext(clock, log, self._status, self._stop)
-        self._guests: set[_Client] = set()
+        self._guests: set[Guest] = set()
+        self._clients: dict[OpenConnection, float] = {}
+        """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
         self._deaf_until = 0.0
-        self._parted = False
         self._stopping = False
 
     def run(
@@ -80,52 +81,66 @@ class Agent:
         return True
 
     def _listen_at(self, listener: socket.socket, ready: Callable[[], None]) -> None:
-        self._most = min(MAX_CONNECTIONS, max(1, _limited() - _RESERVE))
+        self._most = min(MAX_CONNECTIONS, max(1, keep_limits(MAX_CONNECTIONS) - _RESERVE))
         ready()
-        self._selector = selectors.DefaultSelector()  # which would not survive a fork
-        self._selector.register(listener, selectors.EVENT_READ)
+        gc.freeze()  # what workers share with the agent stays as it is
+        self._listener = listener
+        self._selector = selectors.DefaultSelector()  # which would not outlive a fork
+        self._workers = Workers(self._work, self._selector, self._notes.add)
+        self._selector.register(listener, selectors.EVENT_READ, lambda _: self._welcome())
         self._log(f"listening at {self._place.socket}")
         with listener:
-            self._serve(listener)
+            self._serve()
 
     def _end(self) -> None:
-        for client in list(self._guests):
-            self._part(client)
+        self._workers.end()
+        for each in self._links:
+            each.close()
         self._log("ended")
 
-    def _serve(self, listener: socket.socket) -> None:
+    def _serve(self) -> None:
         end = time.monotonic() + max(self._idle, _GRACE_SECONDS)
-        while not self._stopping and (self._guests or time.monotonic() < end):
-            busy = bool(self._guests)
+        while not self._stopping and (self._count or time.monotonic() < end):
+            busy = bool(self._count)
             wait = _LONGEST_WAIT if busy else min(end - time.monotonic(), _LONGEST_WAIT)
-            for key, events in self._selector.select(self._listen(listener, wait)):
-                if key.fileobj is listener:
-                    self._welcome(listener)
-                else:
-                    self._attend(key.data, events)
+            for key, events in self._selector.select(min(wait, self._rest())):
+                if key.fileobj.fileno() >= 0:  # type: ignore[union-attr] # may be closed since
+                    key.data(events)
+            self._answer()
             if busy:
                 end = time.monotonic() + self._idle
-            if self._parted:
-                self._parted = False
-                _give_back()
 
-    def _listen(self, listener: socket.socket, wait: float) -> float:
-        """`wait`, or less if the pause ends before; after the pause, accept connections again."""
-        pause = self._deaf_until - time.monotonic()
-        if pause > 0:
-            return min(pause, wait)
-        if self._deaf_until:
+    @property
+    def _count(self) -> int:
+        """The number of connections."""
+        return len(self._guests) + len(self._clients) + len(self._workers)
+
+    @property
+    def _links(self) -> list[socket.socket]:
+        """The sockets that the agent reads itself."""
+        return [each.link for each in self._guests] + [each.link for each in self._clients]
+
+    def _rest(self) -> float:
+        """Seconds until the next step that no event starts."""
+        now, idle = time.monotonic(), self._workers.dismiss_idle()
+        asked = [until for until in self._clients.values() if until]
+        waits = [0.0 if self._workers.has_answered else until - now for until in asked]
+        if idle is not None:
+            waits.append(idle)
+        if self._deaf_until > now:
+            waits.append(self._deaf_until - now)
+        elif self._deaf_until:  # the pause is over
             self._deaf_until = 0.0
-            self._selector.register(listener, selectors.EVENT_READ)
-        return wait
+            self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._welcome())
+        return max(0.0, min(waits, default=_LONGEST_WAIT))
 
-    def _welcome(self, listener: socket.socket) -> None:
+    def _welcome(self) -> None:
         try:
-            link, _ = listener.accept()
+            link, _ = self._listener.accept()
         except OSError as error:  # it may have gone already
             if error.errno in _EXHAUSTED:
                 self._notes.add(f"no more processes can be served: {error.strerror}")
-                self._selector.unregister(listener)
+                self._selector.unregister(self._listener)
                 self._deaf_until = time.monotonic() + _PAUSE
             return
         process, user = listening.peer(link)
@@ -133,90 +148,129 @@ class Agent:
         if user != os.geteuid():
             self._notes.add(f"process {process} of user {user} is not served")
             link.close()
-            return
-        if len(self._guests) >= self._most:
-            why = (
-                f"{self._most} connections are the maximum, two for each domain of a DDS process:"
-                f" {self._most // 2} processes with one domain each"
-            )
-            self._notes.add(f"process {process} of user {user} is not served: {why}")
-            with suppress(OSError):
-                link.send(framed(refusal(f"the agent is full: {why}")))
-            link.close()
-            return
-        client = _Client(link, Connection(self._context, listening.name_of(process)))
-        self._guests.add(client)
-        self._selector.register(link, selectors.EVENT_READ, client)
+        elif self._count >= self._most + _SPARE:
+            self._refuse_full(link, process)
+        else:
+            guest = Guest(link, process)
+            self._guests.add(guest)
+            self._selector.register(link, selectors.EVENT_READ, lambda _: self._greet(guest))
 
-    def _attend(self, client: _Client, events: int) -> None:
+    def _greet(self, guest: Guest) -> None:
         try:
-            if events & selectors.EVENT_READ:
-                self._read(client)
-            while client.outbox:
-                del client.outbox[: client.link.send(client.outbox)]
+            plugin = guest.plugin()
+            if not plugin:
+                return
         except BlockingIOError:
-            pass
+            return
+        except VersionError as error:
+            self._leave(guest)
+            refuse(guest.link, str(error))
+            return
         except (OSError, PqsecError) as error:
             if not isinstance(error, ConnectionError):  # closing a connection is not an error
-                self._notes.add(f"{client.connection.what[0]}: {error}")
-            self._part(client)
+                self._notes.add(f"{guest.who}: {error}")
+            self._leave(guest)
+            guest.link.close()
             return
-        # A process that does not read its answers is not read from, so few answers wait.
-        waiting = selectors.EVENT_WRITE if client.outbox else selectors.EVENT_READ
-        self._selector.modify(client.link, waiting, client)
+        self._selector.unregister(guest.link)
+        if plugin == CONTROL:
+            self._obey(guest)
+        else:
+            self._hand_over(guest, plugin)
+        self._guests.discard(guest)
 
-    def _read(self, client: _Client) -> None:
-        octets = client.link.recv(_AT_ONCE)
-        if not octets:
-            raise ConnectionResetError
-        for answer in client.connection.receive(octets):
-            client.outbox += answer
+    def _leave(self, guest: Guest) -> None:
+        """Forget a connection that did not greet."""
+        self._guests.discard(guest)
+        self._selector.unregister(guest.link)
 
-    def _part(self, client: _Client) -> None:
-        self._guests.discard(client)
-        client.connection.finish()
-        self._parted = True
-        self._selector.unregister(client.link)
-        client.link.close()
+    def _refuse_full(self, link: socket.socket, process: int) -> None:
+        why = (
+            f"{self._most} connections are the maximum, two for each domain of a DDS process:"
+            f" {self._most // 2} processes with one domain each"
+        )
+        self._notes.add(f"process {process} is not served: {why}")
+        refuse(link, f"the agent is full: {why}")
+
+    def _hand_over(self, guest: Guest, plugin: str) -> None:
+        if len(self._workers) >= self._most:
+            self._refuse_full(guest.link, guest.process)
+            return
+        try:
+            guest.link.send(GREETED)
+            self._workers.serve(guest.link, Served(guest.process, guest.who, plugin))
+            guest.link.close()
+        except OSError as error:
+            self._notes.add(f"{guest.who} is not served: {error.strerror}")
+            refuse(guest.link, f"no worker can serve it: {error.strerror}")
+
+    def _obey(self, guest: Guest) -> None:
+        connection = Connection(self._context, guest.who, CONTROL)
+        client = OpenConnection(guest.link, connection, self._attend)
+        client.outbox += GREETED
+        self._clients[client] = 0.0
+        self._attend(client, 0)
+
+    def _attend(self, client: OpenConnection, events: int) -> None:
+        """Serve the command line."""
+        try:
+            if events & selectors.EVENT_READ:
+                octets = client.link.recv(AT_ONCE)
+                if not octets:
+                    raise ConnectionResetError
+                client.connection.hear(octets)
+            client.flush()
+            if not client.outbox and client.connection.waits:
+                self._workers.ask()
+                self._clients[client] = time.monotonic() + _ANSWER_SECONDS
+            # A process that does not read its answers is not read from, so few answers wait.
+            waiting = selectors.EVENT_WRITE if client.outbox else selectors.EVENT_READ
+            events = 0 if self._clients[client] else waiting
+            client.watch(self._selector, events)
+        except (OSError, PqsecError) as error:
+            if not isinstance(error, ConnectionError):
+                self._notes.add(f"{client.connection.what[0]}: {error}")
+            del self._clients[client]
+            client.close(self._selector)
+
+    def _answer(self) -> None:
+        """Answer the command line, when the workers have answered or take too long."""
+        now = time.monotonic()
+        for client, until in list(self._clients.items()):
+            if until and (self._workers.has_answered or now >= until):
+                self._clients[client] = 0.0
+                client.outbox += client.connection.answer()
+                self._attend(client, 0)
+
+    def _work(self, orders: socket.socket, lists: socket.socket) -> NoReturn:
+        """Run in a new worker."""
+        code = 1
+        try:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's is for the agent
+            self._selector.close()
+            for each in (self._listener, *self._links):
+                each.close()
+            self._workers.close()
+            AgentWorker(orders, lists, self._clock, self._log).run()
+            code = 0
+        except Exception:  # noqa: BLE001 -- there is nobody else to tell
+            import traceback  # noqa: PLC0415 -- likewise
+
+            self._notes.add(traceback.format_exc())
+        finally:
+            os._exit(code)
 
     def _status(self) -> dict[str, Any]:
-        found = [client.connection.what for client in self._guests]
+        found = [(each.who, each.plugin, each.objects) for each in self._workers.served]
         return {
             "process": os.getpid(),
+            "workers": self._workers.processes,
             "socket": str(self._place.socket),
             "connections": [
                 {"process": who, "plugin": plugin, "objects": count}
                 for who, plugin, count in sorted(found)
-                if plugin != CONTROL
             ],
         }
 
     def _stop(self) -> None:
         self._stopping = True
-
-
-def _give_back() -> None:
-    """Return freed memory to the system. glibc would keep it, because it lies between used memory.
-
-    bench/agent_memory.py measures it. Other C libraries have no such function.
-    """
-    import ctypes  # noqa: PLC0415 -- not for a host that waits for the agent to start
-
-    with suppress(AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
-
-
-def _limited() -> int:
-    """Disable core files, which would contain keys, and allow files for all connections: how many.
-
-    The priority is reset: a host may have a real-time priority, which the agent must not inherit.
-    """
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    enough = 2 * MAX_CONNECTIONS
-    if 0 <= soft < enough:
-        soft = min(enough, hard) if hard >= 0 else enough
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-    return soft if soft >= 0 else enough

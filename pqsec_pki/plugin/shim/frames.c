@@ -81,13 +81,20 @@ bool send_frame(int socket, const struct writer *frame, int64_t deadline)
   return send_all(socket, frame->data, frame->size, deadline);
 }
 
-bool receive_frame(int socket, struct writer *body, int64_t deadline)
+bool receive_frame(int socket, struct writer *body, int patience)
 {
-  uint8_t head[HEAD];
-  if (!receive_all(socket, head, sizeof head, deadline))
-    return false;
-  struct reader reader = {.data = head, .left = sizeof head};
-  uint32_t size = get_u32(&reader);
+  int64_t now = now_ms(), end = now + (int64_t)MAX_PATIENCE * patience, deadline = now + patience;
+  uint32_t size = 0;
+  while (size == 0) {
+    uint8_t head[HEAD];
+    if (!receive_all(socket, head, sizeof head, deadline)) {
+      errno = errno == ETIMEDOUT && deadline == end ? EBUSY : errno;
+      return false;
+    }
+    struct reader reader = {.data = head, .left = sizeof head};
+    size = get_u32(&reader);
+    deadline = now_ms() + patience < end ? now_ms() + patience : end;
+  }
   body->data = size <= MAX_FRAME ? malloc((size_t)size + 1) : NULL;
   if (body->data == NULL) {
     errno = EPROTO;

@@ -13,7 +13,10 @@ int64_t now_ms(void);
 struct writer new_frame(void);
 bool send_frame(int socket, const struct writer *frame, int64_t deadline);
 
-/* What is in the next frame; `body` is to be forgotten in any case. */
-bool receive_frame(int socket, struct writer *body, int64_t deadline);
+/* What is in the next frame, which has to come within `patience` ms; `body` is to be forgotten in
+ * any case. An empty frame says that the agent works, and then the time begins again, up to
+ * MAX_PATIENCE times; after them errno is EBUSY. */
+enum { MAX_PATIENCE = 12 };
+bool receive_frame(int socket, struct writer *body, int patience);
 
 #endif

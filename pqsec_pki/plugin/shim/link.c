@@ -17,7 +17,7 @@
 #include "agent.h"
 #include "frames.h"
 
-enum { VERSION = 2, RETRY_MS = 1, CHALLENGE = 32 };
+enum { VERSION = 3, RETRY_MS = 1, CHALLENGE = 32 };
 enum { DONE = 0 };
 
 void refuse(struct exception *ex, const char *format, ...)
@@ -82,13 +82,16 @@ static bool has_sent(struct link *link, const struct writer *request, int64_t de
 static bool exchange(struct link *link, const struct writer *request, struct writer *answer,
                      struct exception *ex)
 {
-  int64_t deadline = now_ms() + agent_patience_ms();
-  if (has_sent(link, request, deadline) && receive_frame(link->socket, answer, deadline))
+  int patience = agent_patience_ms();
+  if (has_sent(link, request, now_ms() + patience) &&
+      receive_frame(link->socket, answer, patience))
     return true;
   link->lost = errno == ECONNRESET || errno == EPIPE;
   if (errno == ETIMEDOUT)
     refuse(ex, "pqsec: the agent does not answer within %d ms; `pqsec agent log` may tell why",
-           agent_patience_ms());
+           patience);
+  else if (errno == EBUSY)
+    refuse(ex, "pqsec: the agent is too busy: no answer within %d ms", MAX_PATIENCE * patience);
   else
     refuse(ex, "pqsec: the agent is gone (%s); `pqsec agent log` may tell why", strerror(errno));
   drop(link);

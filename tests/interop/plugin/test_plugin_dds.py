@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from pqsec_pki.plugin import agent_status
 from pqsec_pki.trial import MissingStackError, TrialRole, find, unauthenticated
 from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
 from tests.interop.conftest import LAB_PROFILES, TOPIC
@@ -207,15 +208,18 @@ def test_no_host_hangs_or_crashes_when_the_agent_dies_or_hangs_at_any_time(stage
         running(stage, stage.receiver(lab.bob), seconds=1.5) as receiver,
         running(stage, stage.sender(lab.alice), seconds=1.5) as sender,
     ):
-        agent = stage.shim.wait_for_agent()
         wait_for(sender, "joined")
+        agent = agent_status(stage.shim.place)
+        assert agent.workers
         time.sleep(after)
-        os.kill(agent, how)
+        for each in (agent.process, *agent.workers):
+            os.kill(each, how)
         try:
             ended(receiver)
             ended(sender)
         finally:
-            stage.shim.kill_agent(agent)
+            for each in (agent.process, *agent.workers):
+                stage.shim.kill_agent(each)
 
 
 def test_an_agent_that_hangs_makes_a_participant_fail_not_hang(stage, labs):

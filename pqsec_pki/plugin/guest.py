@@ -1,0 +1,35 @@
+"""A process that has connected to the agent and has not sent its greeting yet."""
+
+import socket
+from contextlib import suppress
+
+from pqsec_pki.plugin import listening
+from pqsec_pki.plugin.connection import framed, greeted, missing, refusal
+
+MAX_GREETING = 256
+"""Octets."""
+
+
+class Guest:
+    """A connection of which only the greeting is read."""
+
+    def __init__(self, link: socket.socket, process: int) -> None:
+        self.link, self.process, self.who = link, process, listening.name_of(process)
+        self._inbox = bytearray()
+
+    def plugin(self) -> str:
+        """The plugin that the greeting names; "" as long as the greeting is not complete.
+
+        OSError if the process has gone, PqsecError if what it sent is not a greeting.
+        """
+        octets = self.link.recv(missing(self._inbox, MAX_GREETING))
+        if not octets:
+            raise ConnectionResetError
+        self._inbox += octets
+        return "" if missing(self._inbox, MAX_GREETING) else greeted(bytes(self._inbox[4:]))
+
+
+def refuse(link: socket.socket, words: str) -> None:
+    """Send the reason why the process is not served, and close the connection."""
+    with link, suppress(OSError):
+        link.send(framed(refusal(words)))

@@ -1,0 +1,91 @@
+"""How long the library waits for an agent that is busy, that hangs, and that is busy for ever."""
+
+import shutil
+import socket
+import struct
+import subprocess
+import tempfile
+import threading
+from itertools import repeat
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.plugin.building import SOURCES
+from pqsec_pki.plugin.calls import WORKING
+from pqsec_pki.plugin.connection import GREETED
+from tests.interop.plugin.test_plugin_robust import HERE, compiled
+
+pytestmark = pytest.mark.interop
+
+PATIENCE = 0.4
+"""Seconds that a call may take."""
+HANDLE = 7
+ANSWER = struct.pack("<IBIQ", 13, 0, 0, HANDLE)
+
+
+@pytest.fixture(scope="module")
+def program(requires, tmp_path_factory):
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    words = ['-DPQSEC_PYTHON="/x"', "-I", SOURCES]
+    path = tmp_path_factory.mktemp("patience") / "patience"
+    return compiled(path, *words, HERE / "patience.c", *SOURCES.glob("*.c"))
+
+
+@pytest.fixture
+def said(program):
+    """said(frames) is what the library says of an agent that answers with these, at half its
+    patience each; it hangs up when all are sent."""
+    folder = Path(tempfile.mkdtemp(prefix="pqsec-"))  # a socket's path must be short
+    (folder / "pqsec").mkdir(mode=0o700)
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(folder / "pqsec" / "agent.sock"))
+    listener.listen()
+
+    def ask(frames):
+        done = threading.Event()
+
+        def answer():
+            link, _ = listener.accept()
+            with link:
+                link.recv(1 << 16)
+                link.sendall(GREETED)
+                link.recv(1 << 16)
+                for each in frames:
+                    if done.wait(PATIENCE / 2):
+                        return
+                    link.sendall(each)
+
+        agent = threading.Thread(target=answer)
+        agent.start()
+        environment = {
+            "XDG_RUNTIME_DIR": str(folder),
+            "PQSEC_AGENT_TIMEOUT": str(int(1000 * PATIENCE)),
+        }
+        found = subprocess.run(
+            [program], env=environment, capture_output=True, text=True, check=True
+        )
+        done.set()
+        agent.join()
+        return found.stdout
+
+    yield ask
+    listener.close()
+    shutil.rmtree(folder)
+
+
+def test_a_busy_agent_gets_more_time_than_a_call_may_take(said):
+    """At a robot's start, the agent was taken for one that hangs after five seconds."""
+    assert said([*[WORKING] * 8, ANSWER]) == f"{HANDLE}\n"
+
+
+def test_an_agent_that_says_nothing_is_not_waited_for(said):
+    assert "does not answer within 400 ms" in said([b"", b"", b"", b"", ANSWER])
+
+
+def test_an_agent_that_is_busy_for_ever_is_given_up(said):
+    assert "is too busy: no answer within 4800 ms" in said(repeat(WORKING))
+
+
+def test_an_agent_that_is_busy_and_then_ends_is_gone(said):
+    assert "the agent is gone" in said([WORKING] * 3)

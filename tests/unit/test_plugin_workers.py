@@ -1,0 +1,413 @@
+"""The agent's workers: who serves whom, what comes first, and what stays true over all of them."""
+
+import json
+import os
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.certificates import RevocationList
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import FileError, MalformedError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list, revoke
+from pqsec_pki.plugin import AgentFolder, agent_status, channel, stop_agent, worker
+from pqsec_pki.plugin.authentication import NO_TOKEN
+from pqsec_pki.plugin.calls import WORKING
+from pqsec_pki.plugin.connection import Connection
+from pqsec_pki.plugin.control import Client
+from pqsec_pki.plugin.lists import MAX_CAS, NewestLists
+from pqsec_pki.plugin.shared_lists import ListStore, exchange_through
+from pqsec_pki.plugin.worker import FAIR, AgentWorker
+from tests.unit.keystores import DAY, NOW, made
+from tests.unit.plugin_wire import asked, greeting, new_guid, properties
+
+PATIENCE = 120
+# The agent as on a machine with two cores, whose workers do not stay for hosts that may come.
+_RUNNER = (
+    "import os, runpy\n"
+    "os.sched_getaffinity = lambda _: {0, 1}\n"
+    "from pqsec_pki.plugin import workers\n"
+    "workers.IDLE_SECONDS = 0.1\n"
+    "runpy.run_module('pqsec_pki.plugin', run_name='__main__', alter_sys=True)\n"
+)
+# A host: connects twice, as its two plugins do, and stays until its stdin ends.
+_HOST = (
+    "import socket, sys\n"
+    "links = []\n"
+    "for octets in map(bytes.fromhex, sys.argv[2:]):\n"
+    "    links.append(socket.socket(socket.AF_UNIX))\n"
+    "    links[-1].connect(sys.argv[1])\n"
+    "    links[-1].sendall(octets)\n"
+    "    print(links[-1].recv(5).hex(), flush=True)\n"
+    "sys.stdin.read()\n"
+)
+GREETINGS = [greeting(each).hex() for each in ("authentication", "access_control")]
+
+
+@pytest.fixture
+def place():
+    """A place of this test's own; a socket's path must be short."""
+    folder = Path(tempfile.mkdtemp(prefix="pqsec-"))
+    (folder / "pqsec").mkdir(mode=0o700)
+    yield AgentFolder.of({"XDG_RUNTIME_DIR": str(folder)})
+    shutil.rmtree(folder)
+
+
+def until(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert condition()
+
+
+@pytest.fixture
+def agent(place):
+    """An agent on two cores."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", _RUNNER, str(place.socket)], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        until(lambda: agent_status(place))
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+@contextmanager
+def host(place):
+    """A process with both plugins, as the agent names it."""
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", _HOST, str(place.socket), *GREETINGS],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert [process.stdout.readline() for _ in GREETINGS] == ["0100000000\n"] * 2
+        yield process
+    finally:
+        process.communicate()
+
+
+def runs(process):
+    with suppress(OSError):
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def sockets(process):
+    found = [each.readlink() for each in Path(f"/proc/{process}/fd").iterdir()]
+    return len([each for each in found if str(each).startswith("socket:")])
+
+
+def connections(place):
+    return [(each["process"], each["plugin"]) for each in agent_status(place).connections]
+
+
+@pytest.mark.usefixtures("agent")
+def test_hosts_are_spread_over_a_worker_for_each_core_and_a_host_stays_in_one(place):
+    assert agent_status(place).workers == ()  # there is nobody to serve
+    with ExitStack() as hosts:
+        four = [hosts.enter_context(host(place)) for _ in range(4)]
+        workers = agent_status(place).workers
+        assert len(workers) == 2
+        # Two channels, and both plugins of two hosts each.
+        assert [sockets(each) for each in workers] == [2 + 4, 2 + 4]
+        named = {f"[{each.pid}]" for each in four}
+        assert {name[name.index("[") :] for name, _ in connections(place)} == named
+        assert len(connections(place)) == 8
+
+
+@pytest.mark.usefixtures("agent")
+def test_the_agent_has_no_key_and_nothing_of_a_host_open(place):
+    with host(place):
+        assert sockets(agent_status(place).process) == 1 + 2 + 1  # the last asks for the status
+
+
+@pytest.mark.usefixtures("agent")
+def test_workers_end_and_leave_no_process_when_their_hosts_have_gone(place):
+    with host(place), host(place):
+        workers = agent_status(place).workers
+    until(lambda: not any(map(runs, workers)))
+    until(lambda: agent_status(place).workers == ())
+    with host(place):
+        assert len(agent_status(place).workers) == 1
+
+
+def test_a_worker_that_dies_takes_its_own_hosts_with_it_and_nobody_elses(place, agent):
+    with host(place) as first, host(place):
+        one, other = agent_status(place).workers
+        os.kill(one, signal.SIGKILL)
+        until(lambda: agent_status(place).workers == (other,))
+        assert len(connections(place)) == 2
+        assert str(first.pid) not in str(connections(place))
+        with host(place):
+            assert len(agent_status(place).workers) == 2
+    agent.terminate()
+    assert f"worker {one} ended with -9: 2 connections lost" in agent.stderr.read()
+
+
+def test_no_worker_outlives_an_agent_that_is_killed_or_stopped(place, agent):
+    with host(place), host(place):
+        workers = agent_status(place).workers
+        agent.kill()
+        until(lambda: not any(map(runs, workers)))
+    with subprocess.Popen(
+        [sys.executable, "-c", _RUNNER, str(place.socket)], stderr=subprocess.DEVNULL
+    ) as second:
+        until(lambda: agent_status(place))
+        with host(place), host(place):
+            workers = agent_status(place).workers
+            assert stop_agent(place)
+            assert not any(map(runs, workers))
+        assert second.wait(PATIENCE) == 0
+
+
+@pytest.mark.usefixtures("agent")
+def test_the_status_is_told_though_a_worker_hangs_and_other_hosts_are_served(place):
+    with host(place):
+        (hangs,) = agent_status(place).workers
+        os.kill(hangs, signal.SIGSTOP)
+        try:
+            with host(place):
+                assert len(connections(place)) == 4
+        finally:
+            os.kill(hangs, signal.SIGCONT)
+
+
+@pytest.mark.usefixtures("agent")
+def test_the_status_counts_the_objects_that_workers_have(place, tmp_path):
+    domains, now = DomainSet.parse("0"), datetime.now(UTC)  # as the agent's clock
+    profile = profile_named("classical")
+    options = {"domains": domains, "validity": DAY, "passphrase": None, "now": now}
+    store = Keystore.create(tmp_path / "k", profile, name="Test", **options)
+    spec = ParticipantSpec(name="/talker", domains=domains, validity=DAY)
+    issue(store, store.unlock(None), [spec], now=now)
+    client = Client(place, "authentication")
+    pairs, where = properties(store.root / "enclaves/talker")
+    for count in range(3):
+        (found,) = agent_status(place).connections
+        assert found["objects"] == count
+        client.call("validate_local_identity", 0, where, pairs, new_guid())
+    client.close()
+
+
+def test_a_full_agent_can_still_be_asked_and_stopped(place):
+    """It was refused like a host."""
+    command = ["sh", "-c", 'ulimit -n 36; exec "$@"', "sh", sys.executable, "-c", _RUNNER]
+    with subprocess.Popen([*command, str(place.socket)], stderr=subprocess.DEVNULL) as process:
+        until(lambda: agent_status(place))
+        with host(place), host(place):
+            with pytest.raises(MalformedError, match="the agent is full: 4 connections"):
+                Client(place, "authentication")
+            assert len(connections(place)) == 4
+            assert stop_agent(place)
+        assert process.wait(PATIENCE) == 0
+
+
+# What is shared: revocation lists.
+
+
+@pytest.fixture(scope="module")
+def three_lists(tmp_path_factory):
+    """A CA, and its lists number 1 to 3."""
+    store = made(tmp_path_factory.mktemp("k") / "k", "classical")
+    revoke(store, store.unlock(None), ["/talker"], now=NOW)
+    found = [RevocationList.from_pem((store.root / "enclaves/listener/crl.pem").read_bytes())]
+    for _ in range(2):
+        renew_list(store, store.unlock(None), now=NOW)
+        found.append(
+            RevocationList.from_pem((store.root / "enclaves/listener/crl.pem").read_bytes())
+        )
+    assert [each.number for each in found] == sorted({each.number for each in found})
+    return store.unlock(None).identity.certificate, found
+
+
+@pytest.fixture
+def two_workers():
+    """The lists of two workers, and the agent's store between them."""
+    store, ends = ListStore(), [channel.pair() for _ in range(2)]
+    stop, stopped = socket.socketpair()
+
+    def serve():
+        while True:
+            ready, *_ = select.select([stopped, *(each[0] for each in ends)], [], [])
+            if stopped in ready:
+                return
+            for each in ready:
+                store.answer(each, *channel.take(each))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield [NewestLists(exchange_through(each[1])) for each in ends], store
+    stop.close()
+    thread.join()
+    store.close()
+    for each in (stopped, *ends[0], *ends[1]):
+        each.close()
+
+
+def test_the_numbers_of_lists_only_grow_across_workers(two_workers, three_lists):
+    ca, (old, newer, newest) = three_lists
+    (one, other), _ = two_workers
+
+    def counts(worker_lists, found):
+        return worker_lists.newest(ca, found, alternative=False, now=NOW).number
+
+    assert counts(one, newer) == newer.number
+    assert counts(other, old) == newer.number  # which this worker has not seen
+    assert counts(other, newest) == newest.number
+    assert counts(one, newer) == newest.number
+    assert counts(one, old) == newest.number
+
+
+def test_lists_are_shared_between_equal_demands_only_and_the_latest_cas(two_workers, three_lists):
+    ca, (old, newer, _) = three_lists
+    (one, other), store = two_workers
+    one.newest(ca, newer, alternative=True, now=NOW)
+    assert other.newest(ca, old, alternative=False, now=NOW) is old
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for number in range(2 * MAX_CAS):
+        issuer = b"%d" % number, b"", b"", False
+        one.exchange(issuer, newer)
+    assert len(store._newest) == MAX_CAS
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before + MAX_CAS
+    assert other.exchange(issuer, None).number == newer.number
+
+
+def test_a_worker_whose_agent_has_ended_takes_no_list(three_lists):
+    ours, theirs = channel.pair()
+    ours.close()
+    ca, (old, *_) = three_lists
+    with theirs, pytest.raises(FileError, match="the agent has ended"):
+        NewestLists(exchange_through(theirs)).newest(ca, old, alternative=False, now=NOW)
+
+
+# What comes first in a worker.
+
+
+@contextmanager
+def served(plugins, frames):
+    """A worker in this process, to which each connection has said its frame before it begins."""
+    (orders, theirs), (lists, others) = channel.pair(), channel.pair()
+    links = []
+    for number, (plugin, octets) in enumerate(zip(plugins, frames, strict=True)):
+        mine, its = socket.socketpair()
+        mine.settimeout(PATIENCE)
+        mine.sendall(octets)
+        order = channel.message(channel.SERVE)
+        order.number("I", number)
+        order.text(plugin)
+        order.text(f"host[{number}]")
+        channel.put(orders, order, its.fileno())
+        its.close()
+        links.append(mine)
+    subject = AgentWorker(theirs, others, lambda: NOW, lambda _: None)
+    while orders_wait(theirs):
+        subject._ordered(0)
+    for client in subject._clients.values():
+        subject._attend(client, select_read())
+    thread = threading.Thread(target=subject.run)
+    try:
+        yield subject, links, thread
+    finally:
+        orders.close()
+        thread.join()
+        for each in (theirs, lists, others, *links):
+            each.close()
+
+
+def orders_wait(link):
+    return bool(select.select([link], [], [], 0)[0])
+
+
+def select_read():
+    return worker.selectors.EVENT_READ
+
+
+def frame_of(link):
+    size = int.from_bytes(link.recv(4, socket.MSG_WAITALL), "little")
+    return link.recv(size, socket.MSG_WAITALL) if size else b""
+
+
+@pytest.fixture
+def order(monkeypatch):
+    """The names of the connections in the order in which they are answered."""
+    found, plain = [], Connection.answer
+
+    def answer(self):
+        found.append(self.what[0])
+        return plain(self)
+
+    monkeypatch.setattr(Connection, "answer", answer)
+    return found
+
+
+def process():
+    return asked("authentication", "process_handshake", NO_TOKEN, 1)
+
+
+def create():
+    return asked("authentication", "validate_local_identity", 0, "/", (), new_guid())
+
+
+def test_a_participant_is_created_before_handshakes_that_came_earlier(order):
+    """40 hosts that shook hands kept the 41st waiting for seconds."""
+    frames = [process(), process(), create()]
+    with served(["authentication"] * 3, frames) as (_, links, thread):
+        thread.start()
+        assert all(frame_of(link)[:1] == b"\1" for link in links)  # refused, all of them
+    assert order == ["host[2]", "host[0]", "host[1]"]
+
+
+def test_nobody_keeps_handshakes_waiting_for_ever(order):
+    frames = [process(), *(create() for _ in range(2 * FAIR))]
+    with served(["authentication"] * len(frames), frames) as (_, links, thread):
+        thread.start()
+        for link in links:
+            frame_of(link)
+    assert order.index("host[0]") == FAIR
+
+
+def test_who_waits_for_its_turn_is_told_that_the_agent_works(monkeypatch):
+    monkeypatch.setattr(worker, "TELL_SECONDS", 0.0)
+    with served(["authentication"] * 2, [create()] * 2) as (_, (first, second), thread):
+        thread.start()
+        assert frame_of(first)[:1] == b"\1"
+        head = second.recv(len(WORKING), socket.MSG_WAITALL)
+        assert head == WORKING
+        while not (answer := frame_of(second)):
+            pass
+    assert answer[:1] == b"\1"
+
+
+def test_the_command_line_shows_the_workers(place, agent):
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(place.folder.parent)}
+
+    def said(*words):
+        command = [sys.executable, "-m", "pqsec_pki", "agent", "status", *words]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    assert "workers   none: no host is connected\n" in said()
+    with host(place), host(place):
+        found = json.loads(said("--json"))
+        one, other = found["workers"]
+        assert (found["process"], (one, other)) == (agent.pid, agent_status(place).workers)
+        assert f"workers   {one} {other}\n" in said()
