@@ -94,35 +94,36 @@ def encrypt_the_keys(lab: Lab, root: Path, now: datetime) -> None:
 
 
 def _crl(lab: Lab, root: Path, now: datetime, *revoked: str) -> None:
-    """A revocation list beside each certificate."""
+    """A revocation list of those, for the other; if of nobody, for the receiver."""
     entries = []
     for name in revoked:
         certificate = Certificate.from_pem((_folder(root, name) / "cert.pem").read_bytes())
         entries.append(RevokedCertificate(certificate.serial_number, now - DAY, "keyCompromise"))
     made = revocation_list(lab.authorities.identity, entries, number=1, now=now, validity=30 * DAY)
     pem = x509.load_der_x509_crl(made.der).public_bytes(Encoding.PEM)
-    (_folder(root, RECEIVER) / "crl.pem").write_bytes(pem)
+    for name in {SENDER, RECEIVER} - {*revoked} if revoked else {RECEIVER}:
+        (_folder(root, name) / "crl.pem").write_bytes(pem)
 
 
 def revoke_nobody(lab: Lab, root: Path, now: datetime) -> None:
     _crl(lab, root, now)
 
 
-def revoke_the_sender(lab: Lab, root: Path, now: datetime) -> None:
-    _crl(lab, root, now, SENDER)
+def revoke_the_sender(lab: Lab, root: Path, now: datetime, who: str = SENDER) -> None:
+    _crl(lab, root, now, who)
 
 
-def let_the_sender_expire(lab: Lab, root: Path, now: datetime) -> None:
+def let_the_sender_expire(lab: Lab, root: Path, now: datetime, who: str = SENDER) -> None:
     """Issued when the lab was made, and for too short a time."""
     keystore = Keystore.open(root)
     spec = ParticipantSpec(
-        name=SENDER, publish=(TOPIC,), subscribe=(TOPIC,), domains=DOMAINS, validity=30 * DAY
+        name=who, publish=(TOPIC,), subscribe=(TOPIC,), domains=DOMAINS, validity=30 * DAY
     )
     issue(keystore, lab.authorities, [spec], now=lab.now, force=True)
 
 
-def alter_the_permissions(lab: Lab, root: Path, now: datetime) -> None:
-    path = _folder(root, SENDER) / "permissions.p7s"
+def alter_the_permissions(lab: Lab, root: Path, now: datetime, who: str = SENDER) -> None:
+    path = _folder(root, who) / "permissions.p7s"
     text = path.read_bytes()
     assert TOPIC.encode() in text
     path.write_bytes(text.replace(TOPIC.encode(), b"rt/chatteR"))

@@ -1,11 +1,12 @@
 """`pqsec try fastdds --plugin`: real participants of Fast DDS with our plugin, as export
 configures them. The circumstances are those of Cyclone DDS's."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import pytest
 
@@ -52,6 +53,18 @@ from tests.longer import LONG
 
 pytestmark = pytest.mark.interop
 
+
+def have_permissions_of_another_ca(lab, root, now, who=SENDER):
+    """Those of the same name, that the CA of another keystore signed."""
+    before = (root / f"enclaves{who}" / "permissions.p7s").read_bytes()
+    other = root.with_name("copy")
+    shutil.copytree(root, other, symlinks=True)
+    come_from_another_ca(lab, other, now, who)
+    foreign = (other / f"enclaves{who}" / "permissions.p7s").read_bytes()
+    assert foreign != before
+    (root / f"enclaves{who}" / "permissions.p7s").write_bytes(foreign)
+
+
 MET = {
     **{f"{profile} {where}": (where, Case(profile, profile=profile), ())
        for profile in LAB_PROFILES for where in ROOTS},
@@ -62,15 +75,33 @@ MET = {
        for who in (SENDER, RECEIVER)},
 }  # fmt: skip
 """Where, in what circumstances, and who runs Fast DDS's own plugin."""
+BAD = {
+    "revoked": (revoke_the_sender, "was revoked on"),
+    "rogue CA": (come_from_another_ca, "not signed by this CA"),
+    "foreign permissions": (have_permissions_of_another_ca, "but by another certificate"),
+    "expired": (let_the_sender_expire, "expired on"),
+    "altered": (alter_the_permissions, "changed after signing"),
+}
+"""What may be wrong with one of two, and what is said."""
+BEGINS = RECEIVER
+"""The one of the two with the smaller GUID, which follows from its name."""
+
+
+def bad(title: str, who: str) -> Case:
+    return Case("", profile="pq", alter=partial(BAD[title][0], who=who))
+
+
 REFUSED = {
-    "denied topic": (Case("", profile="pq", topic=OTHER), (), "says whether it may"),
-    "revoked": (Case("", profile="pq", alter=revoke_the_sender), (), "was revoked on"),
-    "rogue CA": (Case("", profile="pq", alter=come_from_another_ca), (), "not signed by this CA"),
-    "expired": (Case("", profile="pq", alter=let_the_sender_expire), (), "expired on"),
-    "altered": (Case("", profile="pq", alter=alter_the_permissions), (), "changed after signing"),
-    **{f"unasked, stock {who}": (Case("", profile="transition"), (who,), said)
+    **{f"denied topic {where}": (where, Case("", profile="pq", topic=OTHER), SENDER, (),
+                                 "says whether it may") for where in ROOTS},
+    **{f"{title}, who {'begins' if who == BEGINS else 'answers'}, {where}":
+           (where, bad(title, who), who, (), BAD[title][1])
+       for title in BAD for where in ROOTS for who in (SENDER, RECEIVER)
+       if LONG or (where == "bookworm") == (who == SENDER)},
+    **{f"unasked, stock {who}": ("bookworm", Case("", profile="transition"), SENDER, (who,), said)
        for who, said in ((SENDER, "the peer asks for 'DH"), (RECEIVER, "not say that it knows"))},
 }  # fmt: skip
+"""Where, in what circumstances, who sends, and what is said. In the gate, each begins in one."""
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +133,11 @@ def ours(there) -> Iterator[Callable[[str], TrialPlugin]]:
 def reports(there, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
 
-    def run(where: str, case: Case, stock: tuple[str, ...], **how) -> TrialReport:
+    def run(where: str, case: Case, sender: str, stock: tuple[str, ...], **how) -> TrialReport:
         trial = laboratory.trial(there(where), case, plugin=ours(where), stock=stock, **how)
+        receiver = RECEIVER if sender == SENDER else SENDER
         return run_trial(
-            trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
+            trial, TopicRoute(sender=sender, receiver=receiver, domain=0, topic=case.topic)
         )
 
     for where in ROOTS:
@@ -114,10 +146,10 @@ def reports(there, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         found: dict[str, Future[TrialReport]] = {}
         for name, (where, case, stock) in MET.items():
-            found[name] = pool.submit(run, where, case, stock, timeout=PATIENCE)
-        for name, (case, stock, _) in REFUSED.items():
+            found[name] = pool.submit(run, where, case, SENDER, stock, timeout=PATIENCE)
+        for name, (*how, _) in REFUSED.items():
             # `anyway`, for what an export would refuse too.
-            found[name] = pool.submit(run, "bookworm", case, stock, timeout=REFUSAL, anyway=True)
+            found[name] = pool.submit(run, *how, timeout=REFUSAL, anyway=True)
         yield lambda name: found[name].result()
 
 
@@ -133,7 +165,7 @@ def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_nothing_passes_and_it_is_said_why(reports, name):
-    report, said = reports(name), REFUSED[name][2]
+    report, said = reports(name), REFUSED[name][-1]
     assert report.receiver.received is None, logs(report)
     assert report.unauthenticated.received is None
     assert not any(each.signal for each in report.trial_run.outcomes)

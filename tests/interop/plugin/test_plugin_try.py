@@ -67,11 +67,11 @@ def meet_stock_peers(lab, root, now):
         (root / f"enclaves{name}" / "pqsec.toml").write_text('peers = "stock"\n')
 
 
-def come_from_another_ca(lab, root, now):
-    """The sender is of a keystore with the same names."""
+def come_from_another_ca(lab, root, now, who=SENDER):
+    """One is of a keystore with the same names."""
     other = Lab.create(root.with_name("other"), LAB_PROFILES[lab.keystore.profile.name], lab.now)
-    shutil.rmtree(root / f"enclaves{SENDER}")
-    shutil.copytree(other.keystore.root / f"enclaves{SENDER}", root / f"enclaves{SENDER}")
+    shutil.rmtree(root / f"enclaves{who}")
+    shutil.copytree(other.keystore.root / f"enclaves{who}", root / f"enclaves{who}")
 
 
 MET = {
