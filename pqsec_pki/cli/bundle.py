@@ -59,6 +59,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Write everything that one robot needs into one file.
 
+    NAME may be a pattern: '/robot1/*' is all nodes of a robot.
     The bundle has each NAME's certificate, permissions, governance, CA certificates and
     revocation list, and its private keys if they were generated here; never a CA key. A
     bundle that `pqsec install` would refuse is not written. A bundle with private keys must
@@ -68,9 +69,9 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
         raise UsageError("no participant named: give names, or --robot FILE")
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
-    wanted = names or _names_in(robot)
-    goal = output or bundle_path(Path(), regular_name(wanted[0]))
     keystore = _settings.open_keystore()
+    wanted = keystore.named(names or _names_in(robot))
+    goal = output or bundle_path(Path(), regular_name(wanted[0]))
     now = _settings.now()
     made = Bundle.of(keystore, wanted, now=now, keys=not no_keys)
     recipient = _bundles.recipient(seal_for)

@@ -29,8 +29,8 @@ from pqsec_pki.policy import DocumentDifference
         "Allow a ROS 2 node to publish one more topic": (
             "pqsec -k robots permit /talker --ros-publish /status --yes"
         ),
-        "Remove a right from two participants": (
-            "pqsec permit /talker /listener --remove --publish rt/chatter --yes"
+        "Remove a right from all nodes of a robot": (
+            "pqsec permit '/fleet/*' --remove --publish rt/chatter --yes"
         ),
     },
     exit_codes={
@@ -65,8 +65,9 @@ def permit(
 ) -> None:
     """Add or remove single rights of participants; their keys stay.
 
-    The change of rights is shown first. Either all participants are changed or none. Robots get
-    the new permissions with their next bundle, or by a copy of the enclave.
+    NAME may be a pattern: '/robot1/*'. The change of rights is shown first. Either all
+    participants are changed or none. Robots get the new permissions with their next bundle, or by
+    a copy of the enclave.
     """
     publish, subscribe = topics_of(**topics)
     rights = TopicRights(publish=publish, subscribe=subscribe)
@@ -75,6 +76,7 @@ def permit(
     if domains and not add:
         raise UsageError("--remove and --domain exclude each other: a right is removed everywhere")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
+    chosen = keystore.named(names)
     wanted = DomainSet.parse(domains) if domains else None
 
     def edited(grant: Grant) -> Grant:
@@ -82,7 +84,7 @@ def permit(
             return remove_rights(grant, rights)
         return add_rights(grant, rights, wanted or allowed_domains(grant) or keystore.domains)
 
-    found = changed_permissions(keystore, list(dict.fromkeys(names)), edited, now=now)
+    found = changed_permissions(keystore, chosen, edited, now=now)
     changes = [each for each in found if each.new != each.old]
     differences = [
         DocumentDifference(f"permissions of {each.name}", permissions_diff(each.old, each.new))

@@ -23,6 +23,7 @@ _NO_TIME = timedelta()
         "Renew two participants for half a year, with new keys": (
             "pqsec renew /talker /listener --validity 26w --rekey"
         ),
+        "Renew all nodes of a robot": "pqsec renew '/fleet/*'",
     },
     exit_codes={
         0: "renewed, or nothing was due",
@@ -68,8 +69,8 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Renew certificates and permissions, with the same rights as before.
 
-    Name participants, or use --due or --all. Either all are renewed or none. If the
-    revocation list is due, a new one is issued too.
+    Name participants ('/robot1/*' is all that match), or use --due or --all. Either all are
+    renewed or none. If the revocation list is due, a new one is issued too.
     """
     ways = [bool(names), due is not None, everybody].count(True)
     if not ways:
@@ -77,6 +78,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     if ways > 1:
         raise UsageError("names, --due and --all exclude each other")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
+    names = tuple(keystore.named(names))
     standing = status_of(keystore, names or None, now=now, due=due or None)
     chosen = standing.due if due is not None else _renewable(standing, names)
     if not chosen and not standing.list_is_due:
@@ -121,9 +123,11 @@ def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
 def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
     """Test whether participants or the revocation list are due for renewal.
 
-    Without a NAME, all participants and the revocation list are tested.
+    NAME may be a pattern: '/robot1/*'. Without a NAME, all participants and the revocation list
+    are tested.
     """
     keystore = _settings.open_keystore()
+    names = tuple(keystore.named(names))
     standing = status_of(keystore, names or None, now=_settings.now(), due=due)
     found = [each for each in standing.participants if each.state.calls_for_renewal]
     lines = [f"{each.name}  {each.state}, until {each.not_after:%Y-%m-%d %H:%M}" for each in found]

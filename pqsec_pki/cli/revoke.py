@@ -8,7 +8,8 @@ import click
 
 from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.cli._confirmation import confirm
+from pqsec_pki.keystore import Keystore, is_pattern
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked
 from pqsec_pki.lifecycle import revoke as revoke_subjects
 
@@ -33,6 +34,7 @@ list_validity_option = click.option(
 @_help.command(
     examples={
         "Revoke a stolen robot": "pqsec revoke /fleet/robot1 --reason keyCompromise",
+        "Revoke all nodes of a robot": "pqsec revoke '/fleet/*' --yes",
         "Issue a list that is valid for 90 days": "pqsec revoke /talker --validity 90d",
     },
     exit_codes={
@@ -55,24 +57,39 @@ list_validity_option = click.option(
     help="Record this reason in the list (RFC 5280 5.3.1).",
 )
 @list_validity_option
+@click.option("--yes", is_flag=True, help="Do not ask for confirmation, if a NAME is a pattern.")
 @_passphrases.option
 @_settings.command_options
 def revoke(
-    subjects: tuple[str, ...], reason: str, validity: timedelta, passphrase_file: Path | None
+    subjects: tuple[str, ...],
+    reason: str,
+    validity: timedelta,
+    passphrase_file: Path | None,
+    *,
+    yes: bool,
 ) -> None:
     """Revoke certificates, and put the new revocation list into every enclave.
 
-    NAME revokes all unexpired certificates of that participant, SERIAL one certificate.
+    NAME revokes all unexpired certificates of that participant, SERIAL one certificate. With a
+    pattern such as '/robot1/*' it lists what matches, and asks.
     Copy the new crl.pem to every robot: a robot with an older list, or without one, still
     accepts the revoked certificates.
     """
     keystore = _settings.open_keystore(to_change=True)
     first = not keystore.has_revocation_list
+    chosen = keystore.named(subjects)
+    if any(map(is_pattern, subjects)) and not yes:
+        confirm(
+            lambda: click.echo("\n".join(f"revoke: {each}" for each in chosen)),
+            "Revoke these?",
+            what=f"{', '.join(subjects)} matches {_printing.counted(len(chosen), 'participant')}",
+            hint="`pqsec status` with the same pattern lists them; --yes revokes them",
+        )
     authorities = _passphrases.unlock(keystore, passphrase_file)
     revoked, made = revoke_subjects(
         keystore,
         authorities,
-        subjects,
+        chosen,
         reason=Reason(reason),
         now=_settings.now(),
         validity=validity,

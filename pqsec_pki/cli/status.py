@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import is_there, read, write
-from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.errors import ExistsError
+from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.errors import ExistsError, UsageError
 from pqsec_pki.keystore import Keystore, State, Status
 from pqsec_pki.keystore import status as status_of
 
@@ -26,6 +26,7 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 @_help.command(
     examples={
         "Show all participants": "pqsec status",
+        "Show all nodes of a robot": "pqsec status '/fleet/*'",
         "Mark what expires within 30 days": "pqsec status --due 30d",
         "Write metrics for Prometheus": "pqsec status --prometheus pqsec.prom",
     },
@@ -34,6 +35,7 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
         3: "the keystore cannot be read, or the metrics cannot be written",
     },
 )
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
 @click.option(
     "--due",
     type=_settings.Duration(),
@@ -45,13 +47,17 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
     help="Also write metrics to this file, for the textfile collector; replaces older metrics.",
 )
 @_settings.command_options
-def status(due: timedelta | None, prometheus: Path | None) -> None:
+def status(names: tuple[str, ...], due: timedelta | None, prometheus: Path | None) -> None:
     """Show each participant's state and expiry, the most urgent first.
 
-    The data comes from the ledger, not from the files: check those with `pqsec check`.
+    NAME may be a pattern: '/robot1/*'; without a NAME, all are shown. The data comes from the
+    ledger, not from the files: check those with `pqsec check`.
     """
     keystore = _settings.open_keystore()
-    standing = status_of(keystore, now=_settings.now(), due=due)
+    chosen = keystore.named(names)
+    if prometheus and names:
+        raise UsageError("--prometheus and NAME exclude each other: metrics are of all")
+    standing = status_of(keystore, chosen or None, now=_settings.now(), due=due)
     if prometheus:
         _write(prometheus, "".join(_metrics(standing)))
     # Only with --json: it is slow for thousands of participants.

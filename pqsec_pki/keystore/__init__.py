@@ -9,6 +9,7 @@ Its content:
     participant   the files of one participant, and their content
     authorities   the CAs with their private keys
     keystore      opens and creates the folder
+    patterns      names of participants given as patterns
 The ledger:
     _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
         load_participant,
         load_revocation_list,
     )
+    from pqsec_pki.keystore.patterns import is_pattern
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
@@ -108,6 +110,7 @@ __all__ = [
     "document_entry",
     "enclave_files",
     "governance_digest",
+    "is_pattern",
     "key_hashes",
     "layout",
     "list_entry",

@@ -1,6 +1,6 @@
 """A keystore: created once by `ca init`, and opened by every later command."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -28,6 +28,7 @@ from pqsec_pki.keystore.participant import (
     load_revocation_list,
     refuse_unknown,
 )
+from pqsec_pki.keystore.patterns import expanded, is_pattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +217,14 @@ class Keystore:
     def names(self) -> list[str]:
         """The participants' names, sorted; FileError if a folder cannot be read."""
         return layout.names_in(self.root)
+
+    def named(self, names: Iterable[str]) -> list[str]:
+        """The names, each once; instead of a pattern (`/tb3/*`, `/tb3/**`) what matches it.
+
+        KeystoreError for a pattern that no participant matches.
+        """
+        given = list(names)
+        return expanded(given, self.names() if any(map(is_pattern, given)) else ())
 
     def incomplete(self) -> list[str]:
         """The enclaves with files but no certificate, sorted; FileError as from `names`."""
