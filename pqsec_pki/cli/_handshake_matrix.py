@@ -15,7 +15,7 @@ def show_matrix(rounds: int) -> None:
     """Measure all suites and print a table."""
     # A list, not an iterator: a reader that closes the pipe must not leave a temporary folder.
     found = list(suites(_settings.now(), rounds))
-    value = {"fragment_bytes": FRAGMENT, "rounds": rounds, "suites": [s.to_json() for s in found]}
+    value = {"fragment_bytes": FRAGMENT, "rounds": rounds, "suites": found}
     _printing.emit(value, _lines(found, rounds))
 
 

@@ -36,7 +36,7 @@ def put(document: bytes, output: Path | None, *, force: bool) -> None:
         _printing.emit({"document": text}, [text.removesuffix("\n")], verbatim=True)
         return
     _files.write(output, document, force=force)
-    value = {"written": str(output), "bytes": len(document)}
+    value = {"written": output, "bytes": len(document)}
     _printing.emit(value, [f"{output}  ({len(document)} bytes)"])
 
 

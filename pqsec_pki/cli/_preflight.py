@@ -19,11 +19,7 @@ def report(names: tuple[str, ...]) -> int:
         )
     checks = {name: list(preflight(keystore, name, os.environ, now=now)) for name in names}
     good = all(each.ok for found in checks.values() for each in found)
-    value = {
-        "ok": good,
-        "participants": {name: list(map(_value, found)) for name, found in checks.items()},
-    }
-    _printing.emit(value, _lines(checks))
+    _printing.emit({"ok": good, "participants": checks}, _lines(checks))
     return 0 if good else 1
 
 
@@ -40,7 +36,3 @@ def _lines(checks: dict[str, list[Check]]) -> Iterator[str]:
             continue
         yield f"ROS 2 would not run {name} secured from this shell. To fix it:"
         yield from (f"  {fix}" for fix in dict.fromkeys(each.fix for each in bad))
-
-
-def _value(check: Check) -> dict[str, object]:
-    return {"what": check.what, "ok": check.ok, "problem": check.problem, "fix": check.fix}

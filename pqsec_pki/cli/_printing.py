@@ -5,6 +5,9 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from datetime import datetime
+from pathlib import PurePath
 
 import click
 
@@ -33,7 +36,26 @@ def emit(
 
 def as_json(value: Mapping[str, object]) -> str:
     """The result for a program, with the version of its format."""
-    return json.dumps({"version": JSON_VERSION, **value}, indent=2)
+    return json.dumps({"version": JSON_VERSION, **value}, indent=2, default=_encoded)
+
+
+def _encoded(value: object) -> object:
+    """What json.dumps writes for a value that it does not know.
+
+    A value of a room is what its to_json returns, else its fields, without those that its repr
+    leaves out, such as keys.
+    """
+    if isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, PurePath):
+        return str(value)
+    if to_json := getattr(value, "to_json", None):
+        return to_json()
+    if is_dataclass(value):
+        return {each.name: getattr(value, each.name) for each in fields(value) if each.repr}
+    if isinstance(value, Iterable) and not isinstance(value, bytes):
+        return list(value)
+    raise TypeError(f"a {type(value).__name__} has no form in JSON")
 
 
 def say(text: str) -> None:

@@ -34,7 +34,7 @@ def adopt(folder: Path | None) -> None:
     report = check((found.keystore.root,), now=now)
     _printing.emit(
         {
-            "keystore": str(found.keystore.root),
+            "keystore": found.keystore.root,
             "profile": found.keystore.profile.name,
             "domains": str(found.keystore.domains),
             "participants": found.participants,

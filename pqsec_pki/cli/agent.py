@@ -44,7 +44,7 @@ def status() -> int:
         "workers": list(found.workers),
         "agent_version": found.version,
         "socket": found.socket,
-        "connections": list(found.connections),
+        "connections": found.connections,
     }
     _printing.emit(value, _lines(found))
     return 0

@@ -15,7 +15,6 @@ from pqsec_pki.cli.plan import (
     new_keys_option,
     prune_option,
     show,
-    value,
 )
 from pqsec_pki.domain import (
     Desired,
@@ -206,6 +205,5 @@ def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Pat
         for action, each in names.items()
     ]
     lines += [f"bundles: {len(written)}"] if written else []
-    made = {"done": True, "bundles": list(map(str, written))}
-    as_json = _settings.settings().json
-    _printing.emit({**value(replace(found, steps=tuple(done))), **made} if as_json else None, lines)
+    value = replace(found, steps=tuple(done)).to_json()
+    _printing.emit(value | {"done": True, "bundles": written}, lines)

@@ -81,7 +81,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
             f"{goal} has private keys without encryption: anybody with the file can read them"
         )
     value = {
-        "bundle": str(goal),
+        "bundle": goal,
         "names": made.names,
         "keys": made.has_keys,
         "sealed": seal_for is not None,

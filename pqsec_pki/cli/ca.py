@@ -237,7 +237,7 @@ def recover() -> None:
     path = _settings.keystore_path()
     finished = Keystore.recover(path)
     line = "the interrupted change is finished" if finished else "no change was interrupted"
-    _printing.emit({"keystore": str(path), "finished": finished}, [f"{path}: {line}"])
+    _printing.emit({"keystore": path, "finished": finished}, [f"{path}: {line}"])
 
 
 def _show_pins(keystore: Keystore) -> None:
@@ -259,7 +259,7 @@ def _show(keystore: Keystore) -> None:
         cas.append(("trusted too", overlap.other))
     names = keystore.names()
     value = {
-        "keystore": str(keystore.root),
+        "keystore": keystore.root,
         **keystore.profile.to_names(),
         "domains": str(keystore.domains),
         "keys": _keys(keystore),
@@ -290,13 +290,13 @@ def _described(profile: Profile) -> str:
     return f"profile {profile.name}: {profile.summary}"
 
 
-def _certificate(certificate: Certificate) -> dict[str, str | None]:
+def _certificate(certificate: Certificate) -> dict[str, object]:
     second = certificate.alternative_key
     return {
         "subject": certificate.subject_name,
         "algorithm": certificate.public_key.algorithm.name,
         "alternative": second.algorithm.name if second else None,
-        "not_after": certificate.not_after.isoformat(),
+        "not_after": certificate.not_after,
         "sha256": certificate.fingerprint,
     }
 

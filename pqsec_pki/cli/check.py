@@ -11,7 +11,6 @@ from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
-    Finding,
     LintReport,
     Rule,
     Severity,
@@ -169,26 +168,13 @@ def report_value(report: LintReport, *, strict: bool) -> dict[str, Any]:
         "incomplete": bool(report.unread),
         "files": _read(report),
         "counts": {severity.value: report.count(severity) for severity in Severity},
-        "findings": [_finding(each) for each in report.findings],
-        "ignored": [_finding(each) | {"reason": reason} for each, reason in report.ignored],
+        "findings": report.findings,
+        "ignored": [each.to_json() | {"reason": reason} for each, reason in report.ignored],
     }
 
 
 def _read(report: LintReport) -> int:
     return sum(not file.unreadable for file in report.inventory.files)
-
-
-def _finding(finding: Finding) -> dict[str, Any]:
-    return {
-        "rule": finding.rule.id,
-        "severity": finding.rule.severity.value,
-        "code": finding.code.value if finding.code else None,
-        "path": str(finding.path),
-        "line": finding.line,
-        "message": finding.message,
-        "title": finding.rule.title,
-        "fix": finding.rule.fix,
-    }
 
 
 def _explain(rule: Rule) -> None:

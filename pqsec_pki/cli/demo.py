@@ -62,7 +62,7 @@ def demo(folder: Path | None, profile_name: str) -> None:
     ]
     issue(keystore, keystore.unlock(None), specs, now=now)
     report = verify_handshake(keystore, "/talker", "/listener", now=now)
-    value = {"keystore": str(folder), "profile": profile.name, "handshake": report.to_json()}
+    value = {"keystore": folder, "profile": profile.name, "handshake": report}
     _printing.emit(
         value, [*_result_lines(keystore), *lines_of(report), "", *_command_lines(keystore)]
     )

@@ -140,7 +140,7 @@ def explain(stack: str | None, **asked: Any) -> int:
         policy_input = _policy_input(asked, now)
     except VerificationError as error:
         if _settings.settings().json:
-            _printing.emit({"allowed": False, "problems": list(error.lines)}, [])
+            _printing.emit({"allowed": False, "problems": error.lines}, [])
         raise
     asked_of = Question(
         subject=policy_input.subject,
@@ -267,9 +267,9 @@ def _print_answers(policy_input: PolicyInput, found: list[DomainsAnswer]) -> Non
         "subject": question.subject,
         "action": question.action.value,
         "topic": question.topic,
-        "partitions": list(question.partitions),
+        "partitions": question.partitions,
         "data_tags": list(map("=".join, question.data_tags)),
-        "at": question.now.isoformat(),
+        "at": question.now,
         "verified": policy_input.governance.verified and policy_input.permissions.verified,
         **found[0].to_json(policy_input),
         "elsewhere": [each.to_json(policy_input) for each in found[1:]],

@@ -3,7 +3,6 @@
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
 
 import click
 
@@ -48,12 +47,12 @@ def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) ->
         if text:
             raise UsageError("--list and TEXT exclude each other")
         rows = messages(stack)
-        _printing.emit({"messages": list(map(_row, rows))}, _list(rows))
+        _printing.emit({"messages": rows}, _list(rows))
         return
     words = _given(text)
     found = recognise(words, stack=stack)
     near = () if found else nearest(words, stack=stack)
-    value = {"known": [_found(each) for each in found], "nearest": [_row(each) for each in near]}
+    value = {"known": found, "nearest": near}
     _printing.emit(value, _lines(found, near, in_log="\n" in words.strip()))
     if not found:
         click.get_current_context().exit(1)
@@ -119,26 +118,3 @@ def _list(rows: tuple[Message, ...]) -> list[str]:
     return _printing.table(
         heads, [(",".join(row.stacks), str(row.code or ""), text) for row, text in texts]
     )
-
-
-def _row(row: Message) -> dict[str, Any]:
-    return {
-        "stacks": list(row.stacks),
-        "code": row.code,
-        "texts": list(row.texts),
-        "tells": str(row.tells),
-        "cause": row.cause,
-        "remedy": row.remedy,
-        "evidence": row.evidence,
-    }
-
-
-def _found(each: Recognised) -> dict[str, Any]:
-    return _row(each.message) | {
-        "said": each.said,
-        "values": dict(each.values),
-        "line": each.line,
-        "times": each.times,
-        "cause": each.cause,
-        "remedy": each.remedy,
-    }

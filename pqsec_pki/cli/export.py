@@ -148,7 +148,7 @@ def _print_export(made: Export, output: Path | None, written: list[Path]) -> Non
     }
     if output:
         value |= {
-            "files": list(map(str, written)),
+            "files": written,
             "environment": made.variables(output),
             "commands": made.commands(output),
         }

@@ -76,8 +76,8 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     )
     value = {
         "installed": done.names,
-        "current": str(done.current),
-        "not_after": done.not_after.isoformat(),
+        "current": done.current,
+        "not_after": done.not_after,
         "already": done.already,
     }
     word = "was already installed" if done.already else "installed"
@@ -106,7 +106,7 @@ def rollback(folder: Path, *, older: bool) -> None:
     expiry of its certificates is not checked.
     """
     earlier = roll_back(folder, older=older)
-    value = {"current": str(earlier.path), "installed_at": earlier.at.isoformat()}
+    value = {"current": earlier.path, "installed_at": earlier.at}
     _printing.emit(
         value, [f"restored the set that was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]
     )

@@ -172,17 +172,9 @@ def print_issued(
         end = issued[0].not_after
         _printing.note(f"valid only until {end:%Y-%m-%d}, when the identity CA expires")
     value = {
-        "keystore": str(keystore.root),
+        "keystore": keystore.root,
         "issued": [
-            {
-                "name": each.name,
-                "folder": str(each.folder),
-                "serial": each.serial,
-                "not_after": each.not_after.isoformat(),
-                "certificate_bytes": each.certificate_size,
-                "permissions_bytes": each.permissions_size,
-                **({"bundle": str(bundles[each.name])} if each.name in bundles else {}),
-            }
+            each.to_json() | ({"bundle": bundles[each.name]} if each.name in bundles else {})
             for each in issued
         ],
     }

@@ -49,7 +49,7 @@ def log(*, verify: bool, head: str | None) -> None:
         _verify(keystore, head)
         return
     lines = keystore.lines()
-    _printing.emit({"lines": list(map(_value, lines))}, _printing.table(_HEADERS, map(_row, lines)))
+    _printing.emit({"lines": lines}, _printing.table(_HEADERS, map(_row, lines)))
 
 
 def _verify(keystore: Keystore, head: str | None) -> None:
@@ -81,20 +81,3 @@ def _row(line: Line) -> tuple[str, ...]:
 def _short(value: str) -> str:
     """The first 16 digits of a hash; anything else unchanged."""
     return value[:16] if len(value) == _SHA256 else value
-
-
-def _value(line: Line) -> dict[str, object]:
-    entry = line.entry
-    return {
-        "number": line.number,
-        "at": entry.at,
-        "operator": entry.operator,
-        "kind": entry.kind,
-        "name": entry.name,
-        "serial": entry.serial,
-        "issuer": entry.issuer,
-        "sha256": entry.sha256,
-        "not_after": entry.not_after,
-        "details": entry.details,
-        "chain": line.chain,
-    }

@@ -44,5 +44,5 @@ def passphrase(
     if new is None:
         _printing.note(f"the CA keys in {paths[0].parent} are not encrypted: protect that folder")
     word = "not encrypted" if new is None else "encrypted again"
-    value = {"keys": [str(path) for path in paths], "encrypted": new is not None}
+    value = {"keys": paths, "encrypted": new is not None}
     _printing.emit(value, [f"{path}  {word}" for path in paths])

@@ -51,7 +51,7 @@ def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
     """
     if init:
         _files.write(file, new_domain("Robots"))
-        _printing.emit({"written": str(file)}, [f"{file}: edit it, then run `pqsec plan`"])
+        _printing.emit({"written": file}, [f"{file}: edit it, then run `pqsec plan`"])
         return
     desired = read_domain(file)
     keystore, now = Keystore.find(_settings.keystore_path()), _settings.now()
@@ -63,30 +63,13 @@ def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
 
 def show(found: Plan, desired: Desired) -> None:
     """Print the plan, and notes on what it does not change."""
-    as_json = _settings.settings().json
-    _printing.emit(value(found) if as_json else None, lines(found))
+    _printing.emit(found.to_json(), lines(found))
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
         _printing.note(f"the governance does not name domain {where}: no participant can join it")
     if found.unlisted:
         names = few(found.unlisted)
         _printing.note(f"not in {desired.path}: {names}; --prune revokes them")
-
-
-def value(found: Plan) -> dict[str, object]:
-    """The plan, for --json."""
-    return {
-        "in_order": found.in_order,
-        "steps": [
-            {"action": step.action, "name": step.name or None, "why": step.why}
-            for step in found.steps
-        ],
-        "blocked": [
-            {"name": each.name, "why": each.why, "way_out": each.way_out} for each in found.blocked
-        ],
-        "unlisted": list(found.unlisted),
-        "unchanged": found.unchanged,
-    }
 
 
 def lines(found: Plan) -> Iterator[str]:

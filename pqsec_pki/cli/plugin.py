@@ -94,13 +94,13 @@ def install(
         raise UsageError("--library is for fastdds", hint="Cyclone DDS loads it in any version")
     units = units_folder(os.environ) if systemd else None
     built = build(folder, units=units, force=force)
-    value = {"library": str(built.library), "links": [str(link) for link in built.links]}
+    value: dict[str, object] = {"library": built.library, "links": built.links}
     lines = [
         f"library   {built.library}",
         f"ROS 2     put {built.library.parent} first in LD_LIBRARY_PATH",
     ]
     if built.units:
-        value["units"] = [str(unit) for unit in built.units]
+        value["units"] = built.units
         lines += [f"systemd   {units}", "", *_START]
     _printing.emit(value, lines)
 
@@ -113,9 +113,9 @@ def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None
     stack = examine(library.absolute() if library else find_fastdds())
     preload = install_fastdds(stack, folder, here(), force=force)
     value = {
-        "library": str(stack.library.path),
+        "library": stack.library.path,
         "build": stack.library.build,
-        "preload": str(preload),
+        "preload": preload,
     }
     lines = [
         f"{stack.title}   {stack.library.path}",
@@ -159,18 +159,7 @@ def status(folder: Path | None) -> int:
     def where(each: InstalledPlugin) -> str:
         return str(each.library or each.file)
 
-    value = [
-        {
-            "stack": each.stack,
-            "title": each.title,
-            "file": str(each.file),
-            "library": str(each.library) if each.library else None,
-            "ok": not each.problem,
-            "problem": each.problem or None,
-        }
-        for each in found
-    ]
-    _printing.emit({"folder": str(folder), "installed": value}, lines())
+    _printing.emit({"folder": folder, "installed": found}, lines())
     return 0 if found and not any(each.problem for each in found) else 1
 
 
@@ -204,6 +193,6 @@ def uninstall(folder: Path | None) -> None:
     if units:
         lines += ["", _STOP]
     _printing.emit(
-        {"removed": [str(path) for path in (*removed, *units)]},
+        {"removed": [*removed, *units]},
         lines or [f"the plugin is not installed in {folder}"],
     )

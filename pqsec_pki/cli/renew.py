@@ -82,7 +82,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     standing = status_of(keystore, names or None, now=now, due=due or None)
     chosen = standing.due if due is not None else _renewable(standing, names)
     if not chosen and not standing.list_is_due:
-        _printing.emit({"keystore": str(keystore.root), "issued": []}, ["nothing to renew"])
+        _printing.emit({"keystore": keystore.root, "issued": []}, ["nothing to renew"])
         return
     terms = Renewal(rekey, validity, due or None, compromised_keys)
     authorities = _passphrases.unlock(keystore, passphrase_file)
@@ -137,8 +137,7 @@ def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
     value = {
         "needs_renewal": bool(lines),
         "participants": [
-            {"name": each.name, "state": each.state, "not_after": each.not_after.isoformat()}
-            for each in found
+            {"name": each.name, "state": each.state, "not_after": each.not_after} for each in found
         ],
         "revocation_list": bool(lists),
     }

@@ -69,7 +69,7 @@ def request(  # noqa: PLR0913 -- one for each option, by name
         {"participant_key": participant_key, "alternative_key": alt_key}
     )
     made = make_request(name, profile, folder, force=force)
-    value = {"name": made.name, "request": str(made.path), "sha256": made.request.fingerprint}
+    value = {"name": made.name, "request": made.path, "sha256": made.request.fingerprint}
     _printing.emit(value, [f"{made.name}  {made.path}"])
 
 
@@ -96,4 +96,4 @@ def bundle_key(folder: Path, *, force: bool) -> None:
     Copy the bundle.pub.pem that is printed to the machine with the CAs, for --seal-for.
     """
     path, sha256 = make_sealing_key(folder, force=force)
-    _printing.emit({"public_key": str(path), "sha256": sha256}, [f"{path}  SHA-256 {sha256}"])
+    _printing.emit({"public_key": path, "sha256": sha256}, [f"{path}  SHA-256 {sha256}"])

@@ -103,17 +103,17 @@ def revoke(
             "certificates of an earlier CA are not in a list: participants that still trust that CA"
             " accept them; copy the files of the current CA to every robot"
         )
-    value = {"revoked": [_value(each) for each in revoked], **list_value(keystore, made)}
+    value = {"revoked": revoked, **list_value(keystore, made)}
     _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
 
 
 def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:
     """The list, for --json."""
     return {
-        "list": str(keystore.revocation_list_path),
+        "list": keystore.revocation_list_path,
         "number": made.number,
         "certificates": len(made.revoked),
-        "next_update": made.next_update.isoformat() if made.next_update else None,
+        "next_update": made.next_update,
     }
 
 
@@ -122,17 +122,6 @@ def list_line(keystore: Keystore, made: RevocationList) -> str:
     due = f", next due by {made.next_update:%Y-%m-%d}" if made.next_update else ""
     what = _printing.counted(len(made.revoked), "certificate")
     return f"list {made.number}: {what}{due}  {keystore.revocation_list_path}"
-
-
-def _value(each: Revoked) -> dict[str, object]:
-    return {
-        "name": each.name,
-        "serial": each.serial,
-        "since": each.since.isoformat(),
-        "reason": each.reason,
-        "before": each.before,
-        "listed": each.listed,
-    }
 
 
 def _line(each: Revoked) -> str:

@@ -165,11 +165,11 @@ def _print_done(done: RolloverResult) -> None:
     value = {
         "generation": plan.generation,
         "profile": plan.terms.profile.name,
-        "scope": plan.terms.scope.value,
+        "scope": plan.terms.scope,
         "issued": [each.name for each in done.issued],
         "left_out": plan.left_out,
         "new_list": plan.new_list,
-        "archive": str(plan.archive),
+        "archive": plan.archive,
     }
     count = _printing.counted(len(done.issued), "participant")
     keys = (
@@ -188,18 +188,18 @@ def _print_done(done: RolloverResult) -> None:
 def _plan_value(plan: RolloverPlan) -> dict[str, Any]:
     return {
         "generation": plan.generation,
-        "scope": plan.terms.scope.value,
+        "scope": plan.terms.scope,
         "profile": {"before": plan.before.name, "after": plan.terms.profile.name},
         "one_ca": plan.one_ca,
         "keeping": plan.keeping,
         "rekeyed": plan.rekeyed,
         "left_out": plan.left_out,
         "new_list": plan.new_list,
-        "archive": str(plan.archive),
+        "archive": plan.archive,
         "destroy": plan.terms.destroy,
         "steps": plan.steps,
-        "robots": list(_to_robots(plan)),
-        "breaks": list(_breaks(plan)),
+        "robots": _to_robots(plan),
+        "breaks": _breaks(plan),
         "overlap": _overlap.trust_rows(),
     }
 

@@ -122,7 +122,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
         force=force,
     )
     _note_other_xml(goal, document)
-    _printing.emit({"signed": str(goal), "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
+    _printing.emit({"signed": goal, "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
 
 
 def _note_other_xml(goal: Path, document: bytes) -> None:

@@ -79,7 +79,7 @@ def export(
     data = SignRequest(tuple(found), tuple(specs)).to_bytes(now=_settings.now())
     _files.write(output, data, force=force)
     sha256 = hashlib.sha256(data).hexdigest()
-    value = {"written": str(output), "names": names, "sha256": sha256}
+    value = {"written": output, "names": names, "sha256": sha256}
     _printing.emit(value, [*names, f"{output}  SHA-256 {sha256}"])
 
 
@@ -157,7 +157,7 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     with _printing.with_hint("the certificates are issued: run it again with another -o"):
         _files.write(output, answer, force=force)
     names = [spec.name for spec in asked.specs]
-    value = {"answer": str(output), "names": names, "request_sha256": asked.sha256}
+    value = {"answer": output, "names": names, "request_sha256": asked.sha256}
     _printing.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
 
 

@@ -60,9 +60,7 @@ def status(names: tuple[str, ...], due: timedelta | None, prometheus: Path | Non
     standing = status_of(keystore, chosen or None, now=_settings.now(), due=due)
     if prometheus:
         _write(prometheus, "".join(_metrics(standing)))
-    # Only with --json: it is slow for thousands of participants.
-    value = _value(keystore, standing) if _settings.settings().json else None
-    _printing.emit(value, _lines(keystore, standing))
+    _printing.emit({"keystore": keystore.root, **standing.to_json()}, _lines(keystore, standing))
 
 
 def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
@@ -84,34 +82,6 @@ def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
                 for each in standing.participants
             ),
         )
-
-
-def _value(keystore: Keystore, standing: Status) -> dict[str, object]:
-    return {
-        "keystore": str(keystore.root),
-        "at": standing.at.isoformat(timespec="seconds"),
-        "shared": [
-            {
-                "kind": term.kind,
-                "name": term.name,
-                "state": term.state,
-                "not_after": term.not_after.isoformat(),
-            }
-            for term in standing.shared
-        ],
-        "counts": standing.counts(),
-        "participants": [
-            {
-                "name": each.name,
-                "state": each.state,
-                "not_after": each.not_after.isoformat(),
-                "profile": each.profile,
-                "domains": each.domains,
-                "serial": each.serial,
-            }
-            for each in standing.participants
-        ],
-    }
 
 
 def _metrics(standing: Status) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
 from itertools import permutations
 from typing import Any
@@ -202,9 +202,9 @@ def _as_json(report: TrialReport) -> dict[str, Any]:
     return {
         "stack": report.installation.build.stack,
         "stack_version": report.installation.version,
-        "library": str(report.installation.library.path),
+        "library": report.installation.library.path,
         "receiving": _receiving(report),
-        "plugin": list(report.plugged),
+        "plugin": report.plugged,
         "domain": report.topic_route.domain,
         "topic": report.topic_route.topic,
         "sender": report.sender.role.name,
@@ -216,18 +216,18 @@ def _as_json(report: TrialReport) -> dict[str, Any]:
         "readable": report.readable,
         "packets": wire.packets if wire else None,
         "own_network": report.trial_run.alone,
-        "findings": [asdict(each) for each in report.findings],
-        "warnings": list(report.warnings),
+        "findings": report.findings,
+        "warnings": report.warnings,
     }
 
 
-def _receiving(report: TrialReport) -> dict[str, str] | None:
+def _receiving(report: TrialReport) -> dict[str, object] | None:
     """The receiver's stack, if it is another."""
     for each in report.installations[1:]:
         return {
             "stack": each.build.stack,
             "stack_version": each.version,
-            "library": str(each.library.path),
+            "library": each.library.path,
         }
     return None
 

@@ -45,6 +45,10 @@ class Step:
     keys: str = field(default="", compare=False)
     """Hashes of the keys in its request, as in the ledger."""
 
+    def to_json(self) -> dict[str, object]:
+        """The step for --json."""
+        return {"action": self.action, "name": self.name or None, "why": self.why}
+
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
@@ -67,6 +71,16 @@ class Plan:
     """How many participants are in the wanted state."""
     head: str | None = field(default=None, compare=False)
     """The ledger's head when the plan was made; None if there was no ledger."""
+
+    def to_json(self) -> dict[str, object]:
+        """The plan for --json."""
+        return {
+            "in_order": self.in_order,
+            "steps": self.steps,
+            "blocked": self.blocked,
+            "unlisted": self.unlisted,
+            "unchanged": self.unchanged,
+        }
 
     @property
     def revoked(self) -> int:

@@ -88,6 +88,23 @@ class Line:
     chain: str
     """SHA-256, in hex, over the previous chain value and this line."""
 
+    def to_json(self) -> dict[str, object]:
+        """The line for --json."""
+        entry = self.entry
+        return {
+            "number": self.number,
+            "at": entry.at,
+            "operator": entry.operator,
+            "kind": entry.kind,
+            "name": entry.name,
+            "serial": entry.serial,
+            "issuer": entry.issuer,
+            "sha256": entry.sha256,
+            "not_after": entry.not_after,
+            "details": entry.details,
+            "chain": self.chain,
+        }
+
 
 def link(before: str, number: int, entry: Entry) -> str:
     """The chain value of `entry` as line `number`; `before` is the previous line's value."""

@@ -95,6 +95,17 @@ class ParticipantState:
     """The number of their ledger line; 0 if none are known."""
     files: Files
 
+    def to_json(self) -> dict[str, object]:
+        """The state for --json."""
+        return {
+            "name": self.name,
+            "state": self.state,
+            "not_after": self.not_after,
+            "profile": self.profile,
+            "domains": self.domains,
+            "serial": self.serial,
+        }
+
 
 Compare = Callable[[str, str, str], Files]
 """Compares the files of a name with the SHA-256 of its certificate and of its permissions."""

@@ -44,6 +44,15 @@ class Status:
     head: str
     """The ledger's head when it was read."""
 
+    def to_json(self) -> dict[str, object]:
+        """The state for --json."""
+        return {
+            "at": self.at.isoformat(timespec="seconds"),
+            "shared": self.shared,
+            "counts": self.counts(),
+            "participants": self.participants,
+        }
+
     def counts(self) -> dict[State, int]:
         """How many participants are in each state."""
         counted = dict.fromkeys(State, 0)

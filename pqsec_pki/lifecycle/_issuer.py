@@ -47,6 +47,17 @@ class Issued:
     """Bytes of permissions.p7s, which is sent in every handshake."""
     entries: tuple[Entry, Entry] = field(repr=False)
 
+    def to_json(self) -> dict[str, object]:
+        """The participant for --json."""
+        return {
+            "name": self.name,
+            "folder": self.folder,
+            "serial": self.serial,
+            "not_after": self.not_after,
+            "certificate_bytes": self.certificate_size,
+            "permissions_bytes": self.permissions_size,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Issuer:

@@ -50,6 +50,17 @@ class Revoked:
     listed: bool
     """Whether the list contains it; not if a previous CA issued it, which issues no lists now."""
 
+    def to_json(self) -> dict[str, object]:
+        """The certificate for --json."""
+        return {
+            "name": self.name,
+            "serial": self.serial,
+            "since": self.since,
+            "reason": self.reason,
+            "before": self.before,
+            "listed": self.listed,
+        }
+
 
 def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,

@@ -159,6 +159,19 @@ class Finding:
     code: Code | None = None
     """The reason for which the enclave's credentials are refused, if this is it."""
 
+    def to_json(self) -> dict[str, object]:
+        """The finding for --json."""
+        return {
+            "rule": self.rule.id,
+            "severity": self.rule.severity,
+            "code": self.code,
+            "path": self.path,
+            "line": self.line,
+            "message": self.message,
+            "title": self.rule.title,
+            "fix": self.rule.fix,
+        }
+
     def __str__(self) -> str:
         place = f"{self.path}:{self.line}" if self.line else str(self.path)
         return f"{place}: {self.rule.severity} {self.rule.id} {self.message}"

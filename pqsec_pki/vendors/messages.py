@@ -7,7 +7,7 @@ anywhere; the time to search it is linear in its length.
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
@@ -64,6 +64,18 @@ class Recognised:
     line: int
     """The first line of the text that has it, from 1."""
     times: int
+
+    def to_json(self) -> dict[str, object]:
+        """Its row of the table for --json, with what it says here."""
+        row = {each.name: getattr(self.message, each.name) for each in fields(self.message)}
+        return row | {
+            "said": self.said,
+            "values": dict(self.values),
+            "line": self.line,
+            "times": self.times,
+            "cause": self.cause,
+            "remedy": self.remedy,
+        }
 
     @property
     def said(self) -> str:

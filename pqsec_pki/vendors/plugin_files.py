@@ -27,6 +27,17 @@ class InstalledPlugin:
     problem: str = ""
     """Why it does not run in that library; empty if it does."""
 
+    def to_json(self) -> dict[str, object]:
+        """The plugin for --json."""
+        return {
+            "stack": self.stack,
+            "title": self.title,
+            "file": self.file,
+            "library": self.library,
+            "ok": not self.problem,
+            "problem": self.problem or None,
+        }
+
 
 def installed_plugins(folder: Path) -> list[InstalledPlugin]:
     """The plugins in `folder`; FileError if it cannot be read."""

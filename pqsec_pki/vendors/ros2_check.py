@@ -13,6 +13,10 @@ class Check:
     fix: str = ""
     """How to fix it."""
 
+    def to_json(self) -> dict[str, object]:
+        """The requirement for --json."""
+        return {"what": self.what, "ok": self.ok, "problem": self.problem, "fix": self.fix}
+
     @property
     def ok(self) -> bool:
         """Whether nothing is wrong."""
