@@ -23,6 +23,6 @@ def seeds(whole: int, gate: int) -> range:
     return range(0, whole, 1 if LONG else whole // gate)
 
 
-def some(rows: Sequence[Case], turn: int) -> Sequence[Case]:
+def some(rows: Sequence[Case], turn: int = 0) -> Sequence[Case]:
     """The rows of a table for the test number `turn`; in the gate some, each time others."""
     return rows if LONG else rows[turn % FEW :: FEW]

@@ -13,6 +13,7 @@ import pytest
 
 from pqsec_pki.cli import pqsec as group
 from tests.cli.conftest import copy
+from tests.longer import some
 
 TALKER = "/talker"
 READING = {
@@ -237,9 +238,9 @@ def foreign(tmp_path, usual):
 
 @pytest.mark.parametrize("command", READING)
 def test_a_command_that_reads_alters_no_keystore_and_nothing_beside_it(command, foreign, pqsec):
-    found = []
-    for words, how in PLANTED.items():
-        folders = foreign(how)
+    found, turn = [], list(READING).index(command)
+    for words in dict.fromkeys(["nothing", *some([*PLANTED], turn)]):
+        folders = foreign(PLANTED[words])
         for line in READING[command]:
             before = [*map(snapshot, folders)]
             done = pqsec(f"-k k {command} {line}")
