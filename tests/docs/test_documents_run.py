@@ -30,7 +30,7 @@ import pytest
 import pqsec_pki
 from pqsec_pki.cli import COMMANDS, GROUPS, pqsec
 from pqsec_pki.trial import MissingStackError, find
-from pqsec_pki.vendors.cyclone_plugins import installed_plugins
+from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
 from tests.interop.fastdds import find_compiler
 from tests.printed import same
 
@@ -138,7 +138,7 @@ class Session:
         return done.returncode, done.stdout
 
 
-ABSENT = {"Cyclone DDS": lambda: installed_plugins(Path("/")) is None}
+ABSENT = {"Cyclone DDS": lambda: find_cyclone_plugins(Path("/")) is None}
 """What a document may say is not there -> whether it is not."""
 
 
