@@ -47,7 +47,7 @@ def confirmed(own: bytes, done: Done, data: bytes) -> KeyMaterial:
             raise VerificationError("the first protected message is not from the peer")
         wanted = MessageClass.PARTICIPANT_CRYPTO_TOKENS
         if message.class_id != wanted or len(message.tokens) != 1:
-            raise MalformedError(f"not a message of one token where a '{wanted}' is due")
+            raise MalformedError(f"expected a '{wanted}' with one token")
         return KeyMaterial.from_holder(message.tokens[0])
 
 

@@ -234,7 +234,7 @@ def _class_problems(holder: DataHolder, class_id: str) -> list[Problem]:
     # Cyclone DDS compares a prefix only.
     if holder.class_id == class_id:
         return []
-    words = f"a '{shown(holder.class_id)}' where a '{class_id}' is due"
+    words = f"expected a '{class_id}', got a '{shown(holder.class_id)}'"
     return [Problem(words, Code.C3)]
 
 

@@ -26,7 +26,9 @@ class _Token:
         """VerificationError if `holder` is of another class or has a property twice."""
         # 7.2.3: minor versions are compatible.
         if not holder.class_id.startswith(cls.CLASS_ID.removesuffix("0")):
-            raise VerificationError(f"a '{shown(holder.class_id)}' where a '{cls.CLASS_ID}' is due")
+            raise VerificationError(
+                f"expected a '{cls.CLASS_ID}', got a '{shown(holder.class_id)}'"
+            )
         found = dict(holder.properties)
         if len(found) != len(holder.properties):
             raise VerificationError(f"a property is twice in a {cls.CLASS_ID!r}")

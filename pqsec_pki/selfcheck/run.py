@@ -195,11 +195,11 @@ def _opened(name: str, sample: bytes, reader: SessionSide) -> DataHolder:
 
 def _check_envelope(message: GenericMessage, wanted: MessageClass, reader: SessionSide) -> None:
     if message.class_id != wanted:
-        raise VerificationError(f"a '{shown(message.class_id)}' where a '{wanted}' is due")
+        raise VerificationError(f"expected a '{wanted}', got a '{shown(message.class_id)}'")
     if message.destination_participant != reader.guid:
         raise VerificationError("a message for another participant")
     if len(message.tokens) != 1:
-        raise VerificationError(f"{len(message.tokens)} tokens where one is due")
+        raise VerificationError(f"expected one token, got {len(message.tokens)}")
 
 
 def _both_ways(

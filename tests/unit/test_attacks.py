@@ -48,7 +48,7 @@ BAD_SIGNATURE = "^bad .* signature$"
 OTHER_KEYS = "different keys"
 INTRODUCED = "introduction: |was issued by|not signed by this CA"
 UNSIZED = "^not a .* (public key|ciphertext): [0-9]+ bytes$"
-MISLABELLED = "(?i)(where a 'dds.*' is due|a message for another participant)$"
+MISLABELLED = "(?i)(expected a 'dds.*', got a '.*'|a message for another participant)$"
 
 EXPECTED = {
     # attack: (what is tried, the step that refuses it, the cause); the first that fits counts
@@ -103,21 +103,21 @@ EXPECTED = {
         ("final$", "authenticated", "^'c.extra' is not covered by every stack's hash$"),
     ],
     "mislabel": [
-        ("^the auth request twice", "auth", "2 tokens where one is due"),
+        ("^the auth request twice", "auth", "expected one token, got 2"),
         (
             "^the auth request",
             "auth",
             MISLABELLED,
         ),
-        ("^the request twice", "reply", "2 tokens where one is due"),
+        ("^the request twice", "reply", "expected one token, got 2"),
         (
             "^the request",
             "reply",
             MISLABELLED,
         ),
-        ("^the reply twice", "final", "2 tokens where one is due"),
+        ("^the reply twice", "final", "expected one token, got 2"),
         ("^the reply", "final", MISLABELLED),
-        ("^the final twice", "authenticated", "2 tokens where one is due"),
+        ("^the final twice", "authenticated", "expected one token, got 2"),
         (
             "^the final",
             "authenticated",
@@ -125,9 +125,9 @@ EXPECTED = {
         ),
     ],
     "reorder": [
-        ("instead of a request$", "reply", r"where a 'DDS:Auth:PKI-DH:1.0\+Req' is due"),
-        ("instead of a reply$", "final", r"where a 'DDS:Auth:PKI-DH:1.0\+Reply' is due"),
-        ("instead of a final$", "authenticated", r"where a 'DDS:Auth:PKI-DH:1.0\+Final' is due"),
+        ("instead of a request$", "reply", r"expected a 'DDS:Auth:PKI-DH:1.0\+Req'"),
+        ("instead of a reply$", "final", r"expected a 'DDS:Auth:PKI-DH:1.0\+Reply'"),
+        ("instead of a final$", "authenticated", r"expected a 'DDS:Auth:PKI-DH:1.0\+Final'"),
     ],
     "truncate": [
         ("of the auth request$", "auth", "runs past the end"),

@@ -302,7 +302,7 @@ def test_a_signer_that_is_not_found_is_another_ca_before_anything_else():
     assert "pqsec verify" in found.remedy.partition("--embed-certificate")[0]
 
 
-@pytest.mark.parametrize("said", ["the handshake is over", "a 'x' where a 'y' is due"])
+@pytest.mark.parametrize("said", ["the handshake is over", "expected a 'y', got a 'x'"])
 def test_late_answers_to_repeated_messages_are_no_cause_for_alarm(said):
     found = recognise(f"Process handshake failed: pqsec: {said}", stack="cyclonedds")
     assert not any(each.message.tells is Tells.CAUSE for each in found)

@@ -46,11 +46,11 @@ def test_the_words_of_a_message_stand_in_the_source(text):
             "the certificate of CN=/a expired on",
         ),
         (
-            "pqsec: the agent does not answer within 1000 ms; `pqsec agent log` may tell why",
+            "pqsec: the agent does not answer within 1000 ms; `pqsec agent log` may show why",
             "the agent does not answer within 1000 ms",
         ),
         (
-            "pqsec: the agent is gone (Connection reset by peer); `pqsec agent log` may tell why",
+            "pqsec: the agent is gone (Connection reset by peer); `pqsec agent log` may show why",
             "the agent is gone (",
         ),
     ],

@@ -1,4 +1,4 @@
-// The access control plugin of Fast DDS: DDS-Security 1.1, 8.4.2.9. The agent answers. It is asked
+// The access control plugin of Fast DDS: DDS-Security 1.1, 8.4.2.9. The agent answers. It is called
 // at discovery, never for a sample.
 
 #include "sessions.hpp"
@@ -60,12 +60,12 @@ class PqsecAccessControl : public AccessControl {
     return pqsec::drop(token);
   }
 
-  // For a peer of whom nothing is known yet.
+  // For a peer that is not known yet.
   Handle* get_permissions_handle(SecurityException& exception) override {
     return guarded<Handle*>(exception, nullptr, [] { return new pqsec::Numbered(0); });
   }
 
-  // Done whether the agent is still there or not.
+  // This succeeds even if the agent has ended.
   bool return_permissions_handle(Handle* handle, SecurityException& exception) override {
     const std::unique_ptr<pqsec::Numbered> permissions(static_cast<pqsec::Numbered*>(handle));
     if (permissions && permissions->number != 0)
@@ -183,7 +183,7 @@ class PqsecAccessControl : public AccessControl {
  private:
   static constexpr const agent::tags* NO_TAGS = nullptr;  // Fast DDS has no data tags
 
-  // Governance knows topics only, and writers and readers alike.
+  // Governance has rules for topics only, the same for writers and readers.
   bool attributes(const Handle& permissions, const std::string& topic,
                   EndpointSecurityAttributes& to, SecurityException& exception) const {
     uint8_t read, write, discovery, liveliness, submessage, payload, key;

@@ -120,8 +120,8 @@ class List {
   agent::strings list_;
 };
 
-// What the agent is told of a participant's properties: those of Fast DDS's plugins by the names
-// that DDS-Security gives them. It refuses security properties that it does not know.
+// A participant's properties for the agent: those of Fast DDS's plugins under the names of
+// DDS-Security. The agent refuses security properties that it does not know.
 class Settings {
  public:
   explicit Settings(const PropertyPolicy& from);
@@ -135,18 +135,18 @@ class Settings {
   agent::qos qos_{};
 };
 
-// Whether a participant has properties of security at all; and what is wrong with the plugins that
-// it names, "" if nothing is. Where Fast DDS does not know a name, it runs without that plugin.
+// Whether a participant has security properties at all; and what is wrong with the plugins that it
+// names, "" if nothing is. Fast DDS runs without a plugin whose name it does not know.
 bool is_secured(const PropertyPolicy& policy);
 std::string wrong_plugin(const PropertyPolicy& policy);
 
 agent::guid octets_of(const GUID_t& from);
 GUID_t guid_of(const agent::guid& from);
 
-// The folder that relative paths of the configuration begin at; "" if that cannot be told.
+// The folder that relative paths of the configuration are relative to; "" if it is unknown.
 std::string working_folder();
 
-// Tells the stack why, and as far as it does not log that, the user. Throws nothing.
+// Gives the reason to the stack; tell_user also prints it, if the stack does not. Throws nothing.
 void tell(SecurityException& exception, const char* why) noexcept;
 void tell_user(SecurityException& exception, const char* why) noexcept;
 
@@ -161,7 +161,7 @@ Result guarded(SecurityException& exception, Result refused, Work work) noexcept
   }
 }
 
-// What we hand to the stack in place of its own plugins' handles: the agent's, by their numbers.
+// The handles that we give to the stack: the numbers of the agent's handles.
 struct Numbered : Handle {
   explicit Numbered(handle_t number) : Handle("pqsec"), number(number) {}
   ~Numbered() override = default;
@@ -181,10 +181,10 @@ class Link {
   Link(const Link&) = delete;
   Link& operator=(const Link&) = delete;
 
-  // False, and the user is told why, if there is no agent.
+  // False if there is no agent; the user gets the reason.
   bool open(SecurityException& exception);
 
-  // See link.h. -1, and the stack is told why, if the answer is no.
+  // See link.h. -1 if the answer is a refusal; the stack gets the reason.
   template <typename... Arguments>
   int ask(SecurityException& exception, const char* function, const char* kinds,
           Arguments... arguments) const {
@@ -195,7 +195,7 @@ class Link {
     return result;
   }
 
-  // True if the answer to `question(token)` is yes: `token` is then made, and the stack's.
+  // True if `question(token)` succeeds: `token` is then created, and owned by the stack.
   template <typename Question>
   bool give(DataHolder** token, Question question) const {
     Given given;

@@ -76,7 +76,7 @@ class PqsecAuthentication : public Authentication {
                                               SecurityException& exception) override {
     return guarded(exception, VALIDATION_FAILED, [&] {
       if (token.class_id().empty()) {
-        pqsec::tell(exception, "pqsec: a participant without an identity token is not let in");
+        pqsec::tell(exception, "pqsec: a participant without an identity token is refused");
         return VALIDATION_FAILED;
       }
       const auto octets = pqsec::octets_of(guid);
@@ -184,12 +184,12 @@ class PqsecAuthentication : public Authentication {
     return true;
   }
 
-  // For a peer of whom nothing is known yet.
+  // For a peer that is not known yet.
   Handle* get_identity_handle(SecurityException& exception) override {
     return guarded<Handle*>(exception, nullptr, [] { return new pqsec::Identity(0); });
   }
 
-  // Done whether the agent is still there or not.
+  // This succeeds even if the agent has ended.
   bool return_identity_handle(Handle* handle, SecurityException& exception) override {
     const std::unique_ptr<pqsec::Identity> identity(static_cast<pqsec::Identity*>(handle));
     sessions_.remove(identity.get());
@@ -228,8 +228,8 @@ class PqsecAuthentication : public Authentication {
     return pqsec::drop(token);
   }
 
-  // Whether this identity made `adjusted` of `original`: asked where a discovery server is configured
-  // by its GUID. Fast DDS 2.9 does not have this function.
+  // Whether `adjusted` was derived from `original` for this identity. Called for discovery servers
+  // that are configured by GUID. Fast DDS 2.9 does not have this function.
   bool check_guid_comes_from(Handle* identity, const GUID_t& adjusted, const GUID_t& original) {
     if (identity == nullptr) return false;
     const auto made = pqsec::octets_of(adjusted), candidate = pqsec::octets_of(original);
@@ -268,7 +268,7 @@ using Factory = void* (*)(void* self, const rtps::PropertyPolicy* policy);
 
 PQSEC_EXPORT const char pqsec_build_id[] = PQSEC_BUILD_ID;
 
-// What the preload library hands out. Without memory the process ends: NULL would be no security.
+// The preload library returns it. Without memory the process ends: NULL would mean no security.
 PQSEC_EXPORT void* pqsec_authentication(const rtps::PropertyPolicy* policy, Factory original,
                                         void* self) noexcept {
   using namespace rtps::security;

@@ -1,4 +1,4 @@
-// What Fast DDS 3.x calls and hands over, declared anew: it installs no header for it.
+// The interface that Fast DDS 3.x calls, declared here because it installs no header for it.
 //
 // The order of virtual functions and their arguments are what the library's own tables of virtual
 // functions name; `pqsec plugin install` compares the compiled adapter with them. Members are those

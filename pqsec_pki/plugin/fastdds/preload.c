@@ -1,8 +1,8 @@
-/* What LD_PRELOAD loads: it defines the functions by which Fast DDS makes its security plugins,
- * and hands out those of the adapter that was compiled for exactly that library.
+/* LD_PRELOAD loads this library. It defines the functions with which Fast DDS creates its security
+ * plugins, and returns those of the adapter that was compiled for exactly that library.
  *
- * It needs libc alone: a shell or an interpreter that never loads Fast DDS is not disturbed. Where
- * there is no adapter, it hands out plugins that refuse. NULL would be wrong: Fast DDS then runs
+ * It needs only libc, so it does not disturb a shell or an interpreter that never loads Fast DDS. If
+ * there is no adapter, it returns plugins that refuse. NULL would be wrong: Fast DDS then runs
  * without security. */
 
 #define _GNU_SOURCE
@@ -152,7 +152,7 @@ static struct caller caller_at(const void *address)
   return caller;
 }
 
-/* A function of the library that calls, whatever the scope that it was loaded into. */
+/* A function of the calling library, in whatever scope it was loaded. */
 static void *original_of(const struct caller *caller, const char *symbol)
 {
   void *library = dlopen(caller->name, RTLD_NOW | RTLD_NOLOAD);
@@ -243,7 +243,7 @@ DEFINE_FACTORY(access_control_3, IN_3, ACCESS_CONTROL, access_control)
  *
  * Fast DDS reserves as many bytes as a message has, and then writes it only if one more is left:
  * messages over 8192 bytes (2.14.4 to 3.2.2), or over the smallest transport's maxMessageSize
- * (2.9.1), are lost. So some more are asked for. What is sent is as long as what was written. */
+ * (2.9.1), are lost. So some more are reserved. The length of what is sent does not change. */
 
 enum { SPARE = 8 };
 
@@ -269,8 +269,8 @@ DEFINE_SIZE(size_3, IN_3)
  * Since the fix of CVE-2023-50257 (2.6.7, 2.10.3, 3.0), Fast DDS waits until an authenticated peer
  * announces itself again, on DCPSParticipantsSecure, and connects no endpoint before. Fast DDS 2.9
  * has no such topic, and Cyclone DDS never writes there: they would authenticate and never match.
- * So what Fast DDS does at that announcement is done at once, with the announcement that the
- * handshake began with. Later ones on the topic without protection are still ignored. */
+ * So this library does at once what Fast DDS does at that announcement, with the announcement that
+ * the handshake began with. Later ones on the topic without protection are still ignored. */
 
 enum { GUID = 16 };
 

@@ -90,7 +90,7 @@ struct subscription {
   struct tags tags;
 };
 
-struct topic { uint32_t key[3]; char *name, *type; }; /* and policies, which nobody reads */
+struct topic { uint32_t key[3]; char *name, *type; }; /* and policies, which are not read */
 
 struct shared_secret { uint8_t *secret; int32_t size; uint8_t challenge1[32], challenge2[32]; };
 
@@ -123,7 +123,7 @@ struct access_control {
       return_datareader_sec_attributes, return_permissions_handle;
 };
 
-/* Both listeners: the first member is what is called when a handle is no longer good. */
+/* Both listeners: the first member is called when a handle is no longer valid. */
 typedef uint8_t (*revoked)(const void *plugin, handle_t handle);
 
 struct listener { revoked on_revoke; };

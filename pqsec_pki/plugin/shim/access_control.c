@@ -1,13 +1,13 @@
-/* The access control plugin: DDS-Security 1.1, 8.4.2.9. The agent answers; what needs no
- * thought is answered here. Cyclone asks at discovery, never for a sample. */
+/* The access control plugin: DDS-Security 1.1, 8.4.2.9. The agent answers calls that need a
+ * decision; the others are answered here. Cyclone DDS calls at discovery, never for a sample. */
 
 #define _GNU_SOURCE
 #include <string.h>
 
 #include "plugin.h"
 
-/* How a topic's endpoints are protected. It does not change while the handle is good, and Cyclone
- * asks for writers and readers of six topics of its own, each time a participant is made. */
+/* How a topic's endpoints are protected. It does not change while the handle is valid, and Cyclone
+ * DDS asks for it for six topics of its own, each time a participant is created. */
 struct known {
   struct known *next;
   handle_t permissions;
@@ -16,7 +16,7 @@ struct known {
 };
 
 struct plugin {
-  struct access_control functions; /* first: Cyclone has our address as its table's */
+  struct access_control functions; /* first: Cyclone DDS uses our address as that of the table */
   struct link link;
   struct watch watch;
   pthread_mutex_t mutex;
@@ -117,8 +117,8 @@ static uint8_t check_remote_topic(struct plugin *self, handle_t permissions, int
   return ask(&self->link, ex, "check_remote_topic", "hns>", permissions, domain, data->name) >= 0;
 }
 
-/* Instances and matches are not restricted by permissions documents. Each of these functions
- * has other arguments; none is looked at, and the exception is left as it is. */
+/* Permissions documents do not restrict instances and matches. Each of these functions has other
+ * arguments; none is read, and the exception is not changed. */
 static uint8_t allow(void) { return true; }
 
 static uint8_t get_permissions_token(struct plugin *self, struct token *token,
@@ -216,7 +216,7 @@ static uint8_t get_endpoint_sec_attributes(struct plugin *self, handle_t permiss
                                            const struct tags *tags,
                                            struct endpoint_attributes *into, struct exception *ex)
 {
-  (void)partition, (void)tags; /* governance knows topics only */
+  (void)partition, (void)tags; /* governance has rules for topics only */
   if (recall(self, permissions, topic, into))
     return true;
   *into = (struct endpoint_attributes){0};
@@ -228,7 +228,7 @@ static uint8_t get_endpoint_sec_attributes(struct plugin *self, handle_t permiss
   return found;
 }
 
-/* Done whether the agent still is there or not. */
+/* This succeeds even if the agent has ended. */
 static uint8_t return_permissions_handle(struct plugin *self, handle_t permissions,
                                          struct exception *ex)
 {

@@ -1,6 +1,5 @@
-/* Where the agent listens, and starting it. pqsec_pki/plugin/place.py says the same in Python.
- *
- * PQSEC_PYTHON is the interpreter that has pqsec; it is set when this is compiled. */
+/* Finds the agent's socket, and starts the agent. pqsec_pki/plugin/agent_folder.py has the same in
+ * Python. PQSEC_PYTHON is the interpreter that has pqsec; it is set when this is compiled. */
 
 #define _GNU_SOURCE
 #include "agent.h"
@@ -19,7 +18,7 @@
 #error "compile with -DPQSEC_PYTHON=\"...\", as pqsec plugin install does"
 #endif
 
-#ifndef RUN_USER /* but for tests */
+#ifndef RUN_USER /* tests define another */
 #define RUN_USER "/run/user"
 #endif
 
@@ -32,7 +31,7 @@ int agent_patience_ms(void)
   return found > 0 && found <= 600000 ? (int)found : PATIENCE_MS;
 }
 
-/* PQSEC_AGENT=private: an agent for this process alone. */
+/* PQSEC_AGENT=private: an agent for this process only. */
 static bool is_private(void)
 {
   const char *mode = secure_getenv("PQSEC_AGENT");
@@ -46,11 +45,11 @@ static bool is_own_folder(const char *path, mode_t forbidden)
          (found.st_mode & forbidden) == 0;
 }
 
-/* What /agent-2147483647.sock and a NUL need of a socket's path. */
+/* Octets of /agent-2147483647.sock and a NUL in a socket's path. */
 enum { MAX_FOLDER = 256, NAME_ROOM = 23, OF_OTHERS = 022 };
 enum { SOCKET_ROOM = sizeof ((struct sockaddr_un *)0)->sun_path };
 
-/* Whether this user alone can make a folder in it. It may be a link: root makes homes. */
+/* Whether only this user can create a folder in it. It may be a link: root creates homes. */
 static bool is_good_home(const char *home)
 {
   struct stat found;
@@ -59,7 +58,7 @@ static bool is_good_home(const char *home)
          access(home, W_OK) == 0;
 }
 
-/* Each in turn, where it is this user's: nobody else can be there first. */
+/* The first of these folders that is this user's: no other user can create files in it. */
 static int find_folder(char *folder)
 {
   const char *runtime = secure_getenv("XDG_RUNTIME_DIR"), *home = secure_getenv("HOME");
@@ -83,7 +82,7 @@ bool agent_place(char *path, size_t size, struct exception *ex)
     return false;
   }
   if (mkdir(folder, 0700) != 0 && errno != EEXIST) {
-    refuse(ex, "pqsec: %s cannot be made: %s", folder, strerror(errno));
+    refuse(ex, "pqsec: %s cannot be created: %s", folder, strerror(errno));
     return false;
   }
   if (!is_own_folder(folder, 077)) {
@@ -100,7 +99,7 @@ bool agent_place(char *path, size_t size, struct exception *ex)
   return true;
 }
 
-/* The agent gets little of the host's environment: neither its libraries nor its Python's. */
+/* The agent gets few of the host's variables, and none for the loader or Python. */
 static char **kept_environment(void)
 {
   static const char *const names[] = {"HOME=", "LANG=", "LC_", "PATH=", "TZ=", "USER=",
@@ -120,7 +119,7 @@ static char **kept_environment(void)
 static void refuse_python(int code, struct exception *ex)
 {
   if (code == ENOENT || code == ENOTDIR)
-    refuse(ex, "pqsec: %s is gone: run `pqsec plugin install` again", PQSEC_PYTHON);
+    refuse(ex, "pqsec: %s no longer exists: run `pqsec plugin install` again", PQSEC_PYTHON);
   else if (code == EACCES)
     refuse(ex, "pqsec: user %u may not execute %s, or enter a folder above it: run `pqsec plugin "
                "install` with an interpreter for all users", (unsigned)geteuid(), PQSEC_PYTHON);
@@ -128,11 +127,11 @@ static void refuse_python(int code, struct exception *ex)
     refuse(ex, "pqsec: %s cannot be executed: %s", PQSEC_PYTHON, strerror(code));
 }
 
-/* What is started becomes the agent's parent and ends: the host keeps no child it knows not of. */
+/* The started process becomes the agent's parent and ends, so the host has no unknown child. */
 pid_t agent_start(const char *path, struct exception *ex)
 {
   static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
-  /* Garbage is not collected while it imports: that takes a tenth less time. */
+  /* No garbage collection during imports: they take a tenth less time. */
   static const char python[] = "import gc; gc.disable(); from pqsec_pki.plugin.__main__ import "
                                "start; start()";
   static const char script[] = "umask 077; cd / && exec \"$0\" -I -c \"$1\" --detach \"$2\" $3 "
@@ -153,7 +152,7 @@ pid_t agent_start(const char *path, struct exception *ex)
   posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF |
                                             POSIX_SPAWN_SETSID);
   posix_spawnattr_setsigmask(&attributes, &none);
-  posix_spawnattr_setsigdefault(&attributes, &all); /* a host may ignore what ends others */
+  posix_spawnattr_setsigdefault(&attributes, &all); /* a host may ignore signals that end other processes */
   int code = posix_spawn(&started, "/bin/sh", NULL, &attributes, (char *const *)arguments,
                          kept_environment());
   posix_spawnattr_destroy(&attributes);

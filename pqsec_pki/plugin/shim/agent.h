@@ -1,4 +1,4 @@
-/* Where the agent listens, and starting it. */
+/* Finds the agent's socket, and starts the agent. */
 
 #ifndef PQSEC_AGENT_H
 #define PQSEC_AGENT_H
@@ -10,11 +10,12 @@ enum { AGENT_START_MS = 15000 };
 /* How long a call may take: PQSEC_AGENT_TIMEOUT in ms, else 5000. */
 int agent_patience_ms(void);
 
-/* The path of the agent's socket; makes its folder. False, and why, if it cannot be trusted. */
+/* The path of the agent's socket; creates its folder. False, with the reason in the exception, if
+ * the folder cannot be trusted. */
 bool agent_place(char *path, size_t size, struct exception *);
 
-/* Starts an agent that will listen there. Gives the process that has to end well, which it does
- * once the agent listens; 0, and why, if there is none. */
+/* Starts an agent that will listen there. Returns the process that exits with 0 when the agent
+ * listens; 0, with the reason in the exception, if it cannot be started. */
 pid_t agent_start(const char *path, struct exception *);
 
 #endif

@@ -1,5 +1,5 @@
-/* The authentication plugin: DDS-Security 1.1, 8.3.2.7. The agent answers; what needs no
- * thought is answered here. */
+/* The authentication plugin: DDS-Security 1.1, 8.3.2.7. The agent answers calls that need
+ * a decision; the others are answered here. */
 
 #define _GNU_SOURCE
 #include <string.h>
@@ -9,7 +9,7 @@
 struct secret { struct secret *next; handle_t peer; struct shared_secret value; };
 
 struct plugin {
-  struct authentication functions; /* first: Cyclone has our address as its table's */
+  struct authentication functions; /* first: Cyclone DDS uses our address as that of the table */
   struct link link;
   struct watch watch;
   pthread_mutex_t mutex;
@@ -19,7 +19,7 @@ struct plugin {
 /* A refusal is a failed validation. */
 static int validation(int result) { return result < 0 ? VALIDATION_FAILED : result; }
 
-/* The watch calls it: who is taken back by a revocation list that the agent has read again. */
+/* The watch calls it: adds identities that a newer revocation list of the agent revokes. */
 static void find_revoked(const void *plugin)
 {
   struct plugin *self = (struct plugin *)(uintptr_t)plugin;
@@ -195,7 +195,7 @@ static void erase_secrets(struct plugin *self, handle_t peer, bool all)
   pthread_mutex_unlock(&self->mutex);
 }
 
-/* Done whether the agent still is there or not: nothing is left to return to a lost one. */
+/* This succeeds even if the agent has ended: its objects have ended with it. */
 static uint8_t return_identity_handle(struct plugin *self, handle_t identity, struct exception *ex)
 {
   (void)ex;

@@ -1,4 +1,4 @@
-/* Whole frames, in time or not at all. */
+/* Sends and receives complete frames, before a deadline. */
 
 #define _GNU_SOURCE
 #include "frames.h"

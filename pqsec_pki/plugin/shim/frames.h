@@ -9,12 +9,12 @@
 
 int64_t now_ms(void);
 
-/* A frame is written behind room for its length, to leave in one piece. */
+/* A frame is written after space for its length, so that both are sent at once. */
 struct writer new_frame(void);
 bool send_frame(int socket, const struct writer *frame, int64_t deadline);
 
-/* What is in the next frame, which has to come within `patience` ms; `body` is to be forgotten in
- * any case. An empty frame says that the agent works, and then the time begins again, up to
+/* The content of the next frame, which must arrive within `patience` ms; the caller must forget
+ * `body` in any case. An empty frame means that the agent works; the time then begins again, up to
  * MAX_PATIENCE times; after them errno is EBUSY. */
 enum { MAX_PATIENCE = 12 };
 bool receive_frame(int socket, struct writer *body, int patience);

@@ -1,4 +1,4 @@
-/* Calls to the agent over its socket, and connecting to it. */
+/* Connects to the agent, and calls it over its socket. */
 
 #define _GNU_SOURCE
 #include "link.h"
@@ -53,7 +53,7 @@ static void drop(struct link *link)
   link->socket = -1;
 }
 
-/* What is connected is its parent's in a fork, and so is who held the mutex. */
+/* After a fork, the connection and the held mutex belong to the parent. */
 static void hold(struct link *link)
 {
   if (link->process != getpid()) {
@@ -71,14 +71,14 @@ void link_close(struct link *link)
   pthread_mutex_unlock(&link->mutex);
 }
 
-/* Sends a request. An agent that is full hangs up at once, and has said so before. */
+/* Sends a request. A full agent closes the connection at once, after a refusal. */
 static bool has_sent(struct link *link, const struct writer *request, int64_t deadline)
 {
   return send_frame(link->socket, request, deadline) || errno == EPIPE || errno == ECONNRESET;
 }
 
-/* Sends a request and reads its answer. Any failure closes the connection: what would come
- * late would be taken for the answer to the next request. */
+/* Sends a request and reads its answer. Any failure closes the connection: a late
+ * answer would be read as the answer to the next request. */
 static bool exchange(struct link *link, const struct writer *request, struct writer *answer,
                      struct exception *ex)
 {
@@ -88,17 +88,17 @@ static bool exchange(struct link *link, const struct writer *request, struct wri
     return true;
   link->lost = errno == ECONNRESET || errno == EPIPE;
   if (errno == ETIMEDOUT)
-    refuse(ex, "pqsec: the agent does not answer within %d ms; `pqsec agent log` may tell why",
+    refuse(ex, "pqsec: the agent does not answer within %d ms; `pqsec agent log` may show why",
            patience);
   else if (errno == EBUSY)
     refuse(ex, "pqsec: the agent is too busy: no answer within %d ms", MAX_PATIENCE * patience);
   else
-    refuse(ex, "pqsec: the agent is gone (%s); `pqsec agent log` may tell why", strerror(errno));
+    refuse(ex, "pqsec: the agent is gone (%s); `pqsec agent log` may show why", strerror(errno));
   drop(link);
   return false;
 }
 
-/* Reads how an answer begins: 0, or 1 and why not. */
+/* Reads the begin of an answer: 0, or 1 and the reason of a refusal. */
 static bool accepted(struct reader *reader, struct exception *ex)
 {
   if (get_u8(reader) == DONE && !reader->failed)
@@ -139,7 +139,7 @@ static int connect_to(const struct sockaddr_un *address)
   return found;
 }
 
-/* Whoever listens there must run as the same user. */
+/* The process that listens there must run as the same user. */
 static bool is_own(int socket)
 {
   struct ucred peer;
@@ -162,7 +162,7 @@ static bool has_failed(pid_t *starting)
   return ended > 0 && status != 0;
 }
 
-/* A connected socket, or -1 and why. */
+/* A connected socket, or -1 and the reason. */
 static int reach(const struct sockaddr_un *address, struct exception *ex)
 {
   int64_t deadline = now_ms() + AGENT_START_MS;
@@ -171,19 +171,19 @@ static int reach(const struct sockaddr_un *address, struct exception *ex)
   for (;;) {
     int found = connect_to(address);
     bool absent = errno == ENOENT || errno == ECONNREFUSED;
-    if (found >= 0) { /* another process may have started it, and ours take long to see that */
+    if (found >= 0) { /* another process may have started it, and our starting process may end later */
       deadline = now_ms() + agent_patience_ms();
       while (has_failed(&starting), starting > 0 && now_ms() < deadline)
         pause_briefly();
       return found;
     }
     if (failed) {
-      refuse(ex, "pqsec: the agent cannot be started; `pqsec agent log` tells why");
+      refuse(ex, "pqsec: the agent cannot be started; `pqsec agent log` shows why");
       return -1;
     }
     if ((!absent && errno != EAGAIN) || now_ms() > deadline) {
       refuse(ex, "pqsec: the agent cannot be reached at %s (%s)%s", address->sun_path,
-             strerror(errno), started ? "; `pqsec agent log` may tell why" : "");
+             strerror(errno), started ? "; `pqsec agent log` may show why" : "");
       return -1;
     }
     if (absent && !started && (starting = agent_start(address->sun_path, ex)) == 0)
@@ -213,7 +213,7 @@ static bool open_once(struct link *link, struct exception *ex)
   return connect_or_start(link, ex) && greet(link, ex);
 }
 
-/* The agent says nothing unasked: what can be read between two calls is the end, or an error. */
+/* The agent only answers: octets between two calls are the end, or an error. */
 static bool has_hung_up(const struct link *link)
 {
   uint8_t octet;
@@ -227,7 +227,7 @@ bool link_open(struct link *link, struct exception *ex)
   if (has_hung_up(link))
     drop(link);
   bool open = link->socket >= 0 || open_once(link, ex);
-  if (!open && link->lost) { /* it was about to end; the next one will be there */
+  if (!open && link->lost) { /* that agent was stopping; the next try starts another */
     forgive(ex);
     open = open_once(link, ex);
   }
@@ -274,7 +274,7 @@ static void get_results(struct reader *r, const char *kinds, va_list *results)
   r->failed = r->failed || r->left > 0;
 }
 
-/* What an answer that is refused has left behind. */
+/* Frees the values of an answer that is malformed. */
 static void drop_results(const char *kinds, va_list *results)
 {
   for (; *kinds != '\0'; kinds++)
@@ -292,7 +292,7 @@ static void drop_results(const char *kinds, va_list *results)
     }
 }
 
-/* With the link's mutex: the connection is there. */
+/* With the link's mutex: whether the connection is open. */
 static bool usable(const struct link *link, struct exception *ex)
 {
   if (link->socket >= 0)

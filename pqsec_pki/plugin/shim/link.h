@@ -12,17 +12,17 @@ struct link {
   const char *plugin; /* "authentication" or "access_control" */
   pthread_mutex_t mutex;
   int socket; /* -1: not connected */
-  pid_t process; /* whose it is: a fork must not talk on its parent's behalf */
-  bool lost;     /* whether the agent hung up last time */
+  pid_t process; /* its owner: a fork must not use its parent's connection */
+  bool lost;     /* whether the agent closed the last connection */
 };
 
 void link_init(struct link *, const char *plugin);
 
-/* Connects, and starts the agent if it does not run. False, and why, if that fails. */
+/* Connects, and starts the agent if it does not run. False, with the reason, if that fails. */
 bool link_open(struct link *, struct exception *);
 
 /* Calls a function of the agent. `kinds` has a letter for each argument: those of the call,
- * `>`, and pointers to where the results go. The agent's result, or -1 and why.
+ * `>`, and pointers for the results. Returns the agent's result, or -1 with the reason.
  *
  *     h handle   n int32   s string   o struct octets *   t struct token *   g struct guid *
  *     p struct strings *   d struct tags *   q struct qos *, of which the properties

@@ -1,4 +1,4 @@
-/* What both plugins are made of. */
+/* Common parts of both plugins. */
 
 #ifndef PQSEC_PLUGIN_H
 #define PQSEC_PLUGIN_H

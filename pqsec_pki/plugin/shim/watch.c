@@ -13,7 +13,7 @@ struct deadline { struct deadline *next; handle_t handle; int64_t when; };
 enum { STACK = 512 << 10 }; /* octets: Cyclone deletes a participant on it */
 enum { SECOND = 1000000000 }; /* nanoseconds */
 
-/* The clock that certificates mean, and that may be set. */
+/* The clock of certificates, which may be set. */
 static struct timespec wall_clock(void)
 {
   struct timespec now;
@@ -21,7 +21,7 @@ static struct timespec wall_clock(void)
   return now;
 }
 
-/* Who waits for a change does so by the clock that cannot be set. */
+/* Waiting for a change uses the clock that cannot be set. */
 static void make_locks(struct watch *watch)
 {
   pthread_condattr_t attributes;
@@ -38,7 +38,7 @@ void watch_init(struct watch *watch, const void *plugin)
   make_locks(watch);
 }
 
-/* In a fork the thread is gone, and what it held or waited for is as it left it. */
+/* A fork has no thread, and its mutex and condition are in an undefined state. */
 static void own(struct watch *watch)
 {
   if (watch->process == getpid())
@@ -48,7 +48,7 @@ static void own(struct watch *watch)
   make_locks(watch);
 }
 
-/* With the mutex, which is not held while others run. */
+/* With the mutex, which is released while a listener runs. */
 static void leave(struct watch *watch)
 {
   watch->calling = true;
@@ -84,7 +84,7 @@ static void look(struct watch *watch, int64_t now)
   come_back(watch);
 }
 
-/* Until a change, the next deadline or the next look; and never long, for the clock may be set. */
+/* Waits for a change, the next deadline or the next look; never long: the clock may be set. */
 static void sleep_on(struct watch *watch)
 {
   if (watch->first == NULL && watch->look == NULL) {
@@ -195,7 +195,7 @@ void watch_tell(struct watch *watch, revoked listener)
   pthread_mutex_lock(&watch->mutex);
   watch->listener = listener;
   bool within = watch->running && pthread_equal(pthread_self(), watch->thread);
-  while (watch->calling && !within) /* a listener may take itself away */
+  while (watch->calling && !within) /* a listener may remove itself */
     pthread_cond_wait(&watch->changed, &watch->mutex);
   pthread_mutex_unlock(&watch->mutex);
 }

@@ -1,4 +1,4 @@
-/* When identities and permissions end, or are taken back: Cyclone wants to be told. */
+/* Tells Cyclone DDS when identities and permissions expire or are revoked. */
 
 #ifndef PQSEC_WATCH_H
 #define PQSEC_WATCH_H
@@ -13,7 +13,7 @@ enum { LOOK_SECONDS = 5, LONG_AGO = 1 };
 struct deadline;
 
 struct watch {
-  const void *plugin; /* what the listener is given */
+  const void *plugin; /* the listener's argument */
   pthread_mutex_t mutex;
   pthread_cond_t changed;
   pthread_t thread;
@@ -27,14 +27,14 @@ struct watch {
 
 void watch_init(struct watch *, const void *plugin);
 
-/* `handle` ends at that second since 1970; 0 is never. */
+/* `handle` expires at that second of Unix time; 0 is never. */
 void watch_add(struct watch *, handle_t handle, int64_t when);
 
-/* From now on `look` is called every LOOK_SECONDS, to add what was taken back. */
+/* From now on `look` is called every LOOK_SECONDS, to add what was revoked. */
 void watch_look(struct watch *, void (*look)(const void *plugin));
 void watch_remove(struct watch *, handle_t handle);
 
-/* Whom to tell; NULL for nobody. Returns when no call to the former one is under way. */
+/* Sets the listener; NULL for none. Returns when no call to the former one is running. */
 void watch_tell(struct watch *, revoked listener);
 
 void watch_end(struct watch *);

@@ -1,4 +1,4 @@
-/* Values to octets and back. What is read comes from another process and is not trusted. */
+/* Encodes values, and decodes octets of another process, which are not trusted. */
 
 #define _GNU_SOURCE
 #include "wire.h"
@@ -22,7 +22,7 @@ static uint8_t *room(struct writer *w, size_t more)
     if (w->size > 0)
       memcpy(data, w->data, w->size);
     size_t size = w->size;
-    forget(w); /* what was written may be secret */
+    forget(w); /* it may contain secrets */
     *w = (struct writer){.data = data, .size = size, .capacity = capacity};
   }
   w->size += more;

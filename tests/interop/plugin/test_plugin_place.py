@@ -107,7 +107,7 @@ def test_an_interpreter_that_cannot_be_executed_is_told_with_the_true_reason(ask
         "a ring": tmp_path / "ring",
     }
     found = {name: asked(environment, starts=path) for name, path in paths.items()}
-    gone = "is gone: run `pqsec plugin install` again"
+    gone = "no longer exists: run `pqsec plugin install` again"
     denied = (
         f"pqsec: user {os.geteuid()} may not execute {python}, or enter a folder above it: run"
         " `pqsec plugin install` with an interpreter for all users"
