@@ -12,6 +12,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import TypeVar
 
+import hypothesis
 import pytest
 
 from tests.libraries import Libraries, libraries
@@ -20,6 +21,10 @@ Found = TypeVar("Found")
 
 # A shell has what it starts in the background ignore it, and programs under test inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# No test asserts wall-clock time: by default hypothesis fails an example that takes 200 ms.
+hypothesis.settings.register_profile("pqsec", deadline=None)
+hypothesis.settings.load_profile("pqsec")
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 

@@ -24,7 +24,7 @@ from tests.interop.der import Der
 from tests.longer import examples
 from tests.property.test_hostile_input import CAS, LEAVES
 
-cuts = settings(deadline=None, max_examples=examples(300), suppress_health_check=list(HealthCheck))
+cuts = settings(max_examples=examples(300), suppress_health_check=list(HealthCheck))
 # cryptography warns of what it will refuse some day.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),

@@ -39,7 +39,7 @@ def now():
     return datetime.now(UTC)
 
 
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(st.lists(st.sampled_from(TOPIC_PATTERNS), max_size=6), NAMES)
 def test_every_name_meets_the_patterns_as_some_witness_does(patterns, name):
     def met(each):
@@ -50,7 +50,7 @@ def test_every_name_meets_the_patterns_as_some_witness_does(patterns, name):
     assert met(name) in [met(witness) for witness in found.names]
 
 
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(st.dictionaries(st.sampled_from(TOPIC_PATTERNS), st.booleans(), max_size=6), NAMES)
 def test_what_is_said_of_a_pattern_holds_for_every_name(rules, name):
     def covered(pattern, each):
@@ -133,7 +133,7 @@ RULES = st.lists(
 DEFAULTS = st.sampled_from(list(DefaultAction))
 
 
-@settings(max_examples=examples(150), deadline=None)
+@settings(max_examples=examples(150))
 @given(RULES, DEFAULTS, RULES, DEFAULTS)
 def test_a_change_is_told_where_any_set_of_partitions_and_tags_finds_one(
     now, old, old_default, new, new_default

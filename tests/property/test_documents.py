@@ -111,7 +111,6 @@ DOCUMENTS = (
 READERS = [validate, Permissions.from_xml, Governance.from_xml]
 
 
-@settings(deadline=None)
 @given(permissions())
 def test_written_permissions_are_read_as_equal_values(value):
     document = value.to_xml()
@@ -119,7 +118,6 @@ def test_written_permissions_are_read_as_equal_values(value):
     assert Permissions.from_xml(document) == value
 
 
-@settings(deadline=None)
 @given(GOVERNANCES)
 def test_a_written_governance_is_read_as_equal_values(value):
     document = value.to_xml()
@@ -127,7 +125,6 @@ def test_a_written_governance_is_read_as_equal_values(value):
     assert Governance.from_xml(document) == value
 
 
-@settings(deadline=None)
 @given(permissions(st.text(max_size=12)))
 def test_values_with_any_text_are_written_or_refused(value):
     with contextlib.suppress(UsageError):
@@ -144,7 +141,7 @@ def test_any_bytes_are_read_or_refused(read, data):
 
 
 @pytest.mark.parametrize("read", READERS)
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(
     document=st.sampled_from(DOCUMENTS),
     edits=st.lists(
@@ -175,7 +172,7 @@ INSTANTS = st.from_regex(
 )
 
 
-@settings(max_examples=examples(500), deadline=None)
+@settings(max_examples=examples(500))
 @given(number=NUMBERS, before=INSTANTS, after=INSTANTS)
 def test_any_number_and_time_is_read_or_refused(number, before, after):
     document = DOCUMENTS[0].replace(b"<id>0<", f"<id>{number}<".encode())
@@ -191,7 +188,6 @@ def test_any_text_is_a_subject_or_refused(text):
         assert parse_subject(text)
 
 
-@settings(deadline=None)
 @given(GOVERNANCES, permissions(), st.text(max_size=20), ID, TIMES)
 def test_any_question_is_answered_or_refused(governance, value, subject, domain, now):
     with contextlib.suppress(PqsecError):

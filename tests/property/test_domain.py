@@ -73,7 +73,7 @@ def meddle(root, name, file):
         path.write_bytes(path.read_bytes()[:-40])
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(ROUND, min_size=1, max_size=4))
 def test_apply_converges_from_anywhere(rounds):
     with tempfile.TemporaryDirectory() as folder:
@@ -141,7 +141,7 @@ def edited(text, edits):
     return text.encode(errors="surrogatepass")
 
 
-@settings(max_examples=examples(300), deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(300), suppress_health_check=[HealthCheck.too_slow])
 @given(EDITS, EDITS)
 def test_whatever_stands_in_the_files_nothing_but_our_errors_comes_out(edits, list_edits):
     with tempfile.TemporaryDirectory() as folder:

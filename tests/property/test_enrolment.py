@@ -33,9 +33,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
     pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
 ]
-hostile = settings(
-    deadline=None, max_examples=examples(200), suppress_health_check=list(HealthCheck)
-)
+hostile = settings(max_examples=examples(200), suppress_health_check=list(HealthCheck))
 PROFILE = profile_named("transition")
 KEY = SealingPrivateKey.generate()
 

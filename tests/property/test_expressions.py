@@ -39,7 +39,7 @@ def of_all(rules, names):
     return frozenset().union(*(covered(each, names) for each in rules))
 
 
-@settings(max_examples=examples(1000), deadline=None)
+@settings(max_examples=examples(1000))
 @given(PLAIN, RULES)
 def test_an_expression_lies_within_others_as_all_its_names_do(expression, rules):
     budget = Budget()
@@ -47,7 +47,7 @@ def test_an_expression_lies_within_others_as_all_its_names_do(expression, rules)
     assert not budget.spent
 
 
-@settings(max_examples=examples(1000), deadline=None)
+@settings(max_examples=examples(1000))
 @given(PLAIN, RULES)
 def test_an_expression_meets_others_as_one_of_its_names_does(expression, rules):
     budget = Budget()
@@ -57,7 +57,7 @@ def test_an_expression_meets_others_as_one_of_its_names_does(expression, rules):
     assert not budget.spent
 
 
-@settings(max_examples=examples(1000), deadline=None)
+@settings(max_examples=examples(1000))
 @given(ODD, st.lists(ODD, max_size=4))
 def test_a_bracket_is_never_less_than_any_stack_takes_it_for(expression, rules):
     """Nor less than the name that it is to a stack without brackets."""
@@ -75,7 +75,7 @@ def test_a_bracket_is_never_less_than_any_stack_takes_it_for(expression, rules):
 HOSTILE = st.lists(st.sampled_from("*?[]!ab\\-"), max_size=60).map("".join)
 
 
-@settings(max_examples=examples(100), deadline=None)
+@settings(max_examples=examples(100))
 @given(HOSTILE, st.lists(HOSTILE, max_size=8))
 def test_whatever_is_asked_the_steps_are_bounded(expression, rules):
     for compare in (within, meets):

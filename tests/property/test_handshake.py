@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 from cryptography import x509
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from pqsec_pki._asn1 import Signed, TBSCertificate, decode, encode, raw
@@ -254,7 +254,6 @@ def target(name):
     return found, found.seeds()
 
 
-@settings(deadline=None)
 @pytest.mark.parametrize("name", TARGETS)
 @given(rng=st.randoms(use_true_random=False), times=st.integers(1, 3))
 def test_a_real_message_that_is_spoilt_is_taken_or_refused(name, rng, times):

@@ -37,9 +37,7 @@ NOW = datetime(2026, 11, 21, tzinfo=UTC)
 YEAR = timedelta(days=365)
 PASSPHRASE = b"horse"
 
-hostile = settings(
-    deadline=None, max_examples=examples(250), suppress_health_check=list(HealthCheck)
-)
+hostile = settings(max_examples=examples(250), suppress_health_check=list(HealthCheck))
 # cryptography warns of what it will refuse some day (NULL parameters, odd names).
 pytestmark = [
     pytest.mark.slow,

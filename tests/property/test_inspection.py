@@ -137,7 +137,7 @@ def test_any_bytes_are_told_or_refused(data):
     told(pem("CERTIFICATE", data))
 
 
-@settings(max_examples=examples(600), deadline=None)
+@settings(max_examples=examples(600))
 @given(place=st.integers(0, 8), edits=EDITS)
 def test_a_damaged_file_is_told_or_refused(place, edits):
     damaged = edited(public_files()[place], edits)
@@ -146,7 +146,7 @@ def test_a_damaged_file_is_told_or_refused(place, edits):
 
 
 @pytest.mark.parametrize("name", ROWS)
-@settings(max_examples=examples(60), deadline=None)
+@settings(max_examples=examples(60))
 @given(place=st.integers(0, 6), edits=EDITS)
 def test_no_damage_makes_a_private_key_speak(name, place, edits):
     files = private_files(name)

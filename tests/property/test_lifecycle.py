@@ -127,6 +127,5 @@ TestLife = Life.TestCase
 TestLife.settings = settings(
     max_examples=15,
     stateful_step_count=20,
-    deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
 )

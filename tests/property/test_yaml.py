@@ -37,13 +37,12 @@ WORDS = st.sampled_from(
 ANY_TEXT = WORDS | st.text(max_size=12)
 
 
-@settings(deadline=None)
 @given(GOVERNANCES)
 def test_a_governance_written_as_yaml_is_read_as_equal_values(value):
     assert read_governance(governance_to_yaml(value)) == value
 
 
-@settings(deadline=None, max_examples=examples(300))
+@settings(max_examples=examples(300))
 @given(permissions(ANY_TEXT))
 def test_permissions_written_as_yaml_are_read_as_equal_values(value):
     assert read_permissions(permissions_to_yaml(value)) == value
@@ -84,7 +83,7 @@ EDITS = st.tuples(
 
 
 @pytest.mark.parametrize("read", READERS)
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(document=st.sampled_from(DOCUMENTS), edits=st.lists(EDITS, min_size=1, max_size=3))
 def test_a_damaged_document_is_read_or_refused(read, document, edits):
     for place, length, put in edits:
@@ -109,7 +108,7 @@ TREES = st.recursive(
 
 
 @pytest.mark.parametrize("read", READERS)
-@settings(max_examples=examples(500), deadline=None)
+@settings(max_examples=examples(500))
 @given(tree=TREES)
 def test_any_structure_is_read_or_refused(read, tree):
     from pqsec_pki.documents._yaml import dump  # noqa: PLC0415 - the room's own, for any tree

@@ -232,7 +232,7 @@ STEPS = st.tuples(
 )
 
 
-@settings(max_examples=examples(400), deadline=None)
+@settings(max_examples=examples(400))
 @given(seed=st.sampled_from(SEEDS), steps=st.lists(STEPS, min_size=1, max_size=4))
 def test_several_changes_to_a_document_get_the_verdict_of_the_omg_schema(seed, steps):
     document = mutant(seed, *steps)
