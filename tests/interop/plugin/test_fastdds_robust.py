@@ -2,18 +2,30 @@
 without one."""
 
 import os
+import random
 import re
 import shutil
+import socketserver
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
 
 import pytest
 
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.plugin import AgentFolder
 from pqsec_pki.plugin.building import SOURCES
+from pqsec_pki.plugin.connection import AgentContext, Connection
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES
+from tests.fuzz.mutation import blindly
 from tests.interop.conftest import TOPIC
+from tests.longer import LONG
+from tests.unit.plugin_wire import framed
 
 pytestmark = pytest.mark.interop
 
@@ -21,7 +33,8 @@ PROGRAM = Path(__file__).with_name("fastdds_every_function.cpp")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
 OF_2 = ("-std=c++17", "-O0", "-DPQSEC_FASTDDS=2", "-I", SOURCES, "-I", FASTDDS_SOURCES)
-
+ROUNDS = 400 if LONG else 20
+"""With an agent that has gone mad."""
 
 OVERRIDE = re.compile(r"(?m)^  [\w:<>*]+ (\w+)\([^;]*?\) (?:const )?override")
 
@@ -86,6 +99,56 @@ def test_each_function_does_no_harm(request, every_function, how, agent):
     said = [line for line in done.stderr.splitlines() if "not a folder of this user's" not in line]
     assert (done.returncode, said) == (0, [])
     assert int(done.stdout) > 60
+
+
+class Mad(socketserver.ThreadingUnixStreamServer):
+    """An agent that answers as ours, but spoils one answer in four."""
+
+    daemon_threads = True
+
+    def __init__(self, place: AgentFolder, now: datetime) -> None:
+        self.rng = random.Random(1)  # noqa: S311 -- the same spoilt answers each time
+        self.spoil = blindly(self.rng)
+        self.context = AgentContext(lambda: now, lambda line: None, dict, lambda: None)
+        place.prepare()
+        super().__init__(str(place.socket), Answer)
+
+    def answer(self, frame: bytes) -> bytes:
+        if self.rng.randrange(4):
+            return frame
+        spoilt = framed(self.spoil(frame[4:]))
+        return spoilt if self.rng.randrange(8) else self.spoil(frame)
+
+
+class Answer(socketserver.BaseRequestHandler):
+    def handle(self) -> None:
+        connection = Connection(self.server.context, "test")
+        with suppress(OSError, PqsecError):
+            while octets := self.request.recv(1 << 16):
+                for frame in connection.receive(octets):
+                    self.request.sendall(self.server.answer(frame))
+
+
+def test_the_answers_of_a_mad_agent_do_no_harm(sanitized, labs, now):
+    lab = labs("pq")
+    with TemporaryDirectory(prefix="pqsec-run-") as runtime:
+        place = AgentFolder.of({"XDG_RUNTIME_DIR": runtime})
+        with Mad(place, now) as server:
+            thread = Thread(target=server.serve_forever)
+            thread.start()
+            done = subprocess.run(
+                [*sanitized, lab.alice, lab.bob, TOPIC, f"mad{ROUNDS}"],
+                env=os.environ | {"XDG_RUNTIME_DIR": runtime, "PQSEC_AGENT_TIMEOUT": "200"},
+                capture_output=True,
+                text=True,
+                timeout=500,
+                check=False,
+            )
+            server.shutdown()
+            thread.join()
+    assert done.returncode == 0, done.stderr[-5000:]
+    assert "Sanitizer" not in done.stderr
+    assert int(done.stdout) > 50 * ROUNDS
 
 
 def test_no_function_is_forgotten():

@@ -38,8 +38,8 @@ pytestmark = pytest.mark.interop
 
 PATIENCE = 90.0
 LIFETIME = timedelta(seconds=20)
-QUIET = 3.0
-"""Seconds without a sample; there are twenty a second."""
+QUIET = 4.0
+"""Seconds without a sample; there are twenty a second, and a peer announces itself every three."""
 LEASE = 25.0
 """Seconds after which Fast DDS drops a peer that it no longer hears of."""
 
