@@ -36,6 +36,13 @@ def place():
     shutil.rmtree(folder)
 
 
+@pytest.fixture
+def tmp_path():
+    """Short, too: a home in it takes a socket."""
+    with tempfile.TemporaryDirectory(prefix="pqsec-") as folder:
+        yield Path(folder)
+
+
 def start(place, *idle, runner=()):
     return subprocess.Popen(
         [*runner, sys.executable, "-I", "-m", "pqsec_pki.plugin", place.socket, *idle],
