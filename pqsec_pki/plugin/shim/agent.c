@@ -5,11 +5,13 @@
 #include "agent.h"
 
 #include <errno.h>
+#include <fcntl.h>
 #include <signal.h>
 #include <spawn.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
@@ -97,6 +99,18 @@ bool agent_place(char *path, size_t size, struct exception *ex)
     return false;
   }
   return true;
+}
+
+bool agent_may_start(const char *path, int *lock)
+{
+  char name[SOCKET_ROOM + sizeof ".start"];
+  snprintf(name, sizeof name, "%s.start", path);
+  *lock = is_private() ? -1 : open(name, O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+  if (*lock < 0 || flock(*lock, LOCK_EX | LOCK_NB) == 0) /* without a file, all may */
+    return true;
+  close(*lock);
+  *lock = -1;
+  return false;
 }
 
 /* The agent gets few of the host's variables, and none for the loader or Python. */

@@ -14,6 +14,11 @@ int agent_patience_ms(void);
  * the folder cannot be trusted. */
 bool agent_place(char *path, size_t size, struct exception *);
 
+/* Whether this process may start the agent that will listen there: one process at a time does, since
+ * a robot starts a hundred hosts at once. `*lock` is to be closed when the agent listens, if it is
+ * not -1. */
+bool agent_may_start(const char *path, int *lock);
+
 /* Starts an agent that will listen there. Returns the process that exits with 0 when the agent
  * listens; 0, with the reason in the exception, if it cannot be started. */
 pid_t agent_start(const char *path, struct exception *);

@@ -17,7 +17,7 @@
 #include "agent.h"
 #include "frames.h"
 
-enum { VERSION = 3, RETRY_MS = 1, CHALLENGE = 32 };
+enum { VERSION = 3, RETRY_MS = 1, OTHERS_RETRY_MS = 10, CHALLENGE = 32 };
 enum { DONE = 0 };
 
 void refuse(struct exception *ex, const char *format, ...)
@@ -147,9 +147,15 @@ static bool is_own(int socket)
   return getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 && peer.uid == geteuid();
 }
 
-static void pause_briefly(void)
+static void pause_for(long ms)
 {
-  nanosleep(&(struct timespec){.tv_nsec = RETRY_MS * 1000000}, NULL);
+  nanosleep(&(struct timespec){.tv_nsec = ms * 1000000}, NULL);
+}
+
+static void unlock(int lock)
+{
+  if (lock >= 0)
+    close(lock);
 }
 
 /* Whether the process that starts the agent has failed; `*starting` is 0 once it has ended. */
@@ -162,36 +168,46 @@ static bool has_failed(pid_t *starting)
   return ended > 0 && status != 0;
 }
 
-/* A connected socket, or -1 and the reason. */
+/* A connected socket, or -1 and why. One process starts the agent, and all others wait for it. */
 static int reach(const struct sockaddr_un *address, struct exception *ex)
 {
   int64_t deadline = now_ms() + AGENT_START_MS;
   pid_t starting = 0;
-  bool started = false, failed = false;
+  int lock = -1;
+  bool may_start = false, started = false, failed = false;
   for (;;) {
     int found = connect_to(address);
     bool absent = errno == ENOENT || errno == ECONNREFUSED;
-    if (found >= 0) { /* another process may have started it, and our starting process may end later */
+    if (found >= 0) { /* the process that started it may end later than we connect */
       deadline = now_ms() + agent_patience_ms();
       while (has_failed(&starting), starting > 0 && now_ms() < deadline)
-        pause_briefly();
+        pause_for(RETRY_MS);
+      unlock(lock);
       return found;
     }
     if (failed) {
       refuse(ex, "pqsec: the agent cannot be started; `pqsec agent log` shows why");
-      return -1;
+      break;
     }
     if ((!absent && errno != EAGAIN) || now_ms() > deadline) {
       refuse(ex, "pqsec: the agent cannot be reached at %s (%s)%s", address->sun_path,
              strerror(errno), started ? "; `pqsec agent log` may show why" : "");
-      return -1;
+      break;
     }
-    if (absent && !started && (starting = agent_start(address->sun_path, ex)) == 0)
-      return -1;
-    started = started || absent;
-    pause_briefly();
+    if (absent && !may_start) {
+      may_start = agent_may_start(address->sun_path, &lock);
+      if (may_start)
+        continue; /* whoever had the lock before may have started it */
+    } else if (absent && !started) {
+      started = true;
+      if ((starting = agent_start(address->sun_path, ex)) == 0)
+        break;
+    }
+    pause_for(may_start ? RETRY_MS : OTHERS_RETRY_MS);
     failed = has_failed(&starting);
   }
+  unlock(lock);
+  return -1;
 }
 
 static bool connect_or_start(struct link *link, struct exception *ex)

@@ -30,7 +30,7 @@ _FILE = """<CycloneDDS><Domain id="any">
 </General>
 <Discovery>
  <Peers><Peer address="127.0.0.1"/></Peers>
- <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>
+ <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex>
 </Discovery>
 <Security>
  <Authentication>
@@ -66,6 +66,8 @@ class Stage:
     own: Path
     """The folder of Cyclone DDS's own plugins."""
     folder: Path
+    most: int = 9
+    """The highest index of a participant."""
 
     @property
     def program(self) -> list[str]:
@@ -91,7 +93,9 @@ class Stage:
         )
         crl = f"<CRL>file:{enclave}/crl.pem</CRL>" if (enclave / "crl.pem").exists() else ""
         internal = lossy if loss else ""
-        text = _FILE.format(folder=enclave, own=self.own, internal=internal, crl=crl, **paths)
+        text = _FILE.format(
+            folder=enclave, own=self.own, internal=internal, crl=crl, most=self.most, **paths
+        )
         path = self.folder / f"{len(list(self.folder.iterdir()))}.xml"
         path.write_text(text)
         return {"CYCLONEDDS_URI": path.as_uri(), "LD_LIBRARY_PATH": str(self.shim.folder)}

@@ -4,6 +4,7 @@ import shutil
 import socket
 import struct
 import subprocess
+import sys
 import tempfile
 import threading
 from itertools import repeat
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from pqsec_pki.plugin import AgentFolder, stop_agent
 from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.calls import WORKING
 from pqsec_pki.plugin.connection import GREETED
@@ -89,3 +91,34 @@ def test_an_agent_that_is_busy_for_ever_is_given_up(said):
 
 def test_an_agent_that_is_busy_and_then_ends_is_gone(said):
     assert "the agent is gone" in said([WORKING] * 3)
+
+
+# Counts how often it is started as the agent's interpreter: $5 is the socket.
+COUNTING = '#!/bin/sh\necho >> "${{5%/*}}/starts"\nexec {python} "$@"\n'
+
+
+def test_hosts_that_start_together_start_one_agent(requires, tmp_path):
+    """Each of 100 hosts started a Python of its own, which kept two cores busy for seconds."""
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    python = tmp_path / "python"
+    python.write_text(COUNTING.format(python=sys.executable))
+    python.chmod(0o755)
+    words = [f'-DPQSEC_PYTHON="{python}"', "-I", SOURCES]
+    program = compiled(tmp_path / "host", *words, HERE / "patience.c", *SOURCES.glob("*.c"))
+    runtime = Path(tempfile.mkdtemp(prefix="pqsec-"))  # a socket's path must be short
+    place = AgentFolder.of({"XDG_RUNTIME_DIR": str(runtime)})
+    try:
+        hosts = [
+            subprocess.Popen(
+                [program],
+                env={"XDG_RUNTIME_DIR": str(runtime), "PQSEC_AGENT_TIMEOUT": "60000"},
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            for _ in range(8)
+        ]
+        assert [each.communicate()[0] for each in hosts] == ["0\n"] * 8
+        assert (place.folder / "starts").read_text() == "\n"
+    finally:
+        stop_agent(place)
+        shutil.rmtree(runtime)
