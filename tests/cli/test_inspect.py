@@ -219,7 +219,6 @@ UNKNOWN = {
     "hollow": b"-----BEGIN CERTIFICATE-----\nMAA=\n-----END CERTIFICATE-----\n",
     "cut": b"-----BEGIN PRIVATE KEY-----\nMAA=\n",
     "DER": b"\x30\x03\x02\x01\x05",
-    "no XML": b"<dds>",
 }
 
 
