@@ -39,7 +39,7 @@ READING = {
 }
 """Commands that are given a keystore, or files of one, and change nothing: how each is run."""
 CHANGING = {
-    *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "adopt"),
+    *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit", "adopt"),
     *("sign-governance", "sign-permissions", "sign-request sign"),
 }
 WITHOUT = {
