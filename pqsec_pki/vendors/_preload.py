@@ -12,8 +12,8 @@ from pqsec_pki.vendors.own_plugin import PRELOAD
 
 VARIABLE = "LD_PRELOAD"
 NOTE = (
-    "programs with file capabilities or setuid preload nothing: there Fast DDS refuses"
-    " post-quantum keys"
+    "programs with file capabilities or setuid preload nothing, and Fast DDS refuses post-quantum"
+    " keys there: link such a program with the library"
 )
 _SEPARATORS = re.compile("[ :]")
 _UNFIT = re.compile(r"[\s:$]")

@@ -47,7 +47,8 @@ from tests.interop.plugin.test_plugin_try import ROOTS
 pytestmark = pytest.mark.interop
 
 HOST = Path(__file__).with_name("host.c")
-DOMAIN, LONGEST, NOBODY = 5, 60.0, 65534
+DOMAIN, LONGEST = 5, 60.0
+AS_NOBODY = ("setpriv", "--reuid=65534", "--clear-groups")
 NAMES = ("dds.sec.auth.plugin", "dds.sec.access.plugin", "dds.sec.crypto.plugin")
 
 
@@ -271,15 +272,44 @@ def test_an_agents_folder_that_others_can_enter_is_refused(stage):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may make a program of root's")
 def test_a_program_with_setuid_preloads_nothing_and_is_refused(stage, tmp_path_factory):
+    program = setuid(Path(stage.program[0]), tmp_path_factory)
+    outcome = stage.run(program=[*AS_NOBODY, program])
+    assert refused(outcome)
+    assert "pqsec:" not in outcome.log
+
+
+def setuid(program: Path, tmp_path_factory) -> str:
+    """A copy of it that runs as its owner, whoever starts it."""
     open_to_all = tmp_path_factory.mktemp("setuid")
     for folder in (open_to_all, *open_to_all.parents[:2]):
         folder.chmod(0o755)
-    program = open_to_all / "peer"
-    shutil.copy(stage.program[0], program)
-    program.chmod(0o755 | stat.S_ISUID)
-    outcome = stage.run(program=["setpriv", f"--reuid={NOBODY}", "--clear-groups", str(program)])
-    assert refused(outcome)
-    assert "pqsec:" not in outcome.log
+    copy = Path(shutil.copy(program, open_to_all / "peer"))
+    copy.chmod(0o755 | stat.S_ISUID)
+    return str(copy)
+
+
+@pytest.fixture(scope="module")
+def linked(plugins, tmp_path_factory) -> list[str]:
+    """The command of a peer that is linked with our library, before Fast DDS."""
+    folder = tmp_path_factory.mktemp("linked")
+    (folder / "peer.cpp").write_bytes(source("fastdds.cpp"))
+    library = plugins("bookworm")[1].folder / PRELOAD
+    first = f"-Wl,--no-as-needed,{library},--as-needed"
+    words = ["g++", "-O0", first, "-o", "peer", "peer.cpp", "-lfastrtps"]
+    subprocess.run(words, cwd=folder, check=True, capture_output=True)
+    return [str(folder / "peer")]
+
+
+def test_a_program_that_is_linked_with_it_needs_no_preloading(stage, linked):
+    assert stage.run(without="LD_PRELOAD", program=linked).joined
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may make a program of root's")
+def test_with_setuid_too_it_runs_that_plugin(stage, linked, tmp_path_factory):
+    """Which refuses it here: who starts it may not run the agent."""
+    program = setuid(Path(linked[0]), tmp_path_factory)
+    outcome = stage.run(without="LD_PRELOAD", program=[*AS_NOBODY, program])
+    assert refused(outcome, "pqsec: user 0 may not execute")
 
 
 @pytest.fixture(scope="module")
