@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.errors import PassphraseError, UsageError
+from pqsec_pki.errors import PassphraseError, UsageError, located
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore import Authorities, Keystore
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 VARIABLE = "PQSEC_PASSPHRASE_FILE"
 MAX_FILE = 4096
 """Bytes."""
+SHORTEST, FEWEST = 15, 5
+"""Octets of a passphrase that protects CA keys alone (NIST SP 800-63B-4, 3.1.1.2), and how many of
+them must differ. Whoever gets the encrypted keys can try passphrases as fast as machines allow."""
+_WEAK = "pqsec.weak_passphrase"
 
 
 def option(command: _settings.Command) -> _settings.Command:
@@ -25,6 +29,23 @@ def option(command: _settings.Command) -> _settings.Command:
         type=_settings.FILE,
         envvar=VARIABLE,
         help="Read the CA passphrase from the first line of this file.",
+    )
+    return add(command)
+
+
+def weak_option(command: _settings.Command) -> _settings.Command:
+    """Add --weak-passphrase to a command that calls `new`."""
+
+    def remember(context: click.Context, parameter: click.Parameter, value: object) -> None:
+        del parameter
+        context.meta[_WEAK] = value
+
+    add = click.option(
+        "--weak-passphrase",
+        is_flag=True,
+        expose_value=False,
+        callback=remember,
+        help="Accept a new passphrase that is easy to guess.",
     )
     return add(command)
 
@@ -51,19 +72,38 @@ def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
 def new(
     passphrase_file: Path | None, *, none: bool, option: str = "--passphrase-file"
 ) -> bytes | None:
-    """The passphrase for new CA keys; None with --no-passphrase only, whatever the variable is."""
+    """The passphrase for new CA keys; None with --no-passphrase only, whatever the variable is.
+
+    PassphraseError for a weak one, unless --weak-passphrase is given.
+    """
     if none and passphrase_file and not _from_variable():
         raise UsageError(f"{option} and --no-passphrase exclude each other")
     if none:
         return None
     if passphrase_file:
-        return _read(passphrase_file)
+        with located(passphrase_file):
+            return _strong(_read(passphrase_file))
     if not sys.stdin.isatty():
         raise UsageError(
             "the CA keys need a passphrase, and there is no terminal to ask for one",
             hint=f"use {option} FILE, or --no-passphrase to leave them unencrypted",
         )
-    return _asked("New CA passphrase", twice=True)
+    return _strong(_asked("New CA passphrase", twice=True))
+
+
+def _strong(passphrase: bytes) -> bytes:
+    """The passphrase; PassphraseError if it is easy to guess."""
+    why = ""
+    if len(passphrase) < SHORTEST:
+        why = f"it has {len(passphrase)} characters, and {SHORTEST} are needed"
+    elif len(set(passphrase)) < FEWEST:
+        why = f"{FEWEST} of its characters must differ"
+    if why and not click.get_current_context().meta.get(_WEAK):
+        raise PassphraseError(
+            f"the new passphrase is weak: {why}",
+            hint="take four or more words at random; --weak-passphrase accepts it as it is",
+        )
+    return passphrase
 
 
 def _from_variable() -> bool:

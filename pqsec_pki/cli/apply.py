@@ -68,6 +68,7 @@ from pqsec_pki.keystore import Authorities, Keystore
     is_flag=True,
     help="With --yes: allow to revoke more participants than FILE names.",
 )
+@_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the keys of new CAs unencrypted.")
 @_passphrases.option
 @_settings.command_options

@@ -101,6 +101,7 @@ profile_option = click.option(
     help="Govern these DDS domains: 0, or 0-3, or 0,5.",
 )
 @_passphrases.option
+@_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
 @_settings.command_options
 def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name

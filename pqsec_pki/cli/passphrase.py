@@ -26,6 +26,7 @@ from pqsec_pki.lifecycle import change_passphrase
     type=_settings.FILE,
     help="Read the new passphrase from the first line of this file.",
 )
+@_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
 @_settings.command_options
 def passphrase(

@@ -83,6 +83,7 @@ _CAS = {
     help="Overwrite the old CA keys, and do not keep them.",
 )
 @_passphrases.option
+@_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the new CA keys unencrypted.")
 @_settings.command_options
 def rotate(  # noqa: PLR0913 -- one for each option, by name

@@ -203,9 +203,9 @@ def keystore(domains, tmp_path) -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def locked_domain(tmp_path_factory, make_domain, run_in) -> Path:
-    """A keystore without participants whose CA keys are encrypted under `open sesame`."""
+    """A keystore without participants whose CA keys are encrypted under `open sesame, please`."""
     folder = tmp_path_factory.mktemp("locked")
-    secret(folder / "passphrase", "open sesame\n")
+    secret(folder / "passphrase", "open sesame, please\n")
     run_in(folder, "-k k ca init --profile classical --passphrase-file passphrase").done()
     return folder / "k"
 
@@ -213,8 +213,8 @@ def locked_domain(tmp_path_factory, make_domain, run_in) -> Path:
 @pytest.fixture
 def locked(locked_domain, tmp_path) -> Path:
     """The test's own keystore `k` with encrypted keys; `right` and `wrong` hold passphrases."""
-    secret(tmp_path / "right", "open sesame\n")
-    secret(tmp_path / "wrong", "open barley\n")
+    secret(tmp_path / "right", "open sesame, please\n")
+    secret(tmp_path / "wrong", "open barley, please\n")
     return copy(locked_domain, tmp_path / "k")
 
 

@@ -112,14 +112,14 @@ def test_modes_hold_under_any_umask(pqsec, tmp_path):
 
 @pytest.mark.parametrize(("profile", "keys"), [("transition", 4), ("hybrid", 2)])
 def test_every_ca_key_is_encrypted_under_the_passphrase(pqsec, tmp_path, profile, keys):
-    secret(tmp_path / "passphrase", "open sesame\r\nsecond line\n")
+    secret(tmp_path / "passphrase", "open sesame, please\r\nsecond line\n")
     said = pqsec(f"-k k ca init --profile {profile} --passphrase-file passphrase").done()
     assert said.err == ""
     files = sorted((tmp_path / "k/private").glob("*.key.pem"))
     assert len(files) == keys
     assert all(iterations(file) >= FLOOR for file in files)
     assert pqsec("-k k ca show --json").json["keys"] == "encrypted"
-    secret(tmp_path / "first line", "open sesame")
+    secret(tmp_path / "first line", "open sesame, please")
     pqsec("-k k issue /a --publish x --passphrase-file", "first line").done()
 
 
@@ -152,7 +152,7 @@ def test_a_passphrase_file_without_passphrase_makes_nothing(pqsec, tmp_path, con
 
 
 def test_a_passphrase_and_none_exclude_each_other(pqsec, tmp_path):
-    secret(tmp_path / "passphrase", "open sesame\n")
+    secret(tmp_path / "passphrase", "open sesame, please\n")
     pqsec("-k k ca init --no-passphrase --passphrase-file passphrase").refused(2, "exclude")
     assert not (tmp_path / "k").exists()
 
@@ -203,24 +203,32 @@ def at_terminal(folder: Path, line: str, *answers: bytes) -> Result:
 
 def test_a_terminal_is_asked_twice_and_shows_no_passphrase(tmp_path, pqsec):
     said = at_terminal(
-        tmp_path, "-k k ca init --profile classical --json", b"open sesame\n", b"open sesame\n"
+        tmp_path,
+        "-k k ca init --profile classical --json",
+        b"open sesame, please\n",
+        b"open sesame, please\n",
     )
     assert said.code == 0
     assert json.loads(said.out)["keys"] == "encrypted"
     assert "New CA passphrase: " in said.err
     assert "sesame" not in said.err
-    again = at_terminal(tmp_path, "-k k issue /a --publish x", b"open sesame\n")
+    again = at_terminal(tmp_path, "-k k issue /a --publish x", b"open sesame, please\n")
     assert again.code == 0
     assert again.out.startswith("/a ")
     assert "CA passphrase: " in again.err
 
 
 def test_a_mismatch_at_the_terminal_is_said_and_asked_again(tmp_path):
-    answers = (b"open sesame\n", b"open barley\n", b"open rye\n", b"open rye\n")
+    answers = (
+        b"open sesame, please\n",
+        b"open barley, please\n",
+        b"open rye, if you please\n",
+        b"open rye, if you please\n",
+    )
     said = at_terminal(tmp_path, "-k k ca init --profile classical", *answers)
     assert said.code == 0
     assert "do not match" in said.err
-    secret(tmp_path / "passphrase", "open rye\n")
+    secret(tmp_path / "passphrase", "open rye, if you please\n")
     line = "-k k issue /a --publish x --passphrase-file passphrase"
     assert at_terminal(tmp_path, line).code == 0
 
@@ -241,7 +249,7 @@ def test_giving_up_at_the_prompt_ends_with_130_and_makes_nothing(tmp_path, answe
 
 def test_a_wrong_passphrase_at_the_terminal_is_refused(tmp_path, locked):
     before = snapshot(locked)
-    said = at_terminal(tmp_path, "-k k issue /a --publish x", b"open barley\n")
+    said = at_terminal(tmp_path, "-k k issue /a --publish x", b"open barley, please\n")
     assert said.code == 3
     assert "pqsec: error: " in said.err
     assert "wrong passphrase" in said.err

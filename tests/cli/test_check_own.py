@@ -55,7 +55,7 @@ def told(pqsec):
 
 @pytest.mark.parametrize("profile", NAMES)
 def test_a_keystore(pqsec, told, tmp_path, profile):
-    secret(tmp_path / "secret", "open sesame\n")
+    secret(tmp_path / "secret", "open sesame, please\n")
     pqsec(f"-k k ca init --profile {profile} --passphrase-file secret").done()
     pqsec("-k k issue /talker --publish rt/a --passphrase-file secret").done()
     assert told("") == {}

@@ -22,8 +22,8 @@ PRINTED = {
 def locked_key(keystore, tmp_path):
     """Keystore k, in which /talker's key is encrypted; the passphrase is in `right`."""
     path = keystore() / "enclaves/talker/key.pem"
-    path.write_bytes(private_key_pem(load_private_key(path.read_bytes()), b"open sesame"))
-    secret(tmp_path / "right", "open sesame\n")
+    path.write_bytes(private_key_pem(load_private_key(path.read_bytes()), b"open sesame, please"))
+    secret(tmp_path / "right", "open sesame, please\n")
 
 
 @pytest.mark.parametrize("stack", PRINTED)
@@ -144,7 +144,7 @@ def test_a_passphrase_is_written_for_its_owner_only(pqsec, tmp_path):
     pqsec(line).refused(2, "is not printed", hint="-o DIR")
     pqsec(f"{line} -o conf").done()
     path = tmp_path / "conf" / "cyclonedds.xml"
-    assert "<Password>open sesame</Password>" in path.read_text()
+    assert "<Password>open sesame, please</Password>" in path.read_text()
     assert [stat.S_IMODE(each.stat().st_mode) for each in (path, path.parent)] == [0o600, 0o700]
 
 

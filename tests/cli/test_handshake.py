@@ -504,7 +504,7 @@ def test_a_lost_ca_certificate_is_missed_behind_its_link(fails, keystore):
 def test_a_participants_key_that_is_encrypted_is_named(fails, keystore):
     k = keystore()
     key = load_private_key((k / "enclaves/talker/key.pem").read_bytes())
-    (k / "enclaves/talker/key.pem").write_bytes(private_key_pem(key, b"open sesame"))
+    (k / "enclaves/talker/key.pem").write_bytes(private_key_pem(key, b"open sesame, please"))
     words = "k/enclaves/talker/key.pem: the private key is encrypted and no passphrase was given"
     step = fails("files of /talker", words)
     assert (

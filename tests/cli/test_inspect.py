@@ -33,7 +33,7 @@ WHAT = {
     ),
     "k/private/permissions_ca.key.pem": ("private key", "Private key"),
 }
-PASSPHRASE = b"open sesame"
+PASSPHRASE = b"open sesame, please"
 WINDOW = 8
 """Bytes. Fewer could stand in the output by chance."""
 
