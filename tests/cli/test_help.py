@@ -69,7 +69,7 @@ def made(run_in, tmp_path_factory) -> Path:
     for name, text in FILES.items():
         (folder / name).write_text(text)
     for name in ("passphrase", "new-passphrase"):
-        secret(folder / name, f"the {name}\n")
+        secret(folder / name, f"the {name} of the robots\n")
     run("ca init --name Robots --passphrase-file passphrase")
     run("ca passphrase --passphrase-file passphrase --no-passphrase")
     run("issue /talker --ros-node /talker --ros-publish /chatter")

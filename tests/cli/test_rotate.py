@@ -13,11 +13,11 @@ def k(keystore):
 
 @pytest.fixture
 def secret(tmp_path):
-    """secret("a") is the name of a file whose first line is that."""
+    """secret("a") is the name of a file with a passphrase that begins with that."""
 
     def write(text):
         path = tmp_path / f"{text}.txt"
-        path.write_text(f"{text}\n")
+        path.write_text(f"{text} for a keystore\n")
         path.chmod(0o600)
         return path.name
 
