@@ -4,7 +4,6 @@ Names, arguments and results are those in `calls`. Each call gives the result co
 DDS-Security and the values; a refusal is a PqsecError.
 """
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
@@ -14,7 +13,6 @@ from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake import (
-    CHALLENGE_SIZE,
     AuthRequest,
     DataHolder,
     Discovered,
@@ -126,7 +124,7 @@ class Authentication:
         if heard:
             peer_state.heard = heard.future_challenge
         else:
-            peer_state.announced = os.urandom(CHALLENGE_SIZE)
+            peer_state.announced = self._peers.challenge(identity, guid)
             answer = AuthRequest(future_challenge=peer_state.announced).to_holder()
         first = initiates(local.guid, guid)
         result = (

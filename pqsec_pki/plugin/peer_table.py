@@ -6,13 +6,14 @@ limited (`pending.py`), and old ones are dropped. A peer with a finished handsha
 Cyclone DDS returns it, unless a newer handshake with it is finished too.
 """
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.handshake import Done, IdentityToken, ReplySent, RequestSent
+from pqsec_pki.handshake import CHALLENGE_SIZE, Done, IdentityToken, ReplySent, RequestSent
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
 from pqsec_pki.plugin.pending import MAX_HELD, PendingReplies, Rates
@@ -83,6 +84,8 @@ class PeerTable:
         """The handles of peers that have not authenticated, the oldest first."""
         self._rates: dict[int, Rates] = {}
         """Handle of the local identity -> rates."""
+        self._challenges: dict[tuple[int, bytes], bytes] = {}
+        """Handle of the local identity and GUID of the peer -> the announced challenge."""
 
     def peer_state(self, identity: int, guid: bytes) -> tuple[int, PeerState]:
         """The handle of a peer, and a new state. A peer that is discovered again by the same local
@@ -96,6 +99,18 @@ class PeerTable:
             self._waiting[handle] = None
         peer_state = known.states[identity] = PeerState()
         return handle, peer_state
+
+    def challenge(self, identity: int, guid: bytes) -> bytes:
+        """Our challenge for an AuthRequest: 32 bytes, the same until a handshake is finished.
+
+        A stack that loses a peer and discovers it again begins anew, but the peer may not, and
+        refuses another challenge than the one that it got first until its handshake times out.
+        """
+        found = self._challenges.pop((identity, guid), None) or os.urandom(CHALLENGE_SIZE)
+        self._challenges[identity, guid] = found
+        if len(self._challenges) > MAX_WAITING:
+            del self._challenges[next(iter(self._challenges))]
+        return found
 
     def met(self, identity: int, peer: int) -> tuple[Local, Remote, PeerState]:
         """The two, and the state between them; VerificationError if they have not met."""
@@ -146,6 +161,9 @@ class PeerTable:
         handshake.asked, handshake.done = None, done
         self._answers.proved(done.peer.certificate, done.peer.permissions)
         self._waiting.pop(handshake.remote, None)
+        remote = self._handles.find(handshake.remote, Remote)
+        if remote is not None:
+            self._challenges.pop((handshake.identity, remote.guid), None)
 
     def authenticated(self) -> Iterator[tuple[int, int, Certificate]]:
         """Of authenticated peers: (handle of the local identity, of the peer's, certificate)."""
@@ -160,6 +178,8 @@ class PeerTable:
         self._rates.pop(handle, None)
         states: list[PeerState | None] = []
         if isinstance(gone, Local):
+            for key in [each for each in self._challenges if each[0] == handle]:
+                del self._challenges[key]
             states = [each.states.pop(handle, None) for _, each in self._handles.all(Remote)]
         elif isinstance(gone, Remote):
             states = list(gone.states.values())

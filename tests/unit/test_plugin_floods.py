@@ -318,6 +318,37 @@ def test_a_forged_request_does_not_undo_our_own(enclaves):
     assert shim.call("process_handshake", reply, begun)[0] == ValidationResult.OK_FINAL_MESSAGE
 
 
+def discovered(shim, own, guid, heard=NO_TOKEN):
+    """The peer's handle, and our AuthRequest."""
+    return shim.call("validate_remote_identity", heard, own, IDENTITY, guid)[1:]
+
+
+@pytest.mark.parametrize("loser", ["initiator", "replier"])
+def test_a_peer_that_is_lost_for_a_moment_is_met_again_at_once(enclaves, loser):
+    """At load, leases end. The other side has not noticed, and keeps the challenge that it got:
+    it refused all handshakes until its own timed out, after 100 seconds."""
+    sides = [side(enclaves[name]) for name in ("listener", "talker")]
+    (one, own, guid), (other, theirs, peers) = sorted(sides, key=lambda each: each[2])
+    if loser == "initiator":
+        known, first = discovered(one, own, peers)
+        seen, _ = discovered(other, theirs, guid, first)
+        one.call("return_identity_handle", known)
+        known, second = discovered(one, own, peers)
+    else:
+        seen, first = discovered(other, theirs, guid)
+        known, _ = discovered(one, own, peers, first)
+        other.call("return_identity_handle", seen)
+        seen, second = discovered(other, theirs, guid)
+    assert second == first
+    data = participant_data(guid), participant_data(peers)
+    _, begun, token = one.call("begin_handshake_request", own, known, data[0])
+    _, answered, token = other.call("begin_handshake_reply", token, seen, theirs, data[1])
+    _, token = one.call("process_handshake", token, begun)
+    assert other.call("process_handshake", token, answered) == [ValidationResult.OK, NO_TOKEN]
+    again = (one, own, peers) if loser == "initiator" else (other, theirs, guid)
+    assert discovered(*again)[1] != first  # a later handshake has a challenge of its own
+
+
 def test_a_reply_that_comes_late_or_twice_is_told_as_that(enclaves):
     """As from a slow network or agent; it is no attack, and the log must not look like one."""
     victim, other = side(enclaves["listener"]), side(enclaves["talker"])
