@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 from pqsec_pki.documents import _reading, _render, _schema
 from pqsec_pki.documents.domains import DomainSet
+from pqsec_pki.documents.subject import parse_subject, same_subject
 from pqsec_pki.errors import UsageError
 
 if TYPE_CHECKING:
@@ -124,6 +125,13 @@ class Permissions:
     def __post_init__(self) -> None:
         if not self.grants:
             raise UsageError("a permissions document must have at least one grant")
+
+    def grants_for(self, subject_name: str) -> tuple[Grant, ...]:
+        """The grants for the subject; MalformedError for a text that is not a subject name."""
+        subject = parse_subject(subject_name)
+        return tuple(
+            each for each in self.grants if same_subject(parse_subject(each.subject_name), subject)
+        )
 
     @classmethod
     def from_xml(cls, xml: bytes) -> Self:

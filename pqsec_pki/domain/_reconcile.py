@@ -1,17 +1,20 @@
 """Compares one participant with its wanted state: the steps, or why it is blocked."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there
 from pqsec_pki.domain.steps import Blocked, Step, StepAction
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import PERMITTED, Files, Keystore, ParticipantState, State
+from pqsec_pki.keystore import PERMITTED, Files, Keystore, ParticipantState, State, signed_grants
 
 _NEVER = datetime.max.replace(tzinfo=UTC)
+_SLACK = timedelta(days=1)
+"""SROS2 writes a certificate and its permissions seconds apart."""
 _ELSEWHERE = "has its key elsewhere"
 _OTHER_KEY = "its request is for another key"
 _IF_MEANT = "if it is really the robot that asks: --new-keys"
@@ -52,7 +55,7 @@ class Reconciler:
 
     def _steps_with_its_key(self, member: Member, held: ParticipantState) -> Iterator[Step]:
         """The steps that keep its key, whatever its request asks for."""
-        if why := _why_sign_permissions(member, held):
+        if why := self._why_sign_permissions(member, held):
             yield Step(StepAction.SIGN_PERMISSIONS, member.name, why)
         if why := self._why_renew(member, held):
             yield Step(StepAction.RENEW, member.name, why)
@@ -115,16 +118,32 @@ class Reconciler:
         word = "expired" if held.state is State.EXPIRED else "ends"
         return f"{word} {held.not_after:%Y-%m-%d}"
 
+    def _why_sign_permissions(self, member: Member, held: ParticipantState) -> str:
+        if held.files is Files.OTHER_PERMISSIONS:
+            return "its permissions are not the ones signed last"
+        if held.config_digest == member.config_digest or self._is_signed(member, held):
+            return ""
+        if held.config_digest == PERMITTED:
+            return "its rights were changed by `pqsec permit`"
+        return (
+            f"its role ({member.role.label}) was changed"
+            if held.config_digest
+            else "its permissions were not made from the file"
+        )
 
-def _why_sign_permissions(member: Member, held: ParticipantState) -> str:
-    if held.files is Files.OTHER_PERMISSIONS:
-        return "its permissions are not the ones signed last"
-    if held.config_digest == member.config_digest:
-        return ""
-    if held.config_digest == PERMITTED:
-        return "its rights were changed by `pqsec permit`"
-    return (
-        f"its role ({member.role.label}) was changed"
-        if held.config_digest
-        else "its permissions were not made from the file"
-    )
+    def _is_signed(self, member: Member, held: ParticipantState) -> bool:
+        """Whether its permissions have the rules of the file and last as long as its certificate.
+
+        Another command may have signed them, or the role was written in another way. An error
+        in its role or its files means no: the step then reports it.
+        """
+        if self.keystore is None:
+            return False
+        with suppress(PqsecError):
+            [wanted] = member.spec().grants
+            match signed_grants(self.keystore, member.name):
+                case [signed]:
+                    same = (signed.rules, signed.default) == (wanted.rules, wanted.default)
+                    lasts = held.not_after - signed.not_after <= _SLACK
+                    return same and lasts and signed.not_before <= self.now
+        return False

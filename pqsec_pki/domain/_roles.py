@@ -19,7 +19,7 @@ from pqsec_pki.documents.parts_yaml import (
     text,
 )
 from pqsec_pki.domain._members import ParticipantItem
-from pqsec_pki.domain._placeholders import OWN, digest_of, fit, placeholders_in, without
+from pqsec_pki.domain._placeholders import OWN, digest_of, filled, fit, placeholders_in, without
 from pqsec_pki.domain.desired import ROLE_KEYS, Role, rules_of, validity_in
 
 
@@ -51,6 +51,7 @@ def _made(label: str, item: YamlMapping, settings: Mapping[str, Any]) -> Role:
         raise refused(item, "allows nothing: give it publish, subscribe, nodes or rules")
     placeholders = placeholders_in(item)
     if not placeholders:
+        item = table(filled(item, {}))  # with $ for $$
         rules_of(item, DomainSet.of(0))  # reports mistakes; any domain will do
     return Role(
         label=label,

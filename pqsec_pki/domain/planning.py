@@ -1,7 +1,7 @@
 """Compares a domain file with a keystore: the steps that bring the keystore into that state.
 
-It reads the ledger, the files' inodes and times, and requests; it parses no certificate or
-document.
+It reads the ledger, the files' inodes and times, and requests. It parses the documents of
+participants whose config digest differs, and no others.
 """
 
 from dataclasses import dataclass

@@ -79,6 +79,7 @@ if TYPE_CHECKING:
         governance_digest,
         list_status,
         signed_governance,
+        signed_grants,
         status,
     )
 else:
@@ -125,6 +126,7 @@ __all__ = [
     "regular_name",
     "settings_file",
     "signed_governance",
+    "signed_grants",
     "status",
     "trust_entry",
     "trust_file",

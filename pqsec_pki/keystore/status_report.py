@@ -6,9 +6,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from pqsec_pki._files import disk_errors
-from pqsec_pki.documents import Governance
-from pqsec_pki.errors import KeystoreError, MissingError, meant
+from pqsec_pki._files import disk_errors, read
+from pqsec_pki.documents import Governance, Grant, Permissions
+from pqsec_pki.errors import KeystoreError, MissingError, located, meant
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
@@ -16,6 +16,7 @@ from pqsec_pki.keystore._file_comparison import FileComparison, presence
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
+from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.keystore.states import ParticipantState, State, participant_states
 from pqsec_pki.smime import document_in
 
@@ -119,6 +120,19 @@ def list_status(
 def signed_governance(keystore: Keystore) -> Governance:
     """The keystore's governance; `governance_digest` compares it with the ledger."""
     return Governance.from_xml(document_in(keystore.governance))
+
+
+def signed_grants(keystore: Keystore, name: str) -> tuple[Grant, ...]:
+    """The grants in a participant's permissions for the subject of its certificate.
+
+    No signature is checked: `status` compares the files with the ledger. FileError,
+    MalformedError or InvalidDocumentError if they cannot be read.
+    """
+    folder = keystore.root / layout.enclave_folder(name)
+    subject = load_certificate(folder / layout.CERTIFICATE).subject_name
+    path = folder / layout.PERMISSIONS
+    with located(path):
+        return Permissions.from_xml(document_in(read(path))).grants_for(subject)
 
 
 def governance_digest(keystore: Keystore) -> str | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from pqsec_pki._processes import shared_out
-from pqsec_pki.documents import Grant, Permissions, parse_subject, same_subject
+from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, located
 from pqsec_pki.keystore import (
     PERMITTED,
@@ -95,13 +95,10 @@ def _changed(inspector: Inspector, name: str, edit: Callable[[Grant], Grant]) ->
     subject = inspector.certificate(name, folder).subject_name
     old = inspector.permissions(name, folder)
     with located(folder / layout.PERMISSIONS):
-        own = [
-            same_subject(parse_subject(grant.subject_name), parse_subject(subject))
-            for grant in old.grants
-        ]
-        if not any(own):
+        own = old.grants_for(subject)
+        if not own:
             raise KeystoreError(f"there is no grant for {subject}")
-    grants = [edit(grant) if mine else grant for grant, mine in zip(old.grants, own, strict=True)]
+    grants = [edit(grant) if grant in own else grant for grant in old.grants]
     new = Permissions(grants=tuple(grants))
     digest = inspector.config_digest(name, folder)
     return PermissionsChange(name, old, new, from_domain_file=digest not in {"", PERMITTED})

@@ -14,7 +14,7 @@ from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions
 from pqsec_pki.domain import Plan, StepAction, apply_plan, create_keystore, plan, read_domain
 from pqsec_pki.domain.applying import BATCH
 from pqsec_pki.errors import InvalidDocumentError, KeystoreError
-from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.keystore import PERMITTED, Keystore, audit
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Rollover,
@@ -23,6 +23,7 @@ from pqsec_pki.lifecycle import (
     renew,
     revoke,
     sign_document,
+    sign_permissions,
 )
 from pqsec_pki.smime import document_in
 from tests.unit.domains import DAY, NAMES, NOW, Scene, damage
@@ -329,6 +330,23 @@ def test_a_governance_that_is_not_the_one_signed_is_signed_anew(scene, what):
     check_whole(scene.keystore, "/r1")
 
 
+def test_what_another_command_signed_with_the_same_rights_is_not_signed_again(tmp_path):
+    scene = Scene(tmp_path)
+    scene.apply()
+    keystore = scene.keystore
+    specs = [member.spec() for member in read_domain(scene.file).members.values()]
+    by_hand = [replace(each, config_digest=PERMITTED) for each in specs]
+    short = [replace(each, not_after=NOW + 30 * DAY) for each in by_hand[1].grants]
+    by_hand[1] = replace(by_hand[1], grants=tuple(short))
+    sign_permissions(keystore, keystore.unlock(None), by_hand, now=NOW)
+    assert scene.whys() == {"/r2": "its rights were changed by `pqsec permit`"}  # they end early
+    sign_permissions(keystore, keystore.unlock(None), specs, now=NOW)
+    scene.change("robot: {publish: [rt$name/pose]", "robot: {publish: [rt/$base/pose]")
+    assert scene.plan().in_order  # the role says the same in other words
+    scene.change("/pose", "/position")
+    assert set(scene.whys().values()) == {"its role (robot) was changed"}
+
+
 def test_a_keystore_made_by_hand_is_taken_over(tmp_path):
     scene = Scene(tmp_path)
     create_transition(scene.root)
@@ -383,7 +401,9 @@ def test_a_keystore_that_was_copied_is_looked_at_anew(scene, tmp_path):
 @pytest.mark.parametrize("details", ['{"mark": 5}', '{"mark": ["x"]}', "no JSON", "[1]"])
 def test_a_line_with_other_details_is_of_no_use(scene, details):
     alter(scene.root, "UPDATE ledger SET details = ? WHERE name = '/r1'", details)
-    assert scene.steps() == [(StepAction.SIGN_PERMISSIONS, "/r1")]
+    assert scene.plan().in_order  # the signed permissions are read
+    scene.change("rt/cmd", "rt/order")
+    assert {name for _, name in scene.steps()} == {"/r1", "/r2", "/r3"}
 
 
 def test_a_damaged_time_in_the_ledger_is_an_error_of_ours(scene):

@@ -127,6 +127,11 @@ def test_blanks_are_filled_wherever_a_text_stands(read):
     assert (special.topics, special.partitions) == (("rt/$x",), ("7",))
 
 
+def test_a_dollar_is_written_twice_also_where_there_is_no_blank(read):
+    text = "roles:\n  r: {publish: a$$b}\nparticipants:\n- {name: /a, role: r}\n"
+    assert topics(read(text).members["/a"]) == ["a$b"]
+
+
 def test_a_participant_may_say_itself_what_it_may_do(read):
     found = read(
         "participants:\n- name: /a\n  subscribe: rt/$name\n  domains: 5\n  default: ALLOW\n"
