@@ -21,35 +21,34 @@ A limit of their number would keep too few of these, or too much of large ones.
 """
 
 
-def _remembered(
-    function: Callable[Concatenate[bytes, More], Found],
-) -> Callable[Concatenate[bytes, More], Found]:
-    """`function`, which remembers results for its latest documents. Errors are not remembered.
+class _Remembered(Generic[More, Found]):
+    """A function that remembers results for its latest documents. Errors are not remembered.
 
     All arguments together are the key, so the result must not depend on anything else, such as
     the time.
     """
-    results: dict[object, Found] = {}
-    sizes: dict[object, int] = {}
-    held = 0
 
-    def found(document: bytes, /, *others: More.args, **named: More.kwargs) -> Found:
-        nonlocal held
+    def __init__(self, function: Callable[Concatenate[bytes, More], Found]) -> None:
+        update_wrapper(self, function)
+        self._function = function
+        self.cache_clear()
+
+    def __call__(self, document: bytes, /, *others: More.args, **named: More.kwargs) -> Found:
         key = document, others, tuple(named.items())
-        if key in results:
-            result = results[key] = results.pop(key)  # now the latest
+        if key in self._results:
+            result = self._results[key] = self._results.pop(key)  # now the latest
             return result
-        result = function(document, *others, **named)
-        results[key], sizes[key] = result, len(document)
-        held += len(document)
-        while held > MAX_REMEMBERED:
-            oldest = next(iter(results))
-            del results[oldest]
-            held -= sizes.pop(oldest)
+        result = self._function(document, *others, **named)
+        self._results[key], self._sizes[key] = result, len(document)
+        while sum(self._sizes.values()) > MAX_REMEMBERED:
+            oldest = next(iter(self._results))
+            del self._results[oldest], self._sizes[oldest]
         return result
 
-    update_wrapper(found, function)
-    return found
+    def cache_clear(self) -> None:
+        """Forget all results."""
+        self._results: dict[object, Found] = {}
+        self._sizes: dict[object, int] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +64,7 @@ class SignedDocument(Generic[Value]):
         return self.verified.signatures[0].signed_at
 
 
-@_remembered
+@_Remembered
 def verified_by(
     message: bytes,
     ca: Certificate,
@@ -78,13 +77,13 @@ def verified_by(
     return verify(message, ca, alternative_ca=countersigner, require=require, pinned=pinned)
 
 
-@_remembered
+@_Remembered
 def governance_in(document: bytes) -> Governance:
     """The governance in the XML `document`; errors as in `Governance.from_xml`."""
     return Governance.from_xml(document)
 
 
-@_remembered
+@_Remembered
 def permissions_in(document: bytes) -> Permissions:
     """The permissions in the XML `document`; errors as in `Permissions.from_xml`."""
     return Permissions.from_xml(document)

@@ -124,7 +124,7 @@ def test_documents_are_remembered_by_their_size_the_latest_ones(monkeypatch):
     monkeypatch.setattr(documents, "MAX_REMEMBERED", 10)
     read = []
 
-    @documents._remembered
+    @documents._Remembered
     def reading(document, *, more=0):
         read.append(document)
         return document, more
@@ -140,7 +140,7 @@ def test_documents_are_remembered_by_their_size_the_latest_ones(monkeypatch):
 def test_a_document_that_is_refused_is_not_remembered():
     count = []
 
-    @documents._remembered
+    @documents._Remembered
     def refusing(document):
         count.append(document)
         raise ValueError
