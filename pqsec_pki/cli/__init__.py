@@ -67,7 +67,7 @@ COMMANDS = {
     "verify-handshake": ("handshake", "Run the authentication handshake between two participants."),
     "export": ("export", "Write the configuration that a DDS stack needs to run as a participant."),
     "try": ("try_", "Run two participants in a real DDS stack on this machine."),
-    "plugin": ("plugin", "Install the security plugin that Cyclone DDS and Fast DDS load."),
+    "plugin": ("plugin", "Install the security plugin that DDS stacks load."),
     "agent": ("agent", "Control the agent, which holds the keys for the plugin."),
     "explain": (
         "explain",

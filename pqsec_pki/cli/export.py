@@ -67,7 +67,7 @@ from pqsec_pki.vendors import export as make_export
 @click.option(
     "--plugin",
     is_flag=True,
-    help="Run pqsec's plugin in Cyclone DDS or Fast DDS, for post-quantum keys.",
+    help="Run pqsec's plugin in Cyclone DDS, Fast DDS or OpenDDS, for post-quantum keys.",
 )
 @click.option(
     "--rmw",

@@ -1,4 +1,4 @@
-"""pqsec plugin: the security plugin that Cyclone DDS and Fast DDS load."""
+"""pqsec plugin: the security plugin that Cyclone DDS, Fast DDS and OpenDDS load."""
 
 import os
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from pqsec_pki.stacks import Stack
 DEFAULT_FOLDER = Path(".local/lib/pqsec")
 """In the user's home."""
 CYCLONEDDS, FASTDDS = Stack.CYCLONEDDS.value, Stack.FASTDDS.value
+OPENDDS = Stack.OPENDDS.value
 
 
 def default_folder() -> Path:
@@ -30,7 +31,7 @@ _STOP = "systemctl --user disable --now pqsec-agent.service pqsec-agent.socket"
 
 @_help.group()
 def plugin() -> None:
-    """Install the security plugin that Cyclone DDS and Fast DDS load.
+    """Install the security plugin that DDS stacks load.
 
     It authenticates participants with post-quantum keys and decides what they may do;
     the stack's own plugin goes on encrypting. The keys stay with `pqsec agent`.
@@ -45,6 +46,7 @@ def plugin() -> None:
             "pqsec plugin install --force --systemd"
         ),
         "Install it for the Fast DDS of this machine": "pqsec plugin install fastdds",
+        "Install it for the OpenDDS in a folder": "pqsec plugin install opendds --root DIR",
     },
     exit_codes={
         0: "installed",
@@ -53,7 +55,10 @@ def plugin() -> None:
     },
 )
 @click.argument(
-    "stack", type=click.Choice([CYCLONEDDS, FASTDDS]), default=CYCLONEDDS, metavar="[STACK]"
+    "stack",
+    type=click.Choice([CYCLONEDDS, FASTDDS, OPENDDS]),
+    default=CYCLONEDDS,
+    metavar="[STACK]",
 )
 @click.option(
     "--dir",
@@ -69,29 +74,46 @@ def plugin() -> None:
     " libfastdds]",
 )
 @click.option(
+    "--root",
+    type=_settings.FOLDER,
+    metavar="DIR",
+    help="With opendds: compile for the OpenDDS in this folder. [default: $DDS_ROOT]",
+)
+@click.option(
     "--systemd",
     is_flag=True,
     help="Write units too, with which systemd keeps an agent from login on.",
 )
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @_settings.command_options
-def install(
-    stack: str, folder: Path | None, library: Path | None, *, systemd: bool, force: bool
+def install(  # noqa: PLR0913 -- one for each option, by name
+    stack: str,
+    folder: Path | None,
+    library: Path | None,
+    root: Path | None,
+    *,
+    systemd: bool,
+    force: bool,
 ) -> None:
     """Compile the plugin for this machine, and try it.
 
-    STACK is cyclonedds, the default, or fastdds. For Cyclone DDS it needs a C compiler; beside
-    the library are put two links by the names that ROS 2 loads. For Fast DDS it needs a C++
-    compiler and the headers of the library, and is for that build of the library only.
+    STACK is cyclonedds, the default, fastdds or opendds. For Cyclone DDS it needs a C compiler;
+    beside the library are put two links by the names that ROS 2 loads. For Fast DDS and OpenDDS
+    it needs a C++ compiler and the headers of the stack, and is for that build of it only.
     """
     folder = (folder or default_folder()).absolute()
-    if stack == FASTDDS:
+    if library and stack != FASTDDS:
+        raise UsageError("--library is for fastdds", hint="with opendds, name its folder: --root")
+    if root and stack != OPENDDS:
+        raise UsageError("--root is for opendds", hint="with fastdds, name the library: --library")
+    if stack != CYCLONEDDS:
         if systemd:
-            raise UsageError("--systemd is not for fastdds", hint="both stacks use one agent")
-        _install_fastdds(folder, library, force=force)
+            raise UsageError(f"--systemd is not for {stack}", hint="all stacks use one agent")
+        if stack == FASTDDS:
+            _install_fastdds(folder, library, force=force)
+        else:
+            _install_opendds(folder, root, force=force)
         return
-    if library:
-        raise UsageError("--library is for fastdds", hint="Cyclone DDS loads it in any version")
     units = units_folder(os.environ) if systemd else None
     built = build(folder, units=units, force=force)
     value: dict[str, object] = {"library": built.library, "links": built.links}
@@ -121,6 +143,34 @@ def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None
         f"{stack.title}   {stack.library.path}",
         f"preload   {preload}",
         "          set LD_PRELOAD to it, as `pqsec export fastdds NAME --plugin` says",
+    ]
+    _printing.emit(value, lines)
+
+
+def _install_opendds(folder: Path, root: Path | None, *, force: bool) -> None:
+    from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- for other stacks alone
+    from pqsec_pki.vendors.opendds_adapter import (  # noqa: PLC0415 -- for OpenDDS alone
+        FACTORY,
+        LINK,
+        install_opendds,
+    )
+    from pqsec_pki.vendors.opendds_library import find_opendds  # noqa: PLC0415 -- likewise
+
+    stack = find_opendds(root, os.environ)
+    adapter = install_opendds(stack, folder, here(), force=force)
+    first = (folder / LINK).parent
+    value = {
+        "root": str(stack.root),
+        "library": str(stack.library.path),
+        "adapter": str(adapter),
+        "factory": FACTORY,
+        "first": str(first),
+    }
+    lines = [
+        f"{stack.title}   {stack.root}",
+        f"adapter   {adapter}",
+        "          your program loads it with the header of `pqsec export opendds NAME --plugin`;",
+        f"          or put {first} first in LD_LIBRARY_PATH",
     ]
     _printing.emit(value, lines)
 

@@ -1,22 +1,35 @@
 """OpenDDS: an ini file that turns security on, and a header with the participant's properties.
 
 OpenDDS reads the names of credentials only from the participant's QoS, which the program sets; a
-configuration file cannot contain them. 3.13.3 was run with the files that are written here.
+configuration file cannot contain them. 3.13.3 was run with the files that are written here. With
+pqsec's own plugin, the header loads it too.
 """
 
+import re
 from contextlib import suppress
+from pathlib import Path
 
 from pqsec_pki._files import read
-from pqsec_pki.credentials import GOVERNANCE
+from pqsec_pki.credentials import GOVERNANCE, REVOCATION_LIST
 from pqsec_pki.documents import Governance, ProtectionKind
-from pqsec_pki.errors import PqsecError, UsageError, VerificationError
+from pqsec_pki.errors import FileError, PqsecError, UsageError, VerificationError, shown
 from pqsec_pki.smime import document_in
 from pqsec_pki.stacks import Stack
+from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors._render import render
+from pqsec_pki.vendors.cyclone_plugins import agree, in_words
 from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
-from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options
+from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options, Version
+from pqsec_pki.vendors.opendds_adapter import (
+    FACTORY,
+    LINK,
+    InstalledOpenDds,
+    installed_opendds,
+)
 
 INI, HEADER = "opendds.ini", "pqsec_participant.h"
+DIRECTIVE = "dynamic Pqsec Service_Object * {}:{}()"
+"""How ACE loads a library by its path."""
 PROTECTS_RTPS = (3, 14)
 """The first version that can protect RTPS messages (its source); 3.13.3 creates no participant."""
 RUN = (3, 13, 3)
@@ -29,6 +42,16 @@ _WRONG = (
     "with a wrong one OpenDDS creates a participant that no peer accepts; without one the header"
     " ends the program"
 )
+_NO_LIST = "OpenDDS reads no revocation list (crl.pem): it accepts revoked participants"
+_CRL = "dds.sec.auth.identity_crl"
+"""pqsec's plugin reads it; OpenDDS's own has no such property."""
+_UNFIT = re.compile(r"""[^!-~]|[:*(){}'"#%$]""")
+"""What ACE does not read as a part of a path, or replaces there."""
+_UNMODIFIED = (
+    "a program that sets these properties without the header loads the plugin if {} is first in"
+    " LD_LIBRARY_PATH"
+)
+_STAYS = "OpenDDS does not disconnect a peer that is revoked or expires after it authenticated"
 
 
 def export(enclave: StackEnclave, options: Options) -> Export:
@@ -38,15 +61,27 @@ def export(enclave: StackEnclave, options: Options) -> Export:
             "a header is not a place for a passphrase",
             hint=f"leave --password-file out, and set {PASSWORD_VARIABLE} for the process",
         )
-    problem = _unprotectable(enclave, options)
-    certain = len(options.release) >= len(PROTECTS_RTPS)
+    here = _installed(options)
+    release = options.release or (here.release if here else ())
+    problem = _unprotectable(enclave, release)
+    certain = len(release) >= len(PROTECTS_RTPS)
     if problem and certain and not options.anyway:
         raise VerificationError(problem, hint=_WAY_OUT)
     warnings = [problem] if problem else []
-    if options.release != RUN:
+    if release != RUN:
         warnings += [_NOT_RUN]
-    if enclave.has_crl:
-        warnings += ["OpenDDS reads no revocation list (crl.pem): it accepts revoked participants"]
+    notes = password_note(enclave, options)
+    properties, directive = standard_properties(enclave), None
+    if options.plugin:
+        directive = _directive(options.plugin)
+        notes += (own_plugin.NOTE, _UNMODIFIED.format(options.plugin.absolute() / LINK.parent))
+        if enclave.has_crl:
+            properties[_CRL] = enclave.uri(REVOCATION_LIST)
+            warnings += [_STAYS]
+    else:
+        notes += (_WRONG,) if enclave.key_is_encrypted else ()
+        if enclave.has_crl:
+            warnings += [_NO_LIST]
     return Export(
         stack=Stack.OPENDDS,
         participant=enclave.name,
@@ -55,7 +90,8 @@ def export(enclave: StackEnclave, options: Options) -> Export:
             HEADER: render(
                 "opendds.h",
                 enclave=enclave,
-                properties=standard_properties(enclave),
+                properties=properties,
+                directive=directive,
                 password_variable=PASSWORD_VARIABLE if enclave.key_is_encrypted else None,
             ),
         },
@@ -63,14 +99,45 @@ def export(enclave: StackEnclave, options: Options) -> Export:
             f"# in your program: #include <{HEADER}> (-I {FOLDER}) and pqsec::secure(qos)",
             f"your_program -DCPSConfigFile {FOLDER}/{INI}",
         ),
-        notes=(*password_note(enclave, options), *([_WRONG] if enclave.key_is_encrypted else [])),
+        notes=notes,
         warnings=tuple(warnings),
     )
 
 
-def _unprotectable(enclave: StackEnclave, options: Options) -> str:
+def _installed(options: Options) -> InstalledOpenDds | None:
+    """The plugin that is to run, if it is to run here; FileError if it would not."""
+    if options.plugin is None or options.at:
+        return None
+    found = installed_opendds(options.plugin.absolute())
+    problem = found.problem if found else "`pqsec plugin install` did not install it"
+    if found is None or problem:
+        raise FileError(
+            f"the plugin in {shown(str(options.plugin))} does not run in OpenDDS: {problem}",
+            hint="`pqsec plugin install opendds` compiles it again",
+        )
+    if not agree(found.release, options.release):
+        raise FileError(
+            f"the plugin in {shown(str(options.plugin))} is for OpenDDS {in_words(found.release)}",
+            hint="`pqsec plugin install opendds --root DIR` compiles it for another one",
+        )
+    return found
+
+
+def _directive(folder: Path) -> str:
+    """What loads the plugin in `folder`; UsageError where ACE cannot be told of it."""
+    path = folder.absolute() / own_plugin.OPENDDS
+    if unfit := _UNFIT.search(str(path)):
+        raise UsageError(
+            f"{shown(str(folder))}: OpenDDS loads nothing from a folder with {unfit[0]!r} in its"
+            " name",
+            hint="install the plugin elsewhere: `pqsec plugin install opendds --dir DIR`",
+        )
+    return DIRECTIVE.format(path, FACTORY)
+
+
+def _unprotectable(enclave: StackEnclave, release: Version) -> str:
     """What OpenDDS of that version, or of any version if none is given, cannot protect."""
-    if options.release[:2] >= PROTECTS_RTPS:
+    if release[:2] >= PROTECTS_RTPS:
         return ""
     with suppress(PqsecError):  # the check reports what is wrong with the document
         governance = Governance.from_xml(document_in(read(enclave.folder / GOVERNANCE)))

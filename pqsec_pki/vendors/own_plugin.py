@@ -22,6 +22,8 @@ FASTRTPS = "fastrtps"
 """ROS 2's middleware on Fast DDS."""
 PRELOAD = "libpqsec_fastdds.so"
 """The library that a process of Fast DDS preloads."""
+OPENDDS = "libpqsec_opendds.so"
+"""What a process of OpenDDS loads by a directive, or by the name of OpenDDS's own plugins."""
 PATH = "LD_LIBRARY_PATH"
 NOTE = (
     "the process starts pqsec's agent, or finds a running one by XDG_RUNTIME_DIR;"
@@ -34,7 +36,8 @@ _ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
 def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
     """FileError unless the plugin is in `folder`, by these names."""
     if missing := [name for name in names if not _is_file(folder / name)]:
-        command = "pqsec plugin install" + (" fastdds" if missing[0] == PRELOAD else "")
+        stack = {PRELOAD: " fastdds", OPENDDS: " opendds"}.get(missing[0], "")
+        command = f"pqsec plugin install{stack}"
         raise FileError(
             f"the plugin is not installed: {folder} has no {missing[0]}",
             hint=f"`{command}` puts it there; --plugins says where else it is",

@@ -10,7 +10,8 @@ from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.cyclone_plugins import in_words
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
-from pqsec_pki.vendors.own_plugin import PRELOAD
+from pqsec_pki.vendors.opendds_adapter import LINK, OPENDDS_RECORD, installed_opendds
+from pqsec_pki.vendors.own_plugin import OPENDDS, PRELOAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +60,14 @@ def _installed(folder: Path) -> Iterator[InstalledPlugin]:
             library=each.library,
             problem=missing or each.problem,
         )
+    if found := installed_opendds(folder):
+        yield InstalledPlugin(
+            stack=Stack.OPENDDS,
+            title=f"OpenDDS {in_words(found.release)}",
+            file=folder / OPENDDS,
+            library=found.library,
+            problem=found.problem,
+        )
 
 
 def remove_plugins(folder: Path) -> list[Path]:
@@ -70,8 +79,9 @@ def remove_plugins(folder: Path) -> list[Path]:
         removed = list(_files_in(folder))
         for path in removed:
             path.unlink()
-        with suppress(OSError):  # it has other files, or does not exist
-            folder.rmdir()
+        for each in ((folder / LINK).parent, folder):
+            with suppress(OSError):  # it has other files, or does not exist
+                each.rmdir()
     return removed
 
 
@@ -80,5 +90,9 @@ def _files_in(folder: Path) -> Iterator[Path]:
         path = folder / name
         if path.is_symlink() and path.readlink() == Path(LIBRARY):
             yield path
-    for pattern in (LIBRARY, PRELOAD, ADAPTER.format("*"), RECORD.format("*")):
+    link = folder / LINK
+    if link.is_symlink() and link.readlink() == Path("..", OPENDDS):
+        yield link
+    singles = (LIBRARY, PRELOAD, OPENDDS, OPENDDS_RECORD)
+    for pattern in (*singles, ADAPTER.format("*"), RECORD.format("*")):
         yield from (path for path in sorted(folder.glob(pattern)) if path.is_file())

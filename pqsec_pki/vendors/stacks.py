@@ -13,7 +13,7 @@ from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Export, Options, Version
-from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
+from pqsec_pki.vendors.own_plugin import FASTRTPS, OPENDDS, PRELOAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,6 +98,7 @@ EXPORTERS = (
         versions="3.x",
         first=(3,),
         end=(4,),
+        loads_ours=(OPENDDS,),
         evidence="run with 3.13.3; later ones by their source",
     ),
     Exporter(

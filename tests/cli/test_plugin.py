@@ -95,11 +95,24 @@ def test_a_file_of_the_users_own_is_not_uninstalled(pqsec, tmp_path, monkeypatch
     ("line", "words"),
     [
         ("plugin install --library x", "--library is for fastdds"),
+        ("plugin install opendds --library x", "--library is for fastdds"),
+        ("plugin install --root x", "--root is for opendds"),
         ("plugin install fastdds --systemd", "--systemd is not for fastdds"),
+        ("plugin install opendds --systemd", "--systemd is not for opendds"),
     ],
 )
 def test_an_option_of_the_other_stack_is_refused(pqsec, line, words):
     pqsec(line).refused(2, words)
+
+
+def test_without_opendds_the_way_out_is_told(pqsec, tmp_path, monkeypatch):
+    line = f"plugin install opendds --dir {tmp_path / 'lib'}"
+    monkeypatch.delenv("DDS_ROOT", raising=False)
+    pqsec(line).refused(2, "DDS_ROOT is not set", hint="--root DIR")
+    for told in (lambda: line + f" --root {tmp_path}", lambda: line):
+        pqsec(told()).refused(3, f"{tmp_path} has no headers of OpenDDS", hint="DDS_ROOT")
+        monkeypatch.setenv("DDS_ROOT", str(tmp_path))
+    assert not (tmp_path / "lib").exists()
 
 
 def test_a_library_that_is_not_fast_dds_is_refused_with_the_reason(pqsec, library, tmp_path):
