@@ -13,7 +13,8 @@ import pytest
 from pqsec_pki.errors import FileError, PqsecError, UsageError, VerificationError
 from pqsec_pki.plugin.building import SOURCES, CompileError
 from pqsec_pki.plugin.calls import VERSION
-from pqsec_pki.vendors import Options, export, stack_named
+from pqsec_pki.stacks import stack_named
+from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors.fastdds_adapter import Compilers
 from pqsec_pki.vendors.fastdds_library import AdapterError
 from pqsec_pki.vendors.opendds_adapter import (
