@@ -17,6 +17,7 @@ from pqsec_pki import _files
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.building import SOURCES, CompileError, make_folder
 from pqsec_pki.plugin.calls import VERSION
+from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.exports import Version
 from pqsec_pki.vendors.fastdds_adapter import Compilers
@@ -25,10 +26,10 @@ from pqsec_pki.vendors.own_plugin import OPENDDS
 
 FACTORY = "_make_PqsecLoader"
 FACTORIES = {FACTORY, "_make_BuiltInPluginLoader"}
-LINK = Path("opendds", SECURITY)
+LINK = Path(Stack.OPENDDS.value, SECURITY)
 """Below the folder of the plugin: its folder comes first in LD_LIBRARY_PATH."""
 OPENDDS_RECORD = "pqsec-opendds.json"
-OPENDDS_SOURCES = SOURCES.with_name("opendds")
+OPENDDS_SOURCES = SOURCES.with_name(Stack.OPENDDS.value)
 
 _STANDARDS = ("gnu++17", "gnu++14", "gnu++11")
 """Of C++, the first that the user's headers compile with: those of ACE 6 do not with C++17."""

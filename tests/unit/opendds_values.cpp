@@ -31,6 +31,7 @@ class Sequence {
 class Managed {
  public:
   Managed& operator=(const char* value) { value_ = value; return *this; }
+  Managed& operator=(char*) = delete;  // it would own that
   const char* in() const { return value_.c_str(); }
 
  private:

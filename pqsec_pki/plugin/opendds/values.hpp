@@ -20,6 +20,9 @@ auto text(const Managed& value) -> decltype(text(value.in())) {
   return text(value.in());
 }
 
+// The IDL mapping copies a const char*, and would own a char*.
+inline const char* copied(const char* value) { return text(value); }
+
 template <typename Octets>
 agent::octets octets(const Octets& from) {
   const auto size = static_cast<uint32_t>(from.length());
@@ -100,19 +103,19 @@ class Given {
 
   template <typename Token>
   void copy_to(Token& to) const {
-    to.class_id = text(token_.class_id);
+    to.class_id = copied(token_.class_id);
     to.properties.length(token_.properties.length);
     for (uint32_t i = 0; i < token_.properties.length; i++) {
       const auto& each = token_.properties.buffer[i];
-      to.properties[i].name = static_cast<const char*>(text(each.name));
-      to.properties[i].value = static_cast<const char*>(text(each.value));
+      to.properties[i].name = copied(each.name);
+      to.properties[i].value = copied(each.value);
       to.properties[i].propagate = each.propagate != 0;
     }
     to.binary_properties.length(token_.binary.length);
     for (uint32_t i = 0; i < token_.binary.length; i++) {
       const auto& each = token_.binary.buffer[i];
       auto& made = to.binary_properties[i];
-      made.name = static_cast<const char*>(text(each.name));
+      made.name = copied(each.name);
       made.value.length(each.value.length);
       if (each.value.length != 0)
         memcpy(made.value.get_buffer(), each.value.buffer, each.value.length);

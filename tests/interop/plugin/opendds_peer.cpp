@@ -51,7 +51,7 @@ static int send(DDS::DomainParticipant_ptr participant, DDS::Topic_ptr topic, co
   for (int i = 0; i < seconds * 5; i++) {
     Lab::Text sample;
     sample.id = 1;
-    sample.text = text;
+    sample.value = text;
     writer->write(sample, DDS::HANDLE_NIL);
     usleep(200000);
     DDS::PublicationMatchedStatus status;
@@ -73,7 +73,7 @@ static int receive(DDS::DomainParticipant_ptr participant, DDS::Topic_ptr topic,
     Lab::Text sample;
     DDS::SampleInfo info;
     if (reader->take_next_sample(sample, info) == DDS::RETCODE_OK && info.valid_data)
-      return say((std::string("heard ") + sample.text.in()).c_str(), 0);
+      return say((std::string("heard ") + sample.value.in()).c_str(), 0);
     usleep(100000);
   }
   return 0;
