@@ -148,23 +148,23 @@ def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None
 
 
 def _install_opendds(folder: Path, root: Path | None, *, force: bool) -> None:
-    from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- for other stacks alone
-    from pqsec_pki.vendors.opendds_adapter import (  # noqa: PLC0415 -- for OpenDDS alone
-        FACTORY,
-        LINK,
+    from pqsec_pki.vendors import (  # noqa: PLC0415 -- for OpenDDS alone
+        OPENDDS_FACTORY,
+        OPENDDS_LINK,
+        find_opendds,
         install_opendds,
     )
-    from pqsec_pki.vendors.opendds_library import find_opendds  # noqa: PLC0415 -- likewise
+    from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- likewise
 
     stack = find_opendds(root, os.environ)
     adapter = install_opendds(stack, folder, here(), force=force)
-    first = (folder / LINK).parent
+    first = (folder / OPENDDS_LINK).parent
     value = {
-        "root": str(stack.root),
-        "library": str(stack.library.path),
-        "adapter": str(adapter),
-        "factory": FACTORY,
-        "first": str(first),
+        "root": stack.root,
+        "library": stack.library.path,
+        "adapter": adapter,
+        "factory": OPENDDS_FACTORY,
+        "first": first,
     }
     lines = [
         f"{stack.title}   {stack.root}",

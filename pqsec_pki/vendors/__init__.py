@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from pqsec_pki.vendors.exports import Export, Options, write
     from pqsec_pki.vendors.fastdds_library import FastDds, examine, find_fastdds
     from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
+    from pqsec_pki.vendors.opendds_adapter import OPENDDS_FACTORY, OPENDDS_LINK, install_opendds
+    from pqsec_pki.vendors.opendds_library import OpenDds, find_opendds
     from pqsec_pki.vendors.own_plugin import FASTRTPS
     from pqsec_pki.vendors.plugin_files import InstalledPlugin, installed_plugins, remove_plugins
     from pqsec_pki.vendors.rollover import TRUST
@@ -27,6 +29,8 @@ else:
 __all__ = [
     "EXPORTERS",
     "FASTRTPS",
+    "OPENDDS_FACTORY",
+    "OPENDDS_LINK",
     "TRUST",
     "Check",
     "Export",
@@ -34,6 +38,7 @@ __all__ = [
     "FastDds",
     "InstalledPlugin",
     "Library",
+    "OpenDds",
     "Options",
     "Recognised",
     "StackEnclave",
@@ -44,8 +49,10 @@ __all__ = [
     "exporter_of",
     "find_cyclone_plugins",
     "find_fastdds",
+    "find_opendds",
     "fit_for_a_command",
     "in_words",
+    "install_opendds",
     "installed_plugins",
     "preflight",
     "read_library",

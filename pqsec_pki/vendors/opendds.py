@@ -21,8 +21,8 @@ from pqsec_pki.vendors.cyclone_plugins import agree, in_words
 from pqsec_pki.vendors.enclave import StackEnclave, password_note, standard_properties
 from pqsec_pki.vendors.exports import FOLDER, PASSWORD_VARIABLE, Export, Options, Version
 from pqsec_pki.vendors.opendds_adapter import (
-    FACTORY,
-    LINK,
+    OPENDDS_FACTORY,
+    OPENDDS_LINK,
     InstalledOpenDds,
     installed_opendds,
 )
@@ -74,7 +74,10 @@ def export(enclave: StackEnclave, options: Options) -> Export:
     properties, directive = standard_properties(enclave), None
     if options.plugin:
         directive = _directive(options.plugin)
-        notes += (own_plugin.NOTE, _UNMODIFIED.format(options.plugin.absolute() / LINK.parent))
+        notes += (
+            own_plugin.NOTE,
+            _UNMODIFIED.format(options.plugin.absolute() / OPENDDS_LINK.parent),
+        )
         if enclave.has_crl:
             properties[_CRL] = enclave.uri(REVOCATION_LIST)
             warnings += [_STAYS]
@@ -132,7 +135,7 @@ def _directive(folder: Path) -> str:
             " name",
             hint="install the plugin elsewhere: `pqsec plugin install opendds --dir DIR`",
         )
-    return DIRECTIVE.format(path, FACTORY)
+    return DIRECTIVE.format(path, OPENDDS_FACTORY)
 
 
 def _unprotectable(enclave: StackEnclave, release: Version) -> str:

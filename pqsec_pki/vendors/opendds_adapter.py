@@ -24,9 +24,9 @@ from pqsec_pki.vendors.fastdds_adapter import Compilers
 from pqsec_pki.vendors.opendds_library import SECURITY, OpenDds
 from pqsec_pki.vendors.own_plugin import OPENDDS
 
-FACTORY = "_make_PqsecLoader"
-FACTORIES = {FACTORY, "_make_BuiltInPluginLoader"}
-LINK = Path(Stack.OPENDDS.value, SECURITY)
+OPENDDS_FACTORY = "_make_PqsecLoader"
+FACTORIES = {OPENDDS_FACTORY, "_make_BuiltInPluginLoader"}
+OPENDDS_LINK = Path(Stack.OPENDDS.value, SECURITY)
 """Below the folder of the plugin: its folder comes first in LD_LIBRARY_PATH."""
 OPENDDS_RECORD = "pqsec-opendds.json"
 OPENDDS_SOURCES = SOURCES.with_name(Stack.OPENDDS.value)
@@ -123,7 +123,7 @@ def install_opendds(
         "protocol": VERSION,
         "python": sys.executable,
     }
-    link = folder / LINK
+    link = folder / OPENDDS_LINK
     with _files.disk_errors(folder):
         make_folder(folder)
         make_folder(link.parent)
@@ -160,7 +160,7 @@ class InstalledOpenDds:
             return "OpenDDS was built again since"
         if self.protocol != VERSION:
             return "pqsec was updated since"
-        if not (self.folder / OPENDDS).is_file() or not (self.folder / LINK).is_file():
+        if not (self.folder / OPENDDS).is_file() or not (self.folder / OPENDDS_LINK).is_file():
             return f"{OPENDDS} or the link to it is missing"
         return "" if self.python.is_file() else f"{self.python} is gone"
 

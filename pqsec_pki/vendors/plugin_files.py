@@ -10,7 +10,7 @@ from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.cyclone_plugins import in_words
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
-from pqsec_pki.vendors.opendds_adapter import LINK, OPENDDS_RECORD, installed_opendds
+from pqsec_pki.vendors.opendds_adapter import OPENDDS_LINK, OPENDDS_RECORD, installed_opendds
 from pqsec_pki.vendors.own_plugin import OPENDDS, PRELOAD
 
 
@@ -79,7 +79,7 @@ def remove_plugins(folder: Path) -> list[Path]:
         removed = list(_files_in(folder))
         for path in removed:
             path.unlink()
-        for each in ((folder / LINK).parent, folder):
+        for each in ((folder / OPENDDS_LINK).parent, folder):
             with suppress(OSError):  # it has other files, or does not exist
                 each.rmdir()
     return removed
@@ -90,7 +90,7 @@ def _files_in(folder: Path) -> Iterator[Path]:
         path = folder / name
         if path.is_symlink() and path.readlink() == Path(LIBRARY):
             yield path
-    link = folder / LINK
+    link = folder / OPENDDS_LINK
     if link.is_symlink() and link.readlink() == Path("..", OPENDDS):
         yield link
     singles = (LIBRARY, PRELOAD, OPENDDS, OPENDDS_RECORD)

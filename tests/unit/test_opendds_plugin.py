@@ -18,7 +18,7 @@ from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors.fastdds_adapter import Compilers
 from pqsec_pki.vendors.fastdds_library import AdapterError
 from pqsec_pki.vendors.opendds_adapter import (
-    LINK,
+    OPENDDS_LINK,
     OPENDDS_RECORD,
     OPENDDS_SOURCES,
     compile_opendds,
@@ -178,7 +178,7 @@ def test_it_is_listed_until_opendds_is_built_again_and_removed_with_its_link(roo
     stack, folder = find_opendds(root(), {}), tmp_path / "plugin"
     assert installed_opendds(folder) is None
     assert install_opendds(stack, folder, pretended(BOTH)) == folder / OPENDDS
-    assert (folder / LINK).resolve() == folder / OPENDDS
+    assert (folder / OPENDDS_LINK).resolve() == folder / OPENDDS
     (found,) = installed_plugins(folder)
     assert (found.stack, found.title, found.problem) == ("opendds", "OpenDDS 3.13.3", "")
     with pytest.raises(PqsecError, match="exists"):
@@ -188,12 +188,16 @@ def test_it_is_listed_until_opendds_is_built_again_and_removed_with_its_link(roo
     os.utime(stack.library.path, (0, 1))
     assert installed_plugins(folder)[0].problem == "OpenDDS was built again since"
     install_opendds(stack, folder, pretended(BOTH))
-    (folder / LINK).unlink()
+    (folder / OPENDDS_LINK).unlink()
     assert "is missing" in installed_plugins(folder)[0].problem
     install_opendds(stack, folder, pretended(BOTH))
     stack.library.path.unlink()
     assert "is gone" in installed_plugins(folder)[0].problem
-    assert {path.name for path in remove_plugins(folder)} == {OPENDDS, OPENDDS_RECORD, LINK.name}
+    assert {path.name for path in remove_plugins(folder)} == {
+        OPENDDS,
+        OPENDDS_RECORD,
+        OPENDDS_LINK.name,
+    }
     assert not folder.exists()
 
 

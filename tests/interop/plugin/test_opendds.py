@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.vendors.fastdds_adapter import here
-from pqsec_pki.vendors.opendds_adapter import LINK, install_opendds
+from pqsec_pki.vendors.opendds_adapter import OPENDDS_LINK, install_opendds
 from pqsec_pki.vendors.opendds_library import OpenDds, find_opendds
 from pqsec_pki.vendors.own_plugin import OPENDDS
 
@@ -158,17 +158,20 @@ def exported(build, domain, tmp_path) -> Callable[..., Path]:
     return make
 
 
-def properties(folder: Path) -> Path:
+def properties(folder: Path, *, with_list: bool) -> Path:
     """Those of the header, as a program would set them that does not include it."""
     header = (folder / "pqsec_participant.h").read_text()
     pairs = re.findall(r'add\(properties, "([^"]*)", "([^"]*)"\);', header)
+    pairs = [(name, value) for name, value in pairs if with_list or "crl" not in name]
     path = folder / "properties"
     path.write_text("".join(f"{name}={value}\n" for name, value in pairs))
     return path
 
 
 def words_of(program: Path, folder: Path, act: str, topic: str, seconds: int) -> list[str]:
-    found = [program, folder / "opendds.ini", act, DOMAIN, topic, TEXT, seconds, properties(folder)]
+    """A sender names no revocation list: its own plugin would refuse it if it is revoked."""
+    path = properties(folder, with_list=act == "receive")
+    found = [program, folder / "opendds.ini", act, DOMAIN, topic, TEXT, seconds, path]
     return list(map(str, found))
 
 
@@ -176,7 +179,7 @@ def met(build: Build, sender: list[str], receiver: list[str], *, ours=(True, Tru
     """Both run, until the receiver is over; `ours` is who finds our plugin first."""
     running = []
     for words, by_folder in zip((receiver, sender), reversed(ours), strict=True):
-        first = [str(build.plugin / LINK.parent)] if by_folder else []
+        first = [str(build.plugin / OPENDDS_LINK.parent)] if by_folder else []
         environment = {**os.environ, "LD_LIBRARY_PATH": ":".join([*first, build.path])}
         running.append(
             subprocess.Popen(
@@ -243,6 +246,10 @@ def test_nothing_is_heard_from(case, build, program, exported):
     )
     assert "joined" in receiver.log
     assert not receiver.heard, (sender.log, receiver.log)
+    if case == "revoked":
+        assert "was revoked on" in receiver.log
+    if case == "a CA of the same name":
+        assert "is not signed by this CA" in receiver.log + sender.log
     if case == "a topic without permission":
         assert "no topic" in sender.log
     if not ours:
@@ -259,7 +266,7 @@ def test_another_build_gets_no_plugin(build, program, exported, tmp_path):
     assert octets.count(path + b"\0") >= 1
     adapter.write_bytes(octets.replace(path + b"\0", b"/" + b"x" * (len(path) - 1) + b"\0"))
     words = words_of(program, bob, "receive", TOPIC, 3)
-    environment = {**os.environ, "LD_LIBRARY_PATH": f"{there / LINK.parent}:{build.path}"}
+    environment = {**os.environ, "LD_LIBRARY_PATH": f"{there / OPENDDS_LINK.parent}:{build.path}"}
     done = subprocess.run(
         words, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False
     )
