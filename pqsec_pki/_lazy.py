@@ -4,11 +4,13 @@ A command needs few names of each room. Loading all modules of each room took a 
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+_PYC_HEADER = 16
+"""Bytes before the code (PEP 552)."""
 _IMPORT = re.compile(r"^    from (\S+) import (?:\(([^)]*)\)|(.*))$", re.MULTILINE)
 
 
@@ -25,10 +27,9 @@ def lazy_exports(room: str, init: str) -> Callable[[str], object]:
     def origins() -> dict[str, tuple[str, str]]:
         """Name -> its module, and its name there."""
         found = {}
-        for module, lines, line in _IMPORT.findall(Path(init).read_text("utf-8")):
-            for each in (lines or line).replace(",", "\n").splitlines():
-                there, _, name = each.strip().partition(" as ")
-                found[name or there] = (module, there)
+        path = Path(init)
+        for module, there, name in _in_source(path) if path.suffix == ".py" else _in_bytecode(path):
+            found[name] = (module, there)
         return found
 
     def exported(name: str) -> object:
@@ -41,3 +42,27 @@ def lazy_exports(room: str, init: str) -> Callable[[str], object]:
         return getattr(import_module(module), there)
 
     return exported
+
+
+def _in_source(path: Path) -> Iterator[tuple[str, str, str]]:
+    """Module, name there and name here of each import in a room's `__init__.py`."""
+    for module, lines, line in _IMPORT.findall(path.read_text("utf-8")):
+        for each in (lines or line).replace(",", "\n").splitlines():
+            there, _, name = each.strip().partition(" as ")
+            yield module, there, name or there
+
+
+def _in_bytecode(path: Path) -> Iterator[tuple[str, str, str]]:
+    """The same of its `.pyc`, in installations without sources."""
+    import dis  # noqa: PLC0415 -- few installations need it
+    import marshal  # noqa: PLC0415 -- likewise
+
+    module = there = ""
+    for each in dis.get_instructions(marshal.loads(path.read_bytes()[_PYC_HEADER:])):  # noqa: S302 -- our own module
+        if each.opname == "IMPORT_NAME":
+            module, there = each.argval, ""
+        elif each.opname == "IMPORT_FROM":
+            there = each.argval
+        elif each.opname == "STORE_NAME" and there:
+            yield module, there, each.argval
+            there = ""
