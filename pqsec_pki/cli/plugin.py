@@ -70,8 +70,8 @@ def plugin() -> None:
     "--library",
     type=_settings.FILE,
     metavar="PATH",
-    help="With fastdds: compile for this library. [default: the installed libfastrtps or"
-    " libfastdds]",
+    help="With fastdds: compile for this library. Its headers must be in include/ in a"
+    " folder above it. [default: the installed libfastrtps or libfastdds]",
 )
 @click.option(
     "--root",

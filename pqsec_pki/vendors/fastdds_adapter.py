@@ -91,6 +91,7 @@ def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
         *(compilers.cxx, "-std=c++17", "-fno-ipa-icf", *_FLAGS, *_LINKED),
         *(f"-DPQSEC_FASTDDS={stack.generation}", f'-DPQSEC_BUILD_ID="{build}"'),
         *(["-DPQSEC_BY_PROPERTIES=1"] if stack.by_properties else []),
+        *(["-DPQSEC_MORE_FUNCTIONS=1"] if stack.more_functions else []),
         *("-I.", f"-I{stack.seen(stack.include)}", "-o", ADAPTER.format(build), *_ADAPTER),
         *(name.replace(".c", ".o") for name in _SHIM),
         *(stack.seen(stack.library.path), f"-L{stack.seen(stack.library.path.parent)}"),

@@ -26,6 +26,7 @@ PLUGINS = {"5PKIDH": "19PqsecAuthentication", "11Permissions": "18PqsecAccessCon
 _SPACES = {2: "8eprosima8fastrtps4rtps", 3: "8eprosima7fastdds4rtps"}
 _FACTORIES = ("28create_authentication_plugin", "28create_access_control_plugin")
 _BY_PROPERTIES = "14PropertyPolicy"
+_MORE_FUNCTIONS = "20get_participant_guid"
 _PLACES = (
     *("usr/local/lib", "usr/local/lib64", "usr/lib", "usr/lib64", "usr/lib/*-linux-gnu*"),
     *("opt/ros/*/lib", "opt/ros/*/lib/*-linux-gnu*"),
@@ -51,6 +52,8 @@ class FastDds:
     """The version, as far as names and headers show it."""
     by_properties: bool
     """Whether its plugins get the properties of a participant as a PropertyPolicy."""
+    more_functions: bool
+    """Whether its authentication plugin has two more functions (2.6.12, 3.2.5)."""
     include: Path
     """The folder of its headers."""
     tables: tuple[tuple[frozenset[str], ...], ...]
@@ -123,6 +126,7 @@ def examine(path: Path, root: Path = MACHINE) -> FastDds:
         generation=generation,
         version=max(library.release, headers, key=len),
         by_properties=any(_BY_PROPERTIES in name for slot in tables[0] for name in slot),
+        more_functions=any(_MORE_FUNCTIONS in name for slot in tables[0] for name in slot),
         include=include,
         tables=tables,
     )

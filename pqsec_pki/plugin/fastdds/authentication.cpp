@@ -65,7 +65,7 @@ class PqsecAuthentication : public Authentication {
         return VALIDATION_FAILED;
       }
       if (has_list != 0) sessions_.has_list();
-      *identity = new pqsec::Identity(number);
+      *identity = new pqsec::Identity(number, after);
       adjusted = pqsec::guid_of(after);
       return VALIDATION_OK;
     });
@@ -227,6 +227,15 @@ class PqsecAuthentication : public Authentication {
   bool return_authenticated_peer_credential_token(DataHolder* token, SecurityException&) override {
     return pqsec::drop(token);
   }
+
+#if PQSEC_MORE_FUNCTIONS
+  GUID_t get_participant_guid(const Handle& handle) const override {
+    return pqsec::guid_of(static_cast<const pqsec::Identity&>(handle).guid);
+  }
+
+  // Sessions needs no timer of its own.
+  void set_event_resource(ResourceEvent&) override {}
+#endif
 
   // Whether `adjusted` was derived from `original` for this identity. Called for discovery servers
   // that are configured by GUID. Fast DDS 2.9 does not have this function.

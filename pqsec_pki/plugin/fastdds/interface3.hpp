@@ -29,6 +29,7 @@ namespace eprosima::fastdds::rtps {
 
 class ParticipantProxyData;
 class ReaderProxyData;
+class ResourceEvent;
 class WriterProxyData;
 
 // Exported by the library: what it has read of an endpoint, as a public structure.
@@ -164,6 +165,10 @@ class Authentication {
                                                        SecurityException&) = 0;
   virtual bool return_authenticated_peer_credential_token(DataHolder*, SecurityException&) = 0;
   virtual bool check_guid_comes_from(Handle*, const GUID_t&, const GUID_t&) = 0;
+#if PQSEC_MORE_FUNCTIONS
+  virtual GUID_t get_participant_guid(const Handle&) const = 0;
+  virtual void set_event_resource(ResourceEvent&) = 0;
+#endif
 
  private:
   Logging* logger_ = nullptr;  // the stack writes it

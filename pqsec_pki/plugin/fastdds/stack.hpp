@@ -1,7 +1,8 @@
 // Fast DDS's plugin interface: 2.x from its installed headers; 3.x installs none for it.
 //
 // PQSEC_FASTDDS is 2 or 3. PQSEC_BY_PROPERTIES is 1 where participants are described by a
-// PropertyPolicy alone. Both come from the library's symbols.
+// PropertyPolicy alone, PQSEC_MORE_FUNCTIONS where Authentication has two more functions, since the
+// fix of CVE-2025-67108. All come from the library's symbols.
 
 #ifndef PQSEC_STACK_HPP
 #define PQSEC_STACK_HPP

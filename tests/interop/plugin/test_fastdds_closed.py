@@ -11,7 +11,7 @@ import stat
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,16 +33,24 @@ from pqsec_pki.trial import (
     unauthenticated,
     unique_text,
 )
-from pqsec_pki.trial.building import source
+from pqsec_pki.trial.building import run_tool, source
 from pqsec_pki.vendors._symbols import read_symbols
-from pqsec_pki.vendors.fastdds_adapter import ADAPTER, RECORD, installed
-from pqsec_pki.vendors.fastdds_library import AdapterError, examine
+from pqsec_pki.vendors.fastdds_adapter import (
+    ADAPTER,
+    RECORD,
+    Compilers,
+    commands,
+    installed,
+    sources,
+)
+from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, examine, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.conftest import Shim
 from tests.interop.plugin.test_plugin_dds import ended, hosted, wait_for
 from tests.interop.plugin.test_plugin_impostors import BEHAVIOURS, listening
 from tests.interop.plugin.test_plugin_try import ROOTS
+from tests.longer import LONG
 
 pytestmark = pytest.mark.interop
 
@@ -346,6 +354,56 @@ def test_each_function_that_the_preload_library_names_is_one_of_fast_dds(stage):
     is_old = space == b"8fastrtps"
     # 2.9 does not wait for a second announcement.
     assert [each for each in missing if not (is_old and "PDP" in each)] == []
+
+
+AUTHENTICATION = """validate_local_identity validate_remote_identity begin_handshake_request
+begin_handshake_reply process_handshake get_shared_secret set_listener get_identity_token
+return_identity_token return_handshake_handle get_identity_handle return_identity_handle
+return_sharedsecret_handle set_permissions_credential_and_token
+get_authenticated_peer_credential_token return_authenticated_peer_credential_token
+check_guid_comes_from"""
+ACCESS_CONTROL = """validate_local_permissions get_permissions_token return_permissions_token
+get_permissions_credential_token return_permissions_credential_token get_permissions_handle
+return_permissions_handle validate_remote_permissions check_create_participant
+check_remote_participant check_create_datawriter check_create_datareader check_remote_datawriter
+check_remote_datareader get_participant_sec_attributes get_datawriter_sec_attributes
+get_datareader_sec_attributes"""
+"""In the order in which Fast DDS 3.4.3 and 3.6.2 declare them; 3.2.5 has MORE."""
+MORE = " get_participant_guid set_event_resource"
+
+
+@pytest.mark.skipif(not LONG, reason="it compiles the adapter once more")
+@pytest.mark.parametrize("more", ["", MORE], ids=["3.6.2", "3.2.5"])
+def test_the_adapter_for_later_versions_has_their_functions(requires, more):
+    """They tell their plugins of a participant by a PropertyPolicy. They are not in a
+    distribution, so it is compiled with the public headers of 3.1.2, and not run."""
+    try:
+        installation = find("fastdds", ROOTS["trixie"])
+    except MissingStackError as error:
+        requires(None, "Fast DDS 3", f".ci/trixie, or {error.hint}")
+    stack = replace(
+        examine(installation.library.path, installation.root),
+        by_properties=True,
+        more_functions=bool(more),
+    )
+    compilers = Compilers(c="gcc", cxx="g++", run=lambda words, folder: None)
+    with TemporaryDirectory(dir=installation.root / "tmp") as name:
+        folder = Path(name)
+        for path in sources():
+            shutil.copy(path, folder)
+        place = f"/{folder.relative_to(installation.root)}"
+        for words in commands(stack, compilers):
+            assert run_tool(words[0], installation.tool(tuple(words), place)) == (0, "")
+        names = [table_of(3, each) for each in PLUGINS.values()]
+        adapter = folder / ADAPTER.format(stack.library.build_id)
+        tables = read_symbols(adapter, names).tables
+    for table, expected in zip(names, (AUTHENTICATION + more, ACCESS_CONTROL), strict=True):
+        slots, functions = tables[table][2:], expected.split()  # after the destructors
+        assert len(slots) == len(functions)
+        for slot, function in zip(slots, functions, strict=True):
+            assert any(f"{len(function)}{function}E" in each for each in slot), (slot, function)
+        assert not any("RTPSParticipantAttributes" in each for slot in slots for each in slot)
+        assert any("PropertyPolicy" in each for each in slots[0])
 
 
 def test_a_library_without_the_functions_is_not_fast_dds(library, tmp_path):
