@@ -36,8 +36,10 @@ def allowed_domains(grant: Grant) -> DomainSet | None:
 def add_rights(grant: Grant, rights: TopicRights, domains: DomainSet) -> Grant:
     """The grant with these rights on these domains; what it allows already is not added again.
 
-    UsageError if a deny rule is for one of them.
+    UsageError if a deny rule is for one of them, and for an empty topic.
     """
+    if "" in rights.publish + rights.subscribe:
+        raise UsageError("a topic name is empty, which crashes Cyclone DDS")
     rules = [] if _denies_everything(grant) else list(grant.rules)
     for action, topic in rights:
         decided = _first(rules, action, topic, domains)
@@ -70,7 +72,7 @@ def remove_rights(grant: Grant, rights: TopicRights) -> Grant:
             raise UsageError(
                 f"{grant.name} may still {action} {topic}: its grant allows by default", hint=_HINT
             )
-    if kept:
+    if kept or not grant.rules:
         return replace(grant, rules=kept)
     everywhere = allowed_domains(grant) or grant.rules[0].domains
     return replace(grant, rules=(PermissionRule.deny_all(everywhere),))
@@ -113,9 +115,9 @@ def _without(rule: PermissionRule, rights: TopicRights) -> PermissionRule:
         return rule
     for action, topic in rights:
         left = [
-            replace(each, topics=tuple(name for name in each.topics if name != topic))
+            replace(each, topics=topics)
             for each in _criteria(rule, action)
-            if each.topics != (topic,)
+            if (topics := tuple(name for name in each.topics if name != topic))
         ]
         rule = _replaced(rule, action, left)
     return rule

@@ -6,6 +6,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
+from pqsec_pki.cli._names import admitted
 from pqsec_pki.enrolment import Bundle, bundle_path, write_bundle
 from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore import regular_name
@@ -70,7 +71,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
     keystore = _settings.open_keystore()
-    wanted = keystore.named(names or _names_in(robot))
+    wanted = admitted(keystore, names or _names_in(robot))
     goal = output or bundle_path(Path(), regular_name(wanted[0]))
     now = _settings.now()
     made = Bundle.of(keystore, wanted, now=now, keys=not no_keys)

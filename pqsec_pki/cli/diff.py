@@ -36,19 +36,24 @@ def diff(old: Path, new: Path) -> int:
     """
     parts = differences_between(old, new, _settings.now())
     changes = [change for part in parts for change in part.difference.changes]
+    value = {
+        "same": not changes,
+        "complete": note_incomplete(parts),
+        "changes": [each for part in parts for each in part.to_json()],
+    }
+    _printing.emit(value, difference_lines(parts))
+    return 1 if changes else 0
+
+
+def note_incomplete(parts: Sequence[DocumentDifference]) -> bool:
+    """Whether the differences are complete; a note if not."""
     complete = all(part.difference.complete for part in parts)
     if not complete:
         _printing.note(
             "too many patterns overlap to compare all: the changes shown are correct, but there may"
             " be more"
         )
-    value = {
-        "same": not changes,
-        "complete": complete,
-        "changes": [each for part in parts for each in part.to_json()],
-    }
-    _printing.emit(value, difference_lines(parts))
-    return 1 if changes else 0
+    return complete
 
 
 def difference_lines(parts: Sequence[DocumentDifference]) -> Iterator[str]:

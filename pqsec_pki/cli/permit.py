@@ -14,8 +14,9 @@ from pqsec_pki.access import (
 )
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
+from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli._participant_options import topic_options, topics_of
-from pqsec_pki.cli.diff import difference_lines
+from pqsec_pki.cli.diff import difference_lines, note_incomplete
 from pqsec_pki.cli.plan import few
 from pqsec_pki.documents import DomainSet, Grant
 from pqsec_pki.errors import UsageError
@@ -35,7 +36,7 @@ from pqsec_pki.policy import DocumentDifference
     },
     exit_codes={
         0: "the new permissions are signed, or there was nothing to change",
-        1: "not changed: a signature is not valid, or you answered no",
+        1: "not changed: a signature is not valid",
         2: "not changed: a rule denies what you add, or still allows what you remove",
         3: "not changed: a participant, the keystore or the passphrase is missing or wrong",
     },
@@ -73,11 +74,11 @@ def permit(
     rights = TopicRights(publish=publish, subscribe=subscribe)
     if not publish and not subscribe:
         raise UsageError("no right named", hint="name topics: --publish rt/chatter")
-    if domains and not add:
+    if domains is not None and not add:
         raise UsageError("--remove and --domain exclude each other: a right is removed everywhere")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
-    chosen = keystore.named(names)
-    wanted = DomainSet.parse(domains) if domains else None
+    chosen = admitted(keystore, names)
+    wanted = None if domains is None else DomainSet.parse(domains)
 
     def edited(grant: Grant) -> Grant:
         if not add:
@@ -90,6 +91,7 @@ def permit(
         DocumentDifference(f"permissions of {each.name}", permissions_diff(each.old, each.new))
         for each in changes
     ]
+    complete = note_incomplete(differences)
     if changes:
         if not yes:
             confirm(
@@ -100,7 +102,7 @@ def permit(
             )
         authorities = _passphrases.unlock(keystore, passphrase_file)
         sign_changed(keystore, authorities, changes, now=now)
-    _report(keystore, changes, differences, shown=not yes)
+    _report(keystore, changes, differences, complete=complete, shown=not yes)
 
 
 def _show(differences: list[DocumentDifference]) -> None:
@@ -113,15 +115,17 @@ def _report(
     changes: list[PermissionsChange],
     differences: list[DocumentDifference],
     *,
+    complete: bool,
     shown: bool,
 ) -> None:
-    if any(each.from_domain_file for each in changes):
+    if any(each.config_digest for each in changes):
         _printing.note(
             "these participants are in a domain file: change it there too, or the next `pqsec"
             " apply` restores their rights"
         )
     value = {
         "keystore": str(keystore.root),
+        "complete": complete,
         "changed": [each.name for each in changes],
         "changes": [change for each in differences for change in each.to_json()],
     }

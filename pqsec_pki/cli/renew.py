@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import State, Status
@@ -78,7 +79,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     if ways > 1:
         raise UsageError("names, --due and --all exclude each other")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
-    names = tuple(keystore.named(names))
+    names = tuple(admitted(keystore, names))
     standing = status_of(keystore, names or None, now=now, due=due or None)
     chosen = standing.due if due is not None else _renewable(standing, names)
     if not chosen and not standing.list_is_due:

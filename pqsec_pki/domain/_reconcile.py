@@ -123,7 +123,7 @@ class Reconciler:
             return "its permissions are not the ones signed last"
         if held.config_digest == member.config_digest or self._is_signed(member, held):
             return ""
-        if held.config_digest == PERMITTED:
+        if held.config_digest.startswith(PERMITTED):
             return "its rights were changed by `pqsec permit`"
         return (
             f"its role ({member.role.label}) was changed"

@@ -16,8 +16,8 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
 
-PERMITTED = "permit"
-"""Instead of a config digest: the rights are no longer those of the domain file."""
+PERMITTED = "permit "
+"""Before a config digest: the rights are no longer those of the domain file."""
 
 
 class State(StrEnum):
@@ -87,8 +87,8 @@ class ParticipantState:
     compromised: bool
     """Whether a certificate for its key was revoked as compromised."""
     config_digest: str
-    """The config digest with which it was issued or its permissions were signed; `PERMITTED` if
-    its rights were changed since."""
+    """The config digest with which it was issued or its permissions were signed; `PERMITTED`
+    before it if its rights were changed since."""
     permissions: str
     """SHA-256 of its newest signed permissions; empty if none are known."""
     permissions_line: int

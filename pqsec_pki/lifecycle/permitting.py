@@ -31,8 +31,8 @@ class PermissionsChange:
     name: str
     old: Permissions
     new: Permissions
-    from_domain_file: bool = False
-    """Whether the old permissions are those of a domain file."""
+    config_digest: str = ""
+    """Of the domain file that the participant is in; empty if it is in none."""
 
 
 def changed_permissions(
@@ -85,7 +85,7 @@ def sign_changed(
             folder.public(layout.PERMISSIONS_XML, document)
             folder.public(layout.PERMISSIONS, signed)
             entry = document_entry("permissions", wanted.name, signed, now)
-            return replace(entry, details={"mark": PERMITTED})
+            return replace(entry, details={"mark": PERMITTED + wanted.config_digest})
 
         transaction.record(*shared_out(sign, changes, folders))
 
@@ -100,5 +100,5 @@ def _changed(inspector: Inspector, name: str, edit: Callable[[Grant], Grant]) ->
             raise KeystoreError(f"there is no grant for {subject}")
     grants = [edit(grant) if grant in own else grant for grant in old.grants]
     new = Permissions(grants=tuple(grants))
-    digest = inspector.config_digest(name, folder)
-    return PermissionsChange(name, old, new, from_domain_file=digest not in {"", PERMITTED})
+    digest = inspector.config_digest(name, folder).removeprefix(PERMITTED)
+    return PermissionsChange(name, old, new, digest)

@@ -137,3 +137,18 @@ def test_only_the_named_action_is_removed():
     assert found.rules == (
         PermissionRule(allow=True, domains=ZERO, subscribe=(Criteria(topics=("a",)),)),
     )
+
+
+def test_an_empty_topic_is_not_added_and_can_be_removed():
+    with pytest.raises(UsageError, match="crashes Cyclone DDS"):
+        add_rights(grant(rule("a")), rights(""), ZERO)
+    assert remove_rights(grant(rule("a", "")), rights("")).rules == (rule("a"),)
+
+
+def test_a_grant_without_rules_has_nothing_to_remove():
+    assert remove_rights(grant(), rights("a")) == grant()
+
+
+def test_a_topic_that_is_listed_twice_is_removed():
+    found = remove_rights(grant(rule("a", "a"), rule("b")), rights("a"))
+    assert found.rules == (rule("b"),)
