@@ -34,6 +34,7 @@ COMMANDS = {
     "ca": ("ca", "Create, show and change the CAs and the revocation list."),
     "plan": ("plan", "Show the changes that `pqsec apply` would make."),
     "apply": ("apply", "Change the keystore to match a domain file."),
+    "domain": ("domain", "Write a domain file from keystores and policies."),
     "adopt": ("adopt", "Turn a keystore of SROS2 or OpenSSL into a pqsec keystore, and check it."),
     "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
     "request": ("request", "Generate keys and a certificate request on the robot."),
@@ -87,7 +88,7 @@ COMMANDS = {
 
 GROUPS = {
     "Issue and maintain": (
-        "demo ca adopt issue permit renew needs-renewal revoke status log plan apply"
+        "demo ca adopt issue permit renew needs-renewal revoke status log plan apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
         "request bundle-key bundle install rollback sign-request"

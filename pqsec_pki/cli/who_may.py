@@ -21,7 +21,6 @@ from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
 from pqsec_pki.policy import Fleet, fleet_in, fleet_of, who_may_use
 
-_PATH = type(_settings.FILE)(path_type=Path, readable=False)
 _MOST = 6
 """The most names in a cell of the text table."""
 _PATTERN = re.compile(r"[*?\[]")
@@ -41,7 +40,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
         3: "the keystore or a file cannot be read",
     },
 )
-@click.argument("paths", nargs=-1, type=_PATH, metavar="[PATH]...")
+@click.argument("paths", nargs=-1, type=_settings.PATH, metavar="[PATH]...")
 @click.option(
     "--topic",
     "topics",

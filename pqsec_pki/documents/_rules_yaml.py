@@ -110,9 +110,27 @@ ALLOWED: Readers = _DENIED | {"nodes": partial(one_or_more, reader=node)}
 # Writing
 
 
-def rule_as_yaml(rule: PermissionRule) -> dict[str, object]:
+def rules_as_yaml(
+    rules: tuple[PermissionRule, ...], default_domains: DomainSet | None = None
+) -> dict[str, object]:
+    """The keys of a grant or role for its rules, in the short form if it is one allow rule.
+
+    Domains that are `default_domains` are left out.
+    """
+    match rules:
+        case [PermissionRule(allow=True) as only] if only.publish or only.subscribe or only.relay:
+            return _rule_as_yaml(only, default_domains)
+    effects = [
+        ("allow" if each.allow else "deny", _rule_as_yaml(each, default_domains)) for each in rules
+    ]
+    return {"rules": [dict([effect]) for effect in effects]}
+
+
+def _rule_as_yaml(rule: PermissionRule, default_domains: DomainSet | None) -> dict[str, object]:
     """The mapping under its `allow:` or `deny:`."""
-    written: dict[str, object] = {"domains": domains_as_yaml(rule.domains)}
+    written: dict[str, object] = {}
+    if rule.domains != default_domains:
+        written["domains"] = domains_as_yaml(rule.domains)
     for action in _ACTIONS:
         if criteria := getattr(rule, action):
             written[action] = _all_criteria_as_yaml(criteria)

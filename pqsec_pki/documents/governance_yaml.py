@@ -73,7 +73,7 @@ def governance_from_yaml(data: bytes) -> Governance:
 
 def governance_to_yaml(value: Governance) -> bytes:
     """The complete document that `governance_from_yaml` reads as `value`."""
-    return dump({"rules": [_rule_as_yaml(rule) for rule in value.domain_rules]})
+    return dump(governance_as_yaml(value))
 
 
 def new_governance(preset: Preset, domains: DomainSet) -> bytes:
@@ -156,6 +156,11 @@ def _named(key: str, item: Item) -> tuple[str, ...]:
 
 
 # Writing
+
+
+def governance_as_yaml(value: Governance) -> dict[str, object]:
+    """The mapping that `governance_in` reads as `value`."""
+    return {"rules": [_rule_as_yaml(rule) for rule in value.domain_rules]}
 
 
 def _rule_as_yaml(rule: DomainRule) -> dict[str, object]:

@@ -1,12 +1,12 @@
 """Parts of a policy in YAML, for another room's file that contains some.
 
 Functions that parse YAML safely, that read a value and report errors with its line, and that
-read whole parts: domains, a governance, the rules of a grant.
+read and write whole parts: domains, a governance, the rules of a grant.
 """
 
-from pqsec_pki.documents._domains_yaml import domains
-from pqsec_pki.documents._rules_yaml import ALLOWED, Readers
-from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, refused
+from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml
+from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, rules_as_yaml
+from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, dump, refused
 from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.documents._yaml_reading import (
     all_of,
@@ -23,7 +23,7 @@ from pqsec_pki.documents._yaml_reading import (
     table,
     text,
 )
-from pqsec_pki.documents.governance_yaml import governance_in
+from pqsec_pki.documents.governance_yaml import governance_as_yaml, governance_in
 from pqsec_pki.documents.permissions_yaml import duration, rules_in
 
 __all__ = [  # defined in other modules, for other rooms
@@ -38,9 +38,12 @@ __all__ = [  # defined in other modules, for other rooms
     "build",
     "chosen",
     "domains",
+    "domains_as_yaml",
+    "dump",
     "duration",
     "each",
     "fields",
+    "governance_as_yaml",
     "governance_in",
     "guess",
     "one_of",
@@ -49,6 +52,7 @@ __all__ = [  # defined in other modules, for other rooms
     "read",
     "readable_problems",
     "refused",
+    "rules_as_yaml",
     "rules_in",
     "table",
     "text",

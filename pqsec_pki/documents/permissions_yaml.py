@@ -23,7 +23,7 @@ from typing import Any
 
 from pqsec_pki._assets import asset
 from pqsec_pki.documents._domains_yaml import domains
-from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, built_rule, rule, rule_as_yaml
+from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, built_rule, rule, rules_as_yaml
 from pqsec_pki.documents._yaml import Item, Text, dump, refused
 from pqsec_pki.documents._yaml_reading import (
     build,
@@ -189,10 +189,4 @@ def _grant_as_yaml(grant: Grant) -> dict[str, object]:
     given["validity"] = {"not_before": grant.not_before, "not_after": grant.not_after}
     if grant.default is not DefaultAction.DENY:
         given["default"] = grant.default.value
-    match grant.rules:
-        case [PermissionRule(allow=True) as only] if only.publish or only.subscribe or only.relay:
-            given |= rule_as_yaml(only)
-        case rules:
-            effects = [("allow" if each.allow else "deny", rule_as_yaml(each)) for each in rules]
-            given["rules"] = [dict([effect]) for effect in effects]
-    return given
+    return given | rules_as_yaml(grant.rules)

@@ -1,7 +1,8 @@
 """Brings a keystore into the state that a domain file describes.
 
 `read_domain` reads domain.yaml, `plan` compares it with the keystore's ledger and lists the
-steps, and `apply_plan` executes them. `apply` does all that in one call.
+steps, and `apply_plan` executes them. `apply` does all that in one call. `import_domain` makes a
+domain file of keystores and policies.
 """
 
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.domain.applying import apply, apply_plan, create_keystore, refuse_mass_revocation
     from pqsec_pki.domain.desired import Desired, Member, Role
+    from pqsec_pki.domain.importing import Imported, import_domain
     from pqsec_pki.domain.planning import plan
     from pqsec_pki.domain.reading import new_domain, read_domain
     from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
@@ -20,6 +22,7 @@ else:
 __all__ = [
     "Blocked",
     "Desired",
+    "Imported",
     "Member",
     "Plan",
     "Role",
@@ -28,6 +31,7 @@ __all__ = [
     "apply",
     "apply_plan",
     "create_keystore",
+    "import_domain",
     "new_domain",
     "plan",
     "read_domain",

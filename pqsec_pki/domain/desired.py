@@ -31,7 +31,8 @@ so that permissions are signed again."""
 _ALWAYS = (datetime(1970, 1, 1, tzinfo=UTC), datetime(2261, 1, 1, tzinfo=UTC))
 """Permissions end with the certificate; a grant of a role sets no other limit."""
 
-_LONGEST = timedelta(days=200 * 365)
+LONGEST = timedelta(days=200 * 365)
+"""The longest validity: certificates end in 2261 at the latest."""
 
 ROLE_KEYS = (*ALLOWED, "rules", "default")
 """The keys of a role, as in permissions in YAML."""
@@ -142,7 +143,7 @@ def _read_once(role: Role, domains: DomainSet) -> tuple[tuple[PermissionRule, ..
 def validity_in(item: Item) -> timedelta:
     """Read a validity; InvalidDocumentError if it is longer than a certificate's can be."""
     found = duration(item)
-    if found > _LONGEST:
+    if found > LONGEST:
         raise refused(item, "certificates end in 2261 at the latest: 200y is the longest")
     return found
 

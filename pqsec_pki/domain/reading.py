@@ -54,6 +54,7 @@ from pqsec_pki.domain.desired import Desired, Role, validity_in
 from pqsec_pki.errors import located
 
 YEAR = timedelta(days=365)
+DEFAULT_CA_VALIDITY = 10 * YEAR
 
 
 def read_domain(path: Path) -> Desired:
@@ -61,7 +62,11 @@ def read_domain(path: Path) -> Desired:
 
     InvalidDocumentError with the file and all its problems; FileError if a file cannot be read.
     """
-    data = read_file(path)
+    return desired_in(read_file(path), path)
+
+
+def desired_in(data: bytes, path: Path) -> Desired:
+    """The content of the domain file at `path`, which names other files; errors as above."""
     with located(path):
         settings = read(data, _domain)
     governance = settings["governance"]
@@ -111,7 +116,7 @@ def _domain(item: Item) -> dict[str, Any]:
 _DEFAULTS: Mapping[str, Any] = {
     "name": "",
     "profile": None,
-    "ca_validity": 10 * YEAR,
+    "ca_validity": DEFAULT_CA_VALIDITY,
     "validity": YEAR,
     "renew_before": None,
     "participants": (),

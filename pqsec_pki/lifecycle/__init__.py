@@ -22,7 +22,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
-    from pqsec_pki.lifecycle.adopting import Adopted, adopt
+    from pqsec_pki.lifecycle.adopting import Adoptable, Adopted, adopt, adoptable
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
     from pqsec_pki.lifecycle.passphrase import change_passphrase
     from pqsec_pki.lifecycle.permitting import (
@@ -48,6 +48,7 @@ else:
 __all__ = [
     "CA_VALIDITY",
     "LIST_VALIDITY",
+    "Adoptable",
     "Adopted",
     "Issued",
     "OverlapStep",
@@ -61,6 +62,7 @@ __all__ = [
     "RolloverResult",
     "Scope",
     "adopt",
+    "adoptable",
     "apply_rollover",
     "change_passphrase",
     "changed_permissions",

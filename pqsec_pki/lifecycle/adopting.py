@@ -55,6 +55,34 @@ class Adopted:
     """Whether the files follow the profile; if not, the profile applies to new files only."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adoptable:
+    """A keystore of another tool, before it is adopted."""
+
+    keystore: Keystore
+    """For reading its files; it has no pqsec.json and no ledger."""
+    participants: frozenset[str]
+    """Those with a certificate of the identity CA."""
+    revoked: frozenset[str]
+    refused: dict[str, str]
+    """As in `Adopted`."""
+    fitting: bool
+    """As in `Adopted`."""
+
+
+def adoptable(root: Path, *, now: datetime) -> Adoptable:
+    """What `adopt` would find in the folder `root`; writes nothing. Errors as of `adopt`."""
+    _refuse_unfit(root)
+    keystore, scan, fitting = _scanned(root, now)
+    return Adoptable(
+        keystore=keystore,
+        participants=frozenset(scan.participants.values()),
+        revoked=frozenset(each.name for each in scan.entries if each.kind == "revocation"),
+        refused=scan.refused,
+        fitting=fitting,
+    )
+
+
 def adopt(root: Path, *, now: datetime) -> Adopted:
     """Make the folder `root` a pqsec keystore.
 
@@ -65,19 +93,24 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
     _refuse_unfit(root)
     with change(root) as transaction:
         _refuse_unfit(root)
-        profile = _profile(root)
-        keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
-        scan = KeystoreScan.of(keystore, now)
-        scan.run()
-        keystore = replace(keystore, domains=scan.domains)
+        keystore, scan, fitting = _scanned(root, now)
         _stage(transaction, keystore, scan)
     return Adopted(
         keystore=keystore,
         participants=list(scan.participants.values()),
         refused=scan.refused,
         one_ca=scan.identity_ca.spki == scan.permissions_ca.spki,
-        fitting=profile is not None,
+        fitting=fitting,
     )
+
+
+def _scanned(root: Path, now: datetime) -> tuple[Keystore, KeystoreScan, bool]:
+    """The keystore, its content, and whether the content follows the keystore's profile."""
+    profile = _profile(root)
+    keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
+    scan = KeystoreScan.of(keystore, now)
+    scan.run()
+    return replace(keystore, domains=scan.domains), scan, profile is not None
 
 
 def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> None:

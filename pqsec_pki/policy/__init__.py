@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pqsec_pki.policy.fleet import Fleet, fleet_in, fleet_of
     from pqsec_pki.policy.loading import (
         Loaded,
+        document_at,
         governance_in,
         only_subject,
         permissions_in,
@@ -46,6 +47,7 @@ __all__ = [
     "WhoMay",
     "answers_by_domain",
     "differences_between",
+    "document_at",
     "fleet_in",
     "fleet_of",
     "governance_in",

@@ -22,6 +22,7 @@ READING = {
     "ca rotate": ["", "--only identity --plan"],
     "plan": ["domain.yaml"],
     "apply": ["domain.yaml --check"],
+    "domain import": ["", "k"],
     "bundle": [f"{TALKER} --plain-key --force -o out.bundle"],
     "needs-renewal": [""],
     "status": [""],

@@ -245,6 +245,7 @@ NO = {
     "ca rotate": "--plan -k robots.old",
     "check": "bad.xml",
     "diff": "robots/enclaves/talker/permissions.xml permissions.yaml",
+    "domain import": "bad.yaml",
     "explain": "--participant /talker --publish rt/secret",
     "explain-error": "all is well",
     "export": "fastdds /talker --stack-version 3.1.2",
