@@ -12,6 +12,7 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <unistd.h>
 
 #include "Sample.h"
 
@@ -58,5 +59,5 @@ int main(int words, char **word)
   fflush(stdout);
   while (getchar() != EOF)
     ;
-  return 0;
+  _exit(0); /* 0.10.2 may crash in its threads while a process with a participant exits */
 }

@@ -18,7 +18,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests/ has what runs Cyclone DDS
 
-from pqsec_pki.plugin import AgentFolder, agent_status, build, stop_agent
+from bench.agent_memory import megabytes
+from pqsec_pki.plugin import AgentFolder, build, stop_agent
 from tests.interop.conftest import LAB_PROFILES, Lab
 from tests.interop.cyclone import find_plugins
 from tests.interop.plugin.conftest import Shim
@@ -110,8 +111,8 @@ def many(program: Path, environment: dict[str, str], place: AgentFolder) -> tupl
 
 
 def _agent(place: AgentFolder) -> int:
-    status = agent_status(place)
-    return memory(status.process) if status else 0
+    """Kilobytes of the agent and its workers."""
+    return round(1024 * megabytes(place))
 
 
 def main() -> None:
@@ -167,7 +168,7 @@ def _measure(
         base = base or [*middle, more]
         print(f"{profile:<12} {plugins:<18} " + _row([*middle, more], base) + f"  {kilobytes:.0f}")
     print(f"first participant with no agent: {statistics.median(cold):.0f} ms")
-    print(f"an agent that has served one: {agent} kB private; after all of this {_agent(place)} kB")
+    print(f"an agent that has served one: {agent} kB; after all of this {_agent(place)} kB")
     print("milliseconds and kilobytes, in brackets over Cyclone's own; the last number is the")
     print("agent's kilobytes for each participant more")
 

@@ -122,3 +122,14 @@ def test_hosts_that_start_together_start_one_agent(requires, tmp_path):
     finally:
         stop_agent(place)
         shutil.rmtree(runtime)
+
+
+def test_a_peer_that_no_agent_can_validate_leaves_a_token_that_the_stack_can_read(
+    requires, tmp_path
+):
+    """Cyclone DDS 0.10.2 crashed where the peer's Request came before our AuthRequest."""
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    words = ['-DPQSEC_PYTHON="/x"', "-I", SOURCES]
+    program = compiled(tmp_path / "failed", *words, HERE / "failed.c", *SOURCES.glob("*.c"))
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert said == "1 '' pqsec: the agent was lost; create the participant again\n"
