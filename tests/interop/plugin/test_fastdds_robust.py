@@ -155,7 +155,8 @@ def test_no_function_is_forgotten():
     text = PROGRAM.read_text()
     functions = set()
     for name in ("authentication", "access_control"):
-        source = (FASTDDS_SOURCES / f"{name}.cpp").read_text()
+        whole = (FASTDDS_SOURCES / f"{name}.cpp").read_text()
+        source = re.sub("(?s)#if PQSEC_MORE_FUNCTIONS.*?#endif", "", whole)  # not in 2.9
         functions |= set(
             re.findall(r"(?m)^  [\w:<>\*]+ (\w+)\([^;]*?\) (?:const )?override", source)
         )
