@@ -12,10 +12,17 @@ using agent::handle_t;
 
 class AccessControl : public virtual OpenDDS::DCPS::LocalObject<security::AccessControl> {
  public:
-  AccessControl(agent::access_control* shim, Known& known) : shim_(shim), known_(known) {
+  AccessControl(agent::access_control* shim, std::shared_ptr<Known> known)
+      : shim_(shim), known_of_both_(std::move(known)), known_(*known_of_both_) {
     current = this;
     listener_.on_revoke = on_revoke;
     ask<uint8_t(const agent::listener*)>(unheard_, shim_, shim_->set_listener, &listener_);
+  }
+
+  // OpenDDS drops its plugins when it is shut down: the shim's thread ends first.
+  ~AccessControl() override {
+    agent::finalize_access_control(shim_);
+    current = nullptr;
   }
 
   security::PermissionsHandle validate_local_permissions(
@@ -414,6 +421,7 @@ class AccessControl : public virtual OpenDDS::DCPS::LocalObject<security::Access
   static std::atomic<AccessControl*> current;  // there is one in a process
 
   agent::access_control* const shim_;
+  const std::shared_ptr<Known> known_of_both_;
   Known& known_;
   agent::listener listener_;
   security::AccessControlListener_var told_;
@@ -424,7 +432,7 @@ std::atomic<AccessControl*> AccessControl::current{nullptr};
 
 }  // namespace
 
-security::AccessControl* make_access_control(Known& known) {
+security::AccessControl* make_access_control(const std::shared_ptr<Known>& known) {
   void* shim = nullptr;
   if (agent::init_access_control("", &shim, nullptr) != 0) return nullptr;
   return new AccessControl(static_cast<agent::access_control*>(shim), known);

@@ -39,10 +39,17 @@ class Secret : public virtual OpenDDS::DCPS::LocalObject<security::SharedSecretH
 
 class Authentication : public virtual OpenDDS::DCPS::LocalObject<security::Authentication> {
  public:
-  Authentication(agent::authentication* shim, Known& known) : shim_(shim), known_(known) {
+  Authentication(agent::authentication* shim, std::shared_ptr<Known> known)
+      : shim_(shim), known_of_both_(std::move(known)), known_(*known_of_both_) {
     current = this;
     listener_.on_revoke = on_revoke;
     ask<uint8_t(const agent::listener*)>(unheard_, shim_, shim_->set_listener, &listener_);
+  }
+
+  // OpenDDS drops its plugins when it is shut down: the shim's thread ends first.
+  ~Authentication() override {
+    agent::finalize_authentication(shim_);
+    current = nullptr;
   }
 
   Validation validate_local_identity(security::IdentityHandle& identity, GUID_t& adjusted,
@@ -308,6 +315,7 @@ class Authentication : public virtual OpenDDS::DCPS::LocalObject<security::Authe
   static std::atomic<Authentication*> current;  // there is one in a process
 
   agent::authentication* const shim_;
+  const std::shared_ptr<Known> known_of_both_;
   Known& known_;
   agent::listener listener_;
   security::AuthenticationListener_var told_;
@@ -318,7 +326,7 @@ std::atomic<Authentication*> Authentication::current{nullptr};
 
 }  // namespace
 
-security::Authentication* make_authentication(Known& known) {
+security::Authentication* make_authentication(const std::shared_ptr<Known>& known) {
   void* shim = nullptr;
   if (agent::init_authentication("", &shim, nullptr) != 0) return nullptr;
   return new Authentication(static_cast<agent::authentication*>(shim), known);

@@ -69,16 +69,16 @@ int load_builtin() {
   const auto make = reinterpret_cast<Make>(dlsym(library, "_make_BuiltInPluginLoader"));
   if (make == nullptr) return failed("OpenDDS's own security plugins are not in " PQSEC_BUILTIN);
   ACE_Service_Object_Exterminator destroy = nullptr;
-  ACE_Service_Object* const loader = make(&destroy);  // stays as long as its library
+  static ACE_Service_Object* const loader = make(&destroy);  // stays as long as its library
   return loader != nullptr ? loader->init(0, nullptr) : -1;
 }
 
 int load() {
   if (!is_same_build())
     return failed(PQSEC_BUILTIN " was changed since: run `pqsec plugin install opendds` again");
-  Known* const known = new Known;  // until the process ends, as the plugins
-  security::Authentication* const authentication = make_authentication(*known);
-  security::AccessControl* const access_control = make_access_control(*known);
+  const auto known = std::make_shared<Known>();
+  security::Authentication* const authentication = make_authentication(known);
+  security::AccessControl* const access_control = make_access_control(known);
   if (authentication == nullptr || access_control == nullptr) return failed("out of memory");
   if (load_builtin() != 0) return -1;
   SecurityRegistry* const registry = SecurityRegistry::instance();

@@ -12,6 +12,8 @@ extern "C" {
 #include "abi.h"
 int init_authentication(const char* argument, void** context, void* domain);
 int init_access_control(const char* argument, void** context, void* domain);
+int finalize_authentication(void* context);
+int finalize_access_control(void* context);
 void free_token(struct token*);
 }
 }  // namespace agent

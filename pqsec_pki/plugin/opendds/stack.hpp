@@ -12,6 +12,7 @@
 #include <dds/DdsSecurityCoreC.h>
 
 #include <ctime>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <type_traits>
@@ -138,8 +139,8 @@ auto ask(SecurityException& exception, Table* table, agent::function function,
 }
 
 // The plugins; nullptr without memory.
-security::Authentication* make_authentication(Known& known);
-security::AccessControl* make_access_control(Known& known);
+security::Authentication* make_authentication(const std::shared_ptr<Known>& known);
+security::AccessControl* make_access_control(const std::shared_ptr<Known>& known);
 
 }  // namespace pqsec
 
