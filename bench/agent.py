@@ -216,6 +216,8 @@ def _compare(place: AgentFolder, taken: list[Crowd], rest: int) -> None:
     time.sleep(rest)
     left = megabytes(place)
     print(f"  agent: {taken[1].peak:.0f} MB at most, {left:.0f} MB after {rest} s without hosts")
+    if taken[1].dead or taken[1].times("refused"):
+        print(place.log.read_text())
     stop_agent(place)
 
 
