@@ -7,9 +7,11 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
+from pqsec_pki._files import exists, is_folder
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.documents import PRESETS, DefaultAction, DomainSet, Governance
 from pqsec_pki.documents.parts_yaml import (
@@ -18,11 +20,14 @@ from pqsec_pki.documents.parts_yaml import (
     governance_as_yaml,
     rules_as_yaml,
 )
+from pqsec_pki.domain._keystore_sources import keystore_source, other_keystore_source
 from pqsec_pki.domain._name_patterns import patterns_of
+from pqsec_pki.domain._policy_sources import document_source, is_sros2_policy, sros2_policy_source
 from pqsec_pki.domain._shared_rules import FoundParticipant, SharedRules, labels, shared_rules
-from pqsec_pki.domain._sources import ImportSource, LeftOut, source_at
+from pqsec_pki.domain._sources import ImportSource, LeftOut
 from pqsec_pki.domain.reading import DEFAULT_CA_VALIDITY, desired_in
 from pqsec_pki.errors import UsageError, shown
+from pqsec_pki.keystore import SETTINGS, Keystore
 
 Value = TypeVar("Value", bound=Hashable)
 
@@ -47,6 +52,22 @@ def import_domain(sources: Sequence[Path], *, now: datetime, domains: DomainSet)
     as of `source_at`, and InvalidDocumentError for what a domain file cannot have.
     """
     return imported([source_at(each, now=now, domains=domains) for each in sources])
+
+
+def source_at(path: Path, *, now: datetime, domains: DomainSet) -> ImportSource:
+    """What is in a keystore, in a keystore of SROS2, or in a policy.
+
+    `domains` are those of SROS2 policies, which name none. What keystores sign is verified with
+    their permissions CA. FileError, MalformedError, InvalidDocumentError or VerificationError
+    for a source that cannot be read; KeystoreError for another folder.
+    """
+    if exists(path / SETTINGS):
+        return keystore_source(Keystore.open(path), now)
+    if is_folder(path):
+        return other_keystore_source(path, now)
+    if path.suffix == ".xml" and is_sros2_policy(path):
+        return sros2_policy_source(path, domains, now)
+    return document_source(path, now)
 
 
 def imported(sources: Sequence[ImportSource]) -> Imported:
@@ -92,7 +113,7 @@ def _only_governance(sources: Iterable[ImportSource]) -> Governance | None:
     return given[0].governance if given else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Writer:
     """Writes the file; its defaults are the domains and validity of most participants."""
 
@@ -101,13 +122,13 @@ class _Writer:
     governance: Governance | None
     groups: dict[SharedRules, list[FoundParticipant]]
 
-    @property
+    @cached_property
     def domains(self) -> DomainSet:
         of_all = [each.domains for each in self.participants if each.domains]
         rules = self.governance.domain_rules if self.governance else ()
         return _most_common(of_all) or (rules[0].domains if rules else DomainSet.of(0))
 
-    @property
+    @cached_property
     def validity(self) -> timedelta | None:
         return _most_common(each.validity for each in self.participants)
 

@@ -50,7 +50,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
     "domain": {
         *("enrolment", "lifecycle", "keystore", "documents", "access", "certificates"),
-        *("algorithms", "policy"),
+        *("algorithms", "policy", "credentials"),
     },
     "inspection": {"documents", "smime", "certificates", "algorithms"},
     "plugin": {"handshake", "access", "documents", "smime", "certificates", "algorithms"},
