@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from functools import update_wrapper
+from threading import Lock
 from typing import Concatenate, Generic, ParamSpec, TypeVar
 
 from pqsec_pki.certificates import Certificate
@@ -30,19 +31,21 @@ class _Remembered(Generic[More, Found]):
 
     def __init__(self, function: Callable[Concatenate[bytes, More], Found]) -> None:
         update_wrapper(self, function)
-        self._function = function
+        self._function, self._lock = function, Lock()
         self.cache_clear()
 
     def __call__(self, document: bytes, /, *others: More.args, **named: More.kwargs) -> Found:
         key = document, others, tuple(named.items())
-        if key in self._results:
-            result = self._results[key] = self._results.pop(key)  # now the latest
-            return result
+        with self._lock:
+            if key in self._results:
+                result = self._results[key] = self._results.pop(key)  # now the latest
+                return result
         result = self._function(document, *others, **named)
-        self._results[key], self._sizes[key] = result, len(document)
-        while sum(self._sizes.values()) > MAX_REMEMBERED:
-            oldest = next(iter(self._results))
-            del self._results[oldest], self._sizes[oldest]
+        with self._lock:
+            self._results[key], self._sizes[key] = result, len(document)
+            while sum(self._sizes.values()) > MAX_REMEMBERED:
+                oldest = next(iter(self._results))
+                del self._results[oldest], self._sizes[oldest]
         return result
 
     def cache_clear(self) -> None:

@@ -31,32 +31,37 @@ def _log(line: str) -> None:
     handle = sys.stderr.fileno()
     with suppress(OSError):  # a full disk does not end it
         status = os.fstat(handle)
-        is_file = stat.S_ISREG(status.st_mode)
-        if is_file:
-            fcntl.lockf(handle, fcntl.LOCK_EX)  # workers write into it too
-        try:
-            if is_file and os.fstat(handle).st_size > MAX_LOG:
-                _halve(handle)
-            sys.stderr.write(f"{_now():%Y-%m-%dT%H:%M:%SZ} {line}\n")
-            sys.stderr.flush()
-        finally:
-            if is_file:
-                fcntl.lockf(handle, fcntl.LOCK_UN)
+        if stat.S_ISREG(status.st_mode) and status.st_size > MAX_LOG:
+            _halve(handle)
+        sys.stderr.write(f"{_now():%Y-%m-%dT%H:%M:%SZ} {line}\n")
+        sys.stderr.flush()
 
 
 def _halve(handle: int) -> None:
-    with Path(f"/proc/self/fd/{handle}").open("rb") as file:
-        file.seek(-MAX_LOG // 2, os.SEEK_END)
-        _, _, kept = file.read().partition(b"\n")
-    os.ftruncate(handle, 0)
-    os.lseek(handle, 0, os.SEEK_SET)
-    os.write(handle, kept)
+    """Remove the older half of the log, unless another process of the agent does it now.
+
+    Nobody waits for the lock: any process of the user could hold it.
+    """
+    with Path(f"/proc/self/fd/{handle}").open("r+b") as file, suppress(BlockingIOError):
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the file is closed
+        size = file.seek(0, os.SEEK_END)
+        if size > MAX_LOG:
+            file.seek(size - MAX_LOG // 2)
+            _, _, kept = file.read().partition(b"\n")
+            os.ftruncate(handle, 0)
+            os.lseek(handle, 0, os.SEEK_SET)
+            os.write(handle, kept)
 
 
 def _detach() -> None:
-    """Continue as a child. The exit of this process tells its parent that the agent listens."""
+    """Continue as a child. The exit of this process tells its parent that the agent listens.
+
+    The parent is a host, which may be bound to one core: the agent serves others too.
+    """
     if os.fork():
         os._exit(0)
+    with suppress(OSError):
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
 
 
 def main(arguments: list[str]) -> int:

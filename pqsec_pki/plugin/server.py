@@ -21,6 +21,7 @@ from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CONTROL
 from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection, VersionError
 from pqsec_pki.plugin.guest import Guest, refuse
+from pqsec_pki.plugin.lists import MAX_CAS
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.system import keep_limits
 from pqsec_pki.plugin.worker import AT_ONCE, AgentWorker, OpenConnection
@@ -33,8 +34,8 @@ _GRACE_SECONDS = 20.0
 _LONGEST_WAIT = 3600.0
 _ANSWER_SECONDS = 1.0
 """Seconds that workers may take to count their objects; else their former answer is shown."""
-_RESERVE = 32
-"""Open files that are reserved for other things than connections."""
+_RESERVE = 32 + MAX_CAS
+"""Open files that are reserved for other things than connections, such as revocation lists."""
 _SPARE = 8
 """Further connections for the command line: a full agent must still answer and stop."""
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -82,6 +83,7 @@ class Agent:
 
     def _listen_at(self, listener: socket.socket, ready: Callable[[], None]) -> None:
         self._most = min(MAX_CONNECTIONS, max(1, keep_limits(MAX_CONNECTIONS) - _RESERVE))
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, the system would reap workers
         ready()
         gc.freeze()  # what workers share with the agent stays as it is
         self._listener = listener

@@ -37,11 +37,16 @@ def exchange_through(
         writer.raw((number + 1).to_bytes(_NUMBER, "little"))
         kind, handle = _asked(agent, writer)
         if own and kind == _SHOW:
-            file = _file_of(own.der)
+            try:
+                file = _file_of(own.der)
+            except OSError as error:
+                raise FileError(f"no file for a revocation list: {error.strerror}") from error
             try:
                 kind, handle = _asked(agent, writer, file)
             finally:
                 os.close(file)
+        if kind == _SHOW or (kind == _NEWER and handle is None):
+            raise FileError("a revocation list got lost: too many files are open")
         return own if handle is None else RevocationList.from_der(_content(handle))
 
     return exchange
@@ -80,8 +85,11 @@ class ListStore:
             os.close(self._newest.pop(next(iter(self._newest)))[1])
         newer = [file] if file is not None and known > shown else []
         kind = _NEWER if newer else _SHOW if known < shown else _SAME
-        with suppress(OSError):  # it may have ended
+        try:
             channel.put(worker, channel.message(kind), *newer)
+        except OSError:  # it may have ended; if not, it must not wait for an answer
+            with suppress(OSError):
+                worker.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Forget all of them."""

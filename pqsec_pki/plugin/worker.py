@@ -108,10 +108,12 @@ class AgentWorker:
             self._ended = True
             return
         reader, handle = found
-        if reader.text() == channel.SERVE and handle is not None:
-            self._welcome(reader, handle)
-        else:
+        if reader.text() != channel.SERVE:
             self._count()
+        elif handle is not None:
+            self._welcome(reader, handle)
+        else:  # the system had no file left for it
+            self._say_gone(reader.number("I"))
 
     def _welcome(self, reader: MessageReader, handle: int) -> None:
         number, plugin, who = reader.number("I"), reader.text(), reader.text()
@@ -189,8 +191,11 @@ class AgentWorker:
         if not isinstance(error, ConnectionError):  # closing a connection is not an error
             self._notes.add(f"{client.connection.what[0]}: {error}")
         self._part(client)
+        self._say_gone(client.number)
+
+    def _say_gone(self, number: int) -> None:
         gone = channel.message(channel.GONE)
-        gone.number("I", client.number)
+        gone.number("I", number)
         with suppress(OSError):  # the agent has ended
             channel.put(self._orders, gone)
 

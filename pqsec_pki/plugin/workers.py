@@ -142,7 +142,8 @@ class Workers:
         """The worker of the host's other connections, else the one with the fewest."""
         able = [each for each in self._workers if not each.is_dismissed]
         for worker in able:
-            if any(each.process == process for each in worker.served.values()):
+            # Processes in other PID namespaces all have number 0.
+            if process and any(each.process == process for each in worker.served.values()):
                 return worker
         least = min(able, key=lambda each: len(each.served), default=None)
         if least is not None and (not least.served or len(able) >= self._most):

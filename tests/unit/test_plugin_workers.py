@@ -1,5 +1,7 @@
 """The agent's workers: who serves whom, what comes first, and what stays true over all of them."""
 
+import errno
+import fcntl
 import json
 import os
 import select
@@ -24,6 +26,7 @@ from pqsec_pki.errors import FileError, MalformedError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list, revoke
 from pqsec_pki.plugin import AgentFolder, agent_status, channel, stop_agent, worker
+from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.authentication import NO_TOKEN
 from pqsec_pki.plugin.calls import WORKING
 from pqsec_pki.plugin.connection import Connection
@@ -298,6 +301,91 @@ def test_a_worker_whose_agent_has_ended_takes_no_list(three_lists):
     ca, (old, *_) = three_lists
     with theirs, pytest.raises(FileError, match="the agent has ended"):
         NewestLists(exchange_through(theirs)).newest(ca, old, alternative=False, now=NOW)
+
+
+def test_a_list_whose_file_got_lost_on_the_way_does_not_leave_the_older_one_in_force(three_lists):
+    """The kernel drops the file of a process that has too many open; the answer said "newer"."""
+    ours, theirs = channel.pair()
+    ca, (old, *_) = three_lists
+    with ours, theirs:
+        channel.put(ours, channel.message("newer"))
+        with pytest.raises(FileError, match="a revocation list got lost"):
+            NewestLists(exchange_through(theirs)).newest(ca, old, alternative=False, now=NOW)
+
+
+def test_a_shown_list_whose_file_got_lost_is_an_error(three_lists):
+    ours, theirs = channel.pair()
+    ca, (old, *_) = three_lists
+    with ours, theirs:
+        channel.put(ours, channel.message("show"))
+        channel.put(ours, channel.message("show"))
+        with pytest.raises(FileError, match="a revocation list got lost"):
+            NewestLists(exchange_through(theirs)).newest(ca, old, alternative=False, now=NOW)
+
+
+def test_a_worker_that_cannot_be_answered_does_not_wait_for_ever(monkeypatch, three_lists):
+    ours, theirs = channel.pair()
+    ca, (old, *_) = three_lists
+    store = ListStore()
+    found = []
+
+    def ask():
+        with pytest.raises(FileError, match="the agent has ended") as caught:
+            NewestLists(exchange_through(theirs)).newest(ca, old, alternative=False, now=NOW)
+        found.append(caught.value)
+
+    asking = threading.Thread(target=ask)
+    with ours, theirs:
+        asking.start()
+        question = channel.take(ours)
+
+        def full(*_):
+            raise OSError(errno.ETOOMANYREFS, "too many references")
+
+        monkeypatch.setattr(channel, "put", full)
+        store.answer(ours, *question)
+        asking.join(PATIENCE)
+    assert len(found) == 1
+
+
+def test_an_agent_whose_parent_ignores_the_end_of_children_outlives_its_workers(place):
+    """Then the system reaps workers itself, and waiting for one ended the agent."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", _RUNNER, str(place.socket)],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN),  # noqa: PLW1509
+    )
+    try:
+        until(lambda: agent_status(place))
+        with host(place):
+            assert len(agent_status(place).workers) == 1
+        until(lambda: agent_status(place).workers == ())
+        assert agent_status(place).process == process.pid
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def test_nobody_waits_for_a_process_that_holds_the_log(place):
+    """Any process of the user can lock it."""
+    log = place.socket.with_name("agent.log")
+    with log.open("ab") as stderr, log.open("r+b") as held:
+        fcntl.lockf(held, fcntl.LOCK_EX)
+        stderr.write(b"x" * (MAX_LOG + 1) + b"\n")
+        stderr.flush()
+        process = subprocess.Popen(
+            [sys.executable, "-c", _RUNNER, str(place.socket)], stderr=stderr
+        )
+        try:
+            until(lambda: agent_status(place))  # which is after its first line in the log
+            with host(place):
+                assert len(agent_status(place).workers) == 1
+            assert b"listening at" in log.read_bytes()[MAX_LOG:]
+        finally:
+            process.kill()
+            process.wait()
 
 
 # What comes first in a worker.
