@@ -254,7 +254,7 @@ def test_a_host_whose_agent_is_killed_goes_on_and_meets_nobody(stage):
             {**each.environment, "XDG_RUNTIME_DIR": runtime} for each in (stage.role, stage.other)
         ]
         words = [
-            [*stage.program, act.value, str(DOMAIN), TOPIC, text, "2.5"]
+            [*stage.program, act.value, str(DOMAIN), TOPIC, text, "6"]
             for act, text in ((Act.RECEIVE, ""), (Act.SEND, stage.other.text))
         ]
         try:
