@@ -27,6 +27,9 @@ hypothesis.settings.register_profile("pqsec", deadline=None)
 hypothesis.settings.load_profile("pqsec")
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
+ELSEWHERE = ("in .ci/long: ", "PQSEC_OPENDDS_ROOT")
+"""In the reasons of skips that the gate allows: the longer job runs the test; or it needs a build
+of OpenDDS, which no registry has, and is run by hand."""
 
 
 NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e"}
@@ -85,6 +88,8 @@ def pytest_runtest_makereport(item, call):
     report = yield
     skipped = report.skipped and not hasattr(report, "wasxfail")
     if ALL_MUST_RUN and skipped and item.get_closest_marker("interop"):
+        if any(each in report.longrepr[2] for each in ELSEWHERE):
+            return report
         report.outcome = "failed"
         report.longrepr = f"PQSEC_REQUIRE_INTEROP=1 allows no skips. {report.longrepr[2]}"
     return report

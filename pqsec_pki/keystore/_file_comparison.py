@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from pqsec_pki._files import exists, read
-from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki.errors import FileError, MissingError, PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore.keystore import Keystore
@@ -96,21 +96,19 @@ def _stamp(path: str) -> str:
 def _compared(folder: str, certificate: str, permissions: str) -> Files:
     if _fingerprint(f"{folder}/{layout.CERTIFICATE}") != certificate:
         return Files.OTHER_CERTIFICATE
-    with suppress(FileNotFoundError):
-        if _sha256(f"{folder}/{layout.PERMISSIONS}") == permissions:
+    with suppress(MissingError):
+        found = hashlib.sha256(read(Path(f"{folder}/{layout.PERMISSIONS}"))).hexdigest()
+        if found == permissions:
             return Files.RIGHT
     return Files.OTHER_PERMISSIONS
 
 
-def _sha256(path: str) -> str:
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _fingerprint(path: str) -> str | None:
-    """SHA-256 of the DER in a PEM file with one certificate; None if it is not base64."""
-    with Path(path).open("rb") as file:
-        lines: Iterator[bytes] = iter(file.read().split(b"\n"))
+    """SHA-256 of the DER in a PEM file with one certificate; None if it is not base64.
+
+    FileError as from `read`: a file without end, or a pipe, is refused.
+    """
+    lines: Iterator[bytes] = iter(read(Path(path)).split(b"\n"))
     for line in lines:
         if line.startswith(b"-----BEGIN"):
             break

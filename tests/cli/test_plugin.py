@@ -110,7 +110,7 @@ def test_without_opendds_the_way_out_is_told(pqsec, tmp_path, monkeypatch):
     monkeypatch.delenv("DDS_ROOT", raising=False)
     pqsec(line).refused(2, "DDS_ROOT is not set", hint="--root DIR")
     for told in (lambda: line + f" --root {tmp_path}", lambda: line):
-        pqsec(told()).refused(3, f"{tmp_path} has no headers of OpenDDS", hint="DDS_ROOT")
+        pqsec(told()).refused(3, "has no headers of OpenDDS", hint="DDS_ROOT")
         monkeypatch.setenv("DDS_ROOT", str(tmp_path))
     assert not (tmp_path / "lib").exists()
 

@@ -85,7 +85,7 @@ def pqsec(command):
     return run
 
 
-@pytest.mark.parametrize(("number", "code"), [(0, 0), (1, 1), (2, 0)])
+@pytest.mark.parametrize(("number", "code"), [(0, 0)])
 def test_the_documents_show_what_it_prints(pqsec, number, code):
     line, _, expected = Document("reference/commands.md").block(TITLE, number).partition("\n")
     done, printed = pqsec(line.removeprefix("$ "))

@@ -372,7 +372,7 @@ get_datareader_sec_attributes"""
 MORE = " get_participant_guid set_event_resource"
 
 
-@pytest.mark.skipif(not LONG, reason="it compiles the adapter once more")
+@pytest.mark.skipif(not LONG, reason="in .ci/long: it compiles the adapter once more")
 @pytest.mark.parametrize("more", ["", MORE], ids=["3.6.2", "3.2.5"])
 def test_the_adapter_for_later_versions_has_their_functions(requires, more):
     """They tell their plugins of a participant by a PropertyPolicy. They are not in a

@@ -211,7 +211,7 @@ def test_a_peer_that_may_no_longer_take_part_is_disconnected(parted, where, how)
     assert len(re.findall("received", after)) < 5
 
 
-@pytest.mark.skipif(not LONG, reason="it takes longer than Fast DDS waits for a peer")
+@pytest.mark.skipif(not LONG, reason="in .ci/long: it takes longer than Fast DDS waits for a peer")
 @pytest.mark.parametrize("receiving", MIXED)
 def test_peers_of_two_versions_stay_connected(session, receiving):
     """Also where one never announces itself on the protected topic."""

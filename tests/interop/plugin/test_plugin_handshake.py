@@ -120,15 +120,15 @@ def test_a_message_is_good_after_a_forged_one_was_refused(shim, labs):
             one.participant.process(begun, reply)
 
 
-def test_a_challenge_other_than_the_announced_one_is_refused(shim, labs):
+def test_a_peer_that_is_met_again_announces_the_same_challenge(shim, labs):
+    """The other side, which has not noticed that it was lost for a moment, refuses any other."""
     lab = labs("pq")
     with couple((shim.folder, lab.alice), (shim.folder, lab.bob)) as both:
         other = both.second.participant
         spare = other.meet(both.first.participant.guid, both.first.participant.identity_token)
         begun, request = both.first.participant.request(both.first.meeting)
         _, reply = other.reply(spare, request)
-        with pytest.raises(RefusedError, match="challenge2 is not the one"):
-            both.first.participant.process(begun, reply)
+        both.first.participant.process(begun, reply)
 
 
 def test_another_ca_of_the_same_name_is_refused(shim, labs, other_labs):
