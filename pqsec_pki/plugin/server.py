@@ -34,7 +34,7 @@ _GRACE_SECONDS = 20.0
 _LONGEST_WAIT = 3600.0
 _ANSWER_SECONDS = 1.0
 """Seconds that workers may take to count their objects; else their former answer is shown."""
-_RESERVE = 32 + MAX_CAS
+RESERVED_FILES = 32 + MAX_CAS
 """Open files that are reserved for other things than connections, such as revocation lists."""
 _SPARE = 8
 """Further connections for the command line: a full agent must still answer and stop."""
@@ -82,7 +82,7 @@ class Agent:
         return True
 
     def _listen_at(self, listener: socket.socket, ready: Callable[[], None]) -> None:
-        self._most = min(MAX_CONNECTIONS, max(1, keep_limits(MAX_CONNECTIONS) - _RESERVE))
+        self._most = min(MAX_CONNECTIONS, max(1, keep_limits(MAX_CONNECTIONS) - RESERVED_FILES))
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, the system would reap workers
         ready()
         gc.freeze()  # what workers share with the agent stays as it is

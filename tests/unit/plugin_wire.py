@@ -12,6 +12,7 @@ from pqsec_pki.plugin.connection import AgentContext, Connection
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 from pqsec_pki.plugin.pending import PendingReplies
+from pqsec_pki.plugin.server import RESERVED_FILES
 from tests.unit.keystores import NOW
 
 _KNOWN = ",".join(row.wire_name for row in KEY_AGREEMENTS)
@@ -31,6 +32,12 @@ FILES = (
 
 def framed(body):
     return len(body).to_bytes(4, "little") + body
+
+
+def with_room_for(connections):
+    """The beginning of a command line that starts an agent with files for so many connections."""
+    limit = f'ulimit -n {RESERVED_FILES + connections}; exec "$@"'
+    return ("sh", "-c", limit, "sh")
 
 
 def greeting(plugin, *, magic=MAGIC, version=VERSION):

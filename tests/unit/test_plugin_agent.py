@@ -23,7 +23,7 @@ from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.control import Client
 from pqsec_pki.plugin.listening import peer
 from pqsec_pki.plugin.server import MAX_CONNECTIONS
-from tests.unit.plugin_wire import framed, greeting
+from tests.unit.plugin_wire import framed, greeting, with_room_for
 
 PATIENCE = 120
 
@@ -362,7 +362,7 @@ def _refusal_of(link):
 
 def test_more_connections_than_there_are_files_are_refused_and_those_that_are_stay(place):
     """Each needs files of its own too: keys are read when they are asked for."""
-    with running(place, runner=("sh", "-c", 'ulimit -n 48; exec "$@"', "sh")) as process:
+    with running(place, runner=with_room_for(16)) as process:
         first = Client(place, "authentication")
         crowd = [connected(place, greeting("authentication")) for _ in range(60)]
         refused = list(filter(None, map(_refusal_of, crowd)))

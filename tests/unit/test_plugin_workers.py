@@ -35,7 +35,7 @@ from pqsec_pki.plugin.lists import MAX_CAS, NewestLists
 from pqsec_pki.plugin.shared_lists import ListStore, exchange_through
 from pqsec_pki.plugin.worker import FAIR, AgentWorker
 from tests.unit.keystores import DAY, NOW, made
-from tests.unit.plugin_wire import asked, greeting, new_guid, properties
+from tests.unit.plugin_wire import asked, greeting, new_guid, properties, with_room_for
 
 PATIENCE = 120
 # The agent as on a machine with two cores, whose workers do not stay for hosts that may come.
@@ -214,7 +214,7 @@ def test_the_status_counts_the_objects_that_workers_have(place, tmp_path):
 
 def test_a_full_agent_can_still_be_asked_and_stopped(place):
     """It was refused like a host."""
-    command = ["sh", "-c", 'ulimit -n 36; exec "$@"', "sh", sys.executable, "-c", _RUNNER]
+    command = [*with_room_for(4), sys.executable, "-c", _RUNNER]
     with subprocess.Popen([*command, str(place.socket)], stderr=subprocess.DEVNULL) as process:
         until(lambda: agent_status(place))
         with host(place), host(place):

@@ -15,6 +15,7 @@ from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.control import Client
 from tests.interop.cyclone import RefusedError, participant
 from tests.interop.plugin.test_plugin_robust import HERE, compiled
+from tests.unit.plugin_wire import with_room_for
 
 pytestmark = pytest.mark.interop
 
@@ -127,8 +128,7 @@ def test_a_full_agent_tells_the_library_that_it_is_full(shim, labs):
     """It hung up, and the library said that the agent was gone."""
     stop_agent(shim.place)
     command = (sys.executable, "-I", "-m", "pqsec_pki.plugin", shim.place.socket)
-    few = ("sh", "-c", 'ulimit -n 48; exec "$@"', "sh")
-    agent = subprocess.Popen([*few, *command], stderr=subprocess.DEVNULL)
+    agent = subprocess.Popen([*with_room_for(16), *command], stderr=subprocess.DEVNULL)
     try:
         shim.wait_for_agent()
         guests = [Client(shim.place, "authentication") for _ in range(16)]
