@@ -121,3 +121,30 @@ class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
         if not found:
             self.fail(f"{value!r} is not a duration: write 10y, 26w, 90d or 12h", param, ctx)
         return int(found[1]) * _UNITS[found[2]]
+
+
+class When(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
+    """A date, a time (ISO 8601, UTC if it names no zone), or a duration from now or `ago`."""
+
+    name = "when"
+
+    def __init__(self, *, ago: bool = False) -> None:
+        self._ago = ago
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> datetime:
+        """The time, aware. Raises click's error for anything else."""
+        if isinstance(value, datetime):
+            return value
+        try:
+            found = datetime.fromisoformat(str(value))
+        except ValueError:
+            pass
+        else:
+            return found if found.tzinfo else found.replace(tzinfo=UTC)
+        try:
+            length = Duration().convert(value, param, ctx)
+            return now() - length if self._ago else now() + length
+        except (click.BadParameter, OverflowError):
+            self.fail(f"{value!r} is not a time: write 2027-01-31 or 90d", param, ctx)

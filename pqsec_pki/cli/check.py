@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
@@ -24,6 +24,8 @@ from pqsec_pki.stacks import Stack, stack_named
 
 # A file or a folder; like FILE and FOLDER it refuses an empty path.
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
+
+_COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
 
 
 class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
@@ -72,6 +74,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     shell_complete=_completion.among(Stack),
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
+@_formats.option()
 @click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
 @click.option(
     "--explain",
@@ -92,6 +95,7 @@ def check(  # noqa: PLR0913 -- one for each option
     targets: tuple[Stack, ...],
     ignored: tuple[str, ...],
     explain: str | None,
+    form: str,
     *,
     strict: bool,
     sarif: bool,
@@ -106,8 +110,9 @@ def check(  # noqa: PLR0913 -- one for each option
     if explain:
         _explain(rule_named(explain))
         return
-    if sarif and _settings.settings().json:
-        raise UsageError("--json and --sarif exclude each other")
+    if sarif and _formats.chosen(form) != _formats.TABLE:
+        option = "format" if form == _formats.CSV else "json"
+        raise UsageError(f"--{option} and --sarif exclude each other")
     report = check_all(
         paths or (_settings.keystore_path(),),
         now=_settings.now(),
@@ -117,7 +122,13 @@ def check(  # noqa: PLR0913 -- one for each option
     if sarif:
         _printing.emit(None, [json.dumps(to_sarif(report), indent=2)], verbatim=True)
     else:
-        _printing.emit(report_value(report, strict=strict), [*report_lines(report), *_more(report)])
+        _formats.emit(
+            form,
+            report_value(report, strict=strict),
+            [*report_lines(report), *_more(report)],
+            columns=_COLUMNS,
+            items=(each.to_json() for each in report.findings),
+        )
     if code := _exit_code(report, strict=strict):
         click.get_current_context().exit(code)
 

@@ -1,22 +1,29 @@
 """pqsec log: show and verify the ledger."""
 
 import re
+from collections.abc import Iterable
+from datetime import datetime
 
 import click
 
-from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.errors import UsageError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, audit
+from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
+from pqsec_pki.keystore import Keystore, Line, audit, expanded, regular_name
 
 _SHA256 = 64
 """Hexadecimal digits."""
 _HEAD = re.compile(f"[0-9a-f]{{{_SHA256}}}")
+_COLUMNS = (
+    *("number", "at", "operator", "kind", "name", "serial"),
+    *("issuer", "sha256", "not_after", "details", "chain"),
+)
 _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 
 
 @_help.command(
     examples={
         "Show the ledger": "pqsec log",
+        "Show what was done for a robot in the last week": "pqsec log '/fleet/**' --since 7d",
         "Check that nothing was changed or removed": "pqsec log --verify",
     },
     exit_codes={
@@ -25,6 +32,14 @@ _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
         3: "the keystore cannot be read",
     },
 )
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
+@click.option(
+    "--since",
+    type=_settings.When(ago=True),
+    metavar="WHEN",
+    help="Show only lines from this time on: 2027-01-31, or 7d ago.",
+)
+@_formats.option()
 @click.option(
     "--verify", is_flag=True, help="Check that no line was changed or removed, and none is missing."
 )
@@ -32,9 +47,12 @@ _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
     "--head", metavar="HASH", help="Check against the head that an earlier --verify printed."
 )
 @_settings.command_options
-def log(*, verify: bool, head: str | None) -> None:
+def log(
+    names: tuple[str, ...], since: datetime | None, form: str, head: str | None, *, verify: bool
+) -> None:
     """Show or verify the ledger of everything issued, signed and revoked.
 
+    NAME is a participant or a pattern ('/robot1/*'), of which only the lines are shown.
     --verify checks the chain of hashes, and that every file in the keystore has an entry.
     Keep the head that it prints in another place: --head then detects a ledger that was
     truncated or rewritten.
@@ -44,12 +62,40 @@ def log(*, verify: bool, head: str | None) -> None:
             f"{head!r} is not a head: it has {_SHA256} hexadecimal digits",
             hint="`pqsec log --verify` prints it",
         )
+    _formats.chosen(form)
+    verify = verify or head is not None
+    if verify and (names or since or form == _formats.CSV):
+        raise UsageError("--verify and --head check all: they exclude NAME, --since and csv")
     keystore = _settings.open_keystore()
-    if verify or head is not None:
+    if verify:
         _verify(keystore, head)
         return
+    lines = _lines(keystore, names, since)
+    _formats.emit(
+        form,
+        {"lines": lines},
+        _printing.table(_HEADERS, map(_row, lines)),
+        columns=_COLUMNS,
+        items=(each.to_json() for each in lines),
+    )
+
+
+def _lines(keystore: Keystore, names: Iterable[str], since: datetime | None) -> list[Line]:
+    """The lines of these participants, or without names all, from `since` on.
+
+    KeystoreError for a name or pattern that is in no line.
+    """
     lines = keystore.lines()
-    _printing.emit({"lines": lines}, _printing.table(_HEADERS, map(_row, lines)))
+    if names:
+        known = dict.fromkeys(each.entry.name for each in lines if each.entry.name.startswith("/"))
+        wanted = set(map(regular_name, expanded(names, sorted(known))))
+        for name in sorted(wanted - known.keys()):
+            raise KeystoreError(
+                f"the ledger has no participant {name}",
+                hint=meant(name, known) or "`pqsec status` lists the participants",
+            )
+        lines = [each for each in lines if each.entry.name in wanted]
+    return [each for each in lines if since is None or each.entry.made_at >= since]
 
 
 def _verify(keystore: Keystore, head: str | None) -> None:

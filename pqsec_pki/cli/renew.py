@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _bundles, _completion, _formats, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
@@ -120,13 +120,15 @@ def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
     type=_settings.Duration(),
     help="Test what expires within this time.  [default: less than a third of its life left]",
 )
+@_formats.option()
 @_settings.command_options
-def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
+def needs_renewal(names: tuple[str, ...], due: timedelta | None, form: str) -> None:
     """Test whether participants or the revocation list are due for renewal.
 
     NAME may be a pattern: '/robot1/*'. Without a NAME, all participants and the revocation list
     are tested.
     """
+    _formats.chosen(form)
     keystore = _settings.open_keystore()
     names = tuple(keystore.named(names))
     standing = status_of(keystore, names or None, now=_settings.now(), due=due)
@@ -135,13 +137,19 @@ def needs_renewal(names: tuple[str, ...], due: timedelta | None) -> None:
     terms = [] if names else [each for each in standing.shared if each.kind == "crl"]
     lists = [each for each in terms if each.state.calls_for_renewal]
     lines += [f"revocation list  {each.state}, until {each.not_after:%Y-%m-%d}" for each in lists]
+    participants = [
+        {"name": each.name, "state": each.state, "not_after": each.not_after} for each in found
+    ]
     value = {
         "needs_renewal": bool(lines),
-        "participants": [
-            {"name": each.name, "state": each.state, "not_after": each.not_after} for each in found
-        ],
+        "participants": participants,
         "revocation_list": bool(lists),
     }
-    _printing.emit(value, lines or ["nothing needs renewal"])
+    items = [{"kind": "participant", **each} for each in participants] + [
+        {"kind": "revocation-list", "state": each.state, "not_after": each.not_after}
+        for each in lists
+    ]
+    columns = ("kind", "name", "state", "not_after")
+    _formats.emit(form, value, lines or ["nothing needs renewal"], columns=columns, items=items)
     if not lines:
         click.get_current_context().exit(1)

@@ -1,18 +1,20 @@
 """pqsec status: show participants, their state and expiry."""
 
 from collections.abc import Iterator
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import click
 
 from pqsec_pki._files import is_there, read, write
-from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import ExistsError, UsageError
 from pqsec_pki.keystore import Keystore, State, Status
 from pqsec_pki.keystore import status as status_of
 
 _HEADERS = ("participant", "state", "until", "profile", "domains", "serial")
+_COLUMNS = ("name", "state", "not_after", "profile", "domains", "serial")
 _ROLES = {
     "identity-ca": "identity CA",
     "permissions-ca": "permissions CA",
@@ -28,6 +30,9 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
         "Show all participants": "pqsec status",
         "Show all nodes of a robot": "pqsec status '/fleet/*'",
         "Mark what expires within 30 days": "pqsec status --due 30d",
+        "List what expired or expires this month, for a spreadsheet": (
+            "pqsec status --expires-before 30d --format csv"
+        ),
         "Write metrics for Prometheus": "pqsec status --prometheus pqsec.prom",
     },
     exit_codes={
@@ -42,34 +47,71 @@ _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
     help="Mark what expires within this time as due.  [default: a third of its life]",
 )
 @click.option(
+    "--state",
+    "states",
+    type=click.Choice([state.value for state in State]),
+    multiple=True,
+    help="Show only participants in this state; repeatable.",
+)
+@click.option(
+    "--domain",
+    type=click.IntRange(0, MAX_DOMAIN),
+    metavar="ID",
+    help="Show only participants that may join this DDS domain.",
+)
+@click.option(
+    "--expires-before",
+    type=_settings.When(),
+    metavar="WHEN",
+    help="Show only what expires before this time: 2027-01-31, or 30d from now.",
+)
+@_formats.option()
+@click.option(
     "--prometheus",
     type=_settings.FILE,
     help="Also write metrics to this file, for the textfile collector; replaces older metrics.",
 )
 @_settings.command_options
-def status(names: tuple[str, ...], due: timedelta | None, prometheus: Path | None) -> None:
+def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
+    names: tuple[str, ...],
+    due: timedelta | None,
+    states: tuple[str, ...],
+    domain: int | None,
+    expires_before: datetime | None,
+    form: str,
+    prometheus: Path | None,
+) -> None:
     """Show each participant's state and expiry, the most urgent first.
 
     NAME may be a pattern: '/robot1/*'; without a NAME, all are shown. The data comes from the
     ledger, not from the files: check those with `pqsec check`.
     """
+    _formats.chosen(form)
     keystore = _settings.open_keystore()
     chosen = keystore.named(names)
-    if prometheus and names:
-        raise UsageError("--prometheus and NAME exclude each other: metrics are of all")
+    is_filtered = bool(names or states or domain is not None or expires_before)
+    if prometheus and is_filtered:
+        raise UsageError("--prometheus shows all: it excludes NAME and filters")
     standing = status_of(keystore, chosen or None, now=_settings.now(), due=due)
+    standing = standing.only(set(map(State, states)) or None, domain, expires_before)
     if prometheus:
         _write(prometheus, "".join(_metrics(standing)))
-    _printing.emit({"keystore": keystore.root, **standing.to_json()}, _lines(keystore, standing))
+    _formats.emit(
+        form,
+        {"keystore": keystore.root, **standing.to_json()},
+        _lines(keystore, standing, "none" if is_filtered else "none yet: pqsec issue NAME"),
+        columns=_COLUMNS,
+        items=(each.to_json() for each in standing.participants),
+    )
 
 
-def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
+def _lines(keystore: Keystore, standing: Status, nobody: str) -> Iterator[str]:
     yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
     for term in standing.shared:
         state = "" if term.state is State.VALID else f", {term.state}"
         yield f"{_ROLES[term.kind]:<15}  until {term.not_after:%Y-%m-%d}{state}"
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
-    yield f"participants     {', '.join(counts) or 'none yet: pqsec issue NAME'}"
+    yield f"participants     {', '.join(counts) or nobody}"
     if standing.participants:
         yield ""
         yield from _printing.table(

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
         load_participant,
         load_revocation_list,
     )
-    from pqsec_pki.keystore.patterns import is_pattern
+    from pqsec_pki.keystore.patterns import expanded, is_pattern
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
@@ -110,6 +110,7 @@ __all__ = [
     "compromised_keys_in",
     "document_entry",
     "enclave_files",
+    "expanded",
     "governance_digest",
     "is_pattern",
     "key_hashes",

@@ -95,6 +95,16 @@ class ParticipantState:
     """The number of their ledger line; 0 if none are known."""
     files: Files
 
+    def is_on(self, domain: int) -> bool:
+        """Whether `domains` has this domain; False if the domains are not known."""
+        for part in (self.domains or "").split(","):
+            first, to, last = part.partition("-")
+            if not first.isdecimal() or domain < int(first):
+                continue
+            if domain == int(first) or (to and (not last.isdecimal() or domain <= int(last))):
+                return True
+        return False
+
     def to_json(self) -> dict[str, object]:
         """The state for --json."""
         return {

@@ -1,9 +1,9 @@
 """The state of participants, CAs, the revocation list and the governance."""
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from pqsec_pki._files import disk_errors, read
@@ -53,6 +53,22 @@ class Status:
             "counts": self.counts(),
             "participants": self.participants,
         }
+
+    def only(
+        self,
+        states: Container[State] | None = None,
+        domain: int | None = None,
+        expires_before: datetime | None = None,
+    ) -> "Status":
+        """The same with those participants only to which all of these apply; None is any."""
+        found = (
+            each
+            for each in self.participants
+            if (states is None or each.state in states)
+            and (domain is None or each.is_on(domain))
+            and (expires_before is None or each.not_after < expires_before)
+        )
+        return replace(self, participants=tuple(found))
 
     def counts(self) -> dict[State, int]:
         """How many participants are in each state."""
