@@ -97,6 +97,8 @@ def _covers(compiling: Callable[[str], Compiled], pattern: str, name: str) -> bo
     special = _SPECIAL.search(pattern)
     if special is None or not name.startswith(pattern[: special.start()]):
         return pattern == name  # nearly all patterns of a large policy are plain names
+    if pattern[special.start() :] == "*" and len(pattern) <= MAX_NAME:
+        return True  # and nearly all others are a prefix
     return compiling(pattern).covers(_octets(name))
 
 

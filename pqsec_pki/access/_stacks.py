@@ -25,7 +25,7 @@ from pqsec_pki.access.question import Action
 from pqsec_pki.documents import Criteria, PermissionRule, TopicRule
 
 _EITHER = (Action.PUBLISH, Action.SUBSCRIBE)
-_CYCLONEDDS_BUILTIN = {
+CYCLONEDDS_BUILTIN = frozenset(
     f"DCPS{name}"
     for name in (
         *("Participant", "Publication", "Subscription", "Topic", "ParticipantMessage"),
@@ -33,7 +33,7 @@ _CYCLONEDDS_BUILTIN = {
         *("SubscriptionsSecure", "ParticipantMessageSecure", "ParticipantStatelessMessage"),
         "ParticipantVolatileMessageSecure",
     )
-}
+)
 
 
 def cyclonedds_topic(context: EvaluationContext) -> Decision:
@@ -42,7 +42,7 @@ def cyclonedds_topic(context: EvaluationContext) -> Decision:
     The first rule for the domain that has the topic decides, for publishing or subscribing and
     in any partition. So a deny_rule for one partition denies the topic.
     """
-    if context.question.topic in _CYCLONEDDS_BUILTIN:
+    if context.question.topic in context.interpretation.builtin:
         return _builtin(context)
     rule = next(context.topic_rules, None)
     if rule is None:
@@ -58,7 +58,7 @@ def cyclonedds_topic(context: EvaluationContext) -> Decision:
 
 def cyclonedds_endpoint(context: EvaluationContext) -> Decision:
     """check_create_datawriter and similar: as the standard, except for builtin topic names."""
-    if context.question.topic in _CYCLONEDDS_BUILTIN:
+    if context.question.topic in context.interpretation.builtin:
         return _builtin(context)
     return endpoint(context)
 

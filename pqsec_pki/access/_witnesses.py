@@ -5,6 +5,7 @@ for each such set of patterns agree on every name. The sets are found with one a
 patterns; its states are sets of places in the patterns.
 """
 
+import re
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from string import ascii_letters, digits
@@ -16,6 +17,7 @@ MAX_WORK = 2_000_000
 """Places in all states, a second or two of work. With more, the names are not complete, because the
 number of sets of patterns can be exponential."""
 
+_SPECIAL = re.compile(r"[*?\[\\]")
 _State: TypeAlias = frozenset[int]
 _OTHER = -1
 
@@ -39,7 +41,7 @@ class Witnesses:
 
 def is_wildcard(pattern: str) -> bool:
     """Whether the pattern may cover other names than itself."""
-    return any(special in pattern for special in "*?[\\")
+    return _SPECIAL.search(pattern) is not None
 
 
 def witnesses(patterns: Iterable[str]) -> Witnesses:

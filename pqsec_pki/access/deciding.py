@@ -1,6 +1,6 @@
 """Decide a question by governance and permissions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -50,22 +50,47 @@ class InterpretedPolicy:
 
     def decide(self, question: Question, *, by: Viewpoint | None = None) -> Decision:
         """As the function `decide`."""
-        parse_subject(question.subject)
-        if self._flaw:
-            return no(self._flaw)
-        key = question.subject, question.domain, question.now
-        if key not in self._found:
-            self._found[key] = self._find(question)
-        rules, grant = self._found[key]
-        if grant is None:
-            return no(f"no grant is for {question.subject}")
-        context = EvaluationContext(
-            question=question, interpretation=self.interpretation, domain_rules=rules, grant=grant
-        )
+        context = self._context(question)
+        if context is None:
+            return no(self._flaw or f"no grant is for {question.subject}")
         decision = replace(_checked(context, by), protection=_protection(context))
         if context.budget.spent and not decision.allowed:
             return replace(decision, reason=f"{_DOUBT}: {decision.reason}")
         return decision
+
+    def uses(
+        self, join: Question, topics: Mapping[Action, Iterable[str]]
+    ) -> Iterator[tuple[Action, str]]:
+        """Those of the topics, each with its action, for which `decide` allows it.
+
+        `join` asks whether the participant may join; that is checked once for all topics.
+        """
+        context = self._context(join)
+        if context is None or not _checked(context, None).allowed:
+            return
+        use = self.interpretation.use
+        checks = tuple(dict.fromkeys(check for side in Viewpoint for check in use[side]))
+        subject, domain, now = join.subject, join.domain, join.now
+        for action, names in topics.items():
+            for name in names:
+                asked = self._context(
+                    Question(subject=subject, domain=domain, action=action, now=now, topic=name)
+                )
+                if asked and all(check(asked).allowed for check in checks):
+                    yield action, name
+
+    def _context(self, question: Question) -> EvaluationContext | None:
+        """None if no question is allowed: the documents have a flaw, or no grant is for it."""
+        key = question.subject, question.domain, question.now
+        if key not in self._found:
+            parse_subject(question.subject)
+            self._found[key] = ((), None) if self._flaw else self._find(question)
+        rules, grant = self._found[key]
+        if grant is None:
+            return None
+        return EvaluationContext(
+            question=question, interpretation=self.interpretation, domain_rules=rules, grant=grant
+        )
 
     def _find(self, question: Question) -> tuple[tuple[DomainRule, ...], Grant | None]:
         includes, domain = self.interpretation.includes, question.domain

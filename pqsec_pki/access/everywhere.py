@@ -11,11 +11,9 @@ from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
-from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
-from pqsec_pki.access.matrix import DocumentOwner, TopicRow, topics_named, who_may
-from pqsec_pki.access.question import Action, Question
+from pqsec_pki.access.matrix import DocumentOwner, Matrix, TopicRow, samples, topics_named
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
 _SPECIAL = re.compile(r"[*?\[\\]")
@@ -89,31 +87,19 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
         apart = governed = tuple(each for each in governed if each.first in domains)
     if not governed:
         return ()
-    wanted = tuple(dict.fromkeys(topics))
-    found: dict[str, dict[TopicRow, list[DomainRange]]] = {topic: {} for topic in wanted}
+    asked = samples(members, topics, asked)
+    found: dict[str, dict[TopicRow, list[DomainRange]]] = {topic: {} for topic in asked}
+    matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
     for stretch in apart:
-        here = [
-            each for each in members if _joins(governance, each, stretch.first, now, interpretation)
-        ]
-        rows = who_may(
-            governance,
-            here,
-            wanted,
-            domain=stretch.first,
-            now=now,
-            interpretation=interpretation,
-            asked=asked,
-        )
-        for row in rows:
-            if row.publishers or row.subscribers:
-                found[row.topic].setdefault(row, []).append(stretch)
+        users = matrix.users(stretch.first)
+        for topic, name in asked.items():
+            if name in users.publishers or name in users.subscribers:
+                found[topic].setdefault(users.row(topic, name), []).append(stretch)
     placed = list[Placed]()
     for topic, rows_of_it in found.items():
         placed += (Placed(row=row, domains=domain_set(where)) for row, where in rows_of_it.items())
         if not rows_of_it:
-            nobody = TopicRow(
-                topic=topic, asked=asked.get(topic, topic), publishers=(), subscribers=()
-            )
+            nobody = TopicRow(topic=topic, asked=asked[topic], publishers=(), subscribers=())
             placed.append(Placed(row=nobody, domains=domain_set(governed)))
     return tuple(placed)
 
@@ -165,19 +151,6 @@ def _of_both(one: str, other: str, matched: Sequence[str]) -> str | None:
     known = [name for name in matched if posix(other, name)]
     found = (name for name in witnesses((one, other, *known)).names if name not in known)
     return next((name for name in found if posix(one, name) and posix(other, name)), None)
-
-
-def _joins(
-    governance: Governance,
-    member: DocumentOwner,
-    domain: int,
-    now: datetime,
-    interpretation: Interpretation,
-) -> bool:
-    question = Question(subject=member.subject, domain=domain, action=Action.JOIN, now=now)
-    return (
-        InterpretedPolicy(governance, member.permissions, interpretation).decide(question).allowed
-    )
 
 
 def _endless(domains: DomainSet) -> Iterable[DomainRange]:

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from pqsec_pki.access._expressions import Budget
 from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access._subjects import IsFor
+from pqsec_pki.access._witnesses import is_wildcard
 from pqsec_pki.access.decision import Decision
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import (
@@ -57,6 +58,8 @@ class Interpretation:
     tags_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
     flaw: Callable[[Governance, Permissions], str]
     """Why the stack cannot read these documents; empty if it can."""
+    builtin: frozenset[str] = frozenset()
+    """Topics that are open to all because of their names."""
     join: "dict[Viewpoint, tuple[Check, ...]]"
     use: "dict[Viewpoint, tuple[Check, ...]]"
 
@@ -115,6 +118,8 @@ class EvaluationContext:
     def has_topic(self, criteria: Criteria) -> bool:
         """Whether one of its patterns covers the topic."""
         topic = self.question.topic or ""
+        if topic in criteria.topics and not is_wildcard(topic):
+            return True  # so with nearly all rights that a participant uses
         return any(self.interpretation.covers(pattern, topic) for pattern in criteria.topics)
 
 

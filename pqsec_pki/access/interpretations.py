@@ -54,6 +54,7 @@ CYCLONEDDS = Interpretation(
     partitions_met=_criteria.cyclonedds_partitions,
     tags_met=_criteria.no_tags,
     flaw=_values.cyclonedds_flaw,
+    builtin=_stacks.CYCLONEDDS_BUILTIN,
     join={
         Viewpoint.OWN: (governed, in_force, own_participant),
         Viewpoint.PEER: (governed, in_force, remote_participant),

@@ -20,6 +20,7 @@ from pqsec_pki.documents import (
 )
 
 _ANYONE = "CN=anyone"
+_EITHER = (Action.PUBLISH, Action.SUBSCRIBE)
 _NOTHING: Mapping[str, str | None] = {}
 
 
@@ -53,7 +54,10 @@ class TopicRow:
 
 def topics_named(members: Iterable[DocumentOwner]) -> tuple[str, ...]:
     """All topics and patterns for publishing and subscribing in any rule, sorted."""
-    return tuple(sorted({topic for each in members for topic in _own_patterns(each)} - {""}))
+    named = {
+        topic for each in members for action in _EITHER for topic in _own_patterns(each, action)
+    }
+    return tuple(sorted(named - {""}))
 
 
 def who_may(  # noqa: PLR0913 -- what is asked, by name
@@ -73,90 +77,113 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     For each member only topics are checked that its rules or the governance may allow, so a
     thousand members take seconds.
     """
+    asked = samples(members, topics, asked)
+    matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
+    users = matrix.users(domain)
+    return tuple(users.row(topic, name) for topic, name in asked.items())
+
+
+def samples(
+    members: Iterable[DocumentOwner], topics: Iterable[str], asked: Mapping[str, str | None]
+) -> dict[str, str | None]:
+    """For each topic itself, and for each pattern a topic that it covers: that of `asked`."""
     wanted = tuple(dict.fromkeys(topics))
     literals = frozenset((*wanted, *topics_named(members)))
-    asked = {topic: asked[topic] if topic in asked else sample(topic, literals) for topic in wanted}
-    names = [name for name in asked.values() if name]
-    may = _Asking(governance, interpretation, domain, now)
-    publishers: dict[str, list[str]] = {name: [] for name in names}
-    subscribers: dict[str, list[str]] = {name: [] for name in names}
-    index = _Index(names, interpretation, may.everyone(names))
-    for member in members:
-        policy = InterpretedPolicy(governance, member.permissions, interpretation)
-        for topic in index.worth_asking(member):
-            for action, found in ((Action.PUBLISH, publishers), (Action.SUBSCRIBE, subscribers)):
-                if may.do(policy, member.subject, action, topic):
-                    found[topic].append(member.name)
-    return tuple(
-        TopicRow(
-            topic=topic,
-            asked=name,
-            publishers=tuple(publishers.get(name or "", ())),
-            subscribers=tuple(subscribers.get(name or "", ())),
-        )
-        for topic, name in asked.items()
-    )
+    return {topic: asked[topic] if topic in asked else sample(topic, literals) for topic in wanted}
 
 
 @dataclass(frozen=True, slots=True)
-class _Asking:
-    """The values that all questions share."""
+class TopicUsers:
+    """Who may use each topic on a domain: only topics that anybody may use."""
 
-    governance: Governance
-    interpretation: Interpretation
-    domain: int
-    now: datetime
+    publishers: Mapping[str, list[str]]
+    subscribers: Mapping[str, list[str]]
 
-    def do(self, policy: InterpretedPolicy, subject: str, action: Action, topic: str) -> bool:
-        """Whether `policy` allows the action with the topic."""
-        question = Question(
-            subject=subject, domain=self.domain, action=action, now=self.now, topic=topic
+    def row(self, topic: str, asked: str | None) -> TopicRow:
+        """The row of the topic, or of a pattern with its sample topic."""
+        return TopicRow(
+            topic=topic,
+            asked=asked,
+            publishers=tuple(self.publishers.get(asked or "", ())),
+            subscribers=tuple(self.subscribers.get(asked or "", ())),
         )
-        return policy.decide(question).allowed
 
-    def everyone(self, topics: Iterable[str]) -> frozenset[str]:
-        """Those of `topics` that every member may use, because governance does not control them."""
-        rule = PermissionRule(allow=True, domains=DomainSet(parts=(self.domain,)))
+
+class Matrix:
+    """Many participants and topics, for questions about one domain after another."""
+
+    def __init__(
+        self,
+        governance: Governance,
+        members: Iterable[DocumentOwner],
+        names: Iterable[str | None],
+        *,
+        now: datetime,
+        interpretation: Interpretation,
+    ) -> None:
+        self._governance, self._interpretation, self._now = governance, interpretation, now
+        self._known = Names(name for name in names if name)
+        governs, builtin = interpretation.governs, interpretation.builtin
+        rules = [each for rule in governance.domain_rules for each in rule.topic_rules]
+        expressions = tuple(dict.fromkeys(each.topic_expression for each in rules))
+        self._alike: dict[object, list[str]] = {}
+        """Topics that governance treats alike on every domain: the same topic rules cover them."""
+        for name in self._known.sorted:
+            covered = tuple(governs(each, name) for each in expressions)
+            self._alike.setdefault((covered, name in builtin), []).append(name)
+        self._members = [
+            (each, InterpretedPolicy(governance, each.permissions, interpretation))
+            for each in members
+        ]
+
+    def users(self, domain: int) -> TopicUsers:
+        """Who may use which of the topics on that domain, with the members in their order."""
+        publishers: dict[str, list[str]] = {}
+        subscribers: dict[str, list[str]] = {}
+        open_to_all = self._open(domain)
+        for member, policy in self._members:
+            join = self._question(member.subject, domain)
+            topics = {action: self._worth_asking(member, action, open_to_all) for action in _EITHER}
+            for action, topic in policy.uses(join, topics):
+                found = publishers if action is Action.PUBLISH else subscribers
+                found.setdefault(topic, []).append(member.name)
+        return TopicUsers(publishers, subscribers)
+
+    def _question(self, subject: str, domain: int) -> Question:
+        return Question(subject=subject, domain=domain, action=Action.JOIN, now=self._now)
+
+    def _worth_asking(
+        self, member: DocumentOwner, action: Action, open_to_all: frozenset[str]
+    ) -> Iterator[str]:
+        """The topics that this member's rules, default or the governance may allow."""
+        if any(grant.default is DefaultAction.ALLOW for grant in member.permissions.grants):
+            yield from self._known.sorted
+            return
+        covers = self._interpretation.covers
+        found = (self._known.covered(each, covers) for each in _own_patterns(member, action))
+        yield from sorted(open_to_all.union(*found))
+
+    def _open(self, domain: int) -> frozenset[str]:
+        """The topics that every member may use, because governance does not control them."""
         day = timedelta(days=1)
         grant = Grant(
             name=_ANYONE,
             subject_name=_ANYONE,
-            not_before=self.now - day,
-            not_after=self.now + day,
-            rules=(rule,),
+            not_before=self._now - day,
+            not_after=self._now + day,
+            rules=(PermissionRule(allow=True, domains=DomainSet(parts=(domain,))),),
         )
         policy = InterpretedPolicy(
-            self.governance, Permissions(grants=(grant,)), self.interpretation
+            self._governance, Permissions(grants=(grant,)), self._interpretation
         )
-        either = (Action.PUBLISH, Action.SUBSCRIBE)
-        return frozenset(
-            topic
-            for topic in topics
-            if any(self.do(policy, _ANYONE, action, topic) for action in either)
-        )
+        groups, join = self._alike.values(), self._question(_ANYONE, domain)
+        firsts = {action: [names[0] for names in groups] for action in _EITHER}
+        found = {name for _, name in policy.uses(join, firsts)}
+        return frozenset(name for names in groups if names[0] in found for name in names)
 
 
-class _Index:
-    """The topics of all questions; finds those that a member may be allowed."""
-
-    def __init__(
-        self, names: Iterable[str], interpretation: Interpretation, free: frozenset[str]
-    ) -> None:
-        self._known = Names(names)
-        self._interpretation = interpretation
-        self._free = free
-
-    def worth_asking(self, member: DocumentOwner) -> Iterable[str]:
-        """The topics that this member's rules, default or the governance may allow."""
-        if any(grant.default is DefaultAction.ALLOW for grant in member.permissions.grants):
-            return self._known.sorted
-        covers = self._interpretation.covers
-        found = (self._known.covered(each, covers) for each in _own_patterns(member))
-        return sorted(self._free.union(*found))
-
-
-def _own_patterns(member: DocumentOwner) -> Iterator[str]:
+def _own_patterns(member: DocumentOwner, action: Action) -> Iterator[str]:
     for grant in member.permissions.grants:
         for rule in grant.rules:
-            for criteria in (*rule.publish, *rule.subscribe):
+            for criteria in rule.publish if action is Action.PUBLISH else rule.subscribe:
                 yield from criteria.topics

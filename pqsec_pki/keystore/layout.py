@@ -128,13 +128,13 @@ def incomplete_in(root: Path) -> list[str]:
     FileError if a folder cannot be read.
     """
     enclaves = root / ENCLAVES
-    whole = set(names_in(root))
-    there = {
+    return sorted(
         "/" + folder.relative_to(enclaves).as_posix()
         for folder, names in walk(enclaves)
-        if folder != enclaves and not set(OWN).isdisjoint(names)
-    }
-    return sorted(there - whole)
+        if folder != enclaves
+        and not set(OWN).isdisjoint(names)
+        and not (CERTIFICATE in names and exists(folder / CERTIFICATE))
+    )
 
 
 def names_in(root: Path) -> list[str]:

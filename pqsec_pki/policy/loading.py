@@ -130,9 +130,11 @@ def _loaded(
 ) -> Loaded[Value]:
     with located(path):
         if is_signed(data):
-            xml = check(data).document if check else document_in(data)
-            verified = check is not None
-            return Loaded(path, from_xml(xml), True, verified, lines_before_document(data))  # noqa: FBT003 -- field
+            if check:
+                found = check(data)
+                return Loaded(path, from_xml(found.document), True, True, found.lines_before)  # noqa: FBT003 -- fields
+            xml, before = document_in(data), lines_before_document(data)
+            return Loaded(path, from_xml(xml), True, False, before)  # noqa: FBT003 -- fields
         if check:
             raise VerificationError("the document is not signed", code=Code.NOT_SIGNED)
         value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)

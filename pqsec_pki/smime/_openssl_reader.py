@@ -7,7 +7,6 @@ Checked against OpenSSL 3.0 and 3.5 by tests/fuzz/differential.py.
 
 import itertools
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from pqsec_pki.errors import MalformedError
@@ -19,6 +18,8 @@ _MAX_HEADER = 1 << 16
 """Bytes. Headers are read octet by octet; those of real files have about 200 bytes."""
 _SPACE = b" \t\n\v\f\r"
 _SPACES = {bytes([octet]) for octet in _SPACE}
+_MARKS = re.compile(rb'[:;="()]')
+_LINE_END = re.compile(rb"[\r\n]")
 _SIGNED = b"multipart/signed"
 _SIGNATURES = {b"application/x-pkcs7-signature", b"application/pkcs7-signature"}
 _TEXT = b"text/plain"
@@ -124,21 +125,18 @@ def _read_line(line: bytes, headers: list[_Header]) -> None:
     """Parse one header line into `headers`: a new header, or parameters of the last one."""
     reader = _LineReader(line, headers)
     reader.state = "name" if headers and line[:1] in _SPACES else "start"
-    for place, octet in _until_the_end(line):
-        reader.take(place, octet)
+    for found in _MARKS.finditer(line, 0, _line_end(line)):
+        reader.take(found.start(), found[0])
     reader.end()
 
 
-def _until_the_end(line: bytes) -> Iterator[tuple[int, bytes]]:
-    for place in range(len(line)):
-        octet = line[place : place + 1]
-        if octet in {b"\r", b"\n"}:
-            return
-        yield place, octet
+def _line_end(line: bytes) -> int:
+    found = _LINE_END.search(line)
+    return found.start() if found else len(line)
 
 
 class _LineReader:
-    """Parses a header line, octet by octet; its state is reset at the end of a line."""
+    """Parses a header line, mark by mark; its state is reset at the end of a line."""
 
     def __init__(self, line: bytes, headers: list[_Header]) -> None:
         self._line, self._headers = line, headers
@@ -148,7 +146,7 @@ class _LineReader:
         self._name: bytes | None = None
 
     def take(self, place: int, octet: bytes) -> None:
-        """Process one octet of the line."""
+        """Process a mark; all other octets of a line leave the state as it is."""
         match self.state, octet:
             case "start", b":":
                 self._name = self._piece(place)

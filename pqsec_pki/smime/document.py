@@ -55,6 +55,8 @@ class Verified:
     """The S/MIME file in pqsec's canonical form, with verified content only. Install and pass on
     this file, not the one received. Unchecked countersignatures are in it only if no
     certificate was given to check any."""
+    lines_before: int = 0
+    """Number of lines of the file that was read before the document."""
 
 
 def sign(
@@ -126,7 +128,7 @@ def verify(
     kept = [counter for counter, _ in signatures] if alternative_ca else counters
     certificate = raw(ca.der) if data.certificates else None
     file = _canonical.file_of(reading.content, info, kept, certificate)
-    return Verified(document, found, len(counters) - len(signatures), file)
+    return Verified(document, found, len(counters) - len(signatures), file, reading.lines_before)
 
 
 def document_in(message: bytes) -> bytes:
