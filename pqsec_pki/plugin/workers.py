@@ -5,6 +5,7 @@ memory to the system. All connections of a host process are served by one worker
 holds no key.
 """
 
+import errno
 import os
 import selectors
 import signal
@@ -22,6 +23,11 @@ MAX_WORKERS = 4
 """Other cores are left to other processes: the start of a robot takes seconds of these."""
 IDLE_SECONDS = 10.0
 """How long a worker without connections stays: hosts may be started one after another."""
+MAX_SILENT = 4
+"""Workers that hang, above which none is started in their place."""
+SILENT_SECONDS = 5.0
+"""A worker that has not answered for so long hangs, as on files of a server that is gone. Others
+get the hosts that connect. It is not killed: its own hosts go on when it does."""
 _END_SECONDS = 2.0
 """Seconds that a worker may take to end; then it is killed."""
 
@@ -45,9 +51,20 @@ class WorkerProcess:
     lists: socket.socket
     served: dict[int, Served] = field(default_factory=dict)
     idle_since: float = 0.0
-    asked: bool = False
-    """Whether its answer about the objects of its connections is awaited."""
+    asked_at: float | None = None
+    """Since when its answer about the objects of its connections is awaited; None if it is not."""
     is_dismissed: bool = False
+
+    @property
+    def is_silent(self) -> bool:
+        return self.asked_at is not None and time.monotonic() - self.asked_at >= SILENT_SECONDS
+
+    def ask(self) -> None:
+        """Ask for the objects of its connections, which also shows whether it works."""
+        if self.asked_at is None:
+            with suppress(OSError):
+                channel.put(self.orders, channel.message(channel.STATUS))
+                self.asked_at = time.monotonic()
 
 
 class Workers:
@@ -90,19 +107,17 @@ class Workers:
         order.text(served.who)
         channel.put(worker.orders, order, link.fileno())
         worker.served[self._number] = served
+        worker.ask()
 
     def ask(self) -> None:
         """Ask each worker for the objects of its connections; see `has_answered`."""
         for worker in self._workers:
-            if not worker.asked:
-                with suppress(OSError):
-                    channel.put(worker.orders, channel.message(channel.STATUS))
-                    worker.asked = True
+            worker.ask()
 
     @property
     def has_answered(self) -> bool:
         """Whether no answer is awaited."""
-        return not any(each.asked for each in self._workers)
+        return all(each.asked_at is None for each in self._workers)
 
     def dismiss_idle(self) -> float | None:
         """End workers without connections; the seconds until the next one ends, None if none."""
@@ -140,7 +155,8 @@ class Workers:
 
     def _for(self, process: int) -> WorkerProcess:
         """The worker of the host's other connections, else the one with the fewest."""
-        able = [each for each in self._workers if not each.is_dismissed]
+        silent = [each for each in self._workers if each.is_silent]
+        able = [each for each in self._workers if not (each.is_dismissed or each in silent)]
         for worker in able:
             # Processes in other PID namespaces all have number 0.
             if process and any(each.process == process for each in worker.served.values()):
@@ -148,6 +164,8 @@ class Workers:
         least = min(able, key=lambda each: len(each.served), default=None)
         if least is not None and (not least.served or len(able) >= self._most):
             return least
+        if len(silent) > MAX_SILENT:
+            raise TimeoutError(errno.ETIMEDOUT, f"{len(silent)} workers hang")
         try:
             return self._new()
         except OSError as error:
@@ -189,7 +207,7 @@ class Workers:
             worker.served.pop(reader.number("I"), None)
             worker.idle_since = time.monotonic()
         else:
-            worker.asked = False
+            worker.asked_at = None
             for _ in range(reader.number("I")):
                 number, objects = reader.number("I"), reader.number("I")
                 if number in worker.served:

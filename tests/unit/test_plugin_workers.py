@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -43,7 +43,7 @@ _RUNNER = (
     "import os, runpy\n"
     "os.sched_getaffinity = lambda _: {0, 1}\n"
     "from pqsec_pki.plugin import workers\n"
-    "workers.IDLE_SECONDS = 0.1\n"
+    "workers.IDLE_SECONDS, workers.SILENT_SECONDS = 0.1, float(os.getenv('SILENT', '5'))\n"
     "runpy.run_module('pqsec_pki.plugin', run_name='__main__', alter_sys=True)\n"
 )
 # A host: connects twice, as its two plugins do, and stays until its stdin ends.
@@ -193,6 +193,35 @@ def test_the_status_is_told_though_a_worker_hangs_and_other_hosts_are_served(pla
                 assert len(connections(place)) == 4
         finally:
             os.kill(hangs, signal.SIGCONT)
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """Agents that take a worker for one that hangs after half a second."""
+    monkeypatch.setenv("SILENT", "0.5")
+
+
+@pytest.mark.usefixtures("impatient", "agent")
+def test_a_worker_that_hangs_gets_no_further_hosts_and_goes_on_when_it_can(place):
+    """It kept a core's share of all hosts that came, and each waited in vain."""
+    nobody = (0, [0])
+    with ExitStack() as clients:
+
+        def client():
+            return clients.enter_context(closing(Client(place, "authentication")))
+
+        first = client()
+        until(lambda: first.call("find_revoked") == nobody)
+        (hangs,) = agent_status(place).workers
+        os.kill(hangs, signal.SIGSTOP)
+        try:
+            unlucky = client()  # nobody knows yet
+            time.sleep(1)
+            assert client().call("find_revoked") == nobody
+        finally:
+            os.kill(hangs, signal.SIGCONT)
+        for each in (first, unlucky):
+            assert each.call("find_revoked") == nobody
 
 
 @pytest.mark.usefixtures("agent")
