@@ -1,6 +1,6 @@
 """Shared by commands with policies: read and write documents, find grants by name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -156,18 +156,44 @@ def with_grants(
 ) -> list[ParticipantSpec]:
     """The specs with their grants. UsageError for a name without a grant in the policy."""
     grants = _grants_in(policy, specs[0], now)  # all specs have the same validity
+    if policy.suffix == ".xml":
+        _note_completed(policy, {spec.name for spec in specs})
     return [_with_grants(spec, grants, policy) for spec in specs]
 
 
 def _grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:
-    """All grants. SROS2 policies have no domains or validity: those of `spec` are used."""
+    """All grants; an SROS2 policy's are completed by what ROS 2 nodes need to start.
+
+    SROS2 policies have no domains or validity: those of `spec` are used.
+    """
     if policy.suffix == ".xml":
         not_before, not_after = lasting(now, spec.validity)
         enclaves = documents.sros2.read_policy(policy)
         return documents.sros2.permissions_of(
-            enclaves, domains=spec.domains, not_before=not_before, not_after=not_after
+            enclaves,
+            domains=spec.domains,
+            not_before=not_before,
+            not_after=not_after,
+            node_minimum=True,
         ).grants
     return _yaml_grants(policy, now)
+
+
+def _note_completed(policy: Path, names: Container[str]) -> None:
+    """Note, in one line, which topics are allowed that the policy does not allow."""
+    lacking = {
+        each.path: documents.sros2.lacking(each)
+        for each in documents.sros2.read_policy(policy)
+        if each.path in names
+    }
+    if short := [name for name, topics in lacking.items() if topics]:
+        first = lacking[short[0]]
+        more = f" and {len(first) - 1} more" if len(first) > 1 else ""
+        others = f", and {_printing.counted(len(short) - 1, 'other')}" if len(short) > 1 else ""
+        _printing.note(
+            f"{short[0]}{others}: also allowed what ROS 2 nodes need to start and {policy} does not"
+            f" allow: {first[0]}{more}"
+        )
 
 
 def _yaml_grants(policy: Path, now: datetime) -> tuple[Grant, ...]:

@@ -10,7 +10,7 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 
 from pqsec_pki.documents import ros
-from pqsec_pki.documents._sros2_reading import PolicyProfiles, read_policy
+from pqsec_pki.documents._sros2_reading import Block, PolicyProfiles, read_policy
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.permissions import Criteria, Grant, PermissionRule, Permissions
 from pqsec_pki.documents.ros import Endpoints
@@ -30,7 +30,8 @@ def permissions_of(  # noqa: PLR0913 - each has a name
     """The grants of the enclaves.
 
     With `discovery` a last rule allows each to use ros_discovery_info, as SROS2 adds for all
-    current RMWs; with `node_minimum` that rule has everything that Jazzy nodes need to start.
+    current RMWs. With `node_minimum` there is no such rule: the rule that allows the policy's
+    topics also has each other topic that Jazzy nodes need to start, unless the policy denies it.
     """
     grants = [
         Grant(
@@ -48,25 +49,27 @@ def permissions_of(  # noqa: PLR0913 - each has a name
 
 def lacking(enclave: PolicyProfiles) -> tuple[str, ...]:
     """The DDS topics that Jazzy nodes of the enclave need and the policy does not allow."""
-    allowed = [block.topics for block in enclave.blocks if block.allow]
-    need = _minimum(enclave)
-    missing = [
-        topic
-        for topics, patterns in (
-            (need.publish, _merged(block.publish for block in allowed)),
-            (need.subscribe, _merged(block.subscribe for block in allowed)),
-        )
-        for topic in topics
-        if topic != ros.DISCOVERY and not any(fnmatchcase(topic, each) for each in patterns)
-    ]
-    return tuple(dict.fromkeys(missing))
+    missing = _missing(enclave, (block for block in enclave.blocks if block.allow))
+    topics = dict.fromkeys((*missing.publish, *missing.subscribe))
+    return tuple(topic for topic in topics if topic != ros.DISCOVERY)
 
 
-def _minimum(enclave: PolicyProfiles) -> Endpoints:
+def _missing(enclave: PolicyProfiles, blocks: Iterable[Block]) -> Endpoints:
+    """What its nodes need to start, without what the blocks name."""
     needs = [ros.node_minimum(node) for node in enclave.nodes]
+    named = [block.topics for block in blocks]
     return Endpoints(
-        publish=tuple(dict.fromkeys(topic for need in needs for topic in need.publish)),
-        subscribe=tuple(dict.fromkeys(topic for need in needs for topic in need.subscribe)),
+        publish=_without((each.publish for each in needs), _merged(each.publish for each in named)),
+        subscribe=_without(
+            (each.subscribe for each in needs), _merged(each.subscribe for each in named)
+        ),
+    )
+
+
+def _without(needs: Iterable[tuple[str, ...]], patterns: tuple[str, ...]) -> tuple[str, ...]:
+    each_once = dict.fromkeys(topic for need in needs for topic in need)
+    return tuple(
+        topic for topic in each_once if not any(fnmatchcase(topic, each) for each in patterns)
     )
 
 
@@ -74,14 +77,15 @@ def _rules(
     enclave: PolicyProfiles, domains: DomainSet, *, discovery: bool, minimum: bool
 ) -> Iterator[PermissionRule]:
     for allow in (False, True):
-        blocks = [block.topics for block in enclave.blocks if block.allow is allow]
-        if blocks:
-            publish = _merged(block.publish for block in blocks)
-            subscribe = _merged(block.subscribe for block in blocks)
+        named = [block.topics for block in enclave.blocks if block.allow is allow]
+        publish = _merged(topics.publish for topics in named)
+        subscribe = _merged(topics.subscribe for topics in named)
+        if allow and minimum:
+            missing = _missing(enclave, enclave.blocks)
+            publish, subscribe = publish + missing.publish, subscribe + missing.subscribe
+        if publish or subscribe:
             yield _rule(domains, publish, subscribe, allow=allow)
-    if minimum:
-        yield _rule(domains, *_minimum(enclave), allow=True)
-    elif discovery:
+    if discovery and not minimum:
         yield _rule(domains, (ros.DISCOVERY,), (ros.DISCOVERY,), allow=True)
 
 

@@ -44,9 +44,31 @@ def test_what_a_jazzy_node_lacks_in_sros2s_sample_is_told_and_can_be_added():
     [talker, _] = sros2.read_policy(POLICIES / "talker_listener.policy.xml")
     service = "/talker/get_type_description"
     assert sros2.lacking(talker) == (ros.service_reply(service), ros.service_request(service))
+    [before] = permissions_of([talker], discovery=False).grants
     [grant] = permissions_of([talker], node_minimum=True).grants
-    assert grant.rules[-1].publish[0].topics == ros.node_minimum("/talker").publish
-    assert grant.rules[-1].subscribe[0].topics == ros.node_minimum("/talker").subscribe
+    [rule], [old] = grant.rules, before.rules
+    needs = ros.node_minimum("/talker")
+    for now, then, need in (
+        (rule.publish, old.publish, needs.publish),
+        (rule.subscribe, old.subscribe, needs.subscribe),
+    ):
+        topics, already = now[0].topics, then[0].topics
+        assert set(topics) == {*already, *need}
+        assert len(set(topics)) == len(topics)
+        assert topics[: len(already)] == already
+
+
+def test_what_a_policy_denies_or_allows_by_a_pattern_is_not_added(read):
+    inside = (
+        '<topics publish="DENY"><topic>/rosout</topic></topics>'
+        '<services reply="ALLOW"><service>~/*</service></services>'
+    )
+    [enclave] = read(policy(inside))
+    deny, allow = permissions_of([enclave], node_minimum=True).grants[0].rules
+    assert deny.publish[0].topics == ("rt/rosout",)
+    only = ("rr/ns/n/*Reply", ros.DISCOVERY, "rt/parameter_events")
+    assert allow.publish[0].topics == only
+    assert allow.subscribe[0].topics == ("rq/ns/n/*Request", ros.DISCOVERY)
 
 
 def test_sros2s_default_policy_lacks_nothing():
