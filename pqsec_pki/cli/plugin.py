@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.errors import UsageError
 from pqsec_pki.plugin import build, home, units_folder, written_units
 from pqsec_pki.stacks import Stack
@@ -215,7 +216,7 @@ def status(folder: Path | None) -> int:
 
 @plugin.command(
     "uninstall",
-    examples={"Remove the plugin for all stacks": "pqsec plugin uninstall"},
+    examples={"Remove the plugin for all stacks": "pqsec plugin uninstall --yes"},
     exit_codes={0: "removed, or not installed", 3: "a file cannot be removed"},
 )
 @click.option(
@@ -224,18 +225,27 @@ def status(folder: Path | None) -> int:
     type=_settings.FOLDER,
     help=f"The folder of the plugin. [default: ~/{DEFAULT_FOLDER}]",
 )
+@click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @_settings.command_options
-def uninstall(folder: Path | None) -> None:
+def uninstall(folder: Path | None, *, yes: bool) -> None:
     """Remove the plugin for all stacks, and the units for systemd.
 
-    Participants with post-quantum keys are then refused by their stacks.
+    Participants with post-quantum keys are then refused by their stacks. The files are shown
+    first.
     """
     from pqsec_pki._files import disk_errors  # noqa: PLC0415 -- not for `plugin install`
-    from pqsec_pki.vendors import remove_plugins  # noqa: PLC0415 -- likewise
+    from pqsec_pki.vendors import files_of_plugins, remove_plugins  # noqa: PLC0415 -- likewise
 
     folder = (folder or default_folder()).absolute()
-    removed = remove_plugins(folder)
     units = written_units(units_folder(os.environ))
+    if not yes and (files := [*files_of_plugins(folder), *units]):
+        confirm(
+            lambda: _printing.emit(None, [f"remove: {path}" for path in files]),
+            "Remove these?",
+            what=f"{_printing.counted(len(files), 'file')} would be removed",
+            hint="--yes removes them; `pqsec plugin status` lists what is installed",
+        )
+    removed = remove_plugins(folder)
     for unit in units:
         with disk_errors(unit):
             unit.unlink()

@@ -9,8 +9,9 @@ import click
 from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
-from pqsec_pki.keystore import Keystore, is_pattern
-from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked
+from pqsec_pki.cli.plan import few
+from pqsec_pki.keystore import Entry, Keystore
+from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
 from pqsec_pki.lifecycle import revoke as revoke_subjects
 
 
@@ -33,9 +34,9 @@ list_validity_option = click.option(
 
 @_help.command(
     examples={
-        "Revoke a stolen robot": "pqsec revoke /fleet/robot1 --reason keyCompromise",
+        "Revoke a stolen robot": ("pqsec revoke /fleet/robot1 --reason keyCompromise --yes"),
         "Revoke all nodes of a robot": "pqsec revoke '/fleet/*' --yes",
-        "Issue a list that is valid for 90 days": "pqsec revoke /talker --validity 90d",
+        "Issue a list that is valid for 90 days": "pqsec revoke /talker --validity 90d --yes",
     },
     exit_codes={
         0: "revoked, now or earlier",
@@ -57,7 +58,7 @@ list_validity_option = click.option(
     help="Record this reason in the list (RFC 5280 5.3.1).",
 )
 @list_validity_option
-@click.option("--yes", is_flag=True, help="Do not ask for confirmation, if a NAME is a pattern.")
+@click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @_passphrases.option
 @_settings.command_options
 def revoke(
@@ -70,29 +71,19 @@ def revoke(
 ) -> None:
     """Revoke certificates, and put the new revocation list into every enclave.
 
-    NAME revokes all unexpired certificates of that participant, SERIAL one certificate. With a
-    pattern such as '/robot1/*' it lists what matches, and asks.
+    NAME revokes all unexpired certificates of that participant, SERIAL one certificate; a
+    pattern such as '/robot1/*' is all that match it. The certificates are shown first.
     Copy the new crl.pem to every robot: a robot with an older list, or without one, still
     accepts the revoked certificates.
     """
-    keystore = _settings.open_keystore(to_change=True)
+    keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     first = not keystore.has_revocation_list
     chosen = keystore.named(subjects)
-    if any(map(is_pattern, subjects)) and not yes:
-        confirm(
-            lambda: click.echo("\n".join(f"revoke: {each}" for each in chosen)),
-            "Revoke these?",
-            what=f"{', '.join(subjects)} matches {_printing.counted(len(chosen), 'participant')}",
-            hint="`pqsec status` with the same pattern lists them; --yes revokes them",
-        )
+    if not yes:
+        _ask(revocable(keystore, chosen, now=now))
     authorities = _passphrases.unlock(keystore, passphrase_file)
     revoked, made = revoke_subjects(
-        keystore,
-        authorities,
-        chosen,
-        reason=Reason(reason),
-        now=_settings.now(),
-        validity=validity,
+        keystore, authorities, chosen, reason=Reason(reason), now=now, validity=validity
     )
     if first:
         _printing.note(
@@ -105,6 +96,23 @@ def revoke(
         )
     value = {"revoked": revoked, **list_value(keystore, made)}
     _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
+
+
+def _ask(certificates: list[Entry]) -> None:
+    count = _printing.counted(len(certificates), "certificate")
+    names = few(dict.fromkeys(each.name for each in certificates))
+    confirm(
+        lambda: _printing.emit(
+            None,
+            [
+                f"revoke: {each.name}  {each.serial}  until {each.ends:%Y-%m-%d}"
+                for each in certificates
+            ],
+        ),
+        "Revoke these? It cannot be undone.",
+        what=f"{count} of {names} would be revoked",
+        hint="--yes revokes; `pqsec status` with the same names shows them",
+    )
 
 
 def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:

@@ -10,7 +10,8 @@ import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.cli import _help, _overlap, _passphrases, _printing, _settings
-from pqsec_pki.errors import UsageError
+from pqsec_pki.cli._confirmation import confirm
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import (
     CA_VALIDITY,
@@ -34,7 +35,7 @@ _CAS = {
 @_help.command(
     examples={
         "Show what a new profile changes and breaks": "pqsec ca rotate --profile pq",
-        "Replace both CAs": "pqsec ca rotate --apply --passphrase-file passphrase",
+        "Replace both CAs": "pqsec ca rotate --apply --yes --passphrase-file passphrase",
         "Begin to replace the identity CA, robot by robot": (
             "pqsec ca rotate --overlap begin --apply --passphrase-file passphrase"
         ),
@@ -47,6 +48,7 @@ _CAS = {
 )
 @click.option("--plan", is_flag=True, help="Show what would be done and what breaks.  [default]")
 @click.option("--apply", "do", is_flag=True, help="Replace the CAs.")
+@click.option("--yes", is_flag=True, help="With --apply: do not ask for confirmation.")
 @click.option(
     "--profile",
     "profile_name",
@@ -96,6 +98,7 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     overlap: str | None,
     plan: bool,
     do: bool,
+    yes: bool,
     rekey: bool,
     destroy: bool,
     no_passphrase: bool,
@@ -125,12 +128,43 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
         _overlap.refuse_options(terms.overlap)
     with keystore.hold() if do else nullcontext():  # no other command is in the middle of a change
         planned = plan_rollover(keystore, terms, now=_settings.now())
-    if do:
-        _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase)
-    elif terms.overlap:
-        _overlap.show(terms.overlap, planned)
+    if not do:
+        _show(planned)
+        return
+    asks = not yes and _ends_something(terms)
+    if asks:
+        _ask(planned)
+    _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase, confirmed=asks)
+
+
+def _show(plan: RolloverPlan) -> None:
+    if plan.terms.overlap:
+        _overlap.show(plan.terms.overlap, plan)
     else:
-        _printing.emit(_plan_value(planned), _plan_lines(planned))
+        _printing.emit(_plan_value(plan), _plan_lines(plan))
+
+
+def _ends_something(terms: Rollover) -> bool:
+    """Whether a CA is no longer trusted afterwards, or a key is destroyed."""
+    return terms.destroy or terms.overlap not in {OverlapStep.BEGIN, OverlapStep.SWITCH}
+
+
+def _ask(plan: RolloverPlan) -> None:
+    match plan.terms.overlap:
+        case OverlapStep.FINISH:
+            what = "an identity CA would no longer be trusted"
+        case OverlapStep.CANCEL:
+            what = "the new identity CA would no longer be trusted, and its key be destroyed"
+        case OverlapStep.SWITCH:
+            what = "the key of the old identity CA would be destroyed"
+        case _:
+            what = f"the {_CAS[plan.terms.scope]} would be replaced"
+    confirm(
+        lambda: _show(plan),
+        "Make these changes?",
+        what=what,
+        hint="without --apply, `pqsec ca rotate` shows the changes; --yes makes them",
+    )
 
 
 def _profile(keystore: Keystore, name: str | None) -> Profile:
@@ -141,7 +175,12 @@ def _profile(keystore: Keystore, name: str | None) -> Profile:
 
 
 def _apply(
-    keystore: Keystore, plan: RolloverPlan, passphrase_file: Path | None, *, no_passphrase: bool
+    keystore: Keystore,
+    plan: RolloverPlan,
+    passphrase_file: Path | None,
+    *,
+    no_passphrase: bool,
+    confirmed: bool,
 ) -> None:
     terms, kept, passphrase = plan.terms, None, None
     if terms.needs_old_cas:
@@ -150,7 +189,12 @@ def _apply(
     if not terms.overlap:  # the keys of an overlap have the passphrase of the old ones
         passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
     with keystore.hold():
-        if keystore.head != plan.head:  # another command changed it; nothing was shown yet
+        if keystore.head != plan.head:  # another command changed it
+            if confirmed:
+                raise KeystoreError(
+                    "another command changed the keystore since the plan was shown",
+                    hint="run it again, and confirm the new plan",
+                )
             plan = plan_rollover(keystore, terms, now=_settings.now())
         done = apply_rollover(keystore, plan, kept=kept, passphrase=passphrase, now=_settings.now())
     for name, reason in plan.left_out.items():

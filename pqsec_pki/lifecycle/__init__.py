@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         sign_changed,
     )
     from pqsec_pki.lifecycle.renewing import Renewal, renew
-    from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revoke
+    from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revocable, revoke
     from pqsec_pki.lifecycle.rollover import (
         CA_VALIDITY,
         OverlapStep,
@@ -70,6 +70,7 @@ __all__ = [
     "plan_rollover",
     "renew",
     "renew_list",
+    "revocable",
     "revoke",
     "sign_changed",
     "sign_document",

@@ -80,11 +80,7 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     """
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         authorities.refuse_outdated(keystore.root)
-        chosen = {
-            each.sha256: each
-            for subject in subjects
-            for each in _certificates(ledger, subject, now)
-        }
+        chosen = _chosen(ledger, subjects, now)
         before = _revoked_since(ledger)
         new = [
             _revocation(each, reason, now, again=each.sha256 in before)
@@ -97,6 +93,12 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     after = _merged((*before.values(), *new))
     listed = {each.serial_number for each in made.revoked}
     return [_result(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
+
+
+def revocable(keystore: Keystore, subjects: Iterable[str], *, now: datetime) -> list[Entry]:
+    """The ledger lines of the certificates that `revoke` would revoke; KeystoreError as there."""
+    with keystore.open_ledger() as ledger:
+        return list(_chosen(ledger, subjects, now).values())
 
 
 def renew_list(
@@ -184,6 +186,12 @@ class Publisher:
             else:
                 listed[entry.serial_number] = _revoked(entry)
         return list(listed.values())
+
+
+def _chosen(ledger: Ledger, subjects: Iterable[str], now: datetime) -> dict[str, Entry]:
+    """The entries of the certificates that `subjects` name, by the certificate's hash."""
+    found = (each for subject in subjects for each in _certificates(ledger, subject, now))
+    return {each.sha256: each for each in found}
 
 
 def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:

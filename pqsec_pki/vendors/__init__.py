@@ -18,7 +18,12 @@ if TYPE_CHECKING:
     from pqsec_pki.vendors.opendds_adapter import OPENDDS_FACTORY, OPENDDS_LINK, install_opendds
     from pqsec_pki.vendors.opendds_library import OpenDds, find_opendds
     from pqsec_pki.vendors.own_plugin import FASTRTPS
-    from pqsec_pki.vendors.plugin_files import InstalledPlugin, installed_plugins, remove_plugins
+    from pqsec_pki.vendors.plugin_files import (
+        InstalledPlugin,
+        files_of_plugins,
+        installed_plugins,
+        remove_plugins,
+    )
     from pqsec_pki.vendors.rollover import TRUST
     from pqsec_pki.vendors.ros2 import preflight
     from pqsec_pki.vendors.ros2_check import Check
@@ -47,6 +52,7 @@ __all__ = [
     "examine",
     "export",
     "exporter_of",
+    "files_of_plugins",
     "find_cyclone_plugins",
     "find_fastdds",
     "find_opendds",

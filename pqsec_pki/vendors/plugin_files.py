@@ -76,13 +76,18 @@ def remove_plugins(folder: Path) -> list[Path]:
     Returns the removed files. Other files stay. FileError if removing is not allowed.
     """
     with disk_errors(folder):
-        removed = list(_files_in(folder))
+        removed = files_of_plugins(folder)
         for path in removed:
             path.unlink()
         for each in ((folder / OPENDDS_LINK).parent, folder):
             with suppress(OSError):  # it has other files, or does not exist
                 each.rmdir()
     return removed
+
+
+def files_of_plugins(folder: Path) -> list[Path]:
+    """All files of pqsec's plugin in `folder`."""
+    return list(_files_in(folder))
 
 
 def _files_in(folder: Path) -> Iterator[Path]:

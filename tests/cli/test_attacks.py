@@ -21,7 +21,7 @@ def test_a_domain_that_revoked_somebody_withstands_them_too(pqsec, keystore):
     """A list of the genuine CA says nothing of the stand-in that some attacks are made with."""
     keystore("transition")
     pqsec("-k k issue /gone --publish x").done()
-    pqsec("-k k revoke /gone").done()
+    pqsec("-k k revoke /gone --yes").done()
     said = pqsec(f"{LINE} --attack all --json").done().json
     assert [each["name"] for each in said["attacks"] if not each["ok"]] == []
 

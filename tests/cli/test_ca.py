@@ -592,7 +592,7 @@ WITHOUT_KEYS = {
 WITH_KEYS = (
     "issue /new",
     "renew /talker",
-    "revoke /talker",
+    "revoke /talker --yes",
     "ca crl",
     "sign-governance k/enclaves/governance.xml -o g.p7s",
 )

@@ -93,7 +93,7 @@ def test_a_revocation_told_as_info_until_the_participant_is_issued_again(
     made, pqsec, told, profile
 ):
     made(profile)
-    pqsec("-k k revoke /listener").done()
+    pqsec("-k k revoke /listener --yes").done()
     assert told() == {"PQS149": "info"}
     again = "--force --after-revocation"
     pqsec(f"-k k issue /listener --publish rt/a {again}").done()

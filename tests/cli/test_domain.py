@@ -120,6 +120,17 @@ def test_a_bar_shows_how_far_it_is_on_a_terminal(domain, tmp_path):
     assert (tmp_path / "k/enclaves/r3/cert.pem").exists()
 
 
+def test_a_terminal_shows_what_would_be_revoked_and_asks(keystore, tmp_path):
+    keystore()
+    line = ("-k", "k", "revoke", "/talker")
+    said = on_a_terminal(tmp_path, *line, answer=b"n\n")
+    assert "revoke: /talker  " in said
+    assert "Revoke these? It cannot be undone. [y/N]" in said
+    assert not (tmp_path / "k/public/identity_ca.crl.pem").exists()
+    on_a_terminal(tmp_path, *line, answer=b"y\n")
+    assert (tmp_path / "k/public/identity_ca.crl.pem").exists()
+
+
 def test_a_no_at_the_terminal_does_nothing(domain, tmp_path):
     assert "interrupted" in on_a_terminal(tmp_path, "-k", "k", "apply", answer=b"n\n")
     assert not (tmp_path / "k").exists()

@@ -176,7 +176,7 @@ def test_keys_made_here_travel_sealed_or_because_you_said_so(pqsec, keystore, tm
 
 def test_a_bundle_that_its_robot_would_refuse_is_not_written(pqsec, keystore, tmp_path):
     keystore()
-    pqsec("-k k revoke /talker").done()
+    pqsec("-k k revoke /talker --yes").done()
     pqsec("-k k bundle /listener --plain-key").done()
     pqsec("-k k bundle /talker --plain-key").refused(1, "/talker", "was revoked on")
     assert not (tmp_path / "talker.bundle").exists()
@@ -293,7 +293,7 @@ def test_what_cannot_be_signed_or_imported_is_refused(pqsec, asked, line, code, 
 def test_a_stolen_key_is_not_certified_again_unless_that_risk_is_taken(pqsec, asked, tmp_path):
     robot = asked()
     pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
-    pqsec(f"-k k revoke {ROBOT} --reason keyCompromise").done()
+    pqsec(f"-k k revoke {ROBOT} --yes --reason keyCompromise").done()
     line = f"-k k issue --csr k/enclaves{ROBOT}/request.pem {ROBOT} {TOPIC} --force"
     again = f"{line} --after-revocation"
     pqsec(again).refused(1, f"{ROBOT}: its key was revoked as compromised", hint="`pqsec request`")
@@ -306,7 +306,7 @@ def test_a_stolen_key_is_not_certified_again_unless_that_risk_is_taken(pqsec, as
 def test_the_air_gap_lets_no_stolen_key_through(pqsec, asked):
     asked()
     pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
-    pqsec(f"-k k revoke {ROBOT} --reason keyCompromise").done()
+    pqsec(f"-k k revoke {ROBOT} --yes --reason keyCompromise").done()
     pqsec(f"sign-request export r/{CSR} {TOPIC} -o asked").done()
     line = "-k k sign-request sign asked -o answer --force --after-revocation"
     pqsec(line).refused(1, "its key was revoked as compromised")

@@ -150,7 +150,7 @@ def test_an_unknown_participant_is_answered_with_one_that_is_spelled_alike(pqsec
     for line in (
         "renew /tlaker",
         "needs-renewal /tlaker",
-        "revoke /tlaker",
+        "revoke /tlaker --yes",
         "bundle /tlaker --plain-key",
         "export fastdds /tlaker",
         "explain --participant /tlaker --join",

@@ -296,7 +296,7 @@ def damaged(made, run_in, tmp_path_factory) -> Path:
     run("renew /fleet/robot1")
     run("bundle /fleet/robot1 -o new.bundle")
     run("install new.bundle")
-    run(f"revoke {serial} --reason keyCompromise")  # it is the key of the new one, too
+    run(f"revoke {serial} --yes --reason keyCompromise")  # it is the key of the new one, too
     run("issue /forged --publish rt/chatter")
     run("sign-request sign asked -o answer")
     run("sign-request export robot3.csr --publish rt/chatter -o other")

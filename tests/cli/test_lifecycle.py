@@ -23,14 +23,14 @@ def serial(pqsec, name):
 
 def test_revoke_tells_what_it_did(pqsec, k):
     number = serial(pqsec, "/talker")
-    done = pqsec("-k k revoke /talker --reason keyCompromise").done()
+    done = pqsec("-k k revoke /talker --yes --reason keyCompromise").done()
     first, second = done.out.splitlines()
     assert re.fullmatch(rf"/talker  {number}  revoked \d{{4}}-\d\d-\d\d \(keyCompromise\)", first)
     assert re.fullmatch(
         r"list 1: 1 certificate, next due by \S+  k/public/identity_ca.crl.pem", second
     )
     assert "OpenDDS does not read it" in done.err
-    done = pqsec(f"-k k revoke {number} /listener --json").done()
+    done = pqsec(f"-k k revoke {number} /listener --yes --json").done()
     assert done.err == ""
     assert [each["before"] for each in done.json["revoked"]] == [True, False]
     assert [each["listed"] for each in done.json["revoked"]] == [True, True]
@@ -40,8 +40,8 @@ def test_revoke_tells_what_it_did(pqsec, k):
 
 def test_to_revoke_what_an_earlier_ca_issued_says_that_no_list_has_it(pqsec, k):
     number = serial(pqsec, "/talker")
-    pqsec("-k k ca rotate --apply --no-passphrase").done()
-    done = pqsec(f"-k k --json revoke {number}").done()
+    pqsec("-k k ca rotate --apply --yes --no-passphrase").done()
+    done = pqsec(f"-k k --json revoke {number} --yes").done()
     assert [each["listed"] for each in done.json["revoked"]] == [False]
     assert done.json["certificates"] == 0
     assert "certificates of an earlier CA are not in a list" in done.err
@@ -89,7 +89,7 @@ def test_renew_takes_names_or_due_or_all(pqsec, k):
 
 
 def test_status_shows_everybody(pqsec, k):
-    pqsec("-k k revoke /talker")
+    pqsec("-k k revoke /talker --yes")
     lines = pqsec("-k k status").done().out.splitlines()
     assert lines[0] == "keystore         k (profile classical)"
     assert [line.split("  ")[0] for line in lines[1:4]] == [
@@ -124,7 +124,7 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     typed = [line.split()[2] for line in lines if line.startswith("# TYPE")]
     assert len(typed) == len(set(typed)) == 3
     assert 'pqsec_participants{state="valid"} 2' in lines
-    pqsec("-k k revoke /talker")
+    pqsec("-k k revoke /talker --yes")
     pqsec("-k k status --prometheus pqsec.prom").done()
     assert 'pqsec_participants{state="revoked"} 1' in (tmp_path / "pqsec.prom").read_text()
     assert [path.name for path in tmp_path.iterdir() if "prom" in path.name] == ["pqsec.prom"]
@@ -134,7 +134,7 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
 
 
 def test_log_shows_what_was_done_and_by_whom(pqsec, k):
-    pqsec("-k k revoke /talker --reason superseded")
+    pqsec("-k k revoke /talker --yes --reason superseded")
     lines = pqsec("-k k log").done().out.splitlines()
     assert lines[0].split() == ["line", "when", "who", "what", "name", "serial", "or", "hash"]
     assert "revocation (reason superseded)" in lines[-2]

@@ -74,7 +74,8 @@ def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
         ("cyclonedds", True),
         ("fastdds", False),
     ]
-    removed = pqsec(f"plugin uninstall --dir {folder} --json").done().json["removed"]
+    pqsec(f"plugin uninstall --dir {folder}").refused(2, "8 files would be removed", hint="--yes")
+    removed = pqsec(f"plugin uninstall --yes --dir {folder} --json").done().json["removed"]
     assert len(removed) == 8
     assert not folder.exists()
     assert not list((tmp_path / "config/systemd/user").iterdir())
@@ -86,7 +87,7 @@ def test_a_file_of_the_users_own_is_not_uninstalled(pqsec, tmp_path, monkeypatch
     (tmp_path / "lib").mkdir()
     for name in ("libpqsec_dds.so", "libdds_security_auth.so", "mine.so"):
         (tmp_path / "lib" / name).write_text("mine")
-    pqsec(f"plugin uninstall --dir {tmp_path / 'lib'}").done()
+    pqsec(f"plugin uninstall --yes --dir {tmp_path / 'lib'}").done()
     left = {path.name for path in (tmp_path / "lib").iterdir()}
     assert left == {"libdds_security_auth.so", "mine.so"}
 

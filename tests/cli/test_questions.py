@@ -307,7 +307,7 @@ def test_who_was_revoked_may_do_nothing(pqsec, keystore):
     asked = "-k k explain --participant /talker --publish rt/chatter"
     pqsec("-k k ca crl").done()
     pqsec(asked).done()
-    pqsec("-k k revoke /talker").done()
+    pqsec("-k k revoke /talker --yes").done()
     pqsec(asked).refused(1, "enclaves/talker/cert.pem: the certificate of CN=/talker was revoked")
     left = pqsec("-k k who-may --json").done().json
     assert (left["participants"], list(left["left_out"])) == (["/listener"], ["/talker"])

@@ -135,7 +135,7 @@ def plain(line, said):
 @pytest.mark.skipif(not (os.geteuid() == 0 and can_mount()), reason="nothing can be mounted here")
 def test_a_keystore_on_read_only_media_is_read_and_not_changed(folder, run_in):
     assert differences(folder, on_read_only_media, run_in) == []
-    changes = ["issue /new", "ca crl", "revoke /talker"]
+    changes = ["issue /new", "ca crl", "revoke /talker --yes"]
     for found in in_a_fork(folder, on_read_only_media, run_in, changes):
         found.refused(3, "read-only file system")
 
@@ -143,6 +143,6 @@ def test_a_keystore_on_read_only_media_is_read_and_not_changed(folder, run_in):
 @superuser
 def test_a_keystore_of_another_user_that_may_be_read_is_read_and_not_changed(folder, run_in):
     assert differences(folder, as_nobody, run_in) == []
-    changes = ["issue /new", "ca crl", "revoke /talker", "ca recover"]
+    changes = ["issue /new", "ca crl", "revoke /talker --yes", "ca recover"]
     for found in in_a_fork(folder, as_nobody, run_in, changes):
         found.refused(3, "k: it belongs to another user (root)", hint="work on a copy of your own")

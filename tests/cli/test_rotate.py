@@ -45,7 +45,7 @@ def test_a_plan_changes_nothing_and_tells_all(pqsec, k, option):
 
 
 def test_a_plan_is_about_what_is_asked_for(pqsec, k):
-    pqsec("-k k revoke /talker")
+    pqsec("-k k revoke /talker --yes")
     told = pqsec("-k k ca rotate --only identity --destroy-old-keys").done().out
     assert "create a permissions CA" not in told
     assert "permissions CAs: none" not in told
@@ -62,7 +62,7 @@ def test_a_plan_is_about_what_is_asked_for(pqsec, k):
 
 def test_a_domain_goes_from_classical_by_transition_to_pq(pqsec, k):
     for number, profile in ((2, "transition"), (3, "pq")):
-        done = pqsec(f"-k k ca rotate --apply --profile {profile} --no-passphrase").done()
+        done = pqsec(f"-k k ca rotate --apply --yes --profile {profile} --no-passphrase").done()
         assert f"generation {number}: " in done.out
         assert f"generation {number - 1} is in k/private/generations/{number - 1}" in done.out
         assert "2 participants reissued" in done.out
@@ -74,8 +74,8 @@ def test_a_domain_goes_from_classical_by_transition_to_pq(pqsec, k):
 
 
 def test_who_stays_behind_is_told(pqsec, k):
-    pqsec("-k k revoke /talker")
-    done = pqsec("-k k ca rotate --apply --no-passphrase --json").done()
+    pqsec("-k k revoke /talker --yes")
+    done = pqsec("-k k ca rotate --apply --yes --no-passphrase --json").done()
     assert "note: /talker is not reissued: revoked" in done.err
     assert done.json["left_out"] == {"/talker": "revoked"}
     assert done.json["new_list"]
@@ -84,7 +84,7 @@ def test_who_stays_behind_is_told(pqsec, k):
 
 def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
     (k / "enclaves/talker/key.pem").unlink()
-    pqsec("-k k ca rotate --apply --no-passphrase --profile pq").done()
+    pqsec("-k k ca rotate --apply --yes --no-passphrase --profile pq").done()
     assert "1 previous-ca, 1 valid" in pqsec("-k k status").done().out
     renewed = pqsec("-k k renew --all --json").done().json["issued"]
     assert [each["name"] for each in renewed] == ["/listener"]
@@ -92,13 +92,13 @@ def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
 
 
 def test_new_cas_have_the_passphrase_that_is_given(pqsec, k, secret):
-    pqsec("-k k ca rotate --apply").refused(2, "need a passphrase", hint="--passphrase-file")
-    pqsec("-k k ca rotate --apply", "--passphrase-file", secret("one")).done()
+    pqsec("-k k ca rotate --apply --yes").refused(2, "need a passphrase", hint="--passphrase-file")
+    pqsec("-k k ca rotate --apply --yes", "--passphrase-file", secret("one")).done()
     assert "encrypted" in pqsec("-k k ca show").out
     pqsec("-k k issue /new").refused(2, "the CA keys are encrypted")
     pqsec("-k k issue /new --passphrase-file one.txt").done()
     # One CA stays: its passphrase is needed, and is that of the new one too.
-    line = "-k k ca rotate --apply --only permissions --passphrase-file"
+    line = "-k k ca rotate --apply --yes --only permissions --passphrase-file"
     pqsec(line, secret("wrong")).refused(3, hint="give the CA passphrase")
     pqsec(line, "one.txt").done()
     pqsec("-k k issue /newer --passphrase-file one.txt").done()
@@ -111,8 +111,8 @@ def test_new_cas_have_the_passphrase_that_is_given(pqsec, k, secret):
         ("--profile pq --only identity", 2, "a new profile applies to both CAs"),
         ("--profile none", 2, "'none' is not one of"),
         ("--only governance", 2, "'governance' is not one of"),
-        ("--apply --no-passphrase --validity 999999y", 2, "beyond 2261"),
-        ("--apply --no-passphrase --name /", 2, "/"),
+        ("--apply --yes --no-passphrase --validity 999999y", 2, "beyond 2261"),
+        ("--apply --yes --no-passphrase --name /", 2, "/"),
     ],
 )
 def test_what_makes_no_sense_is_refused(pqsec, k, options, code, words):
@@ -143,7 +143,7 @@ def test_an_overlap_goes_on_step_by_step_as_its_plans_say(pqsec, k):
         assert plan in told
         assert "Cyclone DDS 0.10.2, 0.10.5: no (measured" in told
         assert snapshot(k) == before
-        found = pqsec(f"-k k ca rotate --overlap {step} --apply").done().out
+        found = pqsec(f"-k k ca rotate --overlap {step} --apply --yes").done().out
         assert done in found
         assert found.splitlines()[-1].endswith(left)
         pqsec("-k k verify-handshake /talker /listener").done()
@@ -159,7 +159,7 @@ def test_an_overlap_is_taken_back(pqsec, k):
     pqsec("-k k ca rotate --overlap begin --apply").done()
     told = pqsec("-k k ca rotate --overlap cancel").done().out
     assert "destroy the key of CN=G2 Identity CA" in told
-    done = pqsec("-k k ca rotate --overlap cancel --apply --json").done().json
+    done = pqsec("-k k ca rotate --overlap cancel --apply --yes --json").done().json
     assert done["overlap"] == "cancel"
     assert done["done"] == ["CN=G2 Identity CA is no longer trusted, and its key is destroyed"]
     after = snapshot(k)
@@ -171,13 +171,13 @@ def test_an_overlap_is_taken_back(pqsec, k):
 def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
     pqsec("-k k ca passphrase --new-passphrase-file", secret("one")).done()
     pqsec("-k k ca rotate --overlap begin --apply").refused(2, "the CA keys are encrypted")
-    line = "-k k ca rotate --apply --passphrase-file one.txt --overlap"
+    line = "-k k ca rotate --apply --yes --passphrase-file one.txt --overlap"
     pqsec(line, "begin").done()
     pqsec("-k k ca rotate --apply --overlap switch --passphrase-file", secret("two")).refused(
         3, hint="give the CA passphrase"
     )
     pqsec(line, "switch").done()
-    pqsec("-k k ca rotate --apply --overlap finish").done()  # which needs no key
+    pqsec("-k k ca rotate --apply --yes --overlap finish").done()  # which needs no key
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
 )
 def test_a_step_that_makes_no_sense_is_refused(pqsec, k, options, code, words):
     before = snapshot(k)
-    for do in ("", "--apply"):
+    for do in ("", "--apply --yes"):
         pqsec(f"-k k ca rotate {options} {do}").refused(code, words)
     assert snapshot(k) == before
 
@@ -217,14 +217,14 @@ def test_a_robot_with_bundles_is_told_whom_to_trust_at_the_begin_and_the_end(pqs
     install(*named()).done()
     pqsec("-k k ca rotate --overlap switch --apply").done()
     install().done()
-    pqsec("-k k ca rotate --overlap finish --apply").done()
+    pqsec("-k k ca rotate --overlap finish --apply --yes").done()
     install().refused(1, "the identity CA that is trusted is missing")
     install(*named()).done()
 
 
 def test_what_waits_for_the_end_of_an_overlap_says_so(pqsec, k):
     pqsec("-k k ca rotate --overlap begin --apply").done()
-    for line in ("revoke /talker", "ca crl", "ca rotate", "ca rotate --overlap begin"):
+    for line in ("revoke /talker --yes", "ca crl", "ca rotate", "ca rotate --overlap begin"):
         pqsec(f"-k k {line}").refused(3, "two identity CAs are trusted", hint="--overlap cancel")
     pqsec("-k k renew /talker").done()
 
@@ -266,7 +266,7 @@ def test_a_keystore_of_sros2_is_adopted_and_led_out_of_its_hole(pqsec, tmp_path)
     assert "/talker" in pqsec("-k sros2 status").done().out
     pqsec("-k sros2 issue /new").refused(3, "CVE-2023-24010", hint="pqsec ca rotate")
     assert "one key is both CAs" in pqsec("-k sros2 ca rotate").done().out
-    pqsec("-k sros2 ca rotate --apply --no-passphrase --rekey").done()
+    pqsec("-k sros2 ca rotate --apply --yes --no-passphrase --rekey").done()
     pqsec("-k sros2 issue /new").done()
     pqsec("-k sros2 verify-handshake /talker /listener").done()
     assert "CVE-2023-24010" not in pqsec("-k sros2 check").out

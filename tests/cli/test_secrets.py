@@ -134,11 +134,11 @@ sign-request import answer --request asked --bundles bundles
 -k k bundle /talker --no-keys -o without-keys --json
 install bundles/fleet+robot.bundle --dir robot --trust-first --json
 -k k renew --all --rekey --passphrase-file first --json
--k k revoke /gone --reason keyCompromise --passphrase-file first
+-k k revoke /gone --yes --reason keyCompromise --passphrase-file first
 -k k ca crl --passphrase-file first -o list.pem
 -k k ca passphrase --passphrase-file first --new-passphrase-file second
 -k k ca rotate
--k k ca rotate --apply --passphrase-file second --json
+-k k ca rotate --apply --yes --passphrase-file second --json
 -k k status --prometheus metrics --json
 -k k log
 -k k log --json

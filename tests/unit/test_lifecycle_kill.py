@@ -123,7 +123,7 @@ def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, 
         assert drafts(root) == []
 
 
-COMMANDS = ["renew --all", "renew --all --keep-key", "revoke /talker", "issue /a /b /c"]
+COMMANDS = ["renew --all", "renew --all --keep-key", "revoke /talker --yes", "issue /a /b /c"]
 
 
 @pytest.mark.parametrize("line", COMMANDS)

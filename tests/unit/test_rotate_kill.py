@@ -261,9 +261,9 @@ def contents(root):
 
 
 COMMANDS = [
-    "ca rotate --apply --no-passphrase",
-    "ca rotate --apply --no-passphrase --profile pq --destroy-old-keys",
-    "ca rotate --apply --no-passphrase --only identity",
+    "ca rotate --apply --yes --no-passphrase",
+    "ca rotate --apply --yes --no-passphrase --profile pq --destroy-old-keys",
+    "ca rotate --apply --yes --no-passphrase --only identity",
 ]
 
 
@@ -276,7 +276,7 @@ def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, 
 
 
 def rotate_by_command(root):
-    words = ["-k", str(root), "ca", "rotate", "--apply", "--no-passphrase"]
+    words = ["-k", str(root), "ca", "rotate", "--apply", "--yes", "--no-passphrase"]
     subprocess.run([sys.executable, "-m", "pqsec_pki", *words], check=True, capture_output=True)
 
 

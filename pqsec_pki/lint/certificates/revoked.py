@@ -46,7 +46,7 @@ def of_another_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     rows=("own cert revoked", "peer b revoked, CRL at a"), measured=SIX_STACKS,
     bad="""
         $ cp -rL k/enclaves/talker robot
-        $ pqsec -k k revoke /talker
+        $ pqsec -k k revoke /talker --yes
         $ cp k/public/identity_ca.crl.pem robot/crl.pem
     """,
     good="""
@@ -65,7 +65,7 @@ def own(inventory: Inventory) -> Iterator[Violation]:
     why="Peers refuse the participant, as intended. Its files are of no use, and somebody else may"
     " have its private key.",
     fix="Delete its enclave. To allow it again, run `pqsec issue` with --force --after-revocation.",
-    bad="$ pqsec -k k revoke /listener",
+    bad="$ pqsec -k k revoke /listener --yes",
     good="$ mv k/enclaves/listener elsewhere/",
 )  # fmt: skip
 def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
@@ -80,7 +80,7 @@ def revoked_in_keystore(inventory: Inventory) -> Iterator[Violation]:
     fix="Issue certificates with a short validity, or replace the identity CA.",
     stacks=(Stack.OPENDDS,), only_when_asked=True,
     measured="OpenDDS 3.13.3, and the plugins of 3.34: a revoked sender was heard",
-    bad="$ pqsec -k k revoke /listener",
+    bad="$ pqsec -k k revoke /listener --yes",
     good="""
         $ mv k/enclaves/listener elsewhere/
         $ rm k/enclaves/talker/crl.pem

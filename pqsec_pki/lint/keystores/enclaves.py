@@ -94,7 +94,7 @@ def shared_ca(inventory: Inventory) -> Iterator[Violation]:
     fix="Copy the latest crl.pem to all participants and restart them: stacks read it when they"
     " start.",
     bad="""
-        $ pqsec -k k revoke /listener
+        $ pqsec -k k revoke /listener --yes
         $ rm k/enclaves/talker/crl.pem
     """,
     good="$ ln -s ../../public/identity_ca.crl.pem k/enclaves/talker/crl.pem",

@@ -123,7 +123,7 @@ def domain(tmp_path_factory) -> Callable[[str], Path]:
         pqsec(*key, "issue", "/alice", "/mallory", "--publish", TOPIC)
         pqsec(*key, "issue", "/carol", "--publish", "Circle")
         pqsec(*key, "issue", "/bob", "--subscribe", TOPIC)
-        pqsec(*key, "revoke", "/mallory")
+        pqsec(*key, "revoke", "/mallory", "--yes")
         return root
 
     return cache(make)
