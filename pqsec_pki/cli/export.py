@@ -1,14 +1,20 @@
 """pqsec export: write the configuration of a DDS stack for a participant."""
 
 import os
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import click
 
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._names import admitted
+from pqsec_pki.cli.plan import few
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import UsageError, located
+from pqsec_pki.keystore import Keystore, is_pattern
 from pqsec_pki.stacks import Stack, stack_named
 from pqsec_pki.vendors import FASTRTPS, Export, Options, write
 from pqsec_pki.vendors import export as make_export
@@ -21,6 +27,9 @@ from pqsec_pki.vendors import export as make_export
             "pqsec export fastdds /talker -o talker"
         ),
         "Write the configuration for ROS 2": "pqsec export ros2 /talker -o ros2-talker",
+        "Write one for each node of a robot that has its keys": (
+            "pqsec export cyclonedds '/fleet/*' --at /etc/dds/current/enclaves -o robot"
+        ),
     },
     exit_codes={
         0: "the configuration is written",
@@ -29,13 +38,16 @@ from pqsec_pki.vendors import export as make_export
     },
 )
 @click.argument("stack", type=click.Choice([each.value for each in Stack]), metavar="STACK")
-@click.argument("name", shell_complete=_completion.participants)
+@click.argument(
+    "names", nargs=-1, required=True, metavar="NAME...", shell_complete=_completion.participants
+)
 @click.option(
     "-o",
     "--output",
     type=_settings.FOLDER,
     metavar="DIR",
-    help="Write the files into DIR. [default: print the first file]",
+    help="Write the files into DIR; of several participants, into DIR/NAME. [default: print the"
+    " first file]",
 )
 @click.option(
     "--stack-version",
@@ -47,8 +59,8 @@ from pqsec_pki.vendors import export as make_export
 @click.option(
     "--at",
     metavar="PATH",
-    help="Write paths as if the participant's folder were at PATH, on the machine that runs it."
-    " [default: where it is]",
+    help="Write paths as if the participant's folder were at PATH, on the machine that runs it; of"
+    " several, at PATH/NAME. [default: where it is]",
 )
 @click.option(
     "--plugins",
@@ -88,7 +100,7 @@ from pqsec_pki.vendors import export as make_export
 @_settings.command_options
 def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     stack: str,
-    name: str,
+    names: tuple[str, ...],
     output: Path | None,
     version: str | None,
     at: str | None,
@@ -105,8 +117,8 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     """Write the configuration that a DDS stack needs to run as a participant.
 
     STACK is cyclonedds, fastdds, opendds, connext or ros2. NAME is a participant such as
-    /talker. The files refer to the credentials where they are now. A configuration that the
-    stack is known to refuse is not written; the reason is printed.
+    /talker, or a pattern: '/robot1/*'. The files refer to the credentials where they are now. A
+    configuration that the stack is known to refuse is not written; the reason is printed.
     """
     if plugin and at is not None and plugins is None:
         raise UsageError(
@@ -126,8 +138,14 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         anyway=anyway,
         environment=dict(os.environ),
     )
-    keystore = _settings.open_keystore()
-    made = make_export(stack_named(stack), keystore, name, options, now=_settings.now())
+    keystore, now = _settings.open_keystore(), _settings.now()
+    if len(names) > 1 or any(map(is_pattern, names)):
+        if output is None:
+            raise UsageError("several participants need -o DIR")
+        chosen = admitted(keystore, names)
+        _print_all(_write_all(stack, keystore, chosen, options, output, now=now, force=force))
+        return
+    made = make_export(stack_named(stack), keystore, names[0], options, now=now)
     if made.is_private and output is None:
         raise UsageError(
             "the configuration contains the passphrase and is not printed",
@@ -139,20 +157,62 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     _print_export(made, output, written)
 
 
+def _write_all(  # noqa: PLR0913 -- the options of the command
+    stack: str,
+    keystore: Keystore,
+    names: Sequence[str],
+    options: Options,
+    output: Path,
+    *,
+    now: datetime,
+    force: bool,
+) -> list[dict[str, Any]]:
+    """Write one configuration for each name, below its name; none if the stack refuses one."""
+    made = []
+    for name in names:
+        own = replace(options, at=options.at / name.lstrip("/")) if options.at else options
+        with located(name):
+            made.append(make_export(stack_named(stack), keystore, name, own, now=now))
+    found = []
+    for each in made:
+        folder = output / each.participant.lstrip("/")
+        written = write(each, folder, force=force)
+        found.append(_value(each) | _written(each, folder, written))
+    return found
+
+
+def _print_all(found: list[dict[str, Any]]) -> None:
+    told: dict[str, list[str]] = {}
+    for each in found:
+        for text in (*each["notes"], *each["warnings"]):
+            told.setdefault(text, []).append(each["participant"])
+    for text, names in told.items():
+        _printing.note(f"{few(names)}: {text}")
+    _printing.emit({"exports": found}, [str(path) for each in found for path in each["files"]])
+
+
 def _print_export(made: Export, output: Path | None, written: list[Path]) -> None:
-    value: dict[str, Any] = {
+    value = _value(made)
+    if output:
+        value |= _written(made, output, written)
+        _printing.emit(value, [*map(str, written), "", "To use it:", *made.commands(output)])
+        return
+    texts = {path: each for path, each in made.files.items() if isinstance(each, str)}
+    _printing.emit(value | {"texts": texts}, [texts[made.main].removesuffix("\n")], verbatim=True)
+
+
+def _value(made: Export) -> dict[str, Any]:
+    return {
         "stack": made.stack,
         "participant": made.participant,
         "notes": made.notes,
         "warnings": made.warnings,
     }
-    if output:
-        value |= {
-            "files": written,
-            "environment": made.variables(output),
-            "commands": made.commands(output),
-        }
-        _printing.emit(value, [*map(str, written), "", "To use it:", *made.commands(output)])
-        return
-    texts = {path: each for path, each in made.files.items() if isinstance(each, str)}
-    _printing.emit(value | {"texts": texts}, [texts[made.main].removesuffix("\n")], verbatim=True)
+
+
+def _written(made: Export, folder: Path, files: list[Path]) -> dict[str, Any]:
+    return {
+        "files": files,
+        "environment": made.variables(folder),
+        "commands": made.commands(folder),
+    }

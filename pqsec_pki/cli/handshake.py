@@ -10,8 +10,9 @@ from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, KeyAgreement, Profile
 from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli._names import admitted
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, is_pattern, regular_name
 from pqsec_pki.selfcheck import (
     PQSEC,
     STACKS,
@@ -54,6 +55,9 @@ _MODE_OPTIONS = {
             "pqsec verify-handshake /talker /listener --attack all"
         ),
         "Run all pairs of the keystore": "pqsec verify-handshake --all",
+        "Run all pairs of a robot's nodes and another participant": (
+            "pqsec verify-handshake --all '/fleet/*' /talker"
+        ),
         "Measure all profiles and key agreements": "pqsec verify-handshake --matrix",
     },
     exit_codes={
@@ -62,8 +66,12 @@ _MODE_OPTIONS = {
         3: "the keystore or a participant cannot be read, or FILE cannot be written",
     },
 )
-@click.argument("names", nargs=-1, metavar="[A B]", shell_complete=_completion.participants)
-@click.option("--all", is_flag=True, help="Run all pairs of participants that share a domain.")
+@click.argument("names", nargs=-1, metavar="[A B|NAME...]", shell_complete=_completion.participants)
+@click.option(
+    "--all",
+    is_flag=True,
+    help="Run all pairs that share a domain, of all or of these.",
+)
 @click.option("--matrix", is_flag=True, help="Measure every profile with every key agreement.")
 @click.option(
     "--trace",
@@ -122,8 +130,11 @@ def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given:
     All three messages between A and B are exchanged in memory. Both certificate chains
     and permissions documents are checked, and after the key exchange one encrypted message
     is sent each way. The failing step is printed, and the topics that the two share. A
-    handshake also succeeds without a common topic.
+    handshake also succeeds without a common topic. With --all, a NAME may be a pattern:
+    '/robot1/*'.
     """
+    if any(map(is_pattern, names)):
+        names = tuple(admitted(_settings.open_keystore(), names))
     mode = _mode(context, names)
     runs = {"--all": _all, "--matrix": _matrix, "--trace": _trace, "--attack": _attack}
     if not runs.get(mode, _one_pair)(names, given):
@@ -144,13 +155,13 @@ def _mode(context: click.Context, names: tuple[str, ...]) -> str:
     for option in sorted(given - _MODE_OPTIONS[mode] - {mode}):
         right = " or ".join(each for each, accepted in _MODE_OPTIONS.items() if option in accepted)
         raise UsageError(f"{option} is for {right}, not for {mode}")
-    due = 0 if mode in {"--all", "--matrix"} else _PAIR
-    if len(names) != due:
+    if mode == "--matrix" and names:
+        raise UsageError(f"{mode} takes no participants, but {len(names)} are named")
+    enough = not names or len(names) >= _PAIR if mode == "--all" else len(names) == _PAIR
+    if mode != "--matrix" and not enough:
         raise UsageError(
-            f"{mode} takes no participants, but {len(names)} are named"
-            if due == 0
-            else f"a handshake needs two participants, but {len(names)} are named",
-            hint="name two, as in `pqsec verify-handshake /talker /listener`, or use --all alone",
+            f"a handshake needs two participants, but {len(names)} are named",
+            hint="name two, as in `pqsec verify-handshake /talker /listener`; --all runs all pairs",
         )
     return mode
 
@@ -173,7 +184,6 @@ def _report(names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
 
 
 def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
-    del names
     from pqsec_pki.cli._handshake_pairs import try_all  # noqa: PLC0415 -- not for every mode
     from pqsec_pki.selfcheck import AllPairsJob  # noqa: PLC0415
 
@@ -186,7 +196,10 @@ def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
         key_agreement=given["kem"],
         stacks=(first.name, second.name),
     )
-    return try_all(job, keystore.names(), given["jobs"] or os.cpu_count() or 1)
+    chosen = list(dict.fromkeys(map(regular_name, names))) or keystore.names()
+    for name in chosen:
+        keystore.refuse_unknown(name)
+    return try_all(job, chosen, given["jobs"] or os.cpu_count() or 1)
 
 
 def _matrix(names: tuple[str, ...], given: dict[str, Any]) -> bool:

@@ -9,11 +9,12 @@ import click
 
 from pqsec_pki import enrolment
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, expanded, is_pattern
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
 from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -81,14 +82,19 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
     expressions (rt/chatter), or ROS 2 names in the --ros-... options. Each NAME gets the
     rights of these options, or of its grant in --policy, and no others. Without a NAME,
-    every name in --policy is issued. With --csr the keys stay on the robot, and bundles for
-    `pqsec install` are written.
+    every name in --policy is issued. A pattern such as '/robot1/*' is all that match it: in
+    --policy, or, to replace them with --force, in the keystore. With --csr the keys stay on
+    the robot, and bundles for `pqsec install` are written.
     """
     wanted = ParticipantOptions.of(**how)
     if not requests:
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
+    if any(map(is_pattern, names)) and not requests:
+        names = tuple(
+            expanded(names, wanted.policy_names) if wanted.policy else admitted(keystore, names)
+        )
     keys = dict[str, PublicKeys]()
     if requests:
         found = _bundles.load_requests(requests)

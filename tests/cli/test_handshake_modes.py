@@ -38,7 +38,7 @@ LAST = re.compile(
         ("/a /b /c", "a handshake needs two participants, but 3 are named"),
         ("--trace -", "a handshake needs two participants, but 0 are named"),
         ("--attack all /a", "a handshake needs two participants, but 1 are named"),
-        ("/talker --all", "--all takes no participants, but 1 are named"),
+        ("/talker --all", "a handshake needs two participants, but 1 are named"),
         ("/talker /listener --matrix", "--matrix takes no participants, but 2 are named"),
         ("--all --matrix", "--all and --matrix exclude each other"),
         ("/a /b --trace t --attack all", "--trace and --attack exclude each other"),
@@ -62,9 +62,9 @@ def test_what_does_not_go_together_is_a_usage_error(pqsec, keystore, options, wo
 
 def test_help_shows_each_mode_with_an_example(pqsec):
     told = pqsec("verify-handshake --help").done().out
-    assert told.startswith("Usage: pqsec verify-handshake [OPTIONS] [A B]\n")
+    assert told.startswith("Usage: pqsec verify-handshake [OPTIONS] [A B|NAME...]\n")
     examples = [line.split(maxsplit=1)[1] for line in told.splitlines() if "  pqsec ver" in line]
-    assert len(examples) == 6
+    assert len(examples) == 7
     for option in ("--as", "--trace", "--attack", "--all", "--matrix"):
         assert [line for line in examples if option in line]
         assert f"\n  {option} " in told
