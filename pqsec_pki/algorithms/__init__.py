@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pqsec_pki.algorithms._pair import pair_private, pair_public
     from pqsec_pki.algorithms._pem import first_pem, pem, unpem
     from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm, broken_digest
-    from pqsec_pki.algorithms._table import Family
+    from pqsec_pki.algorithms._table import Family, Registered
     from pqsec_pki.algorithms.digest import Digest, digest_of
     from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS, MODP_DER, MODP_RAW
     from pqsec_pki.algorithms.keys import (
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
         DEFAULT_PROFILE,
         PROFILES,
         STOCK_AGREEMENT,
+        STOCK_AGREEMENTS,
         Profile,
         profile_named,
+        usual_agreements,
     )
     from pqsec_pki.algorithms.sealing import SealingPrivateKey, SealingPublicKey
     from pqsec_pki.algorithms.signature import SIGNATURES
@@ -42,6 +44,7 @@ __all__ = [
     "PROFILES",
     "SIGNATURES",
     "STOCK_AGREEMENT",
+    "STOCK_AGREEMENTS",
     "Digest",
     "Family",
     "KeyAgreement",
@@ -49,6 +52,7 @@ __all__ = [
     "PrivateKey",
     "Profile",
     "PublicKey",
+    "Registered",
     "SealingPrivateKey",
     "SealingPublicKey",
     "SignatureAlgorithm",
@@ -64,4 +68,5 @@ __all__ = [
     "private_key_pem",
     "profile_named",
     "unpem",
+    "usual_agreements",
 ]

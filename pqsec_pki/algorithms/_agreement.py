@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any
 
-from pqsec_pki.algorithms._table import Family
+from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.errors import VerificationError
 
 
@@ -43,6 +43,7 @@ class KeyAgreement(ABC):
     family: Family
     level: int
     """NIST security category; 0 if a quantum computer breaks it."""
+    registered: Registered = field(repr=False)
     standard: str
     runs_in: str
     """The stock DDS stacks that support it."""
@@ -61,6 +62,11 @@ class KeyAgreement(ABC):
         others do, so that both sides have the same key only for the same handshake.
         """
         return self.family is not Family.CLASSICAL
+
+    @property
+    def parts(self) -> "tuple[KeyAgreement, ...]":
+        """The agreements that it combines; none if it is not a hybrid."""
+        return ()
 
     def generate(self) -> KeyPair:
         """A new key pair."""
@@ -128,6 +134,10 @@ class Hybrid(KeyAgreement):
 
     first: KeyAgreement = field(repr=False)
     second: KeyAgreement = field(repr=False)
+
+    @property
+    def parts(self) -> tuple[KeyAgreement, ...]:
+        return self.first, self.second
 
     def _generate(self) -> tuple[KeyPair, KeyPair]:
         return self.first.generate(), self.second.generate()

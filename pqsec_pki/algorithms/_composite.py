@@ -36,6 +36,10 @@ class Composite(SignatureAlgorithm):
     prehash: Callable[[bytes], bytes] = field(repr=False)
     label: bytes = field(repr=False)
 
+    @property
+    def parts(self) -> tuple[SignatureAlgorithm, ...]:
+        return self.ml_dsa, self.traditional
+
     def matches(self, handle: Any) -> bool:
         return (
             isinstance(handle, tuple)

@@ -11,7 +11,7 @@ from typing import Any
 from cryptography.exceptions import InvalidSignature
 
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
-from pqsec_pki.algorithms._table import Family
+from pqsec_pki.algorithms._table import Family, Registered
 
 
 def pair_public(key: PublicKey, alternative: PublicKey) -> PublicKey:
@@ -47,10 +47,19 @@ class SignaturePair(SignatureAlgorithm):
             "aliases": (),
             "family": Family.HYBRID,
             "level": alternative.level,
+            "registered": Registered(
+                classical_level=max(
+                    each.registered.classical_level for each in (plain, alternative)
+                )
+            ),
             "wire_name": f"{plain.wire_name}+{alternative.wire_name}",
             "signature_size": plain.signature_size + alternative.signature_size,
         }
         return cls(**kept, plain=plain, alternative=alternative)
+
+    @property
+    def parts(self) -> tuple[SignatureAlgorithm, ...]:
+        return self.alternative, self.plain
 
     def matches(self, handle: Any) -> bool:
         del handle

@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from pqsec_pki._asn1 import Oid, encode
-from pqsec_pki.algorithms._table import Family
+from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.algorithms.digest import Digest
 from pqsec_pki.errors import VerificationError
 
@@ -48,6 +48,7 @@ class SignatureAlgorithm(ABC):
     family: Family
     level: int
     """NIST security category; 0 if a quantum computer breaks it."""
+    registered: Registered = field(repr=False)
     standard: str
     runs_in: str
     """The stock DDS stacks that accept identities with this algorithm."""
@@ -67,6 +68,11 @@ class SignatureAlgorithm(ABC):
     """Bytes in the BIT STRING of SubjectPublicKeyInfo."""
     signature_size: int
     """Bytes, at most."""
+
+    @property
+    def parts(self) -> "tuple[SignatureAlgorithm, ...]":
+        """The algorithms that it combines; none if it is not a combination."""
+        return ()
 
     def generate(self) -> "PrivateKey":
         """A new key."""

@@ -1,6 +1,7 @@
 """A table of rows that are found by name."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, Protocol, TypeVar
 
@@ -13,6 +14,23 @@ class Family(StrEnum):
     CLASSICAL = "classical"
     PQ = "pq"
     HYBRID = "hybrid"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Registered:
+    """An algorithm in public registries, for inventories such as CycloneDX."""
+
+    oid: str | None = None
+    """The OID of signatures, or of the key agreement; None if it has none."""
+    family: str | None = None
+    """The family in CycloneDX's registry of cryptography; None for a combination."""
+    parameter_set: str | None = None
+    """Such as 65 for ML-DSA-65, or 2048 for RSA with a modulus of 2048 bits."""
+    curve: str | None = None
+    """The elliptic curve, as in that registry."""
+    classical_level: int
+    """Bits of security without a quantum computer: NIST SP 800-57 part 1, table 2, where a size
+    between two rows counts as the smaller; for ML-DSA and ML-KEM, the AES key of their category."""
 
 
 class AlgorithmRow(Protocol):

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, mlkem
 from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement, KeyPair
 from pqsec_pki.algorithms._diffie_hellman import ECDH, MODP, X25519
 from pqsec_pki.algorithms._ml_kem import MLKEM
-from pqsec_pki.algorithms._table import AlgorithmTable, Family
+from pqsec_pki.algorithms._table import AlgorithmTable, Family, Registered
 
 __all__ = ["KEY_AGREEMENTS", "MODP_DER", "MODP_RAW", "KeyAgreement", "KeyPair"]
 
@@ -23,6 +23,9 @@ ECDH_P256 = ECDH(
     wire_name="ECDH+prime256v1-CEUM",
     family=Family.CLASSICAL,
     level=0,
+    registered=Registered(
+        oid="1.3.132.1.12", family="ECDH", curve="nist/P-256", classical_level=128
+    ),
     standard="NIST SP 800-56A",
     runs_in="all stock stacks",
     public_size=65,
@@ -37,6 +40,9 @@ ECDH_P384 = ECDH(
     wire_name="ECDHE-CEUM+P384",
     family=Family.CLASSICAL,
     level=0,
+    registered=Registered(
+        oid="1.3.132.1.12", family="ECDH", curve="nist/P-384", classical_level=192
+    ),
     standard="NIST SP 800-56A",
     runs_in="no open stack; DDS-Security 1.2",
     public_size=97,
@@ -50,6 +56,7 @@ DH_MODP_2048_256 = MODP(
     wire_name="DH+MODP-2048-256",
     family=Family.CLASSICAL,
     level=0,
+    registered=Registered(family="FFDH", parameter_set="2048", classical_level=112),
     standard="RFC 5114 2.3",
     runs_in="all stock stacks, but Cyclone DDS with itself only",
     public_size=261,
@@ -65,6 +72,9 @@ _X25519 = X25519(
     wire_name="X25519",
     family=Family.CLASSICAL,
     level=0,
+    registered=Registered(
+        oid="1.3.101.110", family="ECDH", curve="other/Curve25519", classical_level=128
+    ),
     standard="RFC 7748",
     runs_in="nowhere alone: half of a hybrid",
     public_size=32,
@@ -77,6 +87,9 @@ ML_KEM_768 = MLKEM(
     wire_name="MLKEM768",
     family=Family.PQ,
     level=3,
+    registered=Registered(
+        oid="2.16.840.1.101.3.4.4.2", family="ML-KEM", parameter_set="768", classical_level=192
+    ),
     standard="FIPS 203",
     runs_in=_PQSEC_ONLY,
     public_size=1184,
@@ -91,6 +104,9 @@ ML_KEM_1024 = MLKEM(
     wire_name="MLKEM1024",
     family=Family.PQ,
     level=5,
+    registered=Registered(
+        oid="2.16.840.1.101.3.4.4.3", family="ML-KEM", parameter_set="1024", classical_level=256
+    ),
     standard="FIPS 203",
     runs_in=_PQSEC_ONLY,
     public_size=1568,
@@ -111,6 +127,9 @@ def _hybrid(
         wire_name=wire_name,
         family=Family.HYBRID,
         level=max(first.level, second.level),
+        registered=Registered(
+            classical_level=max(each.registered.classical_level for each in (first, second))
+        ),
         standard="RFC 10024",
         runs_in=_PQSEC_ONLY,
         public_size=first.public_size + second.public_size,

@@ -16,6 +16,8 @@ from pqsec_pki.errors import MalformedError, UnknownAlgorithmError, UsageError
 
 STOCK_AGREEMENT = KEY_AGREEMENTS.named("ecdh-p256")
 """The key agreement with a stock peer, if the profile allows one."""
+STOCK_AGREEMENTS = (STOCK_AGREEMENT, KEY_AGREEMENTS.named("dh-modp-2048-256"))
+"""All that DDS-Security 1.1 has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +124,21 @@ def profile_named(name: str) -> Profile:
             return profile
     known = ", ".join(profile.name for profile in PROFILES)
     raise UnknownAlgorithmError(f"no profile named {name!r}", hint=f"known: {known}")
+
+
+def usual_agreements(
+    key: SignatureAlgorithm, alternative: SignatureAlgorithm | None
+) -> tuple[KeyAgreement, ...]:
+    """The key agreements of participants with such keys, the preferred first.
+
+    That of the profile with such keys; for other keys, one of their kind.
+    """
+    if key.family is Family.CLASSICAL and alternative is None:
+        return STOCK_AGREEMENTS
+    for profile in PROFILES:
+        if profile.participant_key is key and profile.alternative_key is alternative:
+            return (profile.key_agreement,)
+    return (DEFAULT_PROFILE.key_agreement,)
 
 
 def _row(key: str, name: str) -> SignatureAlgorithm | KeyAgreement:

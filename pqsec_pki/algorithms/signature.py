@@ -14,7 +14,7 @@ from pqsec_pki.algorithms._classical import ECDSA_WITH, RSA_WITH, Ecdsa, Ed25519
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA
 from pqsec_pki.algorithms._row import SignatureAlgorithm
-from pqsec_pki.algorithms._table import AlgorithmTable, Family
+from pqsec_pki.algorithms._table import AlgorithmTable, Family, Registered
 from pqsec_pki.algorithms.digest import (
     SHA3_256,
     SHA3_384,
@@ -39,6 +39,13 @@ def _ecdsa(bits: int, curve: ec.EllipticCurve, oid: str, digest: Digest, runs_in
         aliases=(f"p{bits}", f"ec-p{bits}"),
         family=Family.CLASSICAL,
         level=0,
+        registered=Registered(
+            oid=ECDSA_WITH[digest.name],
+            family="ECDSA",
+            parameter_set=str(bits),
+            curve=f"nist/P-{bits}",
+            classical_level=bits // 2,
+        ),
         standard="FIPS 186-5",
         runs_in=runs_in,
         # DDS-Security 1.1 names P-256 only; for P-384 this is 1.2's word.
@@ -61,6 +68,12 @@ def _rsa(bits: int, kind: type[Rsa] = Rsa) -> Rsa:
         aliases=(f"rsa{bits}",),
         family=Family.CLASSICAL,
         level=0,
+        registered=Registered(
+            oid=RSA_WITH["sha256"] if kind is Rsa else "1.2.840.113549.1.1.10",
+            family="RSASSA-PKCS1" if kind is Rsa else "RSASSA-PSS",
+            parameter_set=str(bits),
+            classical_level=112 if bits == 2048 else 128,  # noqa: PLR2004 -- the rows of SP 800-57
+        ),
         standard="RFC 8017",
         # At 4096 bits the handshake is over the 8192 bytes that Fast DDS 3.1.2 can take.
         runs_in={2048: EVERYWHERE, 3072: FAST_ONLY}.get(bits, f"{FAST_ONLY}; crashes Fast DDS 3.1"),
@@ -86,6 +99,12 @@ def _ml_dsa(
         aliases=(f"mldsa{size}", f"mldsa-{size}"),
         family=Family.PQ,
         level=level,
+        registered=Registered(
+            oid=oid,
+            family="ML-DSA",
+            parameter_set=str(size),
+            classical_level={2: 128, 3: 192, 5: 256}[level],
+        ),
         standard="FIPS 204, RFC 9881",
         runs_in=NOWHERE,
         wire_name=f"ML-DSA-{size}",
@@ -114,6 +133,9 @@ _ED25519 = Ed25519(
     name="ed25519",
     family=Family.CLASSICAL,
     level=0,
+    registered=Registered(
+        oid="1.3.101.112", family="EdDSA", curve="other/Ed25519", classical_level=128
+    ),
     standard="RFC 8032",
     runs_in=NOWHERE,
     wire_name="Ed25519",
@@ -141,6 +163,7 @@ def _composite(
         aliases=(short,),
         family=Family.HYBRID,
         level=ml_dsa.level,
+        registered=Registered(oid=oid, classical_level=ml_dsa.registered.classical_level),
         standard="draft-ietf-lamps-pq-composite-sigs-19 (RFC to be, OID final)",
         runs_in=NOWHERE,
         wire_name=draft_name,

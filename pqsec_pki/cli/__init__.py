@@ -63,6 +63,7 @@ COMMANDS = {
     "sign-governance": ("sign", "Check a governance document against its schema, and sign it."),
     "sign-permissions": ("sign", "Check a permissions document against its schema, and sign it."),
     "validate": ("validate", "Check governance and permissions documents against their schemas."),
+    "cbom": ("cbom", "Write a cryptographic bill of materials (CBOM) in CycloneDX 1.7."),
     "check": ("check", "Report errors and risks in keystores, folders and files."),
     "verify": ("verify", "Check who signed a governance or permissions document."),
     "verify-handshake": ("handshake", "Run the authentication handshake between two participants."),

@@ -22,9 +22,6 @@ from pqsec_pki.lint import (
 from pqsec_pki.lint import check as check_all
 from pqsec_pki.stacks import Stack, stack_named
 
-# A file or a folder; like FILE and FOLDER it refuses an empty path.
-_PATH = type(_settings.FILE)(path_type=Path, readable=False)
-
 _COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
 
 
@@ -63,7 +60,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
         3: "incomplete: a file or folder cannot be read",
     },
 )
-@click.argument("paths", nargs=-1, type=_PATH, metavar="[PATH]...")
+@click.argument("paths", nargs=-1, type=_settings.PATH, metavar="[PATH]...")
 @click.option(
     "--target",
     "targets",

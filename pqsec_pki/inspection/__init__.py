@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.inspection._algorithms import algorithm_name
     from pqsec_pki.inspection.description import Description, Fact
     from pqsec_pki.inspection.recognise import describe
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["Description", "Fact", "describe"]
+__all__ = ["Description", "Fact", "algorithm_name", "describe"]

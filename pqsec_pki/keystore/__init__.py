@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.keystore import Keystore
-    from pqsec_pki.keystore.layout import SETTINGS
+    from pqsec_pki.keystore.layout import GENERATIONS, SETTINGS
     from pqsec_pki.keystore.layout import enclave_name as regular_name
     from pqsec_pki.keystore.overlap import (
         WAIT,
@@ -86,6 +86,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "GENERATIONS",
     "PERMITTED",
     "SETTINGS",
     "WAIT",

@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.lint.collect import take_inventory
+    from pqsec_pki.lint.document import GovernanceFile
+    from pqsec_pki.lint.file import File
     from pqsec_pki.lint.rule import Finding, Rule, Severity
     from pqsec_pki.lint.run import LintReport, check
     from pqsec_pki.lint.sarif import to_sarif
+    from pqsec_pki.lint.subjects import CertificateFile, Inventory
     from pqsec_pki.lint.suppress import Suppression, from_option
     from pqsec_pki.lint.table import RULES, rule_named
 else:
@@ -19,7 +23,11 @@ else:
 
 __all__ = [
     "RULES",
+    "CertificateFile",
+    "File",
     "Finding",
+    "GovernanceFile",
+    "Inventory",
     "LintReport",
     "Rule",
     "Severity",
@@ -27,5 +35,6 @@ __all__ = [
     "check",
     "from_option",
     "rule_named",
+    "take_inventory",
     "to_sarif",
 ]

@@ -3,7 +3,13 @@
 from dataclasses import dataclass
 from typing import Self
 
-from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, STOCK_AGREEMENT, Family, KeyAgreement
+from pqsec_pki.algorithms import (
+    KEY_AGREEMENTS,
+    STOCK_AGREEMENTS,
+    Family,
+    KeyAgreement,
+    usual_agreements,
+)
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.handshake import PeerRequirements
@@ -13,8 +19,6 @@ FILE = "pqsec.toml"
 STOCK, OURS = "stock", "pqsec"
 MAX_SETTINGS = 4096
 """Octets."""
-_STOCK_AGREEMENTS = (STOCK_AGREEMENT, KEY_AGREEMENTS.named("dh-modp-2048-256"))
-_USUAL = KEY_AGREEMENTS.named("x25519mlkem768")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +42,7 @@ class AgentSettings:
                 stock, agreements = _parsed(octets_of(path, limit=MAX_SETTINGS))
         if stock == STOCK:
             _refuse_without_plain_key(certificate)
-        usual = _STOCK_AGREEMENTS if stock == STOCK else _by_keys(certificate)
+        usual = STOCK_AGREEMENTS if stock == STOCK else _by_keys(certificate)
         return cls(agreements=agreements or usual, stock_peers=stock == STOCK)
 
     def policy(self, certificate: Certificate) -> PeerRequirements:
@@ -48,15 +52,8 @@ class AgentSettings:
 
 
 def _by_keys(certificate: Certificate) -> tuple[KeyAgreement, ...]:
-    """The key agreement of the profile with such keys; for other keys, one of their kind."""
-    own, second = certificate.public_key.algorithm, certificate.alternative_key
-    alternative = second.algorithm if second else None
-    if own.family is Family.CLASSICAL and alternative is None:
-        return _STOCK_AGREEMENTS
-    for profile in PROFILES:
-        if profile.participant_key is own and profile.alternative_key is alternative:
-            return (profile.key_agreement,)
-    return (_USUAL,)
+    second = certificate.alternative_key
+    return usual_agreements(certificate.public_key.algorithm, second.algorithm if second else None)
 
 
 def _refuse_without_plain_key(certificate: Certificate) -> None:

@@ -68,6 +68,10 @@ MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "p
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
 for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "attacks"):
     MAY_IMPORT[room] = MAY_IMPORT[room] | {"credentials"}
+MAY_IMPORT["cbom"] = {
+    *("lint", "inspection", "keystore", "credentials", "certificates", "smime", "documents"),
+    "algorithms",
+}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.
@@ -75,6 +79,7 @@ ONLY_IN = {
     "cryptography.hazmat.asn1": {"_asn1"},
     "cryptography.hazmat.primitives.asymmetric": {"algorithms"},
     "click": {"cli"},
+    "cyclonedx": {"cbom"},
     "lxml": {"documents"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"documents", "vendors"},

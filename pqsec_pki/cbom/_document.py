@@ -1,0 +1,83 @@
+"""Assets as a CycloneDX 1.7 document in JSON, the same bytes for the same assets."""
+
+import json
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+from uuid import NAMESPACE_URL, uuid5
+
+from cyclonedx.model import HashAlgorithm, HashType, Property
+from cyclonedx.model.bom import Bom
+from cyclonedx.model.component import Component, ComponentType
+from cyclonedx.model.component_evidence import ComponentEvidence, Occurrence
+from cyclonedx.output import make_outputter
+from cyclonedx.schema import OutputFormat, SchemaVersion
+
+from pqsec_pki import __version__
+from pqsec_pki.cbom._assets import Asset, Assets
+
+_PREFIX = "pqsec:"
+"""Of the names of properties that CycloneDX does not define."""
+
+
+def written(assets: Assets, subject: str, timestamp: datetime | None) -> str:
+    """The document about `subject`. Its serial number is derived from all but `timestamp`."""
+    document = json.loads(
+        make_outputter(
+            _bom(assets, subject), OutputFormat.JSON, SchemaVersion.V1_7
+        ).output_as_string()
+    )
+    del document["metadata"]["timestamp"], document["serialNumber"]
+    _add_fields(document, {each.ref: each.added for each in assets})
+    document = _in_order(document)
+    content = json.dumps(document, sort_keys=True)
+    document["serialNumber"] = uuid5(NAMESPACE_URL, content).urn
+    if timestamp is not None:
+        document["metadata"]["timestamp"] = timestamp.isoformat()
+    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _bom(assets: Assets, subject: str) -> Bom:
+    components = {each.ref: _component(each) for each in assets}
+    root = Component(name=subject, type=ComponentType.DATA, bom_ref="subject")
+    bom = Bom(components=components.values())
+    bom.metadata.component = root
+    bom.metadata.tools.components.add(
+        Component(name="pqsec", version=__version__, type=ComponentType.APPLICATION)
+    )
+    bom.register_dependency(root, components.values())
+    for each in assets:
+        bom.register_dependency(components[each.ref], [components[ref] for ref in each.needs])
+    return bom
+
+
+def _component(asset: Asset) -> Component:
+    hashes = [HashType(alg=HashAlgorithm.SHA_256, content=asset.sha256)] if asset.sha256 else []
+    places = [Occurrence(location=place) for place in sorted(asset.places)]
+    return Component(
+        name=asset.name,
+        type=ComponentType.CRYPTOGRAPHIC_ASSET,
+        bom_ref=asset.ref,
+        hashes=hashes,
+        crypto_properties=asset.crypto,
+        properties=[Property(name=_PREFIX + name, value=value) for name, value in asset.details],
+        evidence=ComponentEvidence(occurrences=places) if places else None,
+    )
+
+
+def _add_fields(document: dict[str, Any], added: Mapping[str, Mapping[str, Any]]) -> None:
+    """Add the fields of 1.7 that cyclonedx-python-lib does not have yet, by bom-ref."""
+    kinds = {"algorithm": "algorithmProperties", "certificate": "certificateProperties"}
+    for component in document.get("components", ()):
+        if fields := added[component["bom-ref"]]:
+            crypto = component["cryptoProperties"]
+            crypto[kinds[crypto["assetType"]]].update(fields)
+
+
+def _in_order(value: Any) -> Any:
+    """`value` with all lists sorted: none has an order that means something, or a stable one."""
+    if isinstance(value, dict):
+        return {key: _in_order(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return sorted(map(_in_order, value), key=lambda each: json.dumps(each, sort_keys=True))
+    return value
