@@ -96,7 +96,7 @@ GROUPS = {
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (
-        "check verify verify-handshake explain who-may diff inspect profiles algorithms"
+        "check verify verify-handshake explain who-may diff cbom inspect profiles algorithms"
     ),
     "Use with a DDS stack": "export try explain-error plugin agent",
 }
