@@ -65,6 +65,10 @@ COMMANDS = {
     "validate": ("validate", "Check governance and permissions documents against their schemas."),
     "cbom": ("cbom", "Write a cryptographic bill of materials (CBOM) in CycloneDX 1.7."),
     "check": ("check", "Report errors and risks in keystores, folders and files."),
+    "report": (
+        "report",
+        "Write a report of the keystore: who may command what, what ends when, and what changed.",
+    ),
     "verify": ("verify", "Check who signed a governance or permissions document."),
     "verify-handshake": ("handshake", "Run the authentication handshake between two participants."),
     "export": ("export", "Write the configuration that a DDS stack needs to run as a participant."),
@@ -96,7 +100,7 @@ GROUPS = {
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (
-        "check verify verify-handshake explain who-may diff cbom inspect profiles algorithms"
+        "check report verify verify-handshake explain who-may diff cbom inspect profiles algorithms"
     ),
     "Use with a DDS stack": "export try explain-error plugin agent",
 }

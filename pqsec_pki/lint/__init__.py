@@ -11,6 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.lint.collect import take_inventory
     from pqsec_pki.lint.document import GovernanceFile
+    from pqsec_pki.lint.enclaves.size import largest_messages
     from pqsec_pki.lint.file import File
     from pqsec_pki.lint.rule import Finding, Rule, Severity
     from pqsec_pki.lint.run import LintReport, check
@@ -34,6 +35,7 @@ __all__ = [
     "Suppression",
     "check",
     "from_option",
+    "largest_messages",
     "rule_named",
     "take_inventory",
     "to_sarif",

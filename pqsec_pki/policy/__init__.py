@@ -5,6 +5,7 @@
     answers        the answer of each stack to one access question, on each domain
     fleet          the participants of a keystore, or of permissions documents
     who_may        who may publish and subscribe to each topic
+    reasons        why one of them may
     differences    the rights that a change of documents or keystores grants and removes
 
 The room `access` decides; this room reads the documents for it.
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
         policy_input_of,
         shared_governance,
     )
+    from pqsec_pki.policy.reasons import Explanation, reason_of
     from pqsec_pki.policy.who_may import WhoMay, who_may_use
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -41,6 +43,7 @@ __all__ = [
     "Answer",
     "DocumentDifference",
     "DomainsAnswer",
+    "Explanation",
     "Fleet",
     "Loaded",
     "PolicyInput",
@@ -55,6 +58,7 @@ __all__ = [
     "own_permissions",
     "permissions_in",
     "policy_input_of",
+    "reason_of",
     "shared_governance",
     "signed_by",
     "valid_kind",

@@ -3,7 +3,7 @@
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from pqsec_pki.errors import (
 from pqsec_pki.keystore import SETTINGS, Keystore
 from pqsec_pki.policy.loading import Document, document_at, governance_in
 from pqsec_pki.policy.participants import (
+    PolicyInput,
     anchors_of,
     identity_of,
     own_governance,
@@ -44,6 +45,8 @@ class Fleet:
     """Participants or files that are left out, and why: no stack would accept the documents."""
     notes: tuple[str, ...] = ()
     """What was assumed, or not checked."""
+    inputs: dict[str, PolicyInput] = field(default_factory=dict, repr=False)
+    """Of a keystore: each member's documents as read, for the place of a rule."""
 
 
 def fleet_of(
@@ -66,6 +69,7 @@ def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Flee
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
     members, refused = list[DocumentOwner](), dict[str, str]()
+    inputs = dict[str, PolicyInput]()
     for name in (*keystore.names(), *keystore.incomplete()):
         try:
             subject = identity_of(keystore, name, anchors, now).subject_name
@@ -79,7 +83,10 @@ def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Flee
             refused[name] = str(error)
         else:
             members.append(DocumentOwner(name=name, subject=subject, permissions=own.value))
-    return Fleet(governance.value, members, refused)
+            inputs[name] = PolicyInput(
+                who=name, subject=subject, governance=governance, permissions=own
+            )
+    return Fleet(governance.value, members, refused, inputs=inputs)
 
 
 def _refuse_ungranted(

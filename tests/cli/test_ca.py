@@ -581,6 +581,7 @@ WITHOUT_KEYS = {
     "needs-renewal": 1,
     "check k": 0,
     "who-may": 0,
+    "report": 0,
     "diff k k": 0,
     "ca show": 0,
     "explain --participant /talker --publish rt/chatter": 0,

@@ -28,6 +28,7 @@ READING = {
     "status": [""],
     "log": ["", "--verify"],
     "check": ["k"],
+    "report": ["", "--format csv"],
     "verify": ["k/enclaves/governance.p7s"],
     "verify-handshake": ["/talker /listener", "--all"],
     "export": [f"cyclonedds {TALKER}"],

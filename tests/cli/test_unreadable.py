@@ -220,3 +220,14 @@ def test_a_participant_whose_permissions_cannot_be_read_is_not_left_out(closed, 
     """They may grant any right."""
     closed("enclaves/talker/permissions.p7s", mode=0o600)
     assert not wrong(as_nobody(line), "permissions.p7s")
+
+
+def test_a_report_says_what_it_lacks(closed, as_nobody):
+    closed("enclaves/talker", "private")
+    said = as_nobody("-k k report")
+    assert said.code == 3
+    assert "This report is incomplete" in said.out
+    for word in ("enclaves/talker", "private"):
+        assert word in said.out
+        assert word in said.err
+    assert "0 participants" not in said.out

@@ -104,7 +104,7 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def over_datagram(inventory: Inventory) -> Iterator[Violation]:
-    for size in _largest(inventory):
+    for size in largest_messages(inventory):
         if size.message > DATAGRAM:
             yield _found(size, f"{size.found}: over the {DATAGRAM} bytes of a datagram")
 
@@ -119,7 +119,7 @@ def over_datagram(inventory: Inventory) -> Iterator[Violation]:
     good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def many_fragments(inventory: Inventory) -> Iterator[Violation]:
-    for size in _largest(inventory):
+    for size in largest_messages(inventory):
         if (number := -(-size.message // FRAGMENT)) > MANY:
             yield _found(size, f"{size.found}: {number} fragments, which must all arrive")
 
@@ -134,7 +134,7 @@ def many_fragments(inventory: Inventory) -> Iterator[Violation]:
     good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
-    for size in _largest(inventory):
+    for size in largest_messages(inventory):
         if size.message > MAX_TOKEN:
             yield _found(size, f"{size.found}: pqsec peers read at most {MAX_TOKEN}")
 
@@ -170,7 +170,8 @@ def reply_size(
     return len(message.encode())
 
 
-def _largest(inventory: Inventory) -> Iterator[LargestMessage]:
+def largest_messages(inventory: Inventory) -> Iterator[LargestMessage]:
+    """For each participant, between pqsec peers of its keystore, or for stock stacks."""
     return _sizes(inventory, inventory.keystore.profile if inventory.keystore else None)
 
 

@@ -1,0 +1,248 @@
+"""Makes the report of a keystore. What cannot be read becomes a gap, never an empty section."""
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TypeVar
+
+from pqsec_pki import __version__
+from pqsec_pki.access import SPEC
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.keystore import Keystore, Line, State, Status, audit
+from pqsec_pki.keystore import status as status_of
+from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
+from pqsec_pki.policy import Fleet, fleet_in
+from pqsec_pki.report.dates import KINDS, endings_of
+from pqsec_pki.report.history import events_of
+from pqsec_pki.report.quantum import (
+    algorithm_of,
+    exposed_agreements,
+    exposed_signatures,
+    exposed_traffic,
+)
+from pqsec_pki.report.rights import rights_of
+from pqsec_pki.report.values import (
+    AuthorityRow,
+    Evidence,
+    Exposure,
+    FindingGroup,
+    FindingPlace,
+    FindingsSection,
+    Gap,
+    HandshakeSize,
+    ParticipantRow,
+    Report,
+)
+
+Given = TypeVar("Given")
+Value = TypeVar("Value")
+
+RIGHTS = "Who may command what"
+ENDINGS = "What ends when"
+QUANTUM = "What a quantum computer breaks"
+FINDINGS = "What is wrong or risky"
+EVENTS = "What was issued, renewed and revoked"
+SIZES = "How large the handshakes are"
+EVIDENCE = "Evidence"
+_RANK = {severity: rank for rank, severity in enumerate(Severity)}
+
+
+def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report:
+    """The report of the keystore at `now`. `command` is the command line that made it.
+
+    It needs no private key. Nothing is raised for a part that cannot be read or is not valid:
+    the report has a gap for it.
+    """
+    made = _ReportMaker(keystore, now)
+    status = made.part(EVENTS, lambda: status_of(keystore, now=now))
+    lines = made.part(EVENTS, keystore.lines)
+    fleet = made.part(RIGHTS, lambda: fleet_in(keystore, now, SPEC))
+    checked = made.part(FINDINGS, lambda: check([keystore.root], now=now))
+    authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
+    if checked:
+        made.note_unread(checked)
+    return Report(
+        keystore=str(keystore.root),
+        profile=keystore.profile.name,
+        at=now,
+        version=__version__,
+        command=command,
+        participants=_of(status, lambda found: tuple(_participants(found))),
+        authorities=_authorities(keystore, status, authorities),
+        rights=_of(
+            fleet,
+            lambda found: made.part(RIGHTS, lambda: rights_of(found, keystore.root, now)),
+        ),
+        endings=_of(status, lambda found: endings_of(found, fleet)),
+        exposures=made.part(
+            QUANTUM, lambda: _exposures(keystore, authorities, checked, status, fleet)
+        ),
+        findings=_of(checked, made.findings),
+        events=_of(lines, events_of),
+        sizes=_of(checked, lambda found: _sizes(found.inventory)),
+        evidence=_of(lines, lambda found: made.part(EVIDENCE, lambda: _evidence(keystore, found))),
+        gaps=tuple(dict.fromkeys(made.gaps)),
+    )
+
+
+def _of(value: Given | None, make: Callable[[Given], Value | None]) -> Value | None:
+    """What `make` returns for the value; None without one."""
+    return None if value is None else make(value)
+
+
+@dataclass(slots=True)
+class _ReportMaker:
+    """Collects the parts, and the gaps."""
+
+    keystore: Keystore
+    now: datetime
+    gaps: list[Gap] = field(default_factory=list)
+
+    def part(self, section: str, make: Callable[[], Value]) -> Value | None:
+        """What `make` returns; None, and a gap, if it cannot be read or is not valid."""
+        try:
+            return make()
+        except PqsecError as error:
+            self.gaps += (Gap(section, line) for line in error.lines)
+            return None
+
+    def note_unread(self, checked: LintReport) -> None:
+        """A gap for each file that could not be checked."""
+        for each in checked.unread:
+            self.gaps.append(Gap(FINDINGS, f"{self.below(each.path)}: {each.message}"))
+
+    def findings(self, checked: LintReport) -> FindingsSection:
+        """The findings by rule, the most severe rules first."""
+        by_rule: dict[str, list[Finding]] = defaultdict(list)
+        for each in checked.findings:
+            by_rule[each.rule.id].append(each)
+        groups = [self._group(alike) for alike in by_rule.values()]
+        return FindingsSection(
+            groups=tuple(sorted(groups, key=lambda each: (_RANK[each.severity], each.rule))),
+            files=sum(not file.unreadable for file in checked.inventory.files),
+            ignored=tuple(
+                (each.rule.id, self.below(each.path), reason) for each, reason in checked.ignored
+            ),
+        )
+
+    def _group(self, alike: list[Finding]) -> FindingGroup:
+        rule = alike[0].rule
+        return FindingGroup(
+            rule=rule.id,
+            severity=rule.severity,
+            title=rule.title,
+            why=rule.why,
+            fix=rule.fix,
+            places=tuple(
+                FindingPlace(path=self.below(each.path), line=each.line, message=each.message)
+                for each in alike
+            ),
+        )
+
+    def below(self, path: Path) -> str:
+        """The path, relative to the keystore if it is in it."""
+        root = self.keystore.root
+        return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)
+
+
+def _participants(status: Status) -> Iterator[ParticipantRow]:
+    for each in sorted(status.participants, key=lambda each: each.name):
+        yield ParticipantRow(
+            name=each.name,
+            state=each.state,
+            not_after=each.not_after,
+            profile=each.profile or "",
+            domains=each.domains or "",
+            serial=each.serial,
+        )
+
+
+def _certificates(keystore: Keystore, status: Status | None) -> dict[str, Certificate]:
+    """The CAs' certificates by their kinds, as in `Status.shared`."""
+    found = {"identity-ca": keystore.identity_ca, "permissions-ca": keystore.permissions_ca}
+    if countersigner := keystore.countersigner:
+        found["countersigner"] = countersigner
+    if status and any(each.kind == "trusted-too" for each in status.shared):
+        others = (each for each in keystore.anchors.identity_cas)
+        found["trusted-too"] = next(each for each in others if each != found["identity-ca"])
+    return found
+
+
+def _authorities(
+    keystore: Keystore, status: Status | None, known: Mapping[str, Certificate] | None
+) -> tuple[AuthorityRow, ...] | None:
+    if status is None or known is None:
+        return None
+    return tuple(
+        AuthorityRow(
+            kind=KINDS[each.kind],
+            name=each.name,
+            state=each.state,
+            not_after=each.not_after,
+            algorithm=algorithm_of(known[each.kind]) if each.kind in known else "",
+            fingerprint=known[each.kind].fingerprint
+            if each.kind in known
+            else hashlib.sha256(keystore.revocation_list_path.read_bytes()).hexdigest(),
+        )
+        for each in status.shared
+    )
+
+
+def _exposures(
+    keystore: Keystore,
+    authorities: Mapping[str, Certificate] | None,
+    checked: LintReport | None,
+    status: Status | None,
+    fleet: Fleet | None,
+) -> tuple[Exposure, ...]:
+    profiles = {
+        each.name: each.profile or ""
+        for each in (status.participants if status else ())
+        if each.state not in {State.REVOKED, State.GONE}
+    }
+    enclaves = checked.inventory.enclaves if checked else ()
+    participants = {
+        each.name: certificate
+        for each in enclaves
+        if each.name in profiles and (certificate := each.certificate())
+    }
+    roles = {KINDS[kind]: each for kind, each in (authorities or {}).items()}
+    return (
+        *exposed_signatures(roles, participants, profiles),
+        *exposed_agreements(keystore.profile),
+        *(exposed_traffic(fleet.governance, keystore.profile) if fleet else ()),
+    )
+
+
+def _sizes(inventory: Inventory) -> tuple[HandshakeSize, ...]:
+    """The largest message of each participant, the largest first."""
+    alike: dict[tuple[int, int, int], list[str]] = defaultdict(list)
+    for each in largest_messages(inventory):
+        alike[each.message, each.certificate, each.permissions].append(each.enclave.name)
+    return tuple(
+        HandshakeSize(
+            message=message,
+            certificate=certificate,
+            permissions=permissions,
+            names=tuple(sorted(names)),
+        )
+        for (message, certificate, permissions), names in sorted(alike.items(), reverse=True)
+    )
+
+
+def _evidence(keystore: Keystore, lines: list[Line]) -> Evidence:
+    try:
+        audit(keystore)
+        problems: tuple[str, ...] = ()
+    except VerificationError as error:
+        problems = error.lines
+    return Evidence(
+        head=lines[-1].chain if lines else keystore.head,
+        lines=len(lines),
+        audit=problems,
+        governance=hashlib.sha256(keystore.governance).hexdigest(),
+    )

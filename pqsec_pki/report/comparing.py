@@ -1,0 +1,225 @@
+"""What changed since an earlier report, which was written as JSON."""
+
+import json
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pqsec_pki._files import read
+from pqsec_pki.access import is_known
+from pqsec_pki.errors import MalformedError, PqsecError
+from pqsec_pki.keystore import Keystore, Line
+from pqsec_pki.report.history import events_of
+from pqsec_pki.report.values import FORMAT, FindingsSection, LedgerEvent, Report, Right
+
+MAX_REPORT = 256 << 20
+"""Bytes of JSON. Of 2,000 robots with 20 rights each it has 5 MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierReport:
+    """What a comparison needs of an earlier report."""
+
+    path: str
+    at: str
+    head: str
+    lines: int
+    participants: dict[str, str]
+    """Name -> serial number and state."""
+    rights: frozenset[Right] | None
+    """None if that report could not tell."""
+    topics: frozenset[str]
+    """The topics and patterns that a rule named."""
+    findings: dict[tuple[str, str, str], str] | None
+    """(rule, path, message) -> severity; None likewise."""
+    authorities: frozenset[tuple[str, str]]
+    """(name, fingerprint)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changes:
+    """The differences, each as a list; what one of the reports lacks is named in `unknown`."""
+
+    since: str
+    """The time of the earlier report."""
+    ledger: str
+    """What is wrong with the ledger since then; empty if the earlier head is still in it."""
+    events: tuple[LedgerEvent, ...]
+    appeared: tuple[str, ...]
+    disappeared: tuple[str, ...]
+    changed: tuple[str, ...]
+    """Participants whose certificate or state is another one."""
+    granted: tuple[Right, ...]
+    removed: tuple[Right, ...]
+    new_findings: tuple[str, ...]
+    resolved: tuple[str, ...]
+    authorities: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """How many differences there are."""
+        return sum(
+            map(
+                len,
+                (
+                    *(self.events, self.appeared, self.disappeared, self.changed, self.granted),
+                    *(self.removed, self.new_findings, self.resolved, self.authorities),
+                ),
+            )
+        )
+
+
+def read_earlier(path: Path) -> EarlierReport:
+    """The report in the JSON file `path`; MalformedError if it is not one."""
+    data = read(path, limit=MAX_REPORT)
+    try:
+        return _earlier(str(path), json.loads(data))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise MalformedError(
+            "not a report of pqsec as JSON",
+            where=path,
+            hint="make one with `pqsec report --format json -o FILE`",
+        ) from error
+
+
+def _earlier(path: str, found: dict[str, Any]) -> EarlierReport:
+    if found["format"] != "pqsec-report" or found["format_version"] != FORMAT:
+        raise ValueError("another format")
+    evidence, rights, findings = found["evidence"], found["rights"], found["findings"]
+    return EarlierReport(
+        path=path,
+        at=_text(found["at"]),
+        head=_text(evidence["head"]) if evidence else "",
+        lines=int(evidence["lines"]) if evidence else 0,
+        participants={
+            _text(each["name"]): _state(_text(each["serial"]), _text(each["state"]))
+            for each in found["participants"] or ()
+        },
+        rights=rights and frozenset(Right(*map(_text, each)) for each in rights["every"]),
+        topics=frozenset(map(_text, rights["topics"])) if rights else frozenset(),
+        findings=findings
+        and {
+            (_text(group["rule"]), _text(each["path"]), _text(each["message"])): _text(
+                group["severity"]
+            )
+            for group in findings["groups"]
+            for each in group["places"]
+        },
+        authorities=frozenset(
+            (_text(each["name"]), _text(each["fingerprint"])) for each in found["authorities"] or ()
+        ),
+    )
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a text")
+    return value
+
+
+def _state(serial: str, state: str) -> str:
+    return f"serial {serial}, {state}"
+
+
+def changes_since(earlier: EarlierReport, report: Report, keystore: Keystore) -> Changes:
+    """What changed in the keystore, of which `report` was made."""
+    broken, lines = "", list[Line]()
+    try:
+        lines = keystore.lines()
+    except PqsecError as error:
+        broken = str(error)
+    broken = broken or _ledger_problem(earlier, lines)
+    there = {each.name: _state(each.serial, each.state.value) for each in report.participants or ()}
+    before = earlier.participants
+    rights = None if report.rights is None else frozenset(report.rights.every)
+    topics = frozenset(report.rights.topics) if report.rights else frozenset()
+    findings = None if report.findings is None else _findings(report.findings)
+    authorities = frozenset((each.name, each.fingerprint) for each in report.authorities or ())
+    return Changes(
+        since=earlier.at,
+        ledger=broken,
+        events=() if broken else events_of(lines, after=earlier.lines),
+        appeared=tuple(sorted(there.keys() - before.keys())),
+        disappeared=tuple(sorted(before.keys() - there.keys())),
+        changed=tuple(
+            f"{name}: {before[name]}; now {now}"
+            for name, now in sorted(there.items())
+            if name in before and before[name] != now
+        ),
+        granted=_less(rights, earlier.rights, earlier.topics),
+        removed=_less(earlier.rights, rights, topics),
+        new_findings=tuple(_words(findings, earlier.findings)),
+        resolved=tuple(_words(earlier.findings, findings)),
+        authorities=tuple(
+            [f"new: {name}, {digest}" for name, digest in sorted(authorities - earlier.authorities)]
+            + [
+                f"no longer: {name}, {digest}"
+                for name, digest in sorted(earlier.authorities - authorities)
+            ]
+        ),
+        unknown=tuple(
+            what
+            for what, values in (
+                ("rights", (rights, earlier.rights)),
+                ("findings", (findings, earlier.findings)),
+            )
+            if None in values
+        ),
+    )
+
+
+def _ledger_problem(earlier: EarlierReport, lines: list[Line]) -> str:
+    """Whether the earlier head is at its place in the ledger."""
+    if not earlier.head:
+        return "the earlier report has no head of the ledger"
+    if earlier.lines == 0 or (
+        earlier.lines <= len(lines) and lines[earlier.lines - 1].chain == earlier.head
+    ):
+        return ""
+    return (
+        f"the ledger was truncated or rewritten: its line {earlier.lines} is not the one of the"
+        " earlier report"
+    )
+
+
+def _findings(section: FindingsSection) -> dict[tuple[str, str, str], str]:
+    return {
+        (group.rule, each.path, each.message): group.severity.value
+        for group in section.groups
+        for each in group.places
+    }
+
+
+def _less(
+    these: frozenset[Right] | None, those: frozenset[Right] | None, topics: frozenset[str]
+) -> tuple[Right, ...]:
+    """The rights in `these` and not in `those`, whose rules name `topics`.
+
+    A topic that no rule of the other report names is no difference if a pattern there covers it:
+    it has no row of its own, but the participant may use it.
+    """
+    if these is None or those is None:
+        return ()
+    held: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    for each in those:
+        held[each.participant, each.action, each.domains].append(each.topic)
+    found = (
+        each
+        for each in these - those
+        if each.topic in topics
+        or not is_known(each.topic, held[each.participant, each.action, each.domains])
+    )
+    return tuple(sorted(found, key=str))
+
+
+def _words(
+    these: dict[tuple[str, str, str], str] | None, those: dict[tuple[str, str, str], str] | None
+) -> Iterator[str]:
+    if these is None or those is None:
+        return
+    for (rule, path, message), severity in sorted(these.items()):
+        if (rule, path, message) not in those:
+            yield f"{severity} {rule} {path}: {message}"

@@ -1,0 +1,133 @@
+"""What a quantum computer would break, by the keys in use and the protection of topics."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+
+from pqsec_pki.access import Protection
+from pqsec_pki.algorithms import STOCK_AGREEMENT, KeyAgreement, Profile
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import Governance, ProtectionKind
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.report.values import Exposure, Strength
+
+_ENCRYPTED = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
+_NO_KEY = "a key that pqsec does not know"
+
+
+def exposed_signatures(
+    authorities: Mapping[str, Certificate],
+    participants: Mapping[str, Certificate],
+    profiles: Mapping[str, str],
+) -> Iterator[Exposure]:
+    """Of the CAs, by their roles, and of participants, by their names, with their profiles."""
+    for role, certificate in authorities.items():
+        second = authorities.get("countersigner") if role == "permissions CA" else None
+        use = f"signatures of the {role}"
+        yield _signature(use, certificate, "", (certificate.subject_name,), second)
+    alike: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for name, certificate in participants.items():
+        alike[algorithm_of(certificate), profiles.get(name, "")].append(name)
+    for (_, profile), names in alike.items():
+        use = "participants' signatures in handshakes"
+        yield _signature(use, participants[names[0]], profile, tuple(names))
+
+
+def exposed_agreements(profile: Profile) -> Iterator[Exposure]:
+    """Of the key agreements that participants of the profile use."""
+    peers = "key agreement of pqsec's plugin"
+    yield _agreement(peers, profile.key_agreement, profile)
+    if profile.runs_in_stock:
+        yield _agreement("key agreement of stock stacks", STOCK_AGREEMENT, profile)
+
+
+def exposed_traffic(governance: Governance, profile: Profile) -> Iterator[Exposure]:
+    """Of topics, by their protection: traffic that somebody records today."""
+    for rule in governance.domain_rules:
+        for topics in rule.topic_rules:
+            protection = Protection.of(rule, topics)
+            kinds = (protection.data, protection.metadata, protection.rtps)
+            encrypted = any(kind in _ENCRYPTED for kind in kinds)
+            strength, consequence = _of_traffic(profile) if encrypted else _IN_THE_CLEAR
+            yield Exposure(
+                use="traffic recorded today",
+                algorithm="encrypted" if encrypted else "not encrypted",
+                profile=profile.name,
+                strength=strength,
+                consequence=consequence,
+                names=(f"{topics.topic_expression} on {rule.domains.words}",),
+            )
+
+
+def algorithm_of(certificate: Certificate) -> str:
+    """The names of its keys' algorithms."""
+    try:
+        second = certificate.alternative_key
+        keys = (certificate.public_key, *filter(None, (second,)))
+    except PqsecError:
+        return _NO_KEY
+    return " and ".join(each.algorithm.name for each in keys)
+
+
+_IN_THE_CLEAR = (
+    Strength.BROKEN,
+    "anyone on the network can read it today, without a quantum computer",
+)
+
+
+def _of_traffic(profile: Profile) -> tuple[Strength, str]:
+    if not profile.key_agreement.level:
+        return Strength.BROKEN, "can be decrypted later: the key agreement is broken"
+    if profile.runs_in_stock:
+        words = "stays secret between participants with pqsec's plugin; traffic of stock stacks"
+        return Strength.PARTLY, f"{words} can be decrypted later"
+    return Strength.HOLDS, "stays secret: the key agreement holds"
+
+
+def _agreement(use: str, row: KeyAgreement, profile: Profile) -> Exposure:
+    broken = not row.level
+    words = "every session key of recorded traffic can be computed later"
+    return Exposure(
+        use=use,
+        algorithm=row.name,
+        profile=profile.name,
+        strength=Strength.BROKEN if broken else Strength.HOLDS,
+        consequence=words if broken else f"holds, NIST category {row.level}",
+        names=(),
+    )
+
+
+def _signature(
+    use: str,
+    certificate: Certificate,
+    profile: str,
+    names: Iterable[str],
+    countersigner: Certificate | None = None,
+) -> Exposure:
+    strength, words = _of_signature(certificate, countersigner)
+    return Exposure(
+        use=use,
+        algorithm=algorithm_of(certificate),
+        profile=profile,
+        strength=strength,
+        consequence=words,
+        names=tuple(names),
+    )
+
+
+def _of_signature(
+    certificate: Certificate, countersigner: Certificate | None
+) -> tuple[Strength, str]:
+    try:
+        first, second = certificate.public_key.algorithm, certificate.alternative_key
+        second = countersigner.public_key if countersigner else second
+    except PqsecError as error:
+        return Strength.UNKNOWN, str(error)
+    if first.level:
+        return Strength.HOLDS, f"holds, NIST category {first.level}"
+    if second is None:
+        return Strength.BROKEN, "can be forged"
+    other = second.algorithm
+    return Strength.PARTLY, (
+        f"{first.name} can be forged; {other.name} (NIST category {other.level}) holds where it is"
+        " checked: by pqsec and its plugin, not by stock stacks"
+    )

@@ -1,0 +1,141 @@
+"""Who may use which topic, on all domains, as `policy` answers; alike participants as one group."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from pqsec_pki.access import SPEC, Action, Placed
+from pqsec_pki.documents import DomainRange, DomainSet
+from pqsec_pki.policy import Fleet, WhoMay, reason_of, who_may_use
+from pqsec_pki.report._names import Grouping, grouped
+from pqsec_pki.report.values import (
+    Holder,
+    HolderExtent,
+    ParticipantGroup,
+    Right,
+    RightsRow,
+    RightsSection,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A group, and which of its members."""
+
+    group: ParticipantGroup
+    extent: HolderExtent
+    members: tuple[str, ...]
+
+
+_Key = tuple[object, ...]
+
+
+def rights_of(fleet: Fleet, root: Path, now: datetime) -> RightsSection:
+    """The rights of the participants of the keystore at `root`, by the standard."""
+    answer = who_may_use(fleet, now=now, interpretation=SPEC)
+    grouping = grouped(fleet.members)
+    found: dict[_Key, list[Placed]] = defaultdict(list)
+    for placed in answer.rows:
+        if placed.is_used:
+            found[_key(placed, grouping)].append(placed)
+    explain = _Explaining(fleet, root, now)
+    rows = tuple(_row(alike, grouping, explain) for alike in found.values())
+    return RightsSection(
+        groups=grouping.groups,
+        rows=tuple(sorted(rows, key=lambda each: (each.label, each.domains))),
+        every=tuple(_every(answer)),
+        topics=tuple(dict.fromkeys(each.row.topic for each in answer.rows)),
+        refused=fleet.refused,
+    )
+
+
+def _every(answer: WhoMay) -> Iterator[Right]:
+    for each in answer.rows:
+        for action, names in (
+            (Action.PUBLISH, each.row.publishers),
+            (Action.SUBSCRIBE, each.row.subscribers),
+        ):
+            for name in names:
+                yield Right(name, action.value, each.row.topic, str(each.domains))
+
+
+def _key(placed: Placed, grouping: Grouping) -> _Key:
+    """Rows with the same key are shown as one."""
+    row = placed.row
+    label, unit = grouping.split(row.topic)
+    sides = (tuple(_parts(each, unit, grouping)) for each in (row.publishers, row.subscribers))
+    return label, bool(unit), str(placed.domains), row.is_pattern, *sides
+
+
+def _parts(names: tuple[str, ...], unit: str, grouping: Grouping) -> Iterator[_Part]:
+    """The names as groups, in the order of the groups."""
+    by_group: dict[ParticipantGroup, list[str]] = defaultdict(list)
+    for name in names:
+        by_group[grouping.group_of[name]].append(name)
+    for group, there in by_group.items():
+        own = [each for each in group.members if unit and grouping.unit_of.get(each) == unit]
+        if len(there) == len(group.members):
+            yield _Part(group, HolderExtent.ALL, ())
+        elif own and there == own:
+            yield _Part(group, HolderExtent.OWN, ())
+        elif own and len(there) == len(group.members) - len(own) and not set(own) & set(there):
+            yield _Part(group, HolderExtent.OTHERS, ())
+        else:
+            yield _Part(group, HolderExtent.SOME, tuple(there))
+
+
+def _row(alike: list[Placed], grouping: Grouping, explain: "_Explaining") -> RightsRow:
+    first = alike[0]
+    label, unit = grouping.split(first.row.topic)
+
+    def holders(names: tuple[str, ...], action: Action) -> Iterable[Holder]:
+        for part in _parts(names, unit, grouping):
+            one = next(each for each in names if grouping.group_of[each] == part.group)
+            reason, place = explain.right(one, action, first)
+            yield Holder(
+                group=part.group,
+                extent=part.extent,
+                members=part.members,
+                reason=reason,
+                place=place,
+            )
+
+    return RightsRow(
+        label=label if len(alike) > 1 else first.row.topic,
+        topics=tuple(each.row.topic for each in alike),
+        is_pattern=first.row.is_pattern,
+        domains=str(first.domains),
+        publishers=tuple(holders(first.row.publishers, Action.PUBLISH)),
+        subscribers=tuple(holders(first.row.subscribers, Action.SUBSCRIBE)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Explaining:
+    """Asks `policy` for the reason of a right."""
+
+    fleet: Fleet
+    root: Path
+    now: datetime
+
+    def right(self, name: str, action: Action, placed: Placed) -> tuple[str, str]:
+        """The reason, and the file and line below the keystore; "" if no part decided."""
+        row = placed.row
+        found = reason_of(
+            self.fleet.inputs[name],
+            action=action,
+            topic=row.asked or row.topic,
+            domain=_first(placed.domains),
+            now=self.now,
+            interpretation=SPEC,
+        )
+        if found.path is None:
+            return found.words, ""
+        return found.words, f"{found.path.relative_to(self.root)}:{found.line}"
+
+
+def _first(domains: DomainSet) -> int:
+    part = domains.parts[0]
+    return part.first if isinstance(part, DomainRange) else part

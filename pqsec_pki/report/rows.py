@@ -1,0 +1,119 @@
+"""The report as CSV: one table, in which each row names its section."""
+
+import csv
+import io
+from collections.abc import Iterator
+
+from pqsec_pki.report.comparing import Changes
+from pqsec_pki.report.values import Report
+
+HEADER = ("section", "subject", "item", "value", "domains", "until", "source")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""Spreadsheets take a cell that begins so for a formula, and would run it."""
+
+
+def csv_of(report: Report, changes: Changes | None = None) -> str:
+    """The report as RFC 4180 text with a header row. Times are ISO 8601, in UTC.
+
+    A cell that a spreadsheet would run has an apostrophe before it.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(HEADER)
+    for row in _rows(report, changes):
+        writer.writerow([_plain(cell) for cell in row])
+    return text.getvalue()
+
+
+def _plain(cell: str) -> str:
+    return f"'{cell}" if cell.startswith(_FORMULA) else cell
+
+
+_Row = tuple[str, str, str, str, str, str, str]
+
+
+def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
+    at = report.at.isoformat(timespec="seconds")
+    yield "report", report.keystore, f"pqsec {report.version}", report.command, "", at, ""
+    for gap in report.gaps:
+        yield "gap", gap.section, "not read", gap.reason, "", "", ""
+    yield from _changed(changes)
+    for person in report.participants or ():
+        until = person.not_after.isoformat()
+        yield (
+            *("participant", person.name, person.profile, person.state.value),
+            *(person.domains, until, person.serial),
+        )
+    yield from _rights(report)
+    yield from _keys(report)
+    for group in report.findings.groups if report.findings else ():
+        for place in group.places:
+            yield "finding", group.rule, group.severity.value, place.message, "", "", str(place)
+    for event in report.events or ():
+        for name in event.names or ("",):
+            line = f"ledger line {event.first}"
+            yield "ledger", name, event.what, event.operator, "", event.at, line
+    for size in report.sizes or ():
+        for name in size.names:
+            yield "handshake", name, "bytes of the largest message", str(size.message), "", "", ""
+
+
+def _rights(report: Report) -> Iterator[_Row]:
+    if report.rights is None:
+        return
+    places = {
+        (row.domains, topic, action, holder.group.label): holder.place
+        for row in report.rights.rows
+        for action, holders in (("publish", row.publishers), ("subscribe", row.subscribers))
+        for holder in holders
+        for topic in row.topics
+    }
+    groups = {name: each.label for each in report.rights.groups for name in each.members}
+    for right in report.rights.every:
+        key = (right.domains, right.topic, right.action, groups[right.participant])
+        yield (
+            *("right", right.participant, right.action, right.topic),
+            *(right.domains, "", places.get(key, "")),
+        )
+    for name, reason in report.rights.refused.items():
+        yield "left out", name, "has no rights", reason, "", "", ""
+
+
+def _keys(report: Report) -> Iterator[_Row]:
+    for authority in report.authorities or ():
+        until = authority.not_after.isoformat()
+        yield (
+            *("authority", authority.name, authority.kind, authority.state.value),
+            *("", until, authority.fingerprint),
+        )
+    for exposure in report.exposures or ():
+        words = f"{exposure.strength}: {exposure.consequence}"
+        yield "quantum", exposure.use, exposure.algorithm, words, "", "", exposure.profile
+    if report.evidence:
+        lines = f"{report.evidence.lines} lines"
+        yield "evidence", "ledger", lines, report.evidence.head, "", "", ""
+        for problem in report.evidence.audit:
+            yield "evidence", "ledger", "not intact", problem, "", "", ""
+
+
+def _changed(changes: Changes | None) -> Iterator[_Row]:
+    if changes is None:
+        return
+    if changes.ledger:
+        yield "change", "ledger", "", changes.ledger, "", "", changes.since
+    for what, rights in (("granted", changes.granted), ("removed", changes.removed)):
+        for each in rights:
+            yield (
+                *("change", each.participant, f"{what}: {each.action}", each.topic),
+                *(each.domains, "", changes.since),
+            )
+    for what, texts in (
+        ("new participant", changes.appeared),
+        ("no longer a participant", changes.disappeared),
+        ("other certificate or state", changes.changed),
+        ("new finding", changes.new_findings),
+        ("resolved finding", changes.resolved),
+        ("CA or revocation list", changes.authorities),
+    ):
+        for text in texts:
+            yield "change", text, what, "", "", "", changes.since

@@ -1,0 +1,300 @@
+"""The sections of a report, as values. Names of participants, topics and files are as read."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from pqsec_pki.keystore import State
+from pqsec_pki.lint import Severity
+
+FORMAT = 1
+"""Of the JSON, which --compare reads."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """What the report lacks, because it could not be read or is not valid."""
+
+    section: str
+    """The section, as in its heading."""
+    reason: str
+
+
+class HolderExtent(StrEnum):
+    """Which members of a group may use the topics of a row."""
+
+    ALL = "all"
+    OWN = "own"
+    """Of each topic, the members whose name is in it."""
+    OTHERS = "others"
+    """Of each topic, all members but those whose name is in it."""
+    SOME = "some"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticipantGroup:
+    """Participants whose permissions differ only in their names. It may have one member."""
+
+    label: str
+    """Its members' common name; what differs is `{name}`."""
+    members: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Holder:
+    """A group, or some of it, that may publish or subscribe to the topics of a row."""
+
+    group: ParticipantGroup
+    extent: HolderExtent
+    members: tuple[str, ...]
+    """For SOME, who; else empty."""
+    reason: str
+    """Why it is allowed, for the first member and the first topic."""
+    place: str
+    """The file and line of the rule that decided; empty if a part of no document did."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RightsRow:
+    """Topics that the same participants may use, on some domains."""
+
+    label: str
+    """The topic, or the topics' common name; what differs is `{name}`."""
+    topics: tuple[str, ...]
+    is_pattern: bool
+    domains: str
+    publishers: tuple[Holder, ...]
+    subscribers: tuple[Holder, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Right:
+    """What one participant may do with one topic."""
+
+    participant: str
+    action: str
+    """publish or subscribe."""
+    topic: str
+    domains: str
+
+    def __str__(self) -> str:
+        return f"{self.participant} may {self.action} {self.topic} on {self.domains}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RightsSection:
+    """Who may use which topic."""
+
+    groups: tuple[ParticipantGroup, ...]
+    rows: tuple[RightsRow, ...]
+    every: tuple[Right, ...]
+    """All rights, one by one, for JSON, CSV and comparisons."""
+    topics: tuple[str, ...]
+    """All topics and patterns that a rule names, also those that nobody may use."""
+    refused: dict[str, str]
+    """Participants whose documents are not valid -> why; they have no rights."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ending:
+    """Certificates, lists or documents of one kind that end on the same day."""
+
+    kind: str
+    at: datetime
+    """The first of them."""
+    names: tuple[str, ...]
+
+
+class Strength(StrEnum):
+    """What is left if there is a quantum computer."""
+
+    BROKEN = "broken"
+    UNKNOWN = "unknown"
+    PARTLY = "partly"
+    HOLDS = "holds"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposure:
+    """One use of cryptography, and what a quantum computer does to it."""
+
+    use: str
+    """Such as `participants' identities`."""
+    algorithm: str
+    profile: str
+    strength: Strength
+    consequence: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingPlace:
+    """Where a rule is violated."""
+
+    path: str
+    line: int | None
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}" if self.line else self.path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingGroup:
+    """All findings of one rule."""
+
+    rule: str
+    severity: Severity
+    title: str
+    why: str
+    fix: str
+    places: tuple[FindingPlace, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingsSection:
+    """What `pqsec check` finds."""
+
+    groups: tuple[FindingGroup, ...]
+    files: int
+    """How many files were read."""
+    ignored: tuple[tuple[str, str, str], ...]
+    """(rule, path, reason) of each suppressed finding."""
+
+    def count(self, severity: Severity) -> int:
+        """How many findings are of that severity."""
+        return sum(len(each.places) for each in self.groups if each.severity is severity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LedgerEvent:
+    """Lines of the ledger that one command wrote, of one kind."""
+
+    first: int
+    """The number of its first line."""
+    at: str
+    operator: str
+    what: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandshakeSize:
+    """Participants whose largest handshake message has the same size."""
+
+    message: int
+    """Bytes, as `certificate` and `permissions`."""
+    certificate: int
+    permissions: int
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticipantRow:
+    """The state of one participant."""
+
+    name: str
+    state: State
+    not_after: datetime
+    profile: str
+    domains: str
+    serial: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuthorityRow:
+    """A CA, or the revocation list."""
+
+    kind: str
+    name: str
+    state: State
+    not_after: datetime
+    algorithm: str
+    """Empty for the list."""
+    fingerprint: str
+    """SHA-256 of the certificate's DER or of the list's file, in hex."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What others can compare the report with."""
+
+    head: str
+    """The chain value of the ledger's last line."""
+    lines: int
+    audit: tuple[str, ...]
+    """What is wrong with the ledger; empty if it is complete."""
+    governance: str
+    """SHA-256 of the signed governance, in hex."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """Everything that the page shows. A section that could not be made is None, with a gap."""
+
+    keystore: str
+    profile: str
+    at: datetime
+    version: str
+    command: str
+    participants: tuple[ParticipantRow, ...] | None
+    authorities: tuple[AuthorityRow, ...] | None
+    rights: RightsSection | None
+    endings: tuple[Ending, ...] | None
+    exposures: tuple[Exposure, ...] | None
+    findings: FindingsSection | None
+    events: tuple[LedgerEvent, ...] | None
+    sizes: tuple[HandshakeSize, ...] | None
+    evidence: Evidence | None
+    gaps: tuple[Gap, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """The report for programs, and for --compare of a later one."""
+        return {
+            "format": "pqsec-report",
+            "format_version": FORMAT,
+            "keystore": self.keystore,
+            "profile": self.profile,
+            "at": self.at,
+            "pqsec": self.version,
+            "command": self.command,
+            "complete": not self.gaps,
+            "gaps": self.gaps,
+            "participants": self.participants,
+            "authorities": self.authorities,
+            "rights": self.rights and _rights(self.rights),
+            "endings": self.endings,
+            "exposures": self.exposures,
+            "findings": self.findings,
+            "events": self.events,
+            "handshake_sizes": self.sizes,
+            "evidence": self.evidence,
+        }
+
+
+def _rights(rights: RightsSection) -> dict[str, object]:
+    def holder(each: Holder) -> dict[str, object]:
+        return {
+            "group": each.group.label,
+            "extent": each.extent,
+            "members": each.members,
+            "reason": each.reason,
+            "place": each.place,
+        }
+
+    return {
+        "groups": rights.groups,
+        "rows": [
+            {
+                "label": each.label,
+                "topics": len(each.topics),
+                "domains": each.domains,
+                "publishers": list(map(holder, each.publishers)),
+                "subscribers": list(map(holder, each.subscribers)),
+            }
+            for each in rights.rows
+        ],
+        "topics": rights.topics,
+        "every": [[e.participant, e.action, e.topic, e.domains] for e in rights.every],
+        "left_out": rights.refused,
+    }

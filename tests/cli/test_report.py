@@ -1,0 +1,92 @@
+"""pqsec report: the file that it writes, and its exit codes."""
+
+import json
+import shutil
+import subprocess
+
+import pytest
+
+from tests.cli.conftest import NAMES
+
+CHROMIUM = shutil.which("chromium")
+
+
+def test_the_page_is_written_for_its_owner_alone_and_never_over_another_file(
+    pqsec, keystore, tmp_path
+):
+    keystore("transition")
+    pqsec("-k k report -o page.html").done()
+    page = tmp_path / "page.html"
+    assert page.stat().st_mode & 0o777 == 0o600
+    assert page.read_text().startswith("<!DOCTYPE html>")
+    assert "Security report of <bdi>k</bdi>" in page.read_text()
+    assert "pqsec -k k report -o page.html" in page.read_text()
+    before = page.read_bytes()
+    pqsec("-k k report -o page.html").refused(3, "page.html exists", hint="--force")
+    assert page.read_bytes() == before
+    pqsec("-k k report --force -o page.html").done()
+    assert page.read_bytes() != before
+
+
+@pytest.mark.parametrize("profile", NAMES)
+def test_every_profile_has_a_complete_report(pqsec, keystore, profile):
+    keystore(profile)
+    found = json.loads(pqsec("-k k report --format json").done().out)
+    assert found["complete"]
+    assert found["profile"] == profile
+    assert [each["name"] for each in found["participants"]] == ["/listener", "/talker"]
+    assert found["evidence"]["audit"] == []
+
+
+def test_json_is_the_same_with_the_common_option(pqsec, keystore):
+    keystore("classical")
+    one, other = (
+        json.loads(pqsec(f"-k k report {how}").done().out) for how in ("--json", "--format json")
+    )
+    different = {key for key in one if one[key] != other[key]}
+    assert different <= {"at", "command"}
+
+
+def test_changes_since_an_earlier_report(pqsec, keystore):
+    keystore("classical")
+    pqsec("-k k report --format json -o old.json").done()
+    pqsec("-k k permit /talker --add --publish rt/new --yes").done()
+    pqsec("-k k revoke /listener --yes").done()
+    page = pqsec("-k k report --compare old.json").done().out
+    assert "/talker may publish rt/new on 0" in page
+    assert "Rights removed" in page
+    changes = json.loads(pqsec("-k k report --compare old.json --json").done().out)["changes"]
+    assert [each["topic"] for each in changes["granted"]] == ["rt/new"]
+    assert {each["participant"] for each in changes["removed"]} == {"/listener"}
+    csv = pqsec("-k k report --compare old.json --format csv").done().out
+    assert "granted: publish" in csv
+    pqsec("-k k report --compare k/pqsec.json").refused(3, "k/pqsec.json: not a report")
+
+
+def test_a_damaged_part_is_told_with_exit_3(pqsec, keystore):
+    (keystore("classical") / "enclaves/governance.p7s").write_text("damaged")
+    said = pqsec("-k k report -o page.html")
+    assert said.code == 3
+    assert "note: incomplete: Who may command what: k/enclaves/governance.p7s" in said.err
+    pqsec("-k nowhere report").refused(3, "nowhere does not exist")
+
+
+@pytest.mark.interop
+@pytest.mark.skipif(not CHROMIUM, reason="chromium is not installed: apt-get install chromium")
+def test_chromium_runs_the_page_under_its_policy(pqsec, keystore, tmp_path):
+    keystore("transition")
+    pqsec("-k k report -o page.html").done()
+    browser = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"]
+    browser += ["--v=0", f"--user-data-dir={tmp_path / 'browser'}"]
+    page = (tmp_path / "page.html").as_uri()
+    done = subprocess.run(
+        [*browser, "--dump-dom", page], capture_output=True, text=True, timeout=120, check=True
+    )
+    # The script ran: it shows the tools, which are hidden without it.
+    assert '<form id="tools" role="search">' in done.stdout
+    assert "CONSOLE" not in done.stderr
+    pdf = tmp_path / "page.pdf"
+    subprocess.run(
+        [*browser, f"--print-to-pdf={pdf}", page], capture_output=True, timeout=120, check=True
+    )
+    assert pdf.read_bytes().startswith(b"%PDF")

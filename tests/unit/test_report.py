@@ -1,0 +1,441 @@
+"""The report: its values are what the rooms answer, and its page shows any text safely."""
+
+import base64
+import csv
+import hashlib
+import io
+import json
+import re
+import shutil
+from dataclasses import replace
+from datetime import timedelta
+from html.parser import HTMLParser
+from itertools import product
+
+import pytest
+
+from pqsec_pki.access import SPEC
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.cli._printing import as_json
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, revoke
+from pqsec_pki.lint import Severity
+from pqsec_pki.policy import fleet_in, who_may_use
+from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
+from pqsec_pki.report.rows import HEADER
+from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Strength
+from tests.unit.keystores import DAY, NOW
+
+ROBOTS = [f"/r{number}" for number in range(1, 5)]
+NAMES = [*ROBOTS, "/fleet/boss", "/tb3_1/camera", "/tb3_2/camera", "/tb3_1/arm", "/tb3_2/arm"]
+
+
+def rights_of_spec(name):
+    """What a participant of the test's domain may publish and subscribe."""
+    if name == "/fleet/boss":
+        return ["rt/*/cmd_vel", "rt/all"], ["rt/*/odom"]
+    if name in ROBOTS:
+        return [f"rt{name}/odom"], [f"rt{name}/cmd_vel", "rt/all"]
+    robot = name.split("/")[1]
+    return ([f"rt/{robot}/image"], []) if name.endswith("camera") else ([], [f"rt/{robot}/image"])
+
+
+def spec(name, publish, subscribe, domains="0-1"):
+    return ParticipantSpec(
+        name=name,
+        domains=DomainSet.parse(domains),
+        publish=tuple(publish),
+        subscribe=tuple(subscribe),
+        validity=90 * DAY,
+    )
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    place = tmp_path_factory.mktemp("report") / "k"
+    keystore = Keystore.create(
+        place,
+        profile_named("transition"),
+        name="Test",
+        domains=DomainSet.parse("0-2"),
+        validity=900 * DAY,
+        passphrase=None,
+        now=NOW,
+    )
+    issue(
+        keystore,
+        keystore.unlock(None),
+        [spec(name, *rights_of_spec(name)) for name in NAMES],
+        now=NOW,
+    )
+    return place
+
+
+@pytest.fixture
+def keystore(root, tmp_path):
+    shutil.copytree(root, tmp_path / "k", symlinks=True)
+    return Keystore.open(tmp_path / "k", to_change=True)
+
+
+@pytest.fixture(scope="module")
+def report(root):
+    return report_of(Keystore.open(root), now=NOW, command="pqsec report")
+
+
+def unfolded(report):
+    """All rights, out of the rows for people."""
+    unit = {}
+    for group in report.rights.groups:
+        before, _, after = group.label.partition("{name}")
+        for name in group.members:
+            unit[name] = (
+                name[len(before) : len(name) - len(after)] if len(group.members) > 1 else ""
+            )
+    for row, side in product(report.rights.rows, ("publish", "subscribe")):
+        for holder in row.publishers if side == "publish" else row.subscribers:
+            for topic in row.topics:
+                parts = topic.split("/")
+                for name in holder.group.members:
+                    may = {
+                        HolderExtent.ALL: True,
+                        HolderExtent.OWN: unit[name] in parts,
+                        HolderExtent.OTHERS: unit[name] not in parts,
+                        HolderExtent.SOME: name in holder.members,
+                    }[holder.extent]
+                    if may:
+                        yield name, side, topic, row.domains
+
+
+def test_folded_rights_are_exactly_those_of_who_may(root, report):
+    fleet = fleet_in(Keystore.open(root), NOW, SPEC)
+    told = [
+        (name, action, each.row.topic, str(each.domains))
+        for each in who_may_use(fleet, now=NOW, interpretation=SPEC).rows
+        for action, names in (("publish", each.row.publishers), ("subscribe", each.row.subscribers))
+        for name in names
+    ]
+    assert sorted(unfolded(report)) == sorted(told)
+    assert [(e.participant, e.action, e.topic, e.domains) for e in report.rights.every] == told
+
+
+def test_robots_with_the_same_rights_are_one_group_and_their_topics_one_row(report):
+    groups = {each.label: len(each.members) for each in report.rights.groups}
+    assert groups == {"/fleet/boss": 1, "/{name}": 4, "/{name}/arm": 2, "/{name}/camera": 2}
+    rows = {each.label: each for each in report.rights.rows}
+    row = rows["rt/{name}/cmd_vel"]
+    assert len(row.topics) == 4
+    assert [(each.group.label, each.extent) for each in row.subscribers] == [("/{name}", "own")]
+    assert [each.group.label for each in row.publishers] == ["/fleet/boss"]
+    assert len(rows["rt/{name}/image"].topics) == 2
+
+
+def test_each_right_names_the_rule_that_decided(root, report):
+    for row in report.rights.rows:
+        for holder in (*row.publishers, *row.subscribers):
+            path, _, line = holder.place.rpartition(":")
+            assert "allow_rule" in (root / path).read_text().splitlines()[int(line) - 1]
+            assert "allow_rule of grant" in holder.reason
+
+
+def test_endings_are_those_of_the_certificates_and_grants(root, report):
+    found = {(each.kind, f"{each.at:%Y-%m-%d}"): len(each.names) for each in report.endings}
+    end, far = (f"{NOW + days * DAY:%Y-%m-%d}" for days in (90, 900))
+    assert found.pop(("participant's certificate", end)) == len(NAMES)
+    assert found.pop(("participant's permissions", end)) == len(NAMES)
+    assert found == {(kind, far): 1 for kind in ("identity CA", "permissions CA", "countersigner")}
+
+
+@pytest.mark.parametrize(
+    ("profile", "expected"),
+    [
+        ("classical", {Strength.BROKEN}),
+        ("transition", {Strength.BROKEN, Strength.PARTLY, Strength.HOLDS}),
+        ("pq", {Strength.HOLDS}),
+    ],
+)
+def test_what_a_quantum_computer_breaks_follows_the_profile(tmp_path, profile, expected):
+    keystore = Keystore.create(
+        tmp_path / "k",
+        profile_named(profile),
+        name="Test",
+        domains=DomainSet.parse("0"),
+        validity=900 * DAY,
+        passphrase=None,
+        now=NOW,
+    )
+    issue(keystore, keystore.unlock(None), [spec("/a", ["x"], [], "0")], now=NOW)
+    report = report_of(keystore, now=NOW)
+    assert {each.strength for each in report.exposures} == expected
+    [people] = [each for each in report.exposures if each.use.startswith("participants'")]
+    assert people.names == ("/a",)
+    assert not report.gaps
+
+
+def test_the_same_keystore_and_time_give_the_same_bytes(root, report):
+    again = report_of(Keystore.open(root), now=NOW, command="pqsec report")
+    for form in (html_of, csv_of):
+        assert form(again) == form(report)
+    assert as_json(again.to_json()) == as_json(report.to_json())
+
+
+# What cannot be read
+
+
+@pytest.mark.parametrize(
+    ("broken", "lost", "still"),
+    [
+        ("enclaves/governance.p7s", "rights", "participants"),
+        ("private/ledger.sqlite3", "participants", "rights"),
+        ("public/identity_ca.cert.pem", "authorities", "events"),
+    ],
+)
+def test_what_cannot_be_read_is_a_gap_and_not_an_empty_section(keystore, broken, lost, still):
+    (keystore.root / broken).write_bytes(b"damaged")
+    report = report_of(keystore, now=NOW)
+    assert getattr(report, lost) is None
+    assert getattr(report, still) is not None
+    assert any(broken in each.reason for each in report.gaps)
+    page = html_of(report)
+    assert "This report is incomplete" in page
+    assert "This part is missing" in page
+    assert json.loads(as_json(report.to_json()))[lost] is None
+    assert sorted({row[0] for row in read_csv(csv_of(report)) if row[0] == "gap"}) == ["gap"]
+
+
+def test_who_is_left_out_is_named_with_the_reason(keystore):
+    shutil.copy(
+        keystore.root / "enclaves/r1/permissions.p7s", keystore.root / "enclaves/r2/permissions.p7s"
+    )
+    report = report_of(keystore, now=NOW)
+    assert list(report.rights.refused) == ["/r2"]
+    assert "no grant is for" in html_of(report)
+
+
+# Compared with an earlier one
+
+
+@pytest.fixture
+def earlier(report, tmp_path):
+    path = tmp_path / "old.json"
+    path.write_text(as_json(report.to_json()))
+    return path
+
+
+def test_without_a_change_there_is_none(keystore, report, earlier):
+    changes = changes_since(read_earlier(earlier), report, keystore)
+    assert (changes.count, changes.ledger, changes.unknown) == (0, "", ())
+    assert "no changes" in html_of(report, changes)
+
+
+def test_what_was_issued_renewed_revoked_and_granted_is_told(keystore, earlier):
+    later = NOW + timedelta(hours=1)
+    cas = keystore.unlock(None)
+    issue(keystore, cas, [spec("/new", ["rt/all"], [])], now=later)
+    renew(keystore, cas, ["/r1"], now=later)
+    revoke(keystore, cas, ["/r2"], now=later)
+    report = report_of(keystore, now=later)
+    changes = changes_since(read_earlier(earlier), report, keystore)
+    events = {each.what.partition(" (")[0]: each.names for each in changes.events}
+    assert events["issued"] == ("/new",)
+    assert events["renewed"] == ("/r1",)
+    assert events["revoked"] == ("/r2",)
+    assert changes.appeared == ("/new",)
+    assert {each.partition(":")[0] for each in changes.changed} == {"/r1", "/r2"}
+    assert [str(each) for each in changes.granted] == ["/new may publish rt/all on 0-1"]
+    assert {each.participant for each in changes.removed} == {"/r2"}
+    assert changes.ledger == ""
+
+
+def test_a_ledger_that_was_rewritten_since_is_told(keystore, report, earlier, tmp_path):
+    value = json.loads(earlier.read_text())
+    value["evidence"]["head"] = "0" * 64
+    earlier.write_text(json.dumps(value))
+    changes = changes_since(read_earlier(earlier), report, keystore)
+    assert "truncated or rewritten" in changes.ledger
+    assert changes.ledger in html_of(report, changes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "[]", "{}", "null", "\x00", '{"format": "pqsec-report", "format_version": 99}'),
+        '{"format": "pqsec-report", "format_version": 1, "at": 3, "evidence": null}',
+        "[" * 100_000,
+    ],
+)
+def test_another_file_is_refused(tmp_path, text):
+    path = tmp_path / "old.json"
+    path.write_text(text)
+    with pytest.raises(MalformedError, match="not a report"):
+        read_earlier(path)
+
+
+# The page
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text, as a browser reads them."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text, self.raw = [], "", {"style": "", "script": ""}
+        self._inside = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._inside = tag if tag in self.raw else self._inside
+
+    def handle_endtag(self, tag):
+        self._inside = "" if tag == self._inside else self._inside
+
+    def handle_data(self, data):
+        if self._inside:
+            self.raw[self._inside] += data
+        else:
+            self.text += data
+
+    def named(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+def test_the_page_allows_only_its_own_style_and_script(report):
+    page = Page(html_of(report))
+    [policy] = [
+        each["content"]
+        for each in page.named("meta")
+        if each.get("http-equiv") == "Content-Security-Policy"
+    ]
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    for what, text in page.raw.items():
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert rules.pop(f"{what}-src") == f"'sha256-{digest}'"
+    assert rules == {"default-src": "'none'", "base-uri": "'none'", "form-action": "'none'"}
+
+
+def test_the_page_loads_nothing_and_has_no_inline_handlers(report):
+    page = Page(html_of(report))
+    for tag, attrs in page.tags:
+        assert tag not in {"img", "link", "iframe", "object", "embed", "base", "form action"}
+        assert not [name for name in attrs if name.startswith("on") or name in {"src", "style"}]
+        assert attrs.get("href", "#").startswith("#")
+    assert not re.search(r"url\(|@import", page.raw["style"])
+
+
+def test_tables_have_captions_and_headers_with_a_scope(report):
+    text = html_of(report)
+    page = Page(text)
+    assert text.count("<table") == text.count("<caption>")
+    assert page.named("table")
+    assert all(each.get("scope") in {"row", "col"} for each in page.named("th"))
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    pointed = {each["href"][1:] for each in page.named("a")}
+    assert pointed <= set(ids)
+
+
+HOSTILE = (
+    "/</script><script>alert(1)</script>",
+    '/"><img src=x onerror=alert(1)>',
+    "/<style>*{display:none}</style>",
+    "/{{ 7*7 }}{% raw %}",
+    "/\u202eevil\u2066\u200b",
+    "/\x1b[31m\x00\ud800",
+    "=HYPERLINK(1)",
+    "/" + 300 * "x",
+)
+
+
+def hostile(value, names=HOSTILE):
+    """The report with hostile texts in each place that is not our own."""
+    rights, people = value.rights, value.participants[0]
+    group = replace(rights.groups[0], label=names[0], members=names)
+    holder = replace(
+        rights.rows[0].publishers[0], group=group, members=names, reason=names[1], place=names[2]
+    )
+    row = replace(rights.rows[0], label=names[1], topics=names, domains=names[3])
+    row = replace(row, publishers=(holder,), subscribers=(replace(holder, members=()),))
+    every = tuple(replace(rights.every[0], participant=name, topic=name) for name in names)
+    place = FindingPlace(path=names[0], line=1, message=names[1])
+    finding = FindingGroup(
+        rule="PQS000",
+        severity=Severity.ERROR,
+        title=names[0],
+        why=names[1],
+        fix=names[2],
+        places=5 * (place,),
+    )
+    return replace(
+        value,
+        keystore=names[0],
+        command=names[1],
+        rights=replace(
+            rights,
+            groups=(group,),
+            rows=(row,),
+            every=every,
+            refused=dict.fromkeys(names, names[0]),
+        ),
+        participants=tuple(replace(people, name=name, serial=name) for name in names),
+        authorities=tuple(replace(value.authorities[0], name=name) for name in names),
+        endings=(replace(value.endings[0], names=names),),
+        exposures=(replace(value.exposures[0], use=names[0], algorithm=names[1], names=names),),
+        findings=replace(
+            value.findings, groups=(finding,), ignored=((names[0], names[1], names[2]),)
+        ),
+        events=(replace(value.events[0], names=names, operator=names[0], what=names[1]),),
+        sizes=(replace(value.sizes[0], names=names),),
+        evidence=replace(value.evidence, audit=names),
+        gaps=tuple(Gap(name, name) for name in names),
+    )
+
+
+def test_hostile_names_are_text_and_nothing_in_them_is_invisible(report):
+    plain, page = Page(html_of(report)), Page(html_of(hostile(report)))
+    assert len(page.named("script")) == len(page.named("style")) == 1
+    assert page.raw == plain.raw
+    assert {tag for tag, _ in page.tags} <= {tag for tag, _ in plain.tags} | {"h3", "strong"}
+    for name in HOSTILE[:4]:
+        assert page.text.count(name) > 10, name
+    assert "/\\u202eevil\\u2066\\u200b" in page.text
+    assert "/\\u001b[31m\\u0000\\ud800" in page.text
+    assert all(each.isprintable() or each in "\n\r\t " for each in page.text)
+    assert HOSTILE[-1] in page.text
+    html_of(hostile(report)).encode()
+
+
+def test_hostile_changes_are_text_too(report, keystore, earlier):
+    changes = changes_since(read_earlier(earlier), report, keystore)
+    texts = dict.fromkeys(
+        ("appeared", "disappeared", "changed", "new_findings", "resolved", "authorities"), HOSTILE
+    )
+    changes = replace(changes, since=HOSTILE[0], ledger=HOSTILE[1], unknown=HOSTILE, **texts)
+    page = Page(html_of(report, changes))
+    assert len(page.named("script")) == 1
+    assert not page.named("img")
+    assert all(each.isprintable() or each in "\n\r\t " for each in page.text)
+
+
+# CSV
+
+
+def read_csv(text):
+    return list(csv.reader(io.StringIO(text)))
+
+
+def test_the_csv_has_every_right_with_its_rule(report):
+    header, *rows = read_csv(csv_of(report))
+    assert header == list(HEADER)
+    rights = [row for row in rows if row[0] == "right"]
+    assert [(row[1], row[2], row[3], row[4]) for row in rights] == [
+        (each.participant, each.action, each.topic, each.domains) for each in report.rights.every
+    ]
+    assert all(re.fullmatch(r"enclaves/.*/permissions\.p7s:\d+", row[6]) for row in rights)
+    assert {row[0] for row in rows} >= {"report", "participant", "authority", "ledger", "evidence"}
+
+
+def test_no_cell_of_the_csv_is_a_formula(report):
+    for row in read_csv(csv_of(hostile(report))):
+        assert not [cell for cell in row if cell.startswith(("=", "+", "-", "@"))]
