@@ -50,6 +50,15 @@ def test_a_folder_that_others_may_write_in_gets_no_plugin(pqsec, requires, tmp_p
     assert list(folder.iterdir()) == []
 
 
+def test_a_folder_that_cannot_be_made_is_told_and_not_taken_for_installed(
+    pqsec, requires, tmp_path
+):
+    requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
+    (tmp_path / "file").write_text("mine")
+    folder = tmp_path / "file" / "lib"
+    pqsec(f"plugin install --dir {folder}").refused(3, f"{folder}: not a directory")
+
+
 def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
     pqsec, requires, monkeypatch, tmp_path
 ):

@@ -75,9 +75,16 @@ def test_what_is_allowed_already_is_not_added_again():
     assert may_publish(add_rights(grant(rule("a")), rights("a"), wider), "a", 1)
 
 
-def test_a_right_within_partitions_does_not_count_as_allowed():
-    found = add_rights(grant(rule("a", partitions=("p",))), rights("a"), ZERO)
-    assert may_publish(found, "a")
+LIMITS = ({"partitions": ("p",)}, {"data_tags": (("k", "v"),)})
+
+
+def test_a_limited_right_does_not_count_as_allowed_and_stays_limited():
+    for limits in LIMITS:
+        found = add_rights(grant(rule("a", **limits)), rights("a", "b"), ZERO)
+        assert may_publish(found, "a")
+        limited, plain = found.rules[0].publish
+        assert limited == Criteria(topics=("a",), **limits)
+        assert plain == Criteria(topics=("a", "b"))
 
 
 def test_a_participant_without_topics_gets_its_first():

@@ -50,6 +50,11 @@ CASES = {
     "partitions apart": ([says("a", partitions=("P",))], [hears("a", partitions=("Q",))], ()),
     "a partition and the default": ([says("a", partitions=("P",))], [hears("a")], ()),
     "data tags": ([says("a", data_tags=(("k", "v"),))], [hears("a")], ("a",)),
+    "denied with a data tag": (
+        [replace(says("a", data_tags=(("k", "v"),)), allow=False), says("a")],
+        [hears("a")],
+        ("a",),
+    ),
     "another domain": (
         [replace(says("a"), domains=DomainSet.of(1)), says("b")],
         [hears("a", "b")],
