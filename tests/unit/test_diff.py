@@ -487,6 +487,16 @@ def test_a_domain_comes_and_goes():
     ]
 
 
+def test_a_topic_that_only_another_domain_governs_is_not_told_as_a_change():
+    elsewhere = with_rule(Governance.protected(DomainSet.of(1)), (topic_rule("b"),)).domain_rules
+    old, new = (
+        Governance(domain_rules=(*with_rule(topics=topics).domain_rules, *elsewhere))
+        for topics in ((topic_rule("a"),), (topic_rule("a", enable_write_access_control=False),))
+    )
+    (told,) = governance_told(old, new)
+    assert told.startswith("weaker: domain 0, 'a': who may publish")
+
+
 def test_a_rule_that_never_governs_changes_nothing():
     hidden = with_rule(rtps_protection_kind=ProtectionKind.NONE).domain_rules
     both = Governance(domain_rules=(*STRICT.domain_rules, *hidden))

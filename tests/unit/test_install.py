@@ -716,7 +716,9 @@ def test_a_folder_in_the_place_of_the_link_is_refused(robot):
         put(robot)
 
 
-@pytest.mark.parametrize("target", ["/etc", "../..", "elsewhere", "sets", "sets/..", "sets/1/..", "others/1"])
+@pytest.mark.parametrize(
+    "target", ["/etc", "../..", "elsewhere", "sets", "sets/..", "sets/1/..", "others/1"]
+)
 def test_a_link_that_leads_elsewhere_is_refused(robot, target):
     (robot / "current").symlink_to(target)
     with pytest.raises(KeystoreError, match="not a link created by pqsec"):

@@ -30,6 +30,7 @@ def shared(one, other, domain=0):
     return topics_between(one, other, domain=domain, now=NOW)
 
 
+TAGS = (("k", "v"),)
 CASES = {
     "a topic": ([says("a", "b")], [hears("b", "c")], ("b",)),
     "none": ([says("a")], [hears("b")], ()),
@@ -49,9 +50,9 @@ CASES = {
     ),
     "partitions apart": ([says("a", partitions=("P",))], [hears("a", partitions=("Q",))], ()),
     "a partition and the default": ([says("a", partitions=("P",))], [hears("a")], ()),
-    "data tags": ([says("a", data_tags=(("k", "v"),))], [hears("a")], ("a",)),
+    "data tags": ([says("a", data_tags=TAGS)], [hears("a")], ("a",)),
     "denied with a data tag": (
-        [replace(says("a", data_tags=(("k", "v"),)), allow=False), says("a")],
+        [replace(says("a", data_tags=TAGS), allow=False), says("a", data_tags=TAGS)],
         [hears("a")],
         ("a",),
     ),
