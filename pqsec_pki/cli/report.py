@@ -24,7 +24,7 @@ from pqsec_pki.report import (
     examples={
         "Write a page for any browser": "pqsec report -o report.html",
         "Keep the data, to compare the next report with": "pqsec report --format json -o june.json",
-        "Show what changed since then": "pqsec report --compare june.json -o july.html",
+        "Show what changed since an earlier one": "pqsec report --compare may.json -o june.html",
     },
     exit_codes={
         0: "the report is written",

@@ -195,6 +195,7 @@ FIRST = {
         *(INSTALL, "renew /fleet/robot1", "bundle /fleet/robot1 -o new.bundle"),
         "install new.bundle",
     ),
+    "report": ("report --format json -o may.json",),
     "sign-request import": (EXPORT, "sign-request sign fleet.request -o fleet.answer"),
     "sign-request sign": (EXPORT,),
     "ca crl": ("ca crl",),
