@@ -503,6 +503,15 @@ def test_nobody_keeps_handshakes_waiting_for_ever(order):
     assert order.index("host[0]") == FAIR
 
 
+def test_a_call_that_comes_in_parts_is_answered_when_it_is_whole():
+    whole = create()
+    for cut in (1, 4, len(whole) - 1):
+        with served(["authentication"], [whole[:cut]]) as (_, (link,), thread):
+            thread.start()
+            link.sendall(whole[cut:])
+            assert frame_of(link)[:1] == b"\1"
+
+
 def test_who_waits_for_its_turn_is_told_that_the_agent_works(monkeypatch):
     monkeypatch.setattr(worker, "TELL_SECONDS", 0.0)
     with served(["authentication"] * 2, [create()] * 2) as (_, (first, second), thread):
