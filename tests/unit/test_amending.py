@@ -133,6 +133,14 @@ def test_a_right_that_a_pattern_still_allows_is_not_removed():
         remove_rights(grant(rule("a"), default=DefaultAction.ALLOW), rights("a"))
 
 
+def test_criteria_without_topics_are_removed_with_their_last():
+    """A document with an empty list of topics is not valid."""
+    limited = Criteria(topics=("b",), data_tags=(("k", "v"),))
+    both = PermissionRule(allow=True, domains=ZERO, publish=(Criteria(topics=("a",)), limited))
+    (left,) = remove_rights(grant(both), rights("a")).rules
+    assert left.publish == (limited,)
+
+
 def test_only_the_named_action_is_removed():
     both = PermissionRule(
         allow=True,
