@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._processes import watched
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli.plan import (
@@ -173,11 +174,17 @@ def _apply_steps(
     """Make the changes, with a progress bar on a terminal. Returns the steps that were made."""
     hidden, done = not sys.stderr.isatty(), list[Step]()
     every = len(found.steps)
+    batches = apply_plan(desired, keystore, authorities, found, now=_settings.now())
     try:
-        with click.progressbar(length=every, file=sys.stderr, hidden=hidden) as bar:
-            for batch in apply_plan(desired, keystore, authorities, found, now=_settings.now()):
-                bar.update(len(batch))
+        with (
+            click.progressbar(
+                length=every, label="changes", show_pos=True, file=sys.stderr, hidden=hidden
+            ) as bar,
+            watched(lambda count: bar.update(min(count, every - bar.pos))),
+        ):
+            for batch in batches:
                 done += batch
+                bar.update(max(0, len(done) - bar.pos))
     except PqsecError:
         _printing.note(f"{len(done)} of {every} changes are made; run apply again to make the rest")
         with suppress(PqsecError):  # the first error is reported

@@ -1,6 +1,7 @@
 """pqsec check: report errors and risks in a keystore, a folder or files."""
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,11 @@ from typing import Any
 import click
 
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli.plan import few
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
+    Finding,
     LintReport,
     Rule,
     Severity,
@@ -22,6 +25,8 @@ from pqsec_pki.lint import (
 from pqsec_pki.lint import check as check_all
 from pqsec_pki.stacks import Stack, stack_named
 
+_GROUPED = 2
+"""Fewer equal findings after a first one are lines of their own."""
 _COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
 
 
@@ -160,13 +165,32 @@ def report_lines(report: LintReport) -> list[str]:
     summary = f"{checked}: {', '.join([*(counts or ['no findings']), *ignored])}"
     if unread := len(report.unread):
         summary += f"; incomplete: {unread} could not be read"
-    return [*map(str, report.findings), summary]
+    return [*_grouped(report.findings), summary]
+
+
+def _grouped(findings: Sequence[Finding]) -> Iterator[str]:
+    """The findings; of many with the same rule and words, the others' places below the first."""
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for each in findings:
+        alike.setdefault((each.rule.id, each.message), []).append(each)
+    for each in findings:
+        first, *others = alike[each.rule.id, each.message]
+        if len(others) < _GROUPED:
+            yield str(each)
+        elif each is first:
+            yield str(first)
+            yield f"  also {few(other.place for other in others)}"
 
 
 def _more(report: LintReport) -> list[str]:
-    """The command that explains the first finding."""
-    ids = [each.rule.id for each in report.findings[:1]]
-    return [f"`pqsec check --explain {each}` explains a finding, and how to fix it" for each in ids]
+    """The commands that explain the first finding, and that list all."""
+    lines = [
+        f"`pqsec check --explain {each.rule.id}` explains a finding, and how to fix it"
+        for each in report.findings[:1]
+    ]
+    if len(list(_grouped(report.findings))) < len(report.findings):
+        lines.append("`--format csv` lists each finding in a line")
+    return lines
 
 
 def report_value(report: LintReport, *, strict: bool) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """pqsec permit: add or remove single rights of participants."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,21 +72,14 @@ def permit(
     a copy of the enclave.
     """
     publish, subscribe = topics_of(**topics)
-    rights = TopicRights(publish=publish, subscribe=subscribe)
     if not publish and not subscribe:
         raise UsageError("no right named", hint="name topics: --publish rt/chatter")
     if domains is not None and not add:
         raise UsageError("--remove and --domain exclude each other: a right is removed everywhere")
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
-    chosen = admitted(keystore, names)
-    wanted = None if domains is None else DomainSet.parse(domains)
-
-    def edited(grant: Grant) -> Grant:
-        if not add:
-            return remove_rights(grant, rights)
-        return add_rights(grant, rights, wanted or allowed_domains(grant) or keystore.domains)
-
-    found = changed_permissions(keystore, chosen, edited, now=now)
+    rights = TopicRights(publish=publish, subscribe=subscribe)
+    edit = _edit(keystore, rights, domains, add=add)
+    found = changed_permissions(keystore, admitted(keystore, names), edit, now=now)
     changes = [each for each in found if each.new != each.old]
     differences = [
         DocumentDifference(f"permissions of {each.name}", permissions_diff(each.old, each.new))
@@ -94,20 +88,33 @@ def permit(
     complete = note_incomplete(differences)
     if changes:
         if not yes:
-            confirm(
-                lambda: _show(differences),
-                "Sign these permissions?",
-                what=f"the rights of {few([each.name for each in changes])} would change",
-                hint="--yes makes the change; `pqsec diff` and `pqsec explain` show rights",
-            )
+            _ask(changes, differences)
         authorities = _passphrases.unlock(keystore, passphrase_file)
         sign_changed(keystore, authorities, changes, now=now)
     _report(keystore, changes, differences, complete=complete, shown=not yes)
 
 
-def _show(differences: list[DocumentDifference]) -> None:
-    for line in difference_lines(differences):
-        _printing.say(_printing.printable(line))
+def _edit(
+    keystore: Keystore, rights: TopicRights, domains: str | None, *, add: bool
+) -> Callable[[Grant], Grant]:
+    """The change of a grant. UsageError for what is not a set of domains."""
+    wanted = None if domains is None else DomainSet.parse(domains)
+
+    def edited(grant: Grant) -> Grant:
+        if not add:
+            return remove_rights(grant, rights)
+        return add_rights(grant, rights, wanted or allowed_domains(grant) or keystore.domains)
+
+    return edited
+
+
+def _ask(changes: list[PermissionsChange], differences: list[DocumentDifference]) -> None:
+    confirm(
+        lambda: _printing.emit(None, difference_lines(differences)),
+        "Sign these permissions?",
+        what=f"the rights of {few([each.name for each in changes])} would change",
+        hint="--yes makes the change; `pqsec diff` and `pqsec explain` show rights",
+    )
 
 
 def _report(

@@ -172,6 +172,10 @@ class Finding:
             "fix": self.rule.fix,
         }
 
+    @property
+    def place(self) -> str:
+        """The path, with the line if there is one: FILE:12."""
+        return f"{self.path}:{self.line}" if self.line else str(self.path)
+
     def __str__(self) -> str:
-        place = f"{self.path}:{self.line}" if self.line else str(self.path)
-        return f"{place}: {self.rule.severity} {self.rule.id} {self.message}"
+        return f"{self.place}: {self.rule.severity} {self.rule.id} {self.message}"
