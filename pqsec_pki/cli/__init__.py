@@ -63,6 +63,7 @@ COMMANDS = {
     "sign-governance": ("sign", "Check a governance document against its schema, and sign it."),
     "sign-permissions": ("sign", "Check a permissions document against its schema, and sign it."),
     "validate": ("validate", "Check governance and permissions documents against their schemas."),
+    "migrate": ("migrate", "Plan and rehearse the change to a post-quantum profile."),
     "cbom": ("cbom", "Write a cryptographic bill of materials (CBOM) in CycloneDX 1.7."),
     "check": ("check", "Report errors and risks in keystores, folders and files."),
     "report": (
@@ -100,7 +101,8 @@ GROUPS = {
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (
-        "check report verify verify-handshake explain who-may diff cbom inspect profiles algorithms"
+        "check report verify verify-handshake explain who-may diff cbom migrate inspect profiles"
+        " algorithms"
     ),
     "Use with a DDS stack": "export try explain-error plugin agent",
 }

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
         HandshakeCheck,
         HandshakeParty,
         HandshakeSetup,
+        LoadedParty,
+        check_party,
+        load_party,
         run_handshake,
     )
     from pqsec_pki.selfcheck.matrix import FRAGMENT, Suite, suites
@@ -57,6 +60,7 @@ __all__ = [
     "HandshakeSession",
     "HandshakeSetup",
     "JoinableDomains",
+    "LoadedParty",
     "PairOutcome",
     "PairsCheck",
     "Relay",
@@ -68,8 +72,10 @@ __all__ = [
     "Suite",
     "Summary",
     "check_pairs",
+    "check_party",
     "count_pairs",
     "faults",
+    "load_party",
     "run_handshake",
     "stack_named",
     "suites",

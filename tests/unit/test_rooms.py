@@ -73,6 +73,10 @@ MAY_IMPORT["cbom"] = {
     *("lint", "inspection", "keystore", "credentials", "certificates", "smime", "documents"),
     "algorithms",
 }
+MAY_IMPORT["migration"] = {
+    *("selfcheck", "lifecycle", "vendors", "keystore", "credentials", "documents"),
+    "algorithms",
+}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.

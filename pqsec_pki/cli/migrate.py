@@ -1,0 +1,135 @@
+"""pqsec migrate: plan and rehearse the change to a post-quantum profile."""
+
+from collections.abc import Iterator
+from datetime import datetime
+
+import click
+
+from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.migration import (
+    MigrationPlan,
+    MigrationStep,
+    Rehearsal,
+    plan_migration,
+    rehearse,
+)
+from pqsec_pki.selfcheck import STACKS, stack_named
+
+_TARGETS = [each.name for each in PROFILES]
+_STOCK = [each.name for each in STACKS if each.is_stock]
+
+
+@_help.group()
+@_settings.command_options
+def migrate() -> None:
+    """Plan and rehearse the change to a post-quantum profile."""
+
+
+@migrate.command(
+    examples={
+        "Show the steps to profile pq for robots with Cyclone DDS": (
+            "pqsec migrate plan --stack cyclonedds"
+        ),
+        "Rehearse the steps to CNSA 2.0 on a copy": "pqsec migrate plan --to cnsa2 --rehearse",
+    },
+    exit_codes={
+        0: "the steps are shown, and the rehearsal succeeded",
+        1: "in the rehearsal, participants did not authenticate each other",
+        3: "the keystore cannot be read",
+    },
+)
+@click.option(
+    "--to",
+    "target",
+    type=click.Choice(_TARGETS),
+    default="pq",
+    show_default=True,
+    help="Plan the change to this profile.",
+)
+@click.option(
+    "--stack",
+    "stacks",
+    multiple=True,
+    type=click.Choice(_STOCK),
+    help="Plan for robots with this stack. Repeatable. [default: all]",
+    shell_complete=_completion.among(_STOCK),
+)
+@click.option(
+    "--rehearse",
+    "rehearsing",
+    is_flag=True,
+    help="Also make all changes on a copy, and run handshakes between old and new files.",
+)
+@_settings.command_options
+def plan(target: str, stacks: tuple[str, ...], *, rehearsing: bool) -> None:
+    """Show the steps to a post-quantum profile, and rehearse them on a copy.
+
+    For each step: what robots with each stack need, whether robots can change one by one, and
+    what breaks without the step. This is found by handshakes between sample participants,
+    in the same code as `pqsec verify-handshake`. The keystore is not changed.
+    """
+    keystore, now = _settings.open_keystore(), _settings.now()
+    profile = profile_named(target)
+    rows = tuple(stack_named(each) for each in stacks or _STOCK)
+    found = plan_migration(keystore, profile, rows, now=now)
+    rehearsal = rehearse(keystore, profile, now=now) if rehearsing else None
+    value: dict[str, object] = {
+        "from": found.before,
+        "to": found.target,
+        "steps": found.steps,
+        "deadlines": [
+            {"date": each.day.isoformat(), "what": each.what, "source": each.source}
+            for each in found.deadlines
+        ],
+    }
+    lines = [*_plan_lines(found, now)]
+    if rehearsal is not None:
+        value["rehearsal"] = rehearsal
+        lines += ["", *_rehearsal_lines(rehearsal)]
+    _printing.emit(value, lines)
+    if rehearsal is not None and not rehearsal.ok:
+        click.get_current_context().exit(1)
+
+
+def _plan_lines(plan: MigrationPlan, now: datetime) -> Iterator[str]:
+    counted = _printing.counted(len(plan.steps), "step")
+    yield f"from profile {plan.before} to {plan.target}: {counted}"
+    for number, step in enumerate(plan.steps, 1):
+        yield ""
+        yield from _step_lines(number, step)
+    yield ""
+    yield "Dates:"
+    for each in plan.deadlines:
+        passed = " (passed)" if each.day < now.date() else ""
+        yield f"  {each.day:%Y-%m-%d}{passed}  {each.what}"
+        yield f"              {each.source}"
+
+
+def _step_lines(number: int, step: MigrationStep) -> Iterator[str]:
+    how = "stop the domain, change all robots, start it" if step.at_once else "robot by robot"
+    yield f"{number}. {step.title} ({how})"
+    yield from (f"   run      {each}" for each in step.commands)
+    yield from (f"   needs    {each.stack}: {each.needs}" for each in step.stacks)
+    yield f"   mixed    {step.mixed}"
+    yield from (f"   skipped  {each}" for each in step.if_skipped)
+    if step.reissued:
+        yield f"   reissues {_printing.counted(step.reissued, 'participant')}"
+    yield from (f"   not      {name}: {why}" for name, why in step.left_out.items())
+    yield f"   level    {step.level} of traffic after the step (NIST category; 0: none)"
+
+
+def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
+    sample, all_ = len(rehearsal.sample), rehearsal.participants
+    part = f"a sample of {sample} of {all_}" if sample < all_ else str(all_)
+    yield f"Rehearsal on a copy, with {part} participants:"
+    for step in rehearsal.steps:
+        done = _printing.counted(step.succeeded, "pair")
+        yield f"  {step.profile}: {step.reissued} reissued, {done} authenticated each other"
+        yield from (f"    not: {each}" for each in step.failures)
+        yield from (f"    not reissued: {name}: {why}" for name, why in step.left_out.items())
+        if step.old_with_new_refused:
+            yield f"    old files with new files: {step.old_with_new_refused} refused"
+            yield f"      {step.reason}"
+        if step.old_with_new:
+            yield f"    old files with new files: {step.old_with_new} authenticated"

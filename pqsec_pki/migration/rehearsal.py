@@ -1,0 +1,120 @@
+"""Rehearses a migration on a copy of the keystore: every rollover, and handshakes between them."""
+
+import tempfile
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import combinations, pairwise
+from pathlib import Path
+
+from pqsec_pki._files import exists
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.credentials import ENCLAVES, KEY
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.migration.generations import Generation, generations
+from pqsec_pki.migration.meetings import Side, failure
+from pqsec_pki.migration.planning import path_of
+from pqsec_pki.selfcheck import PQSEC, HandshakeSetup, JoinableDomains
+
+SAMPLE = 6
+"""Participants whose handshakes are run, if there are more: 15 pairs in each generation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RehearsedStep:
+    """The result of one rollover on the copy."""
+
+    profile: str
+    reissued: int
+    left_out: dict[str, str]
+    succeeded: int
+    """Pairs with new files that authenticated each other."""
+    failures: tuple[str, ...]
+    """The other pairs with new files, and why not."""
+    old_with_new: int
+    """Pairs of old and new files that authenticated each other."""
+    old_with_new_refused: int
+    reason: str
+    """Why the first of those was refused; empty if none was."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rehearsal:
+    """All rollovers of a migration on a copy."""
+
+    participants: int
+    """With keys in the keystore: only they can be rehearsed."""
+    sample: tuple[str, ...]
+    """Those whose handshakes were run."""
+    steps: tuple[RehearsedStep, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether all pairs with new files that share a domain authenticated each other."""
+        return not any(each.failures for each in self.steps)
+
+
+def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal:
+    """Take a copy of the keystore through the profiles to `target`.
+
+    The copy is in a folder that only its owner can read, and is removed. KeystoreError if fewer
+    than two participants have their keys here; other errors of a rollover.
+    """
+    enclaves = keystore.root / ENCLAVES
+    names = [each for each in keystore.names() if exists(enclaves / each[1:] / KEY)]
+    if len(names) < 2:  # noqa: PLR2004 -- a pair
+        raise KeystoreError(
+            "a rehearsal needs two participants whose keys are in the keystore",
+            hint="rehearse with a keystore of two test participants: `pqsec demo`",
+        )
+    chosen = tuple(names[:: -(-len(names) // SAMPLE)])
+    path = path_of(keystore.profile, target)
+    steps = []
+    with tempfile.TemporaryDirectory(prefix="pqsec-migrate-") as folder:
+        for old, new in pairwise(generations(keystore, path, Path(folder), now)):
+            steps.append(_rehearsed(old, new, chosen, now))
+    return Rehearsal(participants=len(names), sample=chosen, steps=tuple(steps))
+
+
+def _rehearsed(
+    old: Generation, new: Generation, names: tuple[str, ...], now: datetime
+) -> RehearsedStep:
+    plan = new.rollover
+    reissued = (*plan.keeping, *plan.rekeyed) if plan else ()
+    pairs = [
+        (one, other, domain)
+        for one, other in combinations([each for each in names if each in reissued], 2)
+        if (domain := _domain(new.keystore, one, other, now)) is not None
+    ]
+    same = {
+        f"{one}, {other}": failure(
+            Side(new.keystore, one, PQSEC), Side(new.keystore, other, PQSEC), domain, now
+        )
+        for one, other, domain in pairs
+    }
+    mixed = [
+        failure(Side(first, one, PQSEC), Side(second, other, PQSEC), domain, now)
+        for one, other, domain in pairs
+        for first, second in (
+            (old.keystore, new.keystore),
+            (new.keystore, old.keystore),
+        )
+    ]
+    refused = [each for each in mixed if each]
+    return RehearsedStep(
+        profile=new.profile.name,
+        reissued=len(reissued),
+        left_out=dict(plan.left_out) if plan else {},
+        succeeded=sum(each is None for each in same.values()),
+        failures=tuple(
+            f"{pair}: {each.name}: {each.detail}" for pair, each in same.items() if each
+        ),
+        old_with_new=len(mixed) - len(refused),
+        old_with_new_refused=len(refused),
+        reason=f"{refused[0].name}: {refused[0].detail}" if refused else "",
+    )
+
+
+def _domain(keystore: Keystore, one: str, other: str, now: datetime) -> int | None:
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
+    return min(JoinableDomains.of(setup, (one, other)).shared, default=None)

@@ -1,0 +1,134 @@
+"""Plans of migrations, and their rehearsal on a copy."""
+
+import hashlib
+import os
+
+import pytest
+
+from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.migration import DEADLINES, plan_migration, rehearse
+from pqsec_pki.migration.rehearsal import SAMPLE
+from pqsec_pki.selfcheck import stack_named
+from tests.unit.keystores import NOW, made
+
+PQ = profile_named("pq")
+CYCLONE, LIMITED = stack_named("cyclonedds"), stack_named("fastdds-3.1")
+
+
+@pytest.fixture(scope="module")
+def keystores(tmp_path_factory):
+    """A keystore of each profile, by its name."""
+    root = tmp_path_factory.mktemp("keystores")
+    return {each.name: made(root / each.name, each.name) for each in PROFILES}
+
+
+def digest(root):
+    """Of all names, modes and contents below `root`."""
+    found = hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        found.update(os.fsencode(path) + str(path.lstat().st_mode).encode())
+        if path.is_symlink():
+            found.update(os.fsencode(path.readlink()))
+        elif path.is_file():
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def test_the_way_from_classical_keys(keystores):
+    plan = plan_migration(keystores["classical"], PQ, (CYCLONE,), now=NOW)
+    first, plugin, last = plan.steps
+    assert [first.commands, plugin.commands[0], last.commands[0]] == [
+        ("pqsec ca rotate --profile transition --apply",),
+        "pqsec plugin install",
+        "pqsec ca rotate --profile pq --apply",
+    ]
+    # New CAs: old and new files do not authenticate each other, so the domain stops.
+    assert [each.at_once for each in plan.steps] == [True, False, True]
+    assert "was issued by" in first.mixed
+    assert [each.needs for each in first.stacks] == ["nothing"]
+    # Plugin and stock stack meet in profile transition; without the plugin pq does not run.
+    assert plugin.mixed == "Cyclone DDS with and without the plugin accept each other"
+    assert "accepts no ml-dsa-65 key" in plugin.if_skipped[0]
+    assert [each.needs for each in plugin.stacks] == ["libpqsec_dds.so; version 0.10 and later"]
+    # While the plugin accepts stock peers, traffic has the stock key agreement.
+    assert 'peers = "stock"' in plugin.commands[1]
+    assert 'peers = "stock"' in last.commands[1]
+    assert [each.level for each in plan.steps] == [0, 0, 3]
+    assert "traffic keeps NIST level 0 instead of 3" in last.if_skipped
+    assert "certificates and documents keep ecdsa-p256 keys" in last.if_skipped
+    assert [first.reissued, last.reissued] == [2, 2]
+
+
+def test_a_version_that_cannot_send_large_messages(keystores):
+    plan = plan_migration(keystores["classical"], PQ, (CYCLONE, LIMITED), now=NOW)
+    needs = {each.stack: each.needs for each in plan.steps[0].stacks}
+    assert needs["Cyclone DDS"] == "nothing"
+    assert "over 8192 bytes" in needs["Fast DDS 3.1"]
+    assert "use another version" in needs["Fast DDS 3.1"]
+
+
+def test_the_way_depends_on_where_it_begins(keystores):
+    for before, target, titles in (
+        ("transition", "pq", ["install", "change"]),
+        ("transition", "cnsa2", ["install", "change"]),
+        ("classical", "transition", ["change"]),
+        ("hybrid", "pq", ["change"]),
+        ("pq", "pq", []),
+    ):
+        plan = plan_migration(keystores[before], profile_named(target), (CYCLONE,), now=NOW)
+        assert [each.title.split()[0] for each in plan.steps] == titles, (before, target)
+        if plan.steps:
+            level = profile_named(target).level
+            assert plan.steps[-1].level == (0 if target == "transition" else level)
+
+
+def test_a_participant_whose_key_is_on_its_robot_needs_a_request(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/talker", "/listener", "/robot"))
+    (keystore.root / "enclaves/robot/key.pem").unlink()
+    plan = plan_migration(keystore, PQ, (CYCLONE,), now=NOW)
+    for step in (plan.steps[0], plan.steps[-1]):
+        assert step.reissued == 2
+        assert "it needs a new request" in step.left_out["/robot"]
+    found = rehearse(keystore, PQ, now=NOW)
+    assert found.participants == 2
+    assert "/robot" in found.steps[0].left_out
+
+
+def test_a_rehearsal_runs_old_with_new_and_changes_nothing(keystores, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    keystore = keystores["classical"]
+    before = digest(keystore.root)
+    found = rehearse(keystore, PQ, now=NOW)
+    plan_migration(keystore, PQ, (CYCLONE,), now=NOW)
+    assert digest(keystore.root) == before
+    assert list(tmp_path.iterdir()) == []  # the copy is gone
+    assert [each.profile for each in found.steps] == ["transition", "pq"]
+    assert found.ok
+    for step in found.steps:
+        assert (step.reissued, step.succeeded, step.failures) == (2, 1, ())
+        assert (step.old_with_new, step.old_with_new_refused) == (0, 2)
+        assert "was issued by" in step.reason
+
+
+def test_a_large_fleet_is_sampled(tmp_path):
+    names = [f"/robot{number}" for number in range(SAMPLE + 2)]
+    keystore = made(tmp_path / "k", "transition", names=names)
+    found = rehearse(keystore, PQ, now=NOW)
+    assert found.participants == len(names)
+    assert 2 <= len(found.sample) <= SAMPLE
+    assert found.steps[0].reissued == len(names)
+    pairs = len(found.sample) * (len(found.sample) - 1) // 2
+    assert found.steps[0].succeeded == pairs
+
+
+def test_a_rehearsal_needs_a_pair(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/alone",))
+    with pytest.raises(KeystoreError, match="two participants"):
+        rehearse(keystore, PQ, now=NOW)
+
+
+def test_dates_are_in_order_and_have_sources():
+    days = [each.day for each in DEADLINES]
+    assert days == sorted(days)
+    assert all(each.source for each in DEADLINES)
