@@ -57,7 +57,16 @@ TESTS = {
         "domain_requests",
     ),
     "plugin": ("plugin_*",),
-    "access": ("access", "amending", "decide", "matrix_*", "everywhere", "diff", "sharing", "plugin_rights"),
+    "access": (
+        "access",
+        "amending",
+        "decide",
+        "matrix_*",
+        "everywhere",
+        "diff",
+        "sharing",
+        "plugin_rights",
+    ),
     "policy": ("one_verdict", "cli/test_questions.py"),
 }
 """For each room the files of tests for it: test_*.py in tests/unit, or a path in tests."""
