@@ -55,6 +55,7 @@ TESTS = {
         "install",
         "sharing",
         "domain_requests",
+        "issue_with_bundles",
     ),
     "plugin": ("plugin_*",),
     "access": (
