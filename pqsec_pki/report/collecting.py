@@ -180,7 +180,7 @@ def _authorities(
     return tuple(
         AuthorityRow(
             kind=KINDS[each.kind],
-            name=each.name,
+            name=each.name or KINDS[each.kind],
             state=each.state,
             not_after=each.not_after,
             algorithm=algorithm_of(known[each.kind]) if each.kind in known else "",

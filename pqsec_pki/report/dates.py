@@ -37,7 +37,7 @@ def endings_of(status: Status, fleet: Fleet | None) -> tuple[Ending, ...]:
 
 def _every(status: Status, fleet: Fleet | None) -> Iterator[tuple[str, datetime, str]]:
     for term in status.shared:
-        yield KINDS[term.kind], term.not_after, term.name
+        yield KINDS[term.kind], term.not_after, term.name or KINDS[term.kind]
     for each in status.participants:
         if each.state not in _OVER:
             yield CERTIFICATE, each.not_after, each.name

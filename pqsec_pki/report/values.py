@@ -163,7 +163,7 @@ class FindingsSection:
 
     def count(self, severity: Severity) -> int:
         """How many findings are of that severity."""
-        return sum(len(each.places) for each in self.groups if each.severity is severity)
+        return sum(len(each.places) for each in self.groups if each.severity == severity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

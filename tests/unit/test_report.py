@@ -210,7 +210,11 @@ def test_who_is_left_out_is_named_with_the_reason(keystore):
     )
     report = report_of(keystore, now=NOW)
     assert list(report.rights.refused) == ["/r2"]
-    assert "no grant is for" in html_of(report)
+    page = html_of(report)
+    assert "no grant is for" in page
+    errors = sum(len(each.places) for each in report.findings.groups if each.severity == "error")
+    assert errors
+    assert f"{errors} error{'s' * (errors > 1)}, " in page
 
 
 # Compared with an earlier one
