@@ -16,19 +16,31 @@ from cyclonedx.schema import OutputFormat, SchemaVersion
 from pqsec_pki import __version__
 from pqsec_pki.cbom._assets import Asset, Assets
 
+_SUBJECT = "subject"
+"""The bom-ref of what the bill is about."""
+_AT_ONCE = 100
+"""Components in one call of the library, whose time grows with the square of their number."""
 _PREFIX = "pqsec:"
 """Of the names of properties that CycloneDX does not define."""
 
 
 def written(assets: Assets, subject: str, timestamp: datetime | None) -> str:
     """The document about `subject`. Its serial number is derived from all but `timestamp`."""
-    document = json.loads(
-        make_outputter(
-            _bom(assets, subject), OutputFormat.JSON, SchemaVersion.V1_7
-        ).output_as_string()
-    )
+    document = _as_json(_head(subject))
     del document["metadata"]["timestamp"], document["serialNumber"]
-    _add_fields(document, {each.ref: each.added for each in assets})
+    every = list(assets)
+    document["components"] = [
+        component
+        for start in range(0, len(every), _AT_ONCE)
+        for component in _as_json(Bom(components=map(_component, every[start : start + _AT_ONCE])))[
+            "components"
+        ]
+    ]
+    document["dependencies"] = [
+        {"ref": _SUBJECT, "dependsOn": [each.ref for each in every]},
+        *({"ref": each.ref, "dependsOn": list(each.needs)} for each in every),
+    ]
+    _add_fields(document, {each.ref: each.added for each in every})
     document = _in_order(document)
     content = json.dumps(document, sort_keys=True)
     document["serialNumber"] = uuid5(NAMESPACE_URL, content).urn
@@ -37,17 +49,18 @@ def written(assets: Assets, subject: str, timestamp: datetime | None) -> str:
     return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
 
 
-def _bom(assets: Assets, subject: str) -> Bom:
-    components = {each.ref: _component(each) for each in assets}
-    root = Component(name=subject, type=ComponentType.DATA, bom_ref="subject")
-    bom = Bom(components=components.values())
-    bom.metadata.component = root
+def _as_json(bom: Bom) -> dict[str, Any]:
+    text = make_outputter(bom, OutputFormat.JSON, SchemaVersion.V1_7).output_as_string()
+    parsed: dict[str, Any] = json.loads(text)
+    return parsed
+
+
+def _head(subject: str) -> Bom:
+    bom = Bom()
+    bom.metadata.component = Component(name=subject, type=ComponentType.DATA, bom_ref=_SUBJECT)
     bom.metadata.tools.components.add(
         Component(name="pqsec", version=__version__, type=ComponentType.APPLICATION)
     )
-    bom.register_dependency(root, components.values())
-    for each in assets:
-        bom.register_dependency(components[each.ref], [components[ref] for ref in each.needs])
     return bom
 
 
@@ -68,7 +81,7 @@ def _component(asset: Asset) -> Component:
 def _add_fields(document: dict[str, Any], added: Mapping[str, Mapping[str, Any]]) -> None:
     """Add the fields of 1.7 that cyclonedx-python-lib does not have yet, by bom-ref."""
     kinds = {"algorithm": "algorithmProperties", "certificate": "certificateProperties"}
-    for component in document.get("components", ()):
+    for component in document["components"]:
         if fields := added[component["bom-ref"]]:
             crypto = component["cryptoProperties"]
             crypto[kinds[crypto["assetType"]]].update(fields)
