@@ -17,6 +17,13 @@ if TYPE_CHECKING:
         remove_rights,
     )
     from pqsec_pki.access.change import Change, Difference, Sense
+    from pqsec_pki.access.counterparts import (
+        Alone,
+        Right,
+        open_rights,
+        rights_of,
+        without_counterpart,
+    )
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
     from pqsec_pki.access.decision import Decision, Part, Protection
     from pqsec_pki.access.diff import permissions_diff
@@ -53,6 +60,7 @@ __all__ = [
     "OPENDDS",
     "SPEC",
     "Action",
+    "Alone",
     "Change",
     "Decision",
     "Difference",
@@ -64,6 +72,7 @@ __all__ = [
     "Placed",
     "Protection",
     "Question",
+    "Right",
     "Sense",
     "TopicRights",
     "TopicRow",
@@ -78,11 +87,14 @@ __all__ = [
     "interpretation_named",
     "is_known",
     "may_join",
+    "open_rights",
     "opendds_reads_beyond",
     "permissions_diff",
     "remove_rights",
+    "rights_of",
     "topics_asked",
     "topics_between",
     "topics_named",
     "who_may_anywhere",
+    "without_counterpart",
 ]

@@ -1,5 +1,6 @@
 """Options for the rights of participants, shared by commands that issue or request."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -10,7 +11,9 @@ import click
 from pqsec_pki.cli import _completion, _policy, _printing, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec
+from pqsec_pki.policy import doubtful_topics
 
 _ROS = {
     "ros_node": ros.node_minimum,
@@ -165,6 +168,14 @@ class ParticipantOptions:
         if self.policy:
             specs = _policy.with_grants(specs, self.policy, now=_settings.now())
         return specs
+
+
+def note_doubtful_topics(keystore: Keystore, names: Iterable[str]) -> None:
+    """Note in one line which topics of participants look like mistakes, if any do."""
+    found = list(doubtful_topics(keystore, names, _settings.now()))
+    if found:
+        more = f"; and {len(found) - 1} more, see `pqsec check`" if len(found) > 1 else ""
+        _printing.note(f"{found[0]}{more}")
 
 
 def _note_ros_name(option: str, topic: str) -> None:

@@ -10,7 +10,11 @@ import click
 from pqsec_pki import enrolment
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._names import admitted
-from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
+from pqsec_pki.cli._participant_options import (
+    ParticipantOptions,
+    note_doubtful_topics,
+    participant_options,
+)
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError, UsageError, located
@@ -124,6 +128,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     else:
         issued = issue_participants(keystore, authorities, specs, **choices)
     _warn(governance, specs)
+    note_doubtful_topics(keystore, [each.name for each in issued])
     note_unsigned_governance(keystore)
     print_issued(keystore, issued, bundles)
 

@@ -16,7 +16,7 @@ from pqsec_pki.access import (
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import admitted
-from pqsec_pki.cli._participant_options import topic_options, topics_of
+from pqsec_pki.cli._participant_options import note_doubtful_topics, topic_options, topics_of
 from pqsec_pki.cli.diff import difference_lines, note_incomplete
 from pqsec_pki.cli.plan import few
 from pqsec_pki.documents import DomainSet, Grant
@@ -91,6 +91,7 @@ def permit(
             _ask(changes, differences)
         authorities = _passphrases.unlock(keystore, passphrase_file)
         sign_changed(keystore, authorities, changes, now=now)
+        note_doubtful_topics(keystore, [each.name for each in changes])
     _report(keystore, changes, differences, complete=complete, shown=not yes)
 
 

@@ -37,6 +37,12 @@ _PARAMETER_SERVICES = tuple(each for each in _NODE_SERVICES if each != "get_type
 _ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
 _ACTION_TOPICS = ("feedback", "status")
 
+_OF_EVERY_NODE = {DISCOVERY, "rt/clock", *(f"rt{each}" for each in _NODE_TOPICS)}
+_OF_A_NODE = re.compile(
+    rf"/(?:{'|'.join((*_NODE_SERVICES, *_LIFECYCLE_SERVICES))})(?:Request|Reply)\Z"
+    r"|/transition_event\Z"
+)
+
 # The rules of rmw_validate_full_topic_name, in its order.
 _FAULTS = (
     (re.compile(r"\A(?!/)"), "it does not start with '/'"),
@@ -166,6 +172,16 @@ def node_minimum(node_name: str) -> Endpoints:
         publish=(DISCOVERY, *map(topic, _NODE_TOPICS), *map(service_reply, services)),
         subscribe=(DISCOVERY, *map(service_request, services)),
     )
+
+
+def is_of_every_node(topic: str) -> bool:
+    """Whether ROS 2 itself uses the DDS topic in every node or lifecycle node."""
+    return topic in _OF_EVERY_NODE or _OF_A_NODE.search(topic) is not None
+
+
+def doubled_slash(topic: str) -> bool:
+    """Whether a DDS topic has the prefix of ROS 2 and `//`, which no ROS 2 topic has."""
+    return topic.startswith(("rt/", "rq/", "rr/")) and "//" in topic
 
 
 def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:

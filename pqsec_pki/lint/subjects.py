@@ -10,6 +10,7 @@ from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
+from pqsec_pki.access import Alone
 from pqsec_pki.algorithms import pem, unpem
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import (
@@ -24,6 +25,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint._one_sided import one_sided
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.profile import ProfileFile
@@ -180,6 +182,11 @@ class Inventory:
         for each in (*in_enclaves, *self._outside_enclaves()):
             found.setdefault((each.file.path, each.ca.fingerprint), each)
         return tuple(found.values())
+
+    @cached_property
+    def one_sided(self) -> tuple[tuple[PermissionsFile, Alone], ...]:
+        """Each right without a counterpart in its keystore, with the document that has it."""
+        return tuple(one_sided(self))
 
     def _outside_enclaves(self) -> Iterator[DocumentAndSigners]:
         """Documents outside of enclaves, if there is exactly one permissions CA."""

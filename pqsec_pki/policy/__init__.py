@@ -6,6 +6,7 @@
     fleet          the participants of a keystore, or of permissions documents
     who_may        who may publish and subscribe to each topic
     reasons        why one of them may
+    one_sided      topics of some participants that look like mistakes
     differences    the rights that a change of documents or keystores grants and removes
 
 The room `access` decides; this room reads the documents for it.
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
         signed_by,
         valid_kind,
     )
+    from pqsec_pki.policy.one_sided import doubtful_topics
     from pqsec_pki.policy.participants import (
         PolicyInput,
         own_permissions,
@@ -51,6 +53,7 @@ __all__ = [
     "answers_by_domain",
     "differences_between",
     "document_at",
+    "doubtful_topics",
     "fleet_in",
     "fleet_of",
     "governance_in",

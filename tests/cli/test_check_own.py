@@ -42,13 +42,18 @@ def made(model, tmp_path):
     return make
 
 
+ONE_SIDED = {"PQS345", "PQS346"}
+"""The participants here have topics without the other side."""
+
+
 @pytest.fixture
 def told(pqsec):
     """told() is what a check finds in `k`, rule by rule, with its severity."""
 
     def check(options=OPEN, path="k"):
         result = pqsec(f"check {path} --strict --json {options}").json
-        return {each["rule"]: each["severity"] for each in result["findings"]}
+        found = {each["rule"]: each["severity"] for each in result["findings"]}
+        return {rule: severity for rule, severity in found.items() if rule not in ONE_SIDED}
 
     return check
 

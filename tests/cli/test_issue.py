@@ -498,3 +498,18 @@ def test_a_lost_governance_stops_the_issue_before_anything_is_replaced(pqsec, ke
     said = pqsec(f"-k k issue /talker --force {TOPIC}")
     said.refused(3, "k/enclaves/governance.p7s: no such file or directory")
     assert snapshot(k) == before
+
+
+def test_topics_that_look_like_mistakes_are_noted_in_one_line(pqsec, keystore):
+    keystore()
+    pqsec("-k k issue /a --subscribe rt/image --subscribe rt/scan").done()
+    done = pqsec("-k k issue /b --publish rt/imag --publish rt//scan").done()
+    [line] = [each for each in done.err.splitlines() if "rt/" in each]
+    assert "rt//scan has //" in line
+    assert line.endswith("; and 1 more, see `pqsec check`")
+    done = pqsec("-k k permit /b --remove --publish rt//scan --yes").done()
+    [line] = [each for each in done.err.splitlines() if "rt/" in each]
+    assert "/b may publish rt/imag, and nobody may subscribe to it: did you mean rt/image?" in line
+    pqsec("-k k permit /b --publish rt/image --yes").done()
+    done = pqsec("-k k permit /b --remove --publish rt/imag --yes").done()
+    assert "did you mean" not in done.err

@@ -22,7 +22,7 @@ DAY = timedelta(days=1)
 TWO = ("/listener", "/talker")
 
 
-def made(root, profile, domains="0", names=TWO):
+def made(root, profile, domains="0", names=TWO, subscribe=()):
     """A keystore with these participants; `names` may say on which domains each is."""
     keystore = Keystore.create(
         root,
@@ -33,14 +33,21 @@ def made(root, profile, domains="0", names=TWO):
         passphrase=None,
         now=NOW,
     )
-    add(keystore, **dict(names if isinstance(names, dict) else dict.fromkeys(names, domains)))
+    placed = dict(names if isinstance(names, dict) else dict.fromkeys(names, domains))
+    add(keystore, subscribe=subscribe, **placed)
     return keystore
 
 
-def add(keystore, *, now=NOW, **names):
+def add(keystore, *, now=NOW, subscribe=(), **names):
     """Issue participants for 90 days: name=domains."""
     specs = [
-        ParticipantSpec(name=name, domains=DomainSet.parse(on), publish=("x",), validity=90 * DAY)
+        ParticipantSpec(
+            name=name,
+            domains=DomainSet.parse(on),
+            publish=("x",),
+            subscribe=subscribe,
+            validity=90 * DAY,
+        )
         for name, on in names.items()
     ]
     issue(keystore, keystore.unlock(None), specs, now=now)

@@ -33,7 +33,7 @@ def found(*paths, targets=(), now=NOW):
 def _model(profile):
     """A keystore of two participants, with encrypted CA keys."""
     root = Path(_PLACE.name) / profile
-    made(root, profile)
+    made(root, profile, subscribe=("x",))
     for path in (root / "private").glob("*.pem"):
         path.write_bytes(private_key_pem(load_private_key(path.read_bytes()), SECRET))
     return root

@@ -184,6 +184,8 @@ FLAWED = {
     "PQS267": [topic("rr/a/b/get_parametersReply")],
     "PQS268": [permissions("ros_discovery_info", "x")],
     "PQS269": [topic("DCPSTopic"), governance(">*<", ">DCPS*<")],
+    "PQS276": [topic("rt//scan"), topic("rq/reset//Request"), topic("rt/robot1//*")],
+    "PQS277": [topic("/chatter"), topic("/robot1/odom")],
     "PQS270": [permissions(ALLOW, only("deny", "publish", "rt/*") + only("allow", "subscribe")),
                permissions(ALLOW, only("deny", "publish") + only("allow", "subscribe", "r?/*")),
                permissions(ALLOW, only("deny", "publish")).replace(">DENY<", ">ALLOW<"),
@@ -265,6 +267,8 @@ SOUND = {
                            "<topic>rr/a/get_type_descriptionReply<"), topic("rr/a/*Reply")],
     "PQS268": [permissions("ros_discovery_info", "*")],
     "PQS269": [topic("rt/DCPSTopic")],
+    "PQS276": [topic("rt/scan"), topic("a//b"), topic("rtx//scan")],
+    "PQS277": [topic("rt/chatter"), topic("chatter"), topic("/not-ros")],
     "PQS270": [permissions(ALLOW, only("allow", "subscribe") + only("deny", "publish", "rt/*")),
                permissions(ALLOW, only("allow", "subscribe") + only("deny", "publish")
                            + only("allow", "subscribe", "rt/*")),

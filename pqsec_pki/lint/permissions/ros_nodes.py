@@ -1,4 +1,4 @@
-"""Rules about what every ROS 2 node needs; they run with `--target ros2`."""
+"""Rules about names of ROS 2, and about what every node needs (with `--target ros2`)."""
 
 import re
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from pqsec_pki.lint.permissions._names import shown
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
-ERROR = Severity.ERROR
+ERROR, WARNING, INFO = Severity
 _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
 
 
@@ -81,3 +81,30 @@ def no_ros_discovery(document: PermissionsFile) -> Iterator[Violation]:
                         patterns.add(topic, rule)
             if grant.default is DefaultAction.DENY and not any(patterns.covering(ros.DISCOVERY)):
                 yield document.at(grant.line, f"{shown(grant)} may not {action} {ros.DISCOVERY}")
+
+
+@lint_rule(
+    "PQS276", WARNING, "a ROS 2 topic with a doubled slash",
+    why="ROS 2 accepts no name with `//`, so no node uses this topic.",
+    fix="Write one slash, or use --ros-publish and --ros-subscribe, which check the name.",
+    bad="<topic>rt//scan</topic>",
+    good="<topic>rt/scan</topic>",
+)  # fmt: skip
+def doubled_slash(document: PermissionsFile) -> Iterator[Violation]:
+    for node in document.all("topic"):
+        if ros.doubled_slash(node.value):
+            yield document.at(node, f"{node.value[:60]!a}: no ROS 2 name has //")
+
+
+@lint_rule(
+    "PQS277", INFO, "a ROS 2 name as DDS topic",
+    why="In DDS, the topic /chatter of ROS 2 has the name rt/chatter. Only a node that avoids the"
+    " naming conventions of ROS 2 uses /chatter itself.",
+    fix="Write rt/chatter, or use --ros-publish and --ros-subscribe.",
+    bad="<topic>/chatter</topic>",
+    good="<topic>rt/chatter</topic>",
+)  # fmt: skip
+def ros_name(document: PermissionsFile) -> Iterator[Violation]:
+    for node in document.all("topic"):
+        if node.value.startswith("/") and ros.fault(node.value) is None:
+            yield document.at(node, f"{node.value[:60]!a}: ROS 2 nodes use rt{node.value[:60]}")

@@ -1,0 +1,227 @@
+"""Rights without a counterpart: what is published and nobody may subscribe to, or the reverse.
+
+Only what is certain is reported: deny_rules are ignored, and two patterns that begin alike count
+as overlapping. What ROS 2 gives every node, used or not, is left out.
+"""
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
+from pqsec_pki.access._domains import stretches
+from pqsec_pki.access._index import Names
+from pqsec_pki.access._patterns import posix
+from pqsec_pki.access._witnesses import is_wildcard
+from pqsec_pki.access.question import Action
+from pqsec_pki.documents import (
+    DefaultAction,
+    DomainRange,
+    DomainSet,
+    Governance,
+    Grant,
+    ros,
+)
+
+_EITHER = (Action.PUBLISH, Action.SUBSCRIBE)
+_OTHER = {Action.PUBLISH: Action.SUBSCRIBE, Action.SUBSCRIBE: Action.PUBLISH}
+_EVERYWHERE = DomainSet(parts=(DomainRange(first=0),))
+_ANY_PARTITION = ("*",)
+_WILD = re.compile(r"[*?\[\\]")
+_WORD = re.compile(r"[^/_]+")
+_LEAST_WORD = 3
+"""Letters of a word that can have a typing error: /arm_l and /arm_r are two topics."""
+_CACHED = 1 << 14
+"""Pairs of domains, or of partitions; a fleet has few."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Right:
+    """What one participant may do with a topic or a pattern of topics."""
+
+    owner: str
+    action: Action
+    topic: str
+    domains: DomainSet
+    partitions: tuple[str, ...] = ()
+    line: int | None = None
+    """Of its criteria, in the document."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alone:
+    """A right without a counterpart; `meant` is a topic that is spelled alike and has one."""
+
+    right: Right
+    meant: str = ""
+
+    def __str__(self) -> str:
+        verb = "publish" if self.right.action is Action.PUBLISH else "subscribe to"
+        other = "subscribe to" if self.right.action is Action.PUBLISH else "publish"
+        text = f"{self.right.owner} may {verb} {self.right.topic}, and nobody may {other} it"
+        return f"{text}: did you mean {self.meant}?" if self.meant else text
+
+
+def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[Right]:
+    """What the grants allow; a default ALLOW is a right to everything."""
+    for grant in grants:
+        if grant.default is DefaultAction.ALLOW:
+            yield from _everything(owner, "*", _EVERYWHERE, _EITHER)
+        for rule in grant.rules:
+            parts = ((Action.PUBLISH, rule.publish), (Action.SUBSCRIBE, rule.subscribe))
+            for action, criteria in parts if rule.allow else ():
+                for each in criteria:
+                    for topic in each.topics:
+                        yield Right(
+                            owner=owner,
+                            action=action,
+                            topic=topic,
+                            domains=rule.domains,
+                            partitions=each.partitions,
+                            line=each.line,
+                        )
+
+
+def open_rights(governance: Governance) -> Iterator[Right]:
+    """What the governance allows everyone, whatever their permissions."""
+    for rule in governance.domain_rules:
+        for each in rule.topic_rules:
+            checked = {
+                Action.PUBLISH: each.enable_write_access_control,
+                Action.SUBSCRIBE: each.enable_read_access_control,
+            }
+            actions = [action for action, is_checked in checked.items() if not is_checked]
+            yield from _everything("everyone", each.topic_expression, rule.domains, actions)
+
+
+def without_counterpart(asked: Iterable[Right], known: Iterable[Right]) -> Iterator[Alone]:
+    """Those of the rights `asked` for which no right in `known` is the other side.
+
+    Only plain topics, and of a service or action only the topic of its request.
+    """
+    sides = _Sides(known)
+    for right in asked:
+        if not _is_routine(right.topic) and not sides.has_counterpart(right):
+            yield Alone(right=right, meant=sides.spelled_alike(right))
+
+
+def _everything(
+    owner: str, topic: str, domains: DomainSet, actions: Iterable[Action]
+) -> Iterator[Right]:
+    for action in actions:
+        yield Right(
+            owner=owner, action=action, topic=topic, domains=domains, partitions=_ANY_PARTITION
+        )
+
+
+def _is_routine(topic: str) -> bool:
+    """Whether it is no news that a topic has no counterpart, or another topic says it."""
+    if is_wildcard(topic) or topic.startswith("rr/"):
+        return True
+    if "/_action/" in topic:
+        return not topic.endswith("/send_goalRequest")
+    return ros.is_of_every_node(topic)
+
+
+class _Sides:
+    """Rights by action and topic."""
+
+    def __init__(self, rights: Iterable[Right]) -> None:
+        self._rights: dict[Action, dict[str, dict[tuple[object, ...], Right]]] = {
+            action: {} for action in _EITHER
+        }
+        for each in rights:  # those that differ by their owner only are one
+            alike = self._rights[each.action].setdefault(each.topic, {})
+            alike.setdefault((each.domains, each.partitions), each)
+        self._literals = {
+            action: Names(topic for topic in topics if not is_wildcard(topic))
+            for action, topics in self._rights.items()
+        }
+        self._prefixes: dict[Action, dict[str, list[str]]] = {action: {} for action in _EITHER}
+        self._spellings: dict[Action, dict[str, list[str]]] = {action: {} for action in _EITHER}
+        for action, topics in self._rights.items():
+            for topic in topics:
+                if found := _WILD.search(topic):
+                    prefix = topic[: found.start()]
+                    self._prefixes[action].setdefault(prefix, []).append(topic)
+                else:
+                    for spelling in _spellings(topic):
+                        self._spellings[action].setdefault(spelling, []).append(topic)
+
+    def has_counterpart(self, right: Right) -> bool:
+        """Whether any right is the other side of a plain topic."""
+        other = _OTHER[right.action]
+        names = {right.topic, *self._patterns(other, right.topic)}
+        return any(
+            _meet(right, each)
+            for name in names
+            for each in self._rights[other].get(name, {}).values()
+        )
+
+    def _patterns(self, action: Action, topic: str) -> Iterator[str]:
+        prefixes = self._prefixes[action]
+        for length in range(len(topic) + 1) if prefixes else ():
+            for pattern in prefixes.get(topic[:length], ()):
+                if posix(pattern, topic):
+                    yield pattern
+
+    def spelled_alike(self, right: Right) -> str:
+        """A topic that differs by one edit of a letter, for which there is the other side."""
+        other = _OTHER[right.action]
+        near = {
+            topic
+            for spelling in _spellings(right.topic)
+            for topic in self._spellings[other].get(spelling, ())
+            if is_one_edit(right.topic, topic)
+            and any(_meet(right, each) for each in self._rights[other][topic].values())
+        }
+        return min(near, default="")
+
+
+def is_one_edit(one: str, other: str) -> bool:
+    """Whether one letter is missing, added, exchanged, or two are swapped, within a word.
+
+    Not if it is a digit: /robot1 and /robot2 are two robots.
+    """
+    words: zip[tuple[str, str]] = zip(_WORD.findall(one), _WORD.findall(other), strict=False)
+    apart = [pair for pair in words if pair[0] != pair[1]]
+    if len(apart) != 1 or _WORD.sub("", one) != _WORD.sub("", other):
+        return False
+    short, long = sorted(apart[0], key=len)
+    if len(long) < _LEAST_WORD or len(long) - len(short) > 1:
+        return False
+    start = next(
+        (n for n, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), len(short)
+    )
+    if len(short) < len(long):
+        return short[start:] == long[start + 1 :] and long[start].isalpha()
+    ends = short[start + 1 :], long[start + 1 :]
+    if ends[0] == ends[1]:
+        return short[start].isalpha() and long[start].isalpha()
+    swapped = long[start + 1 : start + 2] + long[start : start + 1] + long[start + 2 :]
+    return short[start:] == swapped and short[start : start + 2].isalpha()
+
+
+def _spellings(topic: str) -> set[str]:
+    """The topic, and what is left without each one of its characters."""
+    return {topic, *(topic[:n] + topic[n + 1 :] for n in range(len(topic)))}
+
+
+def _meet(one: Right, other: Right) -> bool:
+    return _domains_meet(one.domains, other.domains) and _partitions_meet(
+        one.partitions or ("",), other.partitions or ("",)
+    )
+
+
+@lru_cache(_CACHED)
+def _domains_meet(one: DomainSet, other: DomainSet) -> bool:
+    return any(each.first in one and each.first in other for each in stretches([one, other]))
+
+
+@lru_cache(_CACHED)
+def _partitions_meet(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
+    return any(
+        posix(one, other) or posix(other, one) or (is_wildcard(one) and is_wildcard(other))
+        for one, other in product(some, others)
+    )

@@ -1,0 +1,40 @@
+"""Topics of some participants that look like mistakes, beside those of their whole keystore."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
+
+from pqsec_pki.access import Right, open_rights, rights_of, without_counterpart
+from pqsec_pki.documents import ros
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.policy.participants import own_permissions, shared_governance
+
+MAX_PARTICIPANTS = 200
+"""Of a keystore whose other documents are read, 1 ms each: a command that issues one participant
+must not wait for 2,000. `pqsec check` has no limit."""
+
+
+def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> Iterator[str]:
+    """What is doubtful about the topics of these participants, in words; no signature is checked.
+
+    A doubled slash; and a topic that nobody may use on the other side, while one that is spelled
+    alike has it. Nothing if a document cannot be read.
+    """
+    try:
+        rights, chosen = _rights(keystore, now), set(names)
+    except PqsecError:
+        return
+    own = [each for each in rights if each.owner in chosen]
+    for topic in dict.fromkeys(each.topic for each in own if ros.doubled_slash(each.topic)):
+        yield f"{topic} has //, and no ROS 2 name has"
+    yield from (str(each) for each in without_counterpart(own, rights) if each.meant)
+
+
+def _rights(keystore: Keystore, now: datetime) -> Sequence[Right]:
+    names = keystore.names()
+    if len(names) > MAX_PARTICIPANTS:
+        return ()
+    found = list(open_rights(shared_governance(keystore, None).value))
+    for name in names:
+        found += rights_of(name, own_permissions(keystore, name, now, None).value.grants)
+    return found
