@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pqsec_pki.access.change import Change, Difference, Sense
     from pqsec_pki.access.counterparts import (
         Alone,
-        Right,
+        TopicRight,
         open_rights,
         rights_of,
         without_counterpart,
@@ -72,8 +72,8 @@ __all__ = [
     "Placed",
     "Protection",
     "Question",
-    "Right",
     "Sense",
+    "TopicRight",
     "TopicRights",
     "TopicRow",
     "Viewpoint",

@@ -37,7 +37,7 @@ _CACHED = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Right:
+class TopicRight:
     """What one participant may do with a topic or a pattern of topics."""
 
     owner: str
@@ -53,7 +53,7 @@ class Right:
 class Alone:
     """A right without a counterpart; `meant` is a topic that is spelled alike and has one."""
 
-    right: Right
+    right: TopicRight
     meant: str = ""
 
     def __str__(self) -> str:
@@ -63,7 +63,7 @@ class Alone:
         return f"{text}: did you mean {self.meant}?" if self.meant else text
 
 
-def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[Right]:
+def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[TopicRight]:
     """What the grants allow; a default ALLOW is a right to everything."""
     for grant in grants:
         if grant.default is DefaultAction.ALLOW:
@@ -73,7 +73,7 @@ def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[Right]:
             for action, criteria in parts if rule.allow else ():
                 for each in criteria:
                     for topic in each.topics:
-                        yield Right(
+                        yield TopicRight(
                             owner=owner,
                             action=action,
                             topic=topic,
@@ -83,7 +83,7 @@ def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[Right]:
                         )
 
 
-def open_rights(governance: Governance) -> Iterator[Right]:
+def open_rights(governance: Governance) -> Iterator[TopicRight]:
     """What the governance allows everyone, whatever their permissions."""
     for rule in governance.domain_rules:
         for each in rule.topic_rules:
@@ -95,7 +95,9 @@ def open_rights(governance: Governance) -> Iterator[Right]:
             yield from _everything("everyone", each.topic_expression, rule.domains, actions)
 
 
-def without_counterpart(asked: Iterable[Right], known: Iterable[Right]) -> Iterator[Alone]:
+def without_counterpart(
+    asked: Iterable[TopicRight], known: Iterable[TopicRight]
+) -> Iterator[Alone]:
     """Those of the rights `asked` for which no right in `known` is the other side.
 
     Only plain topics, and of a service or action only the topic of its request.
@@ -108,9 +110,9 @@ def without_counterpart(asked: Iterable[Right], known: Iterable[Right]) -> Itera
 
 def _everything(
     owner: str, topic: str, domains: DomainSet, actions: Iterable[Action]
-) -> Iterator[Right]:
+) -> Iterator[TopicRight]:
     for action in actions:
-        yield Right(
+        yield TopicRight(
             owner=owner, action=action, topic=topic, domains=domains, partitions=_ANY_PARTITION
         )
 
@@ -127,8 +129,8 @@ def _is_routine(topic: str) -> bool:
 class _Sides:
     """Rights by action and topic."""
 
-    def __init__(self, rights: Iterable[Right]) -> None:
-        self._rights: dict[Action, dict[str, dict[tuple[object, ...], Right]]] = {
+    def __init__(self, rights: Iterable[TopicRight]) -> None:
+        self._rights: dict[Action, dict[str, dict[tuple[object, ...], TopicRight]]] = {
             action: {} for action in _EITHER
         }
         for each in rights:  # those that differ by their owner only are one
@@ -149,7 +151,7 @@ class _Sides:
                     for spelling in _spellings(topic):
                         self._spellings[action].setdefault(spelling, []).append(topic)
 
-    def has_counterpart(self, right: Right) -> bool:
+    def has_counterpart(self, right: TopicRight) -> bool:
         """Whether any right is the other side of a plain topic."""
         other = _OTHER[right.action]
         names = {right.topic, *self._patterns(other, right.topic)}
@@ -166,7 +168,7 @@ class _Sides:
                 if posix(pattern, topic):
                     yield pattern
 
-    def spelled_alike(self, right: Right) -> str:
+    def spelled_alike(self, right: TopicRight) -> str:
         """A topic that differs by one edit of a letter, for which there is the other side."""
         other = _OTHER[right.action]
         near = {
@@ -208,7 +210,7 @@ def _spellings(topic: str) -> set[str]:
     return {topic, *(topic[:n] + topic[n + 1 :] for n in range(len(topic)))}
 
 
-def _meet(one: Right, other: Right) -> bool:
+def _meet(one: TopicRight, other: TopicRight) -> bool:
     return _domains_meet(one.domains, other.domains) and _partitions_meet(
         one.partitions or ("",), other.partitions or ("",)
     )

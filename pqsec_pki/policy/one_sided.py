@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 
-from pqsec_pki.access import Right, open_rights, rights_of, without_counterpart
+from pqsec_pki.access import TopicRight, open_rights, rights_of, without_counterpart
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
@@ -30,7 +30,7 @@ def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> 
     yield from (str(each) for each in without_counterpart(own, rights) if each.meant)
 
 
-def _rights(keystore: Keystore, now: datetime) -> Sequence[Right]:
+def _rights(keystore: Keystore, now: datetime) -> Sequence[TopicRight]:
     names = keystore.names()
     if len(names) > MAX_PARTICIPANTS:
         return ()
