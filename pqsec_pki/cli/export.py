@@ -98,21 +98,13 @@ from pqsec_pki.vendors import export as make_export
 )
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @_settings.command_options
-def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
+def export(
     stack: str,
     names: tuple[str, ...],
     output: Path | None,
-    version: str | None,
-    at: str | None,
-    plugins: Path | None,
-    crypto: Path | None,
-    password_file: Path | None,
-    rmw: str | None,
     *,
-    plugin: bool,
-    loopback: bool,
-    anyway: bool,
     force: bool,
+    **how: Any,
 ) -> None:
     """Write the configuration that a DDS stack needs to run as a participant.
 
@@ -120,24 +112,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     /talker, or a pattern: '/robot1/*'. The files refer to the credentials where they are now. A
     configuration that the stack is known to refuse is not written; the reason is printed.
     """
-    if plugin and at is not None and plugins is None:
-        raise UsageError(
-            "--at with --plugin needs --plugins",
-            hint="name the plugin's folder on that machine: --plugins DIR, as in `pqsec plugin"
-            " install --dir DIR`",
-        )
-    options = Options(
-        version=version,
-        loopback=loopback,
-        password=_passphrases.of_key(password_file),
-        at=PurePosixPath(at) if at is not None else None,
-        plugins=None if plugin else plugins,
-        plugin=(plugins or default_folder()) if plugin else None,
-        rmw=rmw,
-        crypto=crypto,
-        anyway=anyway,
-        environment=dict(os.environ),
-    )
+    options = _options(**how)
     keystore, now = _settings.open_keystore(), _settings.now()
     if len(names) > 1 or any(map(is_pattern, names)):
         if output is None:
@@ -155,6 +130,38 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     for text in (*made.notes, *made.warnings):
         _printing.note(text)
     _print_export(made, output, written)
+
+
+def _options(  # noqa: PLR0913 -- one for each option of the command
+    *,
+    version: str | None,
+    at: str | None,
+    plugins: Path | None,
+    crypto: Path | None,
+    password_file: Path | None,
+    rmw: str | None,
+    plugin: bool,
+    loopback: bool,
+    anyway: bool,
+) -> Options:
+    if plugin and at is not None and plugins is None:
+        raise UsageError(
+            "--at with --plugin needs --plugins",
+            hint="name the plugin's folder on that machine: --plugins DIR, as in `pqsec plugin"
+            " install --dir DIR`",
+        )
+    return Options(
+        version=version,
+        loopback=loopback,
+        password=_passphrases.of_key(password_file),
+        at=PurePosixPath(at) if at is not None else None,
+        plugins=None if plugin else plugins,
+        plugin=(plugins or default_folder()) if plugin else None,
+        rmw=rmw,
+        crypto=crypto,
+        anyway=anyway,
+        environment=dict(os.environ),
+    )
 
 
 def _write_all(  # noqa: PLR0913 -- the options of the command

@@ -95,14 +95,12 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
-    if any(map(is_pattern, names)) and not requests:
-        names = tuple(
-            expanded(names, wanted.policy_names) if wanted.policy else admitted(keystore, names)
-        )
     keys = dict[str, PublicKeys]()
     if requests:
         found = _bundles.load_requests(requests)
         keys = enrolment.validate_csrs(found, keystore.profile, names=names, patterns=patterns)
+    else:
+        names = _matching(keystore, wanted, names)
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
     specs = wanted.specs(tuple(keys) or names, domain_set)
     specs = [replace(spec, keys=keys.get(spec.name)) for spec in specs]
@@ -143,6 +141,17 @@ def _policy_names(wanted: ParticipantOptions) -> tuple[str, ...]:
     if not wanted.policy:
         raise UsageError("no participant named", hint="give names, or --policy FILE, or --csr FILE")
     return wanted.policy_names
+
+
+def _matching(
+    keystore: Keystore, wanted: ParticipantOptions, names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """The names; instead of a pattern those in the policy, or else in the keystore."""
+    if not any(map(is_pattern, names)):
+        return names
+    return tuple(
+        expanded(names, wanted.policy_names) if wanted.policy else admitted(keystore, names)
+    )
 
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:

@@ -1,8 +1,14 @@
 """ca rotate, ca passphrase and adopt, as their users run them."""
 
+import os
+import pty
+import subprocess
+import sys
+from contextlib import suppress
+
 import pytest
 
-from tests.cli.conftest import snapshot
+from tests.cli.conftest import clean_environment, snapshot
 from tests.unit.sros2_keystore import SROS2
 
 
@@ -287,3 +293,29 @@ def test_what_is_no_keystore_is_not_adopted(pqsec, k, tmp_path):
     (tmp_path / "empty").mkdir()
     pqsec("adopt empty").refused(3, "empty lacks public/identity_ca.cert.pem", hint="SROS2")
     assert list((tmp_path / "empty").iterdir()) == []
+
+
+def test_a_plan_that_another_command_made_old_is_not_applied_after_the_yes(
+    run_in, keystore, tmp_path
+):
+    keystore()
+    command = [sys.executable, "-m", "pqsec_pki", "-k", "k", "ca", "rotate", "--apply"]
+    ours, its = pty.openpty()
+    process = subprocess.Popen(
+        [*command, "--no-passphrase"],
+        cwd=tmp_path,
+        env=clean_environment(),
+        **dict.fromkeys(("stdin", "stdout", "stderr"), its),
+    )
+    os.close(its)
+    said = b""
+    with suppress(OSError):  # Linux's way to say that the other side is closed
+        while data := os.read(ours, 4096):
+            said += data
+            if said.endswith(b"Make these changes? [y/N]: "):
+                run_in(tmp_path, "-k k issue /new").done()
+                os.write(ours, b"y\n")
+    os.close(ours)
+    assert process.wait(timeout=60) == 3
+    assert b"another command changed the keystore since the plan was shown" in said
+    assert not (tmp_path / "k/private/generations").exists()
