@@ -10,8 +10,8 @@ import click
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli._handshake_lines import lines_of
 from pqsec_pki.cli.ca import profile_option
-from pqsec_pki.cli.handshake import lines_of
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore
