@@ -56,11 +56,11 @@ class SimulatedStack:
     def check_identity(self, certificate: Certificate, ca: Certificate) -> None:
         """VerificationError if it does not accept keys of these algorithms."""
         kinds = (
-            ("participant", certificate, self.identity_keys),
-            ("identity CA", ca, self.identity_ca_keys),
+            ("a participant", certificate, self.identity_keys),
+            ("an identity CA", ca, self.identity_ca_keys),
         )
         problems = [
-            f"{self.title} accepts no {each.public_key.algorithm.name} key of a {what}"
+            f"{self.title} accepts no {each.public_key.algorithm.name} key of {what}"
             for what, each, known in kinds
             if known and each.public_key.algorithm.name not in known
         ]

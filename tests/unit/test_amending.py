@@ -133,6 +133,12 @@ def test_a_right_that_a_pattern_still_allows_is_not_removed():
         remove_rights(grant(rule("a"), default=DefaultAction.ALLOW), rights("a"))
 
 
+def test_a_right_that_a_deny_rule_also_names_can_be_removed():
+    denied = rule("a", allow=False)
+    found = remove_rights(grant(denied, rule("a", "b")), rights("a"))
+    assert found.rules == (denied, rule("b"))
+
+
 def test_criteria_without_topics_are_removed_with_their_last():
     """A document with an empty list of topics is not valid."""
     limited = Criteria(topics=("b",), data_tags=(("k", "v"),))

@@ -341,6 +341,16 @@ def test_the_model_of_openssl_says_why_it_takes_no_file(header, words):
         _openssl_reader.read(header + b"\n\n--a\n")
 
 
+def test_the_model_of_openssl_takes_no_signature_of_another_content_type():
+    message = signed()
+    _openssl_reader.read(message)
+    text, signature = parts_of(message)
+    other = signature.replace(b"application/x-pkcs7-signature", b"text/plain")
+    assert other != signature
+    with pytest.raises(MalformedError, match="it takes the signature for text/plain"):
+        _openssl_reader.read(message.replace(signature, other))
+
+
 def test_the_model_of_openssl_takes_a_short_file_without_a_body_for_no_long_header():
     with pytest.raises(MalformedError, match="it finds no end of the last part"):
         _openssl_reader.read(b"Content-Type: multipart/signed; boundary=a\n")
