@@ -344,10 +344,10 @@ def test_the_model_of_openssl_says_why_it_takes_no_file(header, words):
 def test_the_model_of_openssl_takes_no_signature_of_another_content_type():
     message = signed()
     _openssl_reader.read(message)
-    text, signature = parts_of(message)
+    _, signature = parts_of(message)
     other = signature.replace(b"application/x-pkcs7-signature", b"text/plain")
     assert other != signature
-    with pytest.raises(MalformedError, match="it takes the signature for text/plain"):
+    with pytest.raises(MalformedError, match="it takes the signature for 'text/plain'"):
         _openssl_reader.read(message.replace(signature, other))
 
 
