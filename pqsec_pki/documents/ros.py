@@ -37,6 +37,8 @@ _PARAMETER_SERVICES = tuple(each for each in _NODE_SERVICES if each != "get_type
 _ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
 _ACTION_TOPICS = ("feedback", "status")
 
+_WORDS = (("rt", "", ""), ("rq", "Request", "request of "), ("rr", "Reply", "reply of "))
+"""Prefix and ending of a DDS topic, and the words before its ROS 2 name."""
 _OF_EVERY_NODE = {DISCOVERY, "rt/clock", *(f"rt{each}" for each in _NODE_TOPICS)}
 _OF_A_NODE = re.compile(
     rf"/(?:{'|'.join((*_NODE_SERVICES, *_LIFECYCLE_SERVICES))})(?:Request|Reply)\Z"
@@ -172,6 +174,15 @@ def node_minimum(node_name: str) -> Endpoints:
         publish=(DISCOVERY, *map(topic, _NODE_TOPICS), *map(service_reply, services)),
         subscribe=(DISCOVERY, *map(service_request, services)),
     )
+
+
+def said(topic: str) -> str:
+    """A DDS topic in the words of ROS 2, such as `request of /reset`; as it is if it has none."""
+    kind, slash, name = topic.partition("/")
+    for prefix, ending, words in _WORDS:
+        if slash and kind == prefix and name.endswith(ending):
+            return f"{words}/{name.removesuffix(ending)}"
+    return topic
 
 
 def is_of_every_node(topic: str) -> bool:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         shared_governance,
     )
     from pqsec_pki.policy.reasons import Explanation, reason_of
-    from pqsec_pki.policy.who_may import WhoMay, who_may_use
+    from pqsec_pki.policy.who_may import Flow, WhoMay, flows, rows_of, who_may_use
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -47,6 +47,7 @@ __all__ = [
     "DomainsAnswer",
     "Explanation",
     "Fleet",
+    "Flow",
     "Loaded",
     "PolicyInput",
     "WhoMay",
@@ -56,12 +57,14 @@ __all__ = [
     "doubtful_topics",
     "fleet_in",
     "fleet_of",
+    "flows",
     "governance_in",
     "only_subject",
     "own_permissions",
     "permissions_in",
     "policy_input_of",
     "reason_of",
+    "rows_of",
     "shared_governance",
     "signed_by",
     "valid_kind",

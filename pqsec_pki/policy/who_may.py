@@ -15,7 +15,7 @@ from pqsec_pki.access import (
     topics_named,
     who_may_anywhere,
 )
-from pqsec_pki.documents import DomainRange, DomainSet
+from pqsec_pki.documents import DomainRange, DomainSet, ros
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet
 
@@ -56,6 +56,62 @@ class WhoMay:
             ],
             "unknown_topics": self.unknown,
         }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flow:
+    """What one participant can send to others: the same topics to all of them."""
+
+    sender: str
+    receivers: tuple[str, ...]
+    domains: DomainSet
+    topics: tuple[str, ...]
+    """DDS topics, and patterns."""
+
+    def to_json(self) -> dict[str, object]:
+        """With the topics also in the words of ROS 2."""
+        return {
+            "from": self.sender,
+            "to": list(self.receivers),
+            "domains": str(self.domains),
+            "topics": list(self.topics),
+            "ros": list(map(ros.said, self.topics)),
+        }
+
+
+def flows(rows: Iterable[Placed]) -> list[Flow]:
+    """Who can send what to whom, by sender.
+
+    Without the discovery topic of ROS 2, which all nodes share, and without what participants
+    send to themselves.
+    """
+    found: dict[tuple[str, str, tuple[str, ...]], tuple[DomainSet, list[str]]] = {}
+    for each in rows:
+        row = each.row
+        if row.topic == ros.DISCOVERY or not row.subscribers:
+            continue
+        both = {*row.publishers} & {*row.subscribers}
+        for sender in row.publishers:
+            others = row.subscribers
+            if sender in both:
+                others = tuple(name for name in others if name != sender)
+            key = sender, str(each.domains), others
+            if others:
+                found.setdefault(key, (each.domains, []))[1].append(row.topic)
+    return [
+        Flow(sender=sender, receivers=others, domains=domains, topics=tuple(topics))
+        for (sender, _, others), (domains, topics) in sorted(found.items())
+    ]
+
+
+def rows_of(rows: Iterable[Placed], names: Iterable[str]) -> list[Placed]:
+    """The rows in which one of these participants may publish or subscribe."""
+    wanted = set(names)
+    return [
+        each
+        for each in rows
+        if not wanted.isdisjoint(each.row.publishers) or not wanted.isdisjoint(each.row.subscribers)
+    ]
 
 
 def who_may_use(

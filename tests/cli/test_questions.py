@@ -22,6 +22,7 @@ from pqsec_pki.documents import (
     Permissions,
     governance_to_yaml,
     permissions_to_yaml,
+    ros,
 )
 from pqsec_pki.keystore import Keystore, load_certificate
 from pqsec_pki.lifecycle import ParticipantSpec, issue
@@ -932,3 +933,64 @@ def test_a_misspelled_topic_is_noted_beside_a_participant_without_rights(pqsec, 
     pqsec("-k k issue /idle").done()
     done = pqsec("-k k who-may --topic rt/chater").done()
     assert "no rule names rt/chater; did you mean 'rt/chatter'" in done.err
+
+
+# ROS 2 words, and who can send what to whom
+
+
+@pytest.fixture
+def fleet_of_nodes(pqsec):
+    pqsec("-k k ca init --no-passphrase --profile classical").done()
+    pqsec("-k k issue /bot/server --ros-node /bot/server --ros-service /reset").done()
+    pqsec("-k k issue /bot/cook --ros-action-server /cook --ros-publish /odom").done()
+    pqsec("-k k issue /desk --ros-client /reset --ros-action-client /cook").done()
+    pqsec("-k k permit /desk --ros-subscribe /odom --yes").done()
+    return "-k k who-may"
+
+
+def test_services_actions_and_nodes_are_asked_by_their_names(pqsec, fleet_of_nodes):
+    def users(options):
+        rows = pqsec(f"{fleet_of_nodes} {options} --json").done().json["topics"]
+        return {each["topic"]: (each["publish"], each["subscribe"]) for each in rows}
+
+    service = {
+        "rq/resetRequest": (["/desk"], ["/bot/server"]),
+        "rr/resetReply": (["/bot/server"], ["/desk"]),
+    }
+    assert users("--ros-service /reset") == service
+    assert users("--ros-service '/res*'") == service
+    action = users("--ros-action /cook")
+    assert set(action) == set(ros.action_topics("/cook"))
+    assert action["rt/cook/_action/feedback"] == (["/bot/cook"], ["/desk"])
+    assert set(users("--ros-action '/c*'")) == set(action)
+    parameters = users("--ros-node /bot/server")
+    assert parameters["rq/bot/server/set_parametersRequest"] == ([], ["/bot/server"])
+    assert len(parameters) == 12
+    pqsec(f"{fleet_of_nodes} --ros-service reset").refused(2, "not a full ROS 2 name")
+
+
+def test_the_matrix_shows_who_can_send_what_to_whom(pqsec, fleet_of_nodes):
+    found = pqsec(f"{fleet_of_nodes} --matrix --json").done().json["flows"]
+    told = {(each["from"], *each["to"]): each for each in found}
+    assert set(told) == {
+        ("/bot/cook", "/desk"),
+        ("/bot/server", "/desk"),
+        ("/desk", "/bot/cook"),
+        ("/desk", "/bot/server"),
+    }
+    assert told["/desk", "/bot/server"]["ros"] == ["request of /reset"]
+    assert "/odom" in told["/bot/cook", "/desk"]["ros"]
+    lines = pqsec(f"{fleet_of_nodes} --matrix --topic rt/odom").done().out.splitlines()
+    assert [line.split() for line in lines[1:]] == [["/bot/cook", "/desk", "0", "/odom"]]
+    pqsec(f"{fleet_of_nodes} --matrix --format dot").refused(2, "--matrix")
+
+
+def test_participants_are_chosen_by_name_or_pattern(pqsec, fleet_of_nodes):
+    rows = pqsec(f"{fleet_of_nodes} --participant '/bot/*' --topic 'rt/*' --json").json["topics"]
+    assert all(
+        {*each["publish"], *each["subscribe"]} & {"/bot/server", "/bot/cook"} for each in rows
+    )
+    flows = pqsec(f"{fleet_of_nodes} --matrix --participant /bot/server --json").json["flows"]
+    assert {each["from"] for each in flows} == {"/bot/server", "/desk"}
+    pqsec(f"{fleet_of_nodes} --participant /dusk").refused(2, "/dusk", hint="/desk")
+    pqsec(f"{fleet_of_nodes} --participant '/none/*'").refused(3, "no participant matches")
