@@ -50,6 +50,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         items.sort(key=lambda item: -slow[item.path])
+    if config.getoption("cov_context", None):  # the job of mutants asks which test runs what
+        return
     seen: set[str] = set()
     for item in items:
         file, test = item.path.stem, item.nodeid.partition("[")[0]
