@@ -7,6 +7,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki.cbom import Bill, bill_of
 from pqsec_pki.cli import _help, _policy, _printing, _settings
+from pqsec_pki.errors import FileError
 
 
 @_help.command(
@@ -40,7 +41,10 @@ def cbom(paths: tuple[Path, ...], output: Path | None, *, timestamp: bool, force
     for each in bill.unread:
         _printing.note(f"not in the bill: {each.path}: {each.reason}")
     if bill.unread:
-        click.get_current_context().exit(3)
+        raise FileError(
+            "the bill is incomplete: a file cannot be read",
+            hint="the notes above name each file; `pqsec check` has the reasons",
+        )
 
 
 def _put(bill: Bill, output: Path | None, *, force: bool) -> None:

@@ -142,6 +142,7 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
+@cache
 def _text(name: str) -> str:
     return asset("templates", "report", name).read_text("utf-8")
 

@@ -40,6 +40,7 @@ def test_what_cannot_be_read_is_told(pqsec, tmp_path):
     result = pqsec("cbom .")
     assert result.code == 3
     assert result.err.startswith("pqsec: note: not in the bill: cert.pem: ")
+    assert "pqsec: error: the bill is incomplete: a file cannot be read" in result.err
     assert json.loads(result.out)["specVersion"] == "1.7"
     pqsec("cbom missing").refused(3, "missing")
 

@@ -272,7 +272,7 @@ def found_in(result, *, unchanged: bool) -> Iterator[str]:
         yield "what a terminal would obey"
     if result.code in {2, 3}:
         # A check and a report tell what they found, and that it is not all.
-        incomplete = "; incomplete: " in result.out or "report is incomplete" in result.err
+        incomplete = "; incomplete: " in result.out or " is incomplete: " in result.err
         if result.out and not incomplete:
             yield f"a result beside an error: {result.out[:80]}"
         if "pqsec: error: " not in result.err and not incomplete:

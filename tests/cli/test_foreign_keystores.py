@@ -29,6 +29,8 @@ READING = {
     "log": ["", "--verify"],
     "check": ["k"],
     "report": ["", "--format csv"],
+    "cbom": ["", "k"],
+    "migrate plan": ["", "--rehearse"],
     "verify": ["k/enclaves/governance.p7s"],
     "verify-handshake": ["/talker /listener", "--all"],
     "export": [f"cyclonedds {TALKER}"],
