@@ -116,11 +116,9 @@ def living(neighbours, shim, plugins, tmp_path):
 
 
 def _have_met(place):
-    rights = [
-        each["objects"]
-        for each in agent_status(place).connections
-        if each["plugin"] == "access_control"
-    ]
+    status = agent_status(place)  # None while the hosts start it
+    connections = status.connections if status else ()
+    rights = [each["objects"] for each in connections if each["plugin"] == "access_control"]
     return rights == [2, 2]  # its own and its peer's
 
 
