@@ -103,7 +103,9 @@ def agent_status(place: AgentFolder) -> AgentStatus | None:
         return None
     try:
         client = Client(place, "control")
-    except FileError:
+    except FileError as error:
+        if isinstance(error.__cause__, TimeoutError):
+            raise  # it may be starting
         return None
     try:
         _, (text,) = client.call("status")

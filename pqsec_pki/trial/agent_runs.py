@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
 from pqsec_pki.plugin.building import SOURCES, CompileError, command
 from pqsec_pki.trial.building import cache, is_own, run_tool
@@ -126,8 +126,15 @@ def _agent(place: AgentFolder) -> Iterator[None]:
 
 def _wait_for(process: "subprocess.Popen[bytes]", place: AgentFolder) -> None:
     end = time.monotonic() + _START
-    while agent_status(place) is None:
+    while not _answers(place):
         if process.poll() is not None or time.monotonic() > end:
             lines = place.log.read_text(errors="replace").strip().splitlines() or ["no message"]
             raise AgentError(f"the agent does not start: {lines[-1]}")
         time.sleep(_PAUSE)
+
+
+def _answers(place: AgentFolder) -> bool:
+    try:
+        return agent_status(place) is not None
+    except FileError:  # it is starting, on a busy machine
+        return False
