@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,6 +30,7 @@ from bench.agent_memory import megabytes
 from bench.plugin import DOMAIN, PEERS
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import FileError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.plugin import AgentFolder, agent_status, build, stop_agent
@@ -113,7 +115,8 @@ class Meeting:
         peak = 0.0
         while not all(_is_done(each) for each in hosts):
             time.sleep(0.5)
-            peak = max(peak, megabytes(place))
+            with suppress(FileError):  # on cores that 100 hosts share, it may take seconds
+                peak = max(peak, megabytes(place))
         status = agent_status(place)
         agent = sum(map(_seconds, (status.process, *status.workers))) if status else 0.0
         processor = sum(_seconds(each.process.pid) for each in hosts)
