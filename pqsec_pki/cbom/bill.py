@@ -41,7 +41,8 @@ def bill_of(paths: Iterable[Path], *, now: datetime, timestamp: datetime | None 
         if (error.name or "").partition(".")[0] != "cyclonedx":
             raise
         raise PqsecError(
-            "the library for CycloneDX is not installed", hint="pip install 'pqsec[cbom]'"
+            "the library for CycloneDX is not installed",
+            hint="pip install 'cyclonedx-python-lib>=11.6,<12'",
         ) from error
     named = tuple(paths)
     assets, unread = _reading.read_assets(named, now)

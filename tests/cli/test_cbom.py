@@ -58,5 +58,5 @@ def test_without_the_library(keystore):
     assert done.returncode == 3
     assert done.stderr.splitlines() == [
         "pqsec: error: the library for CycloneDX is not installed",
-        "pqsec: hint: pip install 'pqsec[cbom]'",
+        "pqsec: hint: pip install 'cyclonedx-python-lib>=11.6,<12'",
     ]
