@@ -20,7 +20,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +30,7 @@ import pqsec_pki
 from pqsec_pki.cli import COMMANDS, GROUPS, pqsec
 from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
+from tests.docs.forking import forking_pqsec
 from tests.interop.fastdds import find_compiler
 from tests.printed import same
 
@@ -99,16 +99,11 @@ def commands_in(path: Path) -> list[Command]:
 class Session:
     """A folder, and bash processes that hand their variables on."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, programs: Path) -> None:
         self.work = folder / "work"
         self.work.mkdir()
         self._variables = folder / "variables"
         self._variables.touch()
-        programs = folder / "bin"
-        programs.mkdir()
-        program = programs / "pqsec"
-        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m pqsec_pki "$@"\n')
-        program.chmod(0o755)
         ours = re.compile("PQSEC_|ROS_|COV_|PYTHON")
         kept = {name: value for name, value in os.environ.items() if not ours.match(name)}
         checkout = Path(pqsec_pki.__file__).parents[1]
@@ -190,10 +185,18 @@ def _parameter(path: Path) -> object:
 WITH_COMMANDS = [_parameter(path) for path in DOCUMENTS if blocks(path, "console")]
 
 
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory):
+    """The folder of the `pqsec` that documents run."""
+    folder = tmp_path_factory.mktemp("bin")
+    with forking_pqsec(folder / "pqsec"):
+        yield folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", WITH_COMMANDS)
-def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, requires):
-    session = Session(tmp_path)
+def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, programs, requires):
+    session = Session(tmp_path, programs)
     if path.parent.parent.name == "examples":
         for file in path.parent.iterdir():  # what the example brings with it
             shutil.copy(file, session.work)
@@ -303,8 +306,8 @@ def test_what_is_printed_without_something_is_expected_there_only(monkeypatch):
         assert said_here(lines) == due
 
 
-def test_a_failing_command_is_seen(tmp_path):
-    session = Session(tmp_path)
+def test_a_failing_command_is_seen(tmp_path, programs):
+    session = Session(tmp_path, programs)
     assert session.run("export A=b; pqsec --version; false")[0] == 1
     assert session.run("exit 3  # exit 3") == (3, "")
     code, printed = session.run('echo "$A" >&2')
