@@ -278,22 +278,36 @@ def test_an_agents_folder_that_others_can_enter_is_refused(stage):
     assert refused(outcome, "is not a folder of this user's alone")
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may make a program of root's")
-def test_a_program_with_setuid_preloads_nothing_and_is_refused(stage, tmp_path_factory):
-    program = setuid(Path(stage.program[0]), tmp_path_factory)
-    outcome = stage.run(program=[*AS_NOBODY, program])
+AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root may give a program rights")
+
+
+@AS_ROOT
+@pytest.mark.parametrize("right", ["setuid", "capability"])
+def test_a_program_that_has_more_rights_than_its_user_preloads_nothing_and_is_refused(
+    stage, privileged, right
+):
+    outcome = stage.run(program=[*AS_NOBODY, privileged(Path(stage.program[0]), right)])
     assert refused(outcome)
     assert "pqsec:" not in outcome.log
 
 
-def setuid(program: Path, tmp_path_factory) -> str:
-    """A copy of it that runs as its owner, whoever starts it."""
-    open_to_all = tmp_path_factory.mktemp("setuid")
-    for folder in (open_to_all, *open_to_all.parents[:2]):
-        folder.chmod(0o755)
-    copy = Path(shutil.copy(program, open_to_all / "peer"))
-    copy.chmod(0o755 | stat.S_ISUID)
-    return str(copy)
+@pytest.fixture
+def privileged(tmp_path_factory, requires) -> Callable[[Path, str], str]:
+    """privileged(program, "setuid") is a copy of it that runs as its owner, whoever starts it;
+    with "capability", one that may read and write every file."""
+
+    def copied(program: Path, right: str) -> str:
+        open_to_all = tmp_path_factory.mktemp(right)
+        for folder in (open_to_all, *open_to_all.parents[:2]):
+            folder.chmod(0o755)
+        copy = Path(shutil.copy(program, open_to_all / "peer"))
+        copy.chmod(0o755 | (stat.S_ISUID if right == "setuid" else 0))
+        if right == "capability":
+            setcap = requires(shutil.which("setcap"), "setcap", "apt-get install libcap2-bin")
+            subprocess.run([setcap, "cap_dac_override+ep", str(copy)], check=True)
+        return str(copy)
+
+    return copied
 
 
 @pytest.fixture(scope="module")
@@ -312,12 +326,15 @@ def test_a_program_that_is_linked_with_it_needs_no_preloading(stage, linked):
     assert stage.run(without="LD_PRELOAD", program=linked).joined
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may make a program of root's")
-def test_with_setuid_too_it_runs_that_plugin(stage, linked, tmp_path_factory):
-    """Which refuses it here: who starts it may not run the agent."""
-    program = setuid(Path(linked[0]), tmp_path_factory)
+@AS_ROOT
+@pytest.mark.parametrize("right", ["setuid", "capability"])
+def test_with_more_rights_it_runs_that_plugin_which_is_refused_the_agent(
+    stage, linked, privileged, right
+):
+    """Who starts it may not run the agent of root, or has no folder for one."""
+    program = privileged(Path(linked[0]), right)
     outcome = stage.run(without="LD_PRELOAD", program=[*AS_NOBODY, program])
-    assert refused(outcome, "pqsec: user 0 may not execute")
+    assert refused(outcome, "pqsec: ")
 
 
 @pytest.fixture(scope="module")
