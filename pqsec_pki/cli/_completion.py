@@ -23,16 +23,19 @@ VARIABLE = "_PQSEC_COMPLETE"
 """The variable by which a shell asks, as click names it."""
 MAX_DOCUMENTS = 200
 """Permissions that are read for topic names: a few milliseconds each, while the user waits."""
-_SAFE = re.compile(r"[A-Za-z0-9_/.+:-]+")
+_SAFE = re.compile(r"@?[A-Za-z0-9_/.+:-]+")
 """Shells insert an offer as it is, and run it: other characters could be commands or patterns."""
 
 
 def participants(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """The participants of the keystore that are not on the command line yet."""
+    """The participants of the keystore that are not on the command line yet; after `@` groups."""
     value = context.params.get(parameter.name or "")
     given = value if isinstance(value, tuple) else ()
     with suppress(PqsecError):
-        names = _keystore(context).names()
+        keystore = _keystore(context)
+        if incomplete.startswith("@"):  # else a shell would list groups between participants
+            return _offers(incomplete, (f"@{each}" for each in keystore.groups))
+        names = keystore.names()
         return _offers(incomplete, (name for name in names if name not in given))
     return []
 

@@ -1,24 +1,40 @@
-"""The participants that a command line names, also by patterns."""
+"""The participants that a command line names, also by patterns and groups."""
 
 from collections.abc import Sequence
 
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli.plan import few
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Keystore, State, is_pattern, regular_name
+from pqsec_pki.keystore import GROUP, Keystore, State, is_several, regular_name
 from pqsec_pki.keystore import status as status_of
 
 
-def admitted(keystore: Keystore, names: Sequence[str]) -> list[str]:
-    """The names, each once; instead of a pattern the participants that match it.
+def named(
+    keystore: Keystore,
+    names: Sequence[str],
+    known: Sequence[str] | None = None,
+    *,
+    where: str = "in the keystore",
+) -> list[str]:
+    """As `Keystore.named`; a note names the members of groups that are not in `known`."""
+    found = keystore.named(names, known)
+    if groups := [name for name in names if name.startswith(GROUP)]:
+        members = keystore.groups
+        absent = {each for name in groups for each in members[name.removeprefix(GROUP)]}
+        if absent := absent.difference(found):
+            _printing.note(f"in {few(groups)} and not {where}: {few(sorted(absent))}")
+    return found
 
-    A pattern leaves revoked participants out, and a note says so. KeystoreError for a pattern
-    that matches no other.
+
+def admitted(keystore: Keystore, names: Sequence[str]) -> list[str]:
+    """The names, each once; for a pattern or group the participants that it stands for.
+
+    It leaves revoked participants out, and a note says so. KeystoreError if no other is left.
     """
-    literal = [regular_name(name) for name in names if not is_pattern(name)]
+    literal = [regular_name(name) for name in names if not is_several(name)]
     if len(literal) == len(names):
         return list(dict.fromkeys(literal))
-    matching = [name for name in keystore.named(names) if name.startswith("/")]
+    matching = [name for name in named(keystore, names) if name.startswith("/")]
     standing = status_of(keystore, matching, now=_settings.now())
     revoked = {each.name for each in standing.participants if each.state is State.REVOKED}
     left_out = revoked - set(literal)

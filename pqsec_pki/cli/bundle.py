@@ -9,7 +9,7 @@ from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.enrolment import Bundle, bundle_path, write_bundle
 from pqsec_pki.errors import FileError, UsageError, located
-from pqsec_pki.keystore import is_pattern, regular_name
+from pqsec_pki.keystore import is_several, regular_name
 
 
 @_help.command(
@@ -35,7 +35,7 @@ from pqsec_pki.keystore import is_pattern, regular_name
     "--robot",
     type=_settings.FILE,
     metavar="FILE",
-    help="Read the names or patterns from FILE, one in a line, instead of NAME...",
+    help="Read the names, patterns and groups from FILE, one in a line, instead of NAME...",
 )
 @click.option(
     "-o",
@@ -60,7 +60,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Write everything that one robot needs into one file.
 
-    NAME may be a pattern: '/robot1/*' is all nodes of a robot.
+    NAME may be a pattern, '/robot1/*' is all nodes of a robot, or a group: @hall1.
     The bundle has each NAME's certificate, permissions, governance, CA certificates and
     revocation list, and its private keys if they were generated here; never a CA key. A
     bundle that `pqsec install` would refuse is not written. A bundle with private keys must
@@ -96,7 +96,7 @@ def _names_in(path: Path | None) -> tuple[str, ...]:
     lines = _files.read(path).decode(errors="replace").splitlines() if path else []
     written = [name for line in lines if (name := line.partition("#")[0].strip())]
     with located(path):
-        names = tuple(name if is_pattern(name) else regular_name(name) for name in written)
+        names = tuple(name if is_several(name) else regular_name(name) for name in written)
     if not names:
         raise FileError(f"{path} does not name a participant")
     return names

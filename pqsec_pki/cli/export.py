@@ -14,7 +14,7 @@ from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli.plan import few
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError, located
-from pqsec_pki.keystore import Keystore, is_pattern
+from pqsec_pki.keystore import Keystore, is_several
 from pqsec_pki.stacks import Stack, stack_named
 from pqsec_pki.vendors import FASTRTPS, Export, Options, write
 from pqsec_pki.vendors import export as make_export
@@ -109,12 +109,13 @@ def export(
     """Write the configuration that a DDS stack needs to run as a participant.
 
     STACK is cyclonedds, fastdds, opendds, connext or ros2. NAME is a participant such as
-    /talker, or a pattern: '/robot1/*'. The files refer to the credentials where they are now. A
+    /talker, a pattern ('/robot1/*') or a group
+    (@hall1). The files refer to the credentials where they are now. A
     configuration that the stack is known to refuse is not written; the reason is printed.
     """
     options = _options(**how)
     keystore, now = _settings.open_keystore(), _settings.now()
-    if len(names) > 1 or any(map(is_pattern, names)):
+    if len(names) > 1 or any(map(is_several, names)):
         if output is None:
             raise UsageError("several participants need -o DIR")
         chosen = admitted(keystore, names)

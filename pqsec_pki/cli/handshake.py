@@ -12,7 +12,7 @@ from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._handshake_lines import lines_of
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
-from pqsec_pki.keystore import Keystore, is_pattern, regular_name
+from pqsec_pki.keystore import Keystore, is_several, regular_name
 from pqsec_pki.selfcheck import (
     PQSEC,
     STACKS,
@@ -127,10 +127,10 @@ def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given:
     All three messages between A and B are exchanged in memory. Both certificate chains
     and permissions documents are checked, and after the key exchange one encrypted message
     is sent each way. The failing step is printed, and the topics that the two share. A
-    handshake also succeeds without a common topic. With --all, a NAME may be a pattern:
-    '/robot1/*'.
+    handshake also succeeds without a common topic. With --all, a NAME may be a pattern
+    ('/robot1/*') or a group (@hall1).
     """
-    if any(map(is_pattern, names)):
+    if any(map(is_several, names)):
         names = tuple(admitted(_settings.open_keystore(), names))
     mode = _mode(context, names)
     runs = {"--all": _all, "--matrix": _matrix, "--trace": _trace, "--attack": _attack}

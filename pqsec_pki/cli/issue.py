@@ -9,7 +9,7 @@ import click
 
 from pqsec_pki import enrolment
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
-from pqsec_pki.cli._names import admitted
+from pqsec_pki.cli._names import admitted, named
 from pqsec_pki.cli._participant_options import (
     ParticipantOptions,
     note_doubtful_topics,
@@ -18,7 +18,7 @@ from pqsec_pki.cli._participant_options import (
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Keystore, expanded, is_pattern
+from pqsec_pki.keystore import Keystore, is_several
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
 from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -86,9 +86,9 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     NAME is an enclave path such as /talker or /fleet/robot1. Topics are DDS topic
     expressions (rt/chatter), or ROS 2 names in the --ros-... options. Each NAME gets the
     rights of these options, or of its grant in --policy, and no others. Without a NAME,
-    every name in --policy is issued. A pattern such as '/robot1/*' is all that match it: in
-    --policy, or, to replace them with --force, in the keystore. With --csr the keys stay on
-    the robot, and bundles for `pqsec install` are written.
+    every name in --policy is issued. A pattern ('/robot1/*') or group (@hall1) is
+    what it stands for in --policy, or, to replace them with --force, in the keystore. With
+    --csr the keys stay on the robot, and bundles for `pqsec install` are written.
     """
     wanted = ParticipantOptions.of(**how)
     if not requests:
@@ -146,12 +146,12 @@ def _policy_names(wanted: ParticipantOptions) -> tuple[str, ...]:
 def _matching(
     keystore: Keystore, wanted: ParticipantOptions, names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """The names; instead of a pattern those in the policy, or else in the keystore."""
-    if not any(map(is_pattern, names)):
+    """The names; for a pattern or group those in the policy, or else in the keystore."""
+    if not any(map(is_several, names)):
         return names
-    return tuple(
-        expanded(names, wanted.policy_names) if wanted.policy else admitted(keystore, names)
-    )
+    if wanted.policy:
+        return tuple(named(keystore, names, wanted.policy_names, where=f"in {wanted.policy}"))
+    return tuple(admitted(keystore, names))
 
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:

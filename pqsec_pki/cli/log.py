@@ -8,7 +8,7 @@ import click
 
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
-from pqsec_pki.keystore import Keystore, Line, audit, expanded, regular_name
+from pqsec_pki.keystore import Keystore, Line, audit, regular_name
 
 _SHA256 = 64
 """Hexadecimal digits."""
@@ -52,7 +52,8 @@ def log(
 ) -> None:
     """Show or verify the ledger of everything issued, signed and revoked.
 
-    NAME is a participant or a pattern ('/robot1/*'), of which only the lines are shown.
+    NAME is a participant, a pattern ('/robot1/*') or a group (@hall1), of which only the lines
+    are shown.
     --verify checks the chain of hashes, and that every file in the keystore has an entry.
     Keep the head that it prints in another place: --head then detects a ledger that was
     truncated or rewritten.
@@ -88,7 +89,7 @@ def _lines(keystore: Keystore, names: Iterable[str], since: datetime | None) -> 
     lines = keystore.lines()
     if names:
         known = dict.fromkeys(each.entry.name for each in lines if each.entry.name.startswith("/"))
-        wanted = set(map(regular_name, expanded(names, sorted(known))))
+        wanted = set(map(regular_name, keystore.named(names, sorted(known))))
         for name in sorted(wanted - known.keys()):
             raise KeystoreError(
                 f"the ledger has no participant {name}",

@@ -67,9 +67,9 @@ def permit(
 ) -> None:
     """Add or remove single rights of participants; their keys stay.
 
-    NAME may be a pattern: '/robot1/*'. The change of rights is shown first. Either all
-    participants are changed or none. Robots get the new permissions with their next bundle, or by
-    a copy of the enclave.
+    NAME may be a pattern ('/robot1/*') or a group (@hall1). The change of rights is shown
+    first. Either all participants are changed or none. Robots get the new permissions with
+    their next bundle, or by a copy of the enclave.
     """
     publish, subscribe = topics_of(**topics)
     if not publish and not subscribe:

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _bundles, _completion, _formats, _help, _passphrases, _printing, _settings
-from pqsec_pki.cli._names import admitted
+from pqsec_pki.cli._names import admitted, named
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import State, Status
@@ -70,8 +70,8 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Renew certificates and permissions, with the same rights as before.
 
-    Name participants ('/robot1/*' is all that match), or use --due or --all. Either all are
-    renewed or none. If the revocation list is due, a new one is issued too.
+    Name participants ('/robot1/*' is all that match, @hall1 a group), or use --due or
+    --all. Either all are renewed or none. If the revocation list is due, a new one is issued too.
     """
     ways = [bool(names), due is not None, everybody].count(True)
     if not ways:
@@ -125,12 +125,12 @@ def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
 def needs_renewal(names: tuple[str, ...], due: timedelta | None, form: str) -> None:
     """Test whether participants or the revocation list are due for renewal.
 
-    NAME may be a pattern: '/robot1/*'. Without a NAME, all participants and the revocation list
-    are tested.
+    NAME may be a pattern ('/robot1/*') or a group (@hall1). Without a NAME, all
+    participants and the revocation list are tested.
     """
     _formats.chosen(form)
     keystore = _settings.open_keystore()
-    names = tuple(keystore.named(names))
+    names = tuple(named(keystore, names))
     standing = status_of(keystore, names or None, now=_settings.now(), due=due)
     found = [each for each in standing.participants if each.state.calls_for_renewal]
     lines = [f"{each.name}  {each.state}, until {each.not_after:%Y-%m-%d %H:%M}" for each in found]

@@ -9,6 +9,7 @@ import click
 from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
+from pqsec_pki.cli._names import named
 from pqsec_pki.cli.plan import few
 from pqsec_pki.keystore import Entry, Keystore
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
@@ -72,13 +73,13 @@ def revoke(
     """Revoke certificates, and put the new revocation list into every enclave.
 
     NAME revokes all unexpired certificates of that participant, SERIAL one certificate; a
-    pattern such as '/robot1/*' is all that match it. The certificates are shown first.
-    Copy the new crl.pem to every robot: a robot with an older list, or without one, still
-    accepts the revoked certificates.
+    pattern such as '/robot1/*' is all that match it, @hall1 a group. The certificates are
+    shown first. Copy the new crl.pem to every robot: a robot with an older list, or without
+    one, still accepts the revoked certificates.
     """
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     first = not keystore.has_revocation_list
-    chosen = keystore.named(subjects)
+    chosen = named(keystore, subjects)
     if not yes:
         _ask(revocable(keystore, chosen, now=now))
     authorities = _passphrases.unlock(keystore, passphrase_file)

@@ -8,6 +8,7 @@ import click
 
 from pqsec_pki._files import is_there, read, write
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli._names import named
 from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import ExistsError, UsageError
 from pqsec_pki.keystore import Keystore, State, Status
@@ -83,12 +84,12 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 ) -> None:
     """Show each participant's state and expiry, the most urgent first.
 
-    NAME may be a pattern: '/robot1/*'; without a NAME, all are shown. The data comes from the
-    ledger, not from the files: check those with `pqsec check`.
+    NAME may be a pattern ('/robot1/*') or a group (@hall1); without a NAME, all are
+    shown. The data comes from the ledger, not from the files: check those with `pqsec check`.
     """
     _formats.chosen(form)
     keystore = _settings.open_keystore()
-    chosen = keystore.named(names)
+    chosen = named(keystore, names)
     is_filtered = bool(names or states or domain is not None or expires_before)
     if prometheus and is_filtered:
         raise UsageError("--prometheus shows all: it excludes NAME and filters")

@@ -20,7 +20,6 @@ from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError, meant
-from pqsec_pki.keystore import expanded
 from pqsec_pki.policy import (
     Fleet,
     WhoMay,
@@ -95,7 +94,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
     "participants",
     multiple=True,
     metavar="NAME",
-    help="Show only what this participant may use, or those that '/robot1/*' matches.",
+    help="Show only what this participant may use, or those of '/robot1/*' or @hall1.",
     shell_complete=_completion.participants,
 )
 @click.option(
@@ -223,7 +222,7 @@ def _ros_parameters(node: str) -> tuple[str, ...]:
 def _chosen(fleet: Fleet, names: tuple[str, ...]) -> list[str]:
     """The participants that the names mean. UsageError for one that has no documents here."""
     known = [member.name for member in fleet.members]
-    found = expanded(names, known)
+    found = fleet.named(names)
     for name in found:
         if name not in known:
             raise UsageError(

@@ -27,6 +27,7 @@ _CA_NAME = " Identity CA"
 def keystore_source(keystore: Keystore, now: datetime) -> ImportSource:
     anchors = keystore.issuing_cas
     source = _with_shared(keystore, anchors)
+    source.groups = keystore.groups
     ca = keystore.identity_ca
     source.ca_validity = lifetime(ca.not_before, ca.not_after)
     states = {

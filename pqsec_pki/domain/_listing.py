@@ -39,6 +39,11 @@ class ListedName:
 
 def names_of(pattern: str, line: int) -> list[ListedName]:
     """The names that a pattern gives: {1..9} counts, {a,b} lists; InvalidDocumentError."""
+    return [ListedName(regular(each, line), line) for each in without_braces(pattern, line)]
+
+
+def without_braces(pattern: str, line: int) -> list[str]:
+    """The texts that a pattern gives, which may be no names; InvalidDocumentError."""
     braces = _BRACES.findall(pattern)
     if len(braces) > MAX_BRACES:
         raise refused(line, f"'{shown(pattern)}' has more than {MAX_BRACES} pairs of braces")
@@ -49,8 +54,7 @@ def names_of(pattern: str, line: int) -> list[ListedName]:
     widths = list(map(_width, braces))
     between = _BRACES.split(pattern)[::2]
     return [
-        ListedName(_name("".join(_interleaved(between, chosen, widths)), line), line)
-        for chosen in itertools.product(*choices)
+        "".join(_interleaved(between, chosen, widths)) for chosen in itertools.product(*choices)
     ]
 
 
@@ -105,7 +109,7 @@ def _row(header: list[str], line: int, row: list[str]) -> ListedName:
     if len(row) != len(header):
         raise refused(line, f"{len(row)} values for {len(header)} columns")
     columns = dict(zip(header, map(str.strip, row), strict=True))
-    return ListedName(_name(columns.pop("name"), line), line, columns)
+    return ListedName(regular(columns.pop("name"), line), line, columns)
 
 
 def _text(path: Path) -> str:
@@ -120,7 +124,8 @@ def _without_comment(line: str) -> str:
     return line.partition("#")[0].strip()
 
 
-def _name(text: str, line: int) -> str:
+def regular(text: str, line: int) -> str:
+    """The text as a participant's name; InvalidDocumentError if it cannot be one."""
     try:
         name = regular_name(text)
     except UsageError as error:

@@ -1,6 +1,6 @@
 """What was found in one source of a domain file."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -36,6 +36,7 @@ class ImportSource:
     """Without ` Identity CA`; empty if the CAs are named otherwise."""
     profile: str = ""
     ca_validity: timedelta | None = None
+    groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def add(
         self,

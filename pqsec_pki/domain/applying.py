@@ -32,6 +32,7 @@ from pqsec_pki.lifecycle import (
     revoke,
     sign_governance,
     sign_permissions,
+    store_groups,
 )
 
 BATCH = 500
@@ -221,6 +222,8 @@ class _Worker:
                 sign_governance(
                     *at, self._desired.governance, now=self._now, config_digest=config_digest
                 )
+            case StepAction.STORE_GROUPS:
+                store_groups(self._keystore, self._desired.groups)
             case StepAction.ISSUE | StepAction.REPLACE:
                 specs = [spec_of(members[step.name], profile, step.keys) for step in steps]
                 issue(*at, specs, now=self._now, force=action is StepAction.REPLACE)

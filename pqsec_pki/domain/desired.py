@@ -116,6 +116,8 @@ class Desired:
     governance: Governance
     members: Mapping[str, Member]
     """By name."""
+    groups: Mapping[str, tuple[str, ...]]
+    """Members by the group's name, sorted."""
     prune: bool
     """Whether to revoke participants that are not in the file."""
 

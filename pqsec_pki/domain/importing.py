@@ -4,7 +4,7 @@ Participants with the same rights share a role, and names that count become a pa
 """
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Container, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -75,7 +75,8 @@ def imported(sources: Sequence[ImportSource]) -> Imported:
     participants = _each_once(found for source in sources for found in source.participants)
     governance = _only_governance(sources)
     groups = shared_rules(participants)
-    document = _Writer(sources, participants, governance, groups).document()
+    named_groups = _groups(sources, {each.name for each in participants})
+    document = _Writer(sources, participants, governance, groups, named_groups).document()
     desired_in(document, Path("domain.yaml"))  # refuses what `plan` would refuse
     notes = [note for source in sources for note in source.notes]
     if governance is None:
@@ -102,6 +103,14 @@ def _each_once(participants: Iterable[FoundParticipant]) -> list[FoundParticipan
     return sorted(found.values(), key=lambda each: each.name)
 
 
+def _groups(sources: Iterable[ImportSource], names: Container[str]) -> dict[str, list[str]]:
+    """The members of each group that are imported, of all sources together."""
+    found: dict[str, set[str]] = {}
+    for key, members in (pair for source in sources for pair in source.groups.items()):
+        found.setdefault(key, set()).update(name for name in members if name in names)
+    return {key: sorted(members) for key, members in sorted(found.items()) if members}
+
+
 def _only_governance(sources: Iterable[ImportSource]) -> Governance | None:
     given = [each for each in sources if each.governance]
     others = [each for each in given if each.governance != given[0].governance]
@@ -121,6 +130,9 @@ class _Writer:
     participants: Sequence[FoundParticipant]
     governance: Governance | None
     groups: dict[SharedRules, list[FoundParticipant]]
+    """Those with the same rules, which share a role."""
+    named_groups: dict[str, list[str]]
+    """The groups of keystores."""
 
     @cached_property
     def domains(self) -> DomainSet:
@@ -141,6 +153,9 @@ class _Writer:
         if roles:
             parts.append(dump({"roles": roles}))
         parts.append(b"".join(self._participants(found)))
+        if self.named_groups:
+            written = {key: patterns_of(names) for key, names in self.named_groups.items()}
+            parts.append(dump({"groups": written}))
         return head.encode() + b"\n".join(parts)
 
     def _settings(self) -> dict[str, object]:

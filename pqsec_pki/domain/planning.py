@@ -4,6 +4,7 @@ It reads the ledger, the files' inodes and times, and requests. It parses the do
 participants whose config digest differs, and no others.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -22,6 +23,8 @@ from pqsec_pki.keystore import (
 )
 
 _TWO_CAS = "is not in the file, and nobody can be revoked while two identity CAs are trusted"
+_MOST_GROUPS = 5
+"""In the reason of a step."""
 _PLACE = {action: place for place, action in enumerate(StepAction)}
 
 
@@ -58,6 +61,7 @@ def _from_nothing(desired: Desired) -> Plan:
     steps = [
         Step(StepAction.CREATE_CAS, "", "there is no keystore"),
         Step(StepAction.SIGN_GOVERNANCE, "", "there is no keystore"),
+        *([Step(StepAction.STORE_GROUPS, "", _counted(desired))] if desired.groups else []),
         *(each for each in found if isinstance(each, Step)),
     ]
     return Plan(tuple(steps), tuple(each for each in found if isinstance(each, Blocked)), (), 0)
@@ -77,6 +81,13 @@ def _refuse_another(desired: Desired, keystore: Keystore) -> None:
             f" {subject}",
             hint="name the right keystore with -k, or remove `name` from the file",
         )
+
+
+def _counted(desired: Desired) -> str:
+    """What is stored, as the reason of that step: groups with how many members they have."""
+    sizes = [f"@{key}: {len(names)}" for key, names in desired.groups.items()]
+    rest = [f"{len(sizes) - _MOST_GROUPS} more"] if len(sizes) > _MOST_GROUPS else []
+    return ", ".join(sizes[:_MOST_GROUPS] + rest) or "the file has none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +112,8 @@ class _Planner:
             blocked += [each for each in found if isinstance(each, Blocked)]
             unchanged += not found
         others = self._others()
+        if self._has_other_groups(others):
+            steps.append(Step(StepAction.STORE_GROUPS, "", _counted(self.desired)))
         if self.prune:
             overlap = Overlap.of(self.keystore)
             if overlap:
@@ -121,6 +134,23 @@ class _Planner:
         if not config_digest and signed_governance(self.keystore) == self.desired.governance:
             return ""  # signed by another command, with the same content
         return "it was changed" if config_digest else "its content differs"
+
+    def _has_other_groups(self, others: Iterable[str]) -> bool:
+        """Whether the groups of the keystore are others; who has no credentials is no difference.
+
+        Groups that cannot be read are written again.
+        """
+        counted = self.desired.members.keys() | set(others)
+        try:
+            stored = self.keystore.groups
+        except KeystoreError:
+            return True
+        left = {
+            key: found
+            for key, names in stored.items()
+            if (found := tuple(name for name in names if name in counted))
+        }
+        return left != self.desired.groups
 
     def _others(self) -> tuple[str, ...]:
         """The participants with a valid certificate that are not in the file."""

@@ -48,6 +48,7 @@ from pqsec_pki.documents.parts_yaml import (
     table,
     text,
 )
+from pqsec_pki.domain._groups import groups_in, members_of_groups
 from pqsec_pki.domain._members import members_of
 from pqsec_pki.domain._roles import entry_in, roles_in
 from pqsec_pki.domain.desired import Desired, Role, validity_in
@@ -78,6 +79,7 @@ def desired_in(data: bytes, path: Path) -> Desired:
             path=path,
             governance=governance,
             members=members,
+            groups=members_of_groups(settings["groups"], members),
             **{key: settings[key] for key in _KEPT},
         )
 
@@ -106,6 +108,7 @@ def _domain(item: Item) -> dict[str, Any]:
         "governance": partial(_governance, default_domains),
         "roles": roles_in,
         "participants": partial(each, reader=partial(entry_in, roles)),
+        "groups": groups_in,
         "prune": boolean,
     }
     settings = fields(item, readers)
@@ -120,6 +123,7 @@ _DEFAULTS: Mapping[str, Any] = {
     "validity": YEAR,
     "renew_before": None,
     "participants": (),
+    "groups": {},
     "prune": False,
 }
 

@@ -9,6 +9,7 @@ class StepAction(StrEnum):
 
     CREATE_CAS = "create-cas"
     SIGN_GOVERNANCE = "sign-governance"
+    STORE_GROUPS = "store-groups"
     ISSUE = "issue"
     REPLACE = "replace"
     SIGN_PERMISSIONS = "sign-permissions"
@@ -25,6 +26,7 @@ class StepAction(StrEnum):
 _WORDS = {
     StepAction.CREATE_CAS: "create the CAs",
     StepAction.SIGN_GOVERNANCE: "sign the governance",
+    StepAction.STORE_GROUPS: "store the groups",
     StepAction.ISSUE: "issue",
     StepAction.REPLACE: "issue again",
     StepAction.SIGN_PERMISSIONS: "sign permissions for",

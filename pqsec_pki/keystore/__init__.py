@@ -9,7 +9,8 @@ Its content:
     participant   the files of one participant, and their content
     authorities   the CAs with their private keys
     keystore      opens and creates the folder
-    patterns      names of participants given as patterns
+    patterns      participants given as patterns and groups
+    groups        the groups that `apply` stored
 The ledger:
     _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.keystore import Keystore
     from pqsec_pki.keystore.layout import GENERATIONS, SETTINGS
     from pqsec_pki.keystore.layout import enclave_name as regular_name
@@ -65,7 +67,7 @@ if TYPE_CHECKING:
         load_participant,
         load_revocation_list,
     )
-    from pqsec_pki.keystore.patterns import expanded, is_pattern
+    from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
@@ -87,6 +89,8 @@ else:
 
 __all__ = [
     "GENERATIONS",
+    "GROUP",
+    "GROUP_NAME",
     "PERMITTED",
     "SETTINGS",
     "WAIT",
@@ -113,7 +117,8 @@ __all__ = [
     "enclave_files",
     "expanded",
     "governance_digest",
-    "is_pattern",
+    "groups_file",
+    "is_several",
     "key_hashes",
     "layout",
     "list_entry",
@@ -123,6 +128,7 @@ __all__ = [
     "load_first_certificate",
     "load_participant",
     "load_revocation_list",
+    "matching",
     "participant_states",
     "refuse_overlap",
     "regular_name",

@@ -1,6 +1,6 @@
 """A keystore: created once by `ca init`, and opened by every later command."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -21,6 +21,7 @@ from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
+from pqsec_pki.keystore.groups import read_groups
 from pqsec_pki.keystore.participant import (
     enclave_files,
     load_first_certificate,
@@ -28,7 +29,7 @@ from pqsec_pki.keystore.participant import (
     load_revocation_list,
     refuse_unknown,
 )
-from pqsec_pki.keystore.patterns import expanded, is_pattern
+from pqsec_pki.keystore.patterns import GROUP, expanded, is_several
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,13 +219,24 @@ class Keystore:
         """The participants' names, sorted; FileError if a folder cannot be read."""
         return layout.names_in(self.root)
 
-    def named(self, names: Iterable[str]) -> list[str]:
-        """The names, each once; instead of a pattern (`/tb3/*`, `/tb3/**`) what matches it.
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """The members of each group of the domain file that was applied last.
 
-        KeystoreError for a pattern that no participant matches.
+        Errors as of `read_groups`.
+        """
+        return read_groups(self.root)
+
+    def named(self, names: Iterable[str], known: Sequence[str] | None = None) -> list[str]:
+        """The names, each once; for a pattern or a group those of `known` that it stands for.
+
+        `known` is [default: the participants]. Errors as of `expanded` and `read_groups`.
         """
         given = list(names)
-        return expanded(given, self.names() if any(map(is_pattern, given)) else ())
+        if known is None:
+            known = self.names() if any(map(is_several, given)) else ()
+        has_groups = any(each.startswith(GROUP) for each in given)
+        return expanded(given, known, self.groups if has_groups else {})
 
     def incomplete(self) -> list[str]:
         """The enclaves with files but no certificate, sorted; FileError as from `names`."""

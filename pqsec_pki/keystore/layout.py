@@ -1,6 +1,7 @@
 """The paths of a keystore: SROS2's layout, and the files that post-quantum keys add.
 
 pqsec.json                          profile and default domains
+[groups.json]                       the groups of the domain file
 public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
           [identity_ca.crl.pem]
 private/  identity_ca.key.pem permissions_ca.key.pem [*.alt.key.pem] ledger.sqlite3
@@ -19,6 +20,7 @@ from pqsec_pki._files import exists, walk
 from pqsec_pki.errors import UsageError, shown
 
 SETTINGS = "pqsec.json"
+GROUPS = "groups.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
 GENERATIONS = f"{PRIVATE}/generations"
 """CAs that have been replaced, in folders numbered from 1."""

@@ -1,41 +1,85 @@
-"""Names of participants that users give as patterns: `/tb3/*`, `/tb3/**`."""
+"""Participants that users give several at once: patterns `/tb3/*`, `/tb3/**`, groups `@hall1`."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from pqsec_pki.errors import KeystoreError, meant, shown
 from pqsec_pki.problems import Code
 
+GROUP = "@"
+"""Before the name of a group: neither a participant's name nor a serial number may have it."""
 _PARTS = {"**": ".*", "*": "[^/]*"}
 
 
-def is_pattern(name: str) -> bool:
-    """Whether a name has a `*`, which no participant's name has."""
-    return "*" in name
+def is_several(name: str) -> bool:
+    """Whether it is a pattern or a group, and not the name of one participant."""
+    return "*" in name or name.startswith(GROUP)
 
 
-def expanded(names: Iterable[str], known: Sequence[str]) -> list[str]:
-    """The names, with all of `known` that match it instead of each pattern; each once.
+def expanded(
+    names: Iterable[str], known: Sequence[str], groups: Mapping[str, Sequence[str]]
+) -> list[str]:
+    """The names, each once; for a pattern or a group those of `known` that it stands for.
 
     `*` stands for any characters but `/`, so `/tb3/*` are the nodes of a robot, and `**` for any
-    characters. Names that are not patterns are not looked for. KeystoreError for a pattern that
-    matches none.
+    characters. `groups` has the members of each group by its name without `@`. Names of single
+    participants are not looked for. KeystoreError for a pattern that matches none, for an unknown
+    group, and for a group with no member in `known`.
     """
     found: dict[str, None] = {}
     for name in names:
-        found |= dict.fromkeys(_matching(name, known) if is_pattern(name) else [name])
+        if name.startswith(GROUP):
+            found |= dict.fromkeys(_members(name, known, groups))
+        elif is_several(name):
+            found |= dict.fromkeys(_refusing_none(name, known))
+        else:
+            found[name] = None
     return list(found)
 
 
-def _matching(pattern: str, known: Sequence[str]) -> list[str]:
-    whole = pattern if pattern.startswith("/") else f"/{pattern}"
-    pieces = re.split(r"(\*\*?)", whole)
+def matching(pattern: str, known: Iterable[str]) -> list[str]:
+    """Those of `known` that the pattern matches, in their order."""
+    pieces = re.split(r"(\*\*?)", _whole(pattern))
     compiled = re.compile("".join(_PARTS.get(each) or re.escape(each) for each in pieces))
-    found = [name for name in known if compiled.fullmatch(name)]
+    return [name for name in known if compiled.fullmatch(name)]
+
+
+def _whole(pattern: str) -> str:
+    return pattern if pattern.startswith("/") else f"/{pattern}"
+
+
+def _refusing_none(pattern: str, known: Sequence[str]) -> list[str]:
+    found = matching(pattern, known)
     if not found:
         raise KeystoreError(
             f"no participant matches {shown(pattern)}",
             code=Code.FILE_MISSING,
-            hint=meant(whole, known) or "`pqsec status` lists the participants",
+            hint=meant(_whole(pattern), known) or "`pqsec status` lists the participants",
         )
     return found
+
+
+def _members(
+    group: str, known: Sequence[str], groups: Mapping[str, Sequence[str]]
+) -> Iterable[str]:
+    members = groups.get(group.removeprefix(GROUP))
+    if members is None:
+        all_groups = [f"{GROUP}{each}" for each in groups]
+        raise KeystoreError(
+            f"there is no group {shown(group)}",
+            hint=meant(group, all_groups)
+            or (f"the groups are {', '.join(all_groups[:_MOST])}" if groups else _NO_GROUPS),
+        )
+    there = set(known)
+    found = [name for name in members if name in there]
+    if not found:
+        raise KeystoreError(
+            f"no participant of the group {group} is here",
+            hint="`pqsec plan` shows which participants of the domain file are not issued yet",
+        )
+    return found
+
+
+_MOST = 8
+"""Groups that a hint names."""
+_NO_GROUPS = "there are none: `pqsec apply` stores those of the domain file in the keystore"

@@ -13,6 +13,7 @@ CAs:
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
+    grouping      stores the groups of a domain file
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 """
 
@@ -23,6 +24,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
     from pqsec_pki.lifecycle.adopting import Adoptable, Adopted, adopt, adoptable
+    from pqsec_pki.lifecycle.grouping import store_groups
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
     from pqsec_pki.lifecycle.passphrase import change_passphrase
     from pqsec_pki.lifecycle.permitting import (
@@ -76,4 +78,5 @@ __all__ = [
     "sign_document",
     "sign_governance",
     "sign_permissions",
+    "store_groups",
 ]

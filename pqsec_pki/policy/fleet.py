@@ -20,7 +20,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import SETTINGS, Keystore
+from pqsec_pki.keystore import SETTINGS, Keystore, expanded
 from pqsec_pki.policy.loading import Document, document_at, governance_in
 from pqsec_pki.policy.participants import (
     PolicyInput,
@@ -47,6 +47,15 @@ class Fleet:
     """What was assumed, or not checked."""
     inputs: dict[str, PolicyInput] = field(default_factory=dict, repr=False)
     """Of a keystore: each member's documents as read, for the place of a rule."""
+    keystore: Keystore | None = field(default=None, repr=False)
+
+    def named(self, names: Iterable[str]) -> list[str]:
+        """The names, each once; for a pattern or a group the members that it stands for.
+
+        Files have no groups. Errors as of `Keystore.named`.
+        """
+        known = [member.name for member in self.members]
+        return self.keystore.named(names, known) if self.keystore else expanded(names, known, {})
 
 
 def fleet_of(
@@ -86,7 +95,7 @@ def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Flee
             inputs[name] = PolicyInput(
                 who=name, subject=subject, governance=governance, permissions=own
             )
-    return Fleet(governance.value, members, refused, inputs=inputs)
+    return Fleet(governance.value, members, refused, inputs=inputs, keystore=keystore)
 
 
 def _refuse_ungranted(

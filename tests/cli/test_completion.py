@@ -1,5 +1,6 @@
 """What the shells offer at the cursor: commands, options, names in the keystore, rows of tables."""
 
+import json
 import os
 import shlex
 import shutil
@@ -63,6 +64,17 @@ def test_commands_and_options_are_offered(offered):
 def test_participants_of_the_keystore_are_offered(offered, domain, line):
     assert offered(f"-k k {line} ") == ["/camera", "/listener", "/talker"]
     assert offered(f"{line} /t", PQSEC_KEYSTORE="k") == ["/talker"]
+
+
+def test_groups_are_offered_after_an_at_sign(offered, domain):
+    assert offered("-k k renew @") == []
+    groups = {"hall1": ["/talker"], "a;b": ["/camera"], "arms": ["/camera"]}
+    file = domain / "groups.json"
+    file.write_text(json.dumps({"format": 1, "groups": groups | {"hall": ["/x"]}}))
+    assert offered("-k k renew @h") == []  # one of them is no name of a group
+    file.write_text(json.dumps({"format": 1, "groups": {**groups, "a;b": []}}).replace("a;b", "b"))
+    assert offered("-k k renew @") == ["@hall1", "@b", "@arms"]
+    assert offered("-k k who-may --participant @h") == ["@hall1"]
 
 
 def test_a_participant_is_offered_once(offered, domain):

@@ -124,6 +124,7 @@ roles:
 participants:
   - {{name: {robots}, role: robot}}
   - {{name: /watch, role: other, values: {{what: "rt/*"}}}}
+groups: {{robots: {robots}, all: "/**", one: /watch}}
 """
 HOWS = st.fixed_dictionaries(
     {name: st.sampled_from(["plain", "policy", "none"]) for name in FEW[:4]}

@@ -26,7 +26,7 @@ from pqsec_pki.lifecycle import (
     sign_permissions,
 )
 from pqsec_pki.smime import document_in
-from tests.unit.domains import DAY, NAMES, NOW, Scene, damage
+from tests.unit.domains import DAY, FILE, NAMES, NOW, Scene, damage
 from tests.unit.keystores import begin_overlap, cancel_overlap
 from tests.unit.killing import check_whole
 from tests.unit.killing import create as create_transition
@@ -112,6 +112,47 @@ def test_another_role_needs_new_permissions_and_no_new_certificate(scene):
         after.certificate.not_after,
     )
     audit(scene.keystore)
+
+
+def test_groups_are_stored_and_their_changes_are_seen(tmp_path):
+    scene = Scene(tmp_path, FILE + "groups: {arms: [/r1, /r2], all: '/*'}\n")
+    store = (StepAction.STORE_GROUPS, "")
+    assert scene.steps()[2] == store  # after the governance, before participants
+    assert scene.plan().steps[2].why == "@all: 4, @arms: 2"
+    scene.apply()
+    assert scene.steps() == []
+    assert scene.keystore.groups == {"all": tuple(NAMES), "arms": ("/r1", "/r2")}
+    scene.change("arms: [/r1, /r2]", "arms: /r1")
+    assert scene.steps() == [store]
+    scene.apply()
+    assert scene.keystore.groups["arms"] == ("/r1",)
+    scene.write(FILE)
+    assert scene.whys() == {"": "the file has none"}
+    scene.apply()
+    assert scene.keystore.groups == {}
+    assert scene.steps() == []
+
+
+def test_who_leaves_a_group_by_being_revoked_is_no_change(tmp_path):
+    scene = Scene(tmp_path, FILE + "groups: {arms: ['/r{1..3}']}\n")
+    scene.apply()
+    scene.change("/r{1..3}", "/r{1..2}")
+    assert scene.steps() == [(StepAction.STORE_GROUPS, "")]  # /r3 may still be revoked with them
+    keystore = scene.keystore
+    revoke(keystore, keystore.unlock(None), ["/r3"], reason=Reason.UNSPECIFIED, now=NOW)
+    assert scene.steps() == []
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{", '{"format": 2}', '{"format": 1, "groups": {"a": ["../b"]}}']
+)
+def test_groups_that_cannot_be_read_are_an_error_and_stored_again(scene, content):
+    scene.root.joinpath("groups.json").write_text(content)
+    with pytest.raises(KeystoreError, match=r"groups\.json: "):
+        scene.keystore.named(["@a"])
+    assert scene.steps() == [(StepAction.STORE_GROUPS, "")]
+    scene.apply()
+    assert scene.steps() == []
 
 
 def test_a_changed_governance_is_signed_anew(scene):

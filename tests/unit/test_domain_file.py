@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator
 from pqsec_pki._assets import asset
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.documents import PRESETS, DomainSet
-from pqsec_pki.domain import new_domain, read_domain
+from pqsec_pki.domain import _groups, new_domain, read_domain
 from pqsec_pki.domain._listing import MAX_PARTICIPANTS
 from pqsec_pki.domain.desired import EDITION
 from pqsec_pki.errors import FileError, InvalidDocumentError
@@ -231,6 +231,23 @@ def test_the_edition_is_that_of_what_roles_mean_today(read):
     assert (EDITION, meaning) == (1, "53f0751a64093979")
 
 
+def test_a_group_has_names_and_patterns_of_participants(read):
+    people = "- {name: ['/r{01..03}', /r01/arm, /r02/arm, /z], role: r}\n"
+    given = "groups: {one: z, arms: /*/arm, few: ['/r{02..03}', z/, '/r{01,02}/*', /z]}"
+    assert read(HEAD + people + given).groups == {
+        "arms": ("/r01/arm", "/r02/arm"),
+        "few": ("/r01/arm", "/r02", "/r02/arm", "/r03", "/z"),
+        "one": ("/z",),
+    }
+    assert read("groups: {}").groups == read("{}").groups == {}
+
+
+def test_no_more_names_in_groups_than_anybody_needs(problems, monkeypatch):
+    monkeypatch.setattr(_groups, "MAX_GROUPED", 5)
+    text = f"{HEAD}- {{name: '/r{{1..3}}', role: r}}\ngroups:\n  a: /*\n  b: /**"
+    assert problems(text) == ["domain.yaml: line 5: the groups have more than 5 names"]
+
+
 # Mistakes
 
 SHAPE_FAULTS = [
@@ -250,6 +267,10 @@ SHAPE_FAULTS = [
     (f"{HEAD}- name: /a", "line 3: participants: it has no rules"),
     (f"{HEAD}- {{name: /a, role: r, publish: x}}", "line 3: participants: it has a role: put"),
     (f"{HEAD}- {{name: /a, role: r, values: {{base: x}}}}", "line 3: values: $base is a reserved"),
+    ("groups: [a]", "line 1: groups: expected `key: value` here"),
+    ("groups:\n  a: []", "line 2: a: the group is empty"),
+    ("groups:\n  '@a': /a", "line 2: groups: '@a' cannot be a group's name: write it without @"),
+    ("groups:\n  a: {name: /a}", "line 2: a: expected a text here"),
     ("a: &a b", "domain.yaml: line 1: the anchor &a is not allowed"),
 ]  # fmt: skip
 """What the JSON Schema sees too."""
@@ -290,6 +311,10 @@ OTHER_FAULTS = [
     (f"{HEAD}- csv: roles.csv", "roles.csv: line 3: /b has no role"),
     (f"{HEAD}- csv: unknown.csv", "unknown.csv: line 2: 's' is not allowed"),
     (f"{HEAD}- {{csv: when.csv, role: r}}", "when.csv: line 3: '1 day' is not a duration"),
+    (f"{HEAD}- {{name: /robot1, role: r}}\ngroups:\n  a: /robot2", "; did you mean '/robot1'?"),
+    (f"{HEAD}- {{name: /a, role: r}}\ngroups:\n  a: /b/*", "line 5: no participant of the file"),
+    (f"{HEAD}- {{name: /a, role: r}}\ngroups:\n  a: ['/a{{1-3}}']", "line 5: '/a{1-3}': write {0"),
+    (f"{HEAD}- {{name: /a, role: r}}\ngroups:\n  a: '@a'", "line 5: '@a' cannot be a participant'"),
     ("governance: {file: bad.yaml}", "bad.yaml: line 2: topcs: no such key here"),
 ]  # fmt: skip
 FILES = {
@@ -365,6 +390,7 @@ GOOD = [
     f"{HEAD}- {{name: [/a, '/b{{1..2}}'], role: r, domains: '0-3', validity: 90d}}",
     f"{HEAD}- {{list: good.txt, role: r, request: inbox/, values: {{site: x}}}}\n- csv: good.csv",
     "participants: [{name: /a, nodes: [$name, {node: $base, publish: ~/x}], publish: []}]",
+    f"{HEAD}- {{name: [/a, /b], role: r}}\ngroups: {{hall-1: /a, x: [/a, '/*']}}",
     "participants: [{name: /a, rules: [{deny: {relay: x}}], default: ALLOW}]",
 ]
 
