@@ -5,7 +5,7 @@ Here everything is parsed at the start, so nothing can fail later.
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from typing import Self, TypeVar
@@ -115,6 +115,16 @@ class Certificate:
         if self.alternative is None or self.alternative.spki is None:
             return None
         return load_public_key(self.alternative.spki)
+
+    @property
+    def with_alternative_key(self) -> "Certificate | None":
+        """The certificate as one of its alternative key, to verify what that key signed.
+
+        None if it has none. `spki` and `public_key` differ; the rest is the same.
+        """
+        if self.alternative is None or self.alternative.spki is None:
+            return None
+        return replace(self, spki=self.alternative.spki)
 
     @property
     def handshake_keys(self) -> tuple[PublicKey, ...]:

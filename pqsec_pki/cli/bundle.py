@@ -84,6 +84,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     value = {
         "bundle": goal,
         "names": made.names,
+        "number": made.number,
         "keys": made.has_keys,
         "sealed": seal_for is not None,
         "ca_sha256": made.fingerprints,

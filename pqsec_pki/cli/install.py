@@ -64,6 +64,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     Everything in the bundle must be valid now under the trusted CAs, and belong to a key on
     this robot. Then DIR/current is switched, in one step, to a folder with the bundle and
     everything else that is installed. The previous folder is kept for `pqsec rollback`.
+
+    DIR/installed.receipt then says what is installed, signed with the keys of this robot. To
+    make it again, install the same bundle again.
     """
     done = install_bundle(
         bundle,
@@ -79,6 +82,8 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         "current": done.current,
         "not_after": done.not_after,
         "already": done.already,
+        "bundle": done.bundle,
+        "receipt": done.receipt,
     }
     word = "was already installed" if done.already else "installed"
     until = f"until {done.not_after:%Y-%m-%d}"
@@ -105,7 +110,7 @@ def rollback(folder: Path, *, older: bool) -> None:
     --older: it may grant rights that were withdrawn, and accept peers that were revoked. The
     expiry of its certificates is not checked.
     """
-    earlier = roll_back(folder, older=older)
+    earlier = roll_back(folder, now=_settings.now(), older=older)
     value = {"current": earlier.path, "installed_at": earlier.at}
     _printing.emit(
         value, [f"restored the set that was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]

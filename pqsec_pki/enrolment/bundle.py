@@ -26,10 +26,12 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UsageError, shown
-from pqsec_pki.keystore import Keystore, enclave_files, regular_name
+from pqsec_pki.keystore import BundleNumbers, Keystore, enclave_files, regular_name
 from pqsec_pki.problems import Code
 
 KIND = "bundle"
+MAX_NUMBER = (1 << 63) - 1
+"""Of a row in SQLite, so of a ledger line."""
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -38,13 +40,23 @@ class Bundle:
 
     created: datetime
     enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
+    number: int | None = None
+    """The number of the newest ledger line among its files (`BundleNumbers`). Only a label: the
+    manifest is not signed. None in bundles of earlier versions."""
 
     @classmethod
     def of(
-        cls, keystore: Keystore, names: Iterable[str], *, now: datetime, keys: bool = True
+        cls,
+        keystore: Keystore,
+        names: Iterable[str],
+        *,
+        now: datetime,
+        keys: bool = True,
+        numbers: BundleNumbers | None = None,
     ) -> Self:
         """The bundle of these participants; with `keys`, including their private keys.
 
+        To make many bundles, read the ledger once, and give its `numbers`.
         The files are verified at `now`, as the robot will do, and written again from the
         verified values. VerificationError lists everything that is wrong. KeystoreError if a
         participant does not exist or lacks a file, UsageError without names.
@@ -52,11 +64,11 @@ class Bundle:
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
             raise UsageError("a bundle needs at least one participant")
-        enclaves = {
-            name: _verified(name, enclave_files(keystore.root, name), now, keys=keys)
-            for name in regular
-        }
-        return cls(now.replace(microsecond=0), enclaves)
+        found = {name: enclave_files(keystore.root, name) for name in regular}
+        enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
+        numbers = numbers or BundleNumbers.of(keystore)
+        known = [number for files in found.values() if (number := numbers.number(files))]
+        return cls(now.replace(microsecond=0), enclaves, max(known, default=None))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -73,7 +85,7 @@ class Bundle:
             enclaves[name][file] = content
         for name, files in enclaves.items():
             _check_complete(name, files)
-        bundle = cls(archive.time("created"), enclaves)
+        bundle = cls(archive.time("created"), enclaves, bundle_number(archive.about.get("number")))
         if sorted(bundle.fingerprints) != sorted(archive.texts("ca_sha256")):
             raise MalformedError("the manifest names other CAs than the bundle contains")
         return bundle
@@ -85,11 +97,13 @@ class Bundle:
             for name, files in self.enclaves.items()
             for file, data in files.items()
         }
-        about = {
+        about: dict[str, object] = {
             "names": list(self.enclaves),
             "created": self.created.isoformat(),
             "ca_sha256": list(self.fingerprints),
         }
+        if self.number is not None:
+            about["number"] = self.number
         return Archive(KIND, about, files).pack()
 
     @cached_property
@@ -165,6 +179,13 @@ def _verified(
         )
         raise
     return {**verify_credentials(credentials, now=now).files, **private}
+
+
+def bundle_number(value: object) -> int | None:
+    """A bundle's number as JSON has it, if any; MalformedError if no ledger line can have it."""
+    if value is None or (type(value) is int and 0 < value <= MAX_NUMBER):
+        return value
+    raise MalformedError("the bundle's number is not the number of a ledger line")
 
 
 def _check_complete(name: str, files: Mapping[str, bytes]) -> None:

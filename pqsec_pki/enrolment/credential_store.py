@@ -2,6 +2,7 @@
 
 current -> sets/3   what processes read; one rename changes all files at once
 sets/<n>/           enclaves/<path>/..., and installed.json: which set was current before
+installed.receipt   what is current, signed (receipt.py)
 requests/<name>/    key.pem [alt.key.pem] request.csr, until the answer is installed
 trust.json          the trusted CAs, and the newest documents that were ever installed
 bundle.key.pem      the key that opens sealed bundles, if it was created
@@ -16,7 +17,7 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -32,12 +33,13 @@ from pqsec_pki._files import (
 )
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
-from pqsec_pki.enrolment.bundle import flat_name
+from pqsec_pki.enrolment.bundle import bundle_number, flat_name
 from pqsec_pki.enrolment.trust import TrustState
-from pqsec_pki.errors import KeystoreError, located
+from pqsec_pki.errors import KeystoreError, MalformedError, located
 
 CURRENT, SETS, REQUESTS = "current", "sets", "requests"
 RECORD = "installed.json"
+RECEIPT = "installed.receipt"
 TRUST = "trust.json"
 FORMAT = 1
 _NUMBER = re.compile("[1-9][0-9]{0,8}")
@@ -55,6 +57,8 @@ class InstalledSet:
     """When it was installed."""
     previous: str | None
     """The name of the set that it replaced."""
+    numbers: Mapping[str, int] = field(default_factory=dict)
+    """The number of the bundle from which each participant came, where it had one."""
 
     @property
     def enclaves(self) -> Enclaves:
@@ -97,9 +101,7 @@ class CredentialStore:
         data, path = state.to_json(), self.root / TRUST
         if os.path.lexists(path) and read(path) == data:
             return
-        draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
-        create(draft, data, mode=PRIVATE_MODE)
-        draft.rename(path)
+        self._drafted(data, PRIVATE_MODE).rename(path)
         sync_folder(self.root)
 
     def set_named(self, name: str) -> InstalledSet:
@@ -110,8 +112,16 @@ class CredentialStore:
             if record["format"] != FORMAT:
                 raise KeystoreError(f"{path} was made by another version of pqsec")
             at, previous = datetime.fromisoformat(record["at"]), _set_name(record["previous"])
-            return InstalledSet(path, at, previous)
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            numbers = {
+                name: number
+                for name, value in record.get("bundles", {}).items()
+                if (number := bundle_number(value))
+            }
+            return InstalledSet(path, at, previous, numbers)
+        except (
+            *(ValueError, KeyError, TypeError, AttributeError, RecursionError),
+            MalformedError,
+        ) as error:
             raise KeystoreError(f"{path / RECORD} cannot be read: {error}") from error
 
     def keys(self, name: str) -> Iterator[Mapping[str, bytes]]:
@@ -127,26 +137,60 @@ class CredentialStore:
         """The folder with the keys for `name` until their certificate is installed."""
         return self.root / REQUESTS / flat_name(name)
 
-    def put(self, enclaves: Enclaves, state: TrustState, now: datetime) -> None:
+    def put(
+        self,
+        enclaves: Enclaves,
+        state: TrustState,
+        now: datetime,
+        *,
+        numbers: Mapping[str, int],
+        receipt: bytes,
+    ) -> None:
         """Create a set of these files and make it current, completely or not at all.
 
         The trust state is saved when the set is complete and before it becomes current. If the
         process is killed between the two, the marks are not older than what is installed.
         """
         before = self.current
-        draft = self._draft(enclaves, before.path.name if before else None, now)
+        record = {
+            "format": FORMAT,
+            "at": now.isoformat(timespec="seconds"),
+            "previous": before.path.name if before else None,
+            "bundles": numbers,
+        }
+        draft = self._draft(enclaves, record)
         self.trust(state)
         name = str(max(self._sets(), default=0) + 1)
         draft.rename(self.root / SETS / name)
-        self.point_to(name)
+        self.point_to(name, receipt)
 
-    def point_to(self, name: str) -> None:
-        """Make that set current, with one rename."""
+    def point_to(self, name: str, receipt: bytes) -> None:
+        """Make that set current, with one rename; then replace the receipt.
+
+        If the process is killed between the two, the receipt is of the set before.
+        """
         link = self.root / f"{DRAFT}{secrets.token_hex(8)}"
         link.symlink_to(f"{SETS}/{name}")
+        draft = self._drafted(receipt, PUBLIC_MODE)
         sync_filesystem(self.root)
         link.rename(self.root / CURRENT)
+        draft.rename(self.receipt)
         sync_folder(self.root)
+
+    @property
+    def receipt(self) -> Path:
+        """Where the receipt of the current set is."""
+        return self.root / RECEIPT
+
+    def save_receipt(self, receipt: bytes) -> None:
+        """Replace the receipt of the current set, atomically."""
+        self._drafted(receipt, PUBLIC_MODE).rename(self.receipt)
+        sync_folder(self.root)
+
+    def _drafted(self, data: bytes, mode: int) -> Path:
+        draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
+        create(draft, data, mode=mode)
+        return draft
 
     def tidy(self, answered: Mapping[str, Mapping[str, bytes]]) -> None:
         """Remove requests whose keys are in `answered`, and old sets."""
@@ -166,7 +210,7 @@ class CredentialStore:
         folder.rename(spent)
         shutil.rmtree(spent)
 
-    def _draft(self, enclaves: Enclaves, previous: str | None, now: datetime) -> Path:
+    def _draft(self, enclaves: Enclaves, record: Mapping[str, object]) -> Path:
         make_private(self.root / SETS)
         draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
         make_private(draft)
@@ -175,8 +219,6 @@ class CredentialStore:
             make_private(folder)
             for file, data in files.items():
                 create(folder / file, data, mode=PRIVATE_MODE if file in KEYS else PUBLIC_MODE)
-        at = now.isoformat(timespec="seconds")
-        record = {"format": FORMAT, "at": at, "previous": previous}
         create(draft / RECORD, json.dumps(record, indent=2).encode() + b"\n", mode=PUBLIC_MODE)
         return draft
 

@@ -11,6 +11,7 @@ from pqsec_pki.algorithms import SealingPrivateKey
 from pqsec_pki.credentials import KEYS, REVOCATION_LIST, Credentials, VerifiedCredentials
 from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import CURRENT, CredentialStore, InstalledSet, changing
+from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.requesting import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
@@ -38,7 +39,11 @@ class Installed:
     current: Path
     """The link to the current set."""
     already: bool
-    """Whether the same files were installed already, so nothing was done."""
+    """Whether the same files were installed already, so only the receipt was written again."""
+    bundle: int | None
+    """The bundle's number, if it has one."""
+    receipt: Path
+    """The receipt, which tells the machine with the CAs what is installed."""
 
 
 def install(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -75,16 +80,20 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         others = {} if alone else _others(before, bundle, found)
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
-        already = before is not None and before.enclaves == wanted
-        if already:
+        numbers = _numbers(before, bundle, wanted)
+        if before and before.enclaves == wanted:
             store.trust(newer)
+            store.save_receipt(receipt_of(wanted, numbers, installed_at=before.at, now=now))
+            already = True
         else:
-            store.put(wanted, newer, now)
+            receipt = receipt_of(wanted, numbers, installed_at=now, now=now)
+            store.put(wanted, newer, now, numbers=numbers, receipt=receipt)
+            already = False
         store.tidy(keys)  # also removes what a killed installation left
-        return _result(found, store, already=already)
+        return _result(found, store, bundle, already=already)
 
 
-def rollback(root: Path, *, older: bool = False) -> InstalledSet:
+def rollback(root: Path, *, now: datetime, older: bool = False) -> InstalledSet:
     """Make the set before the current one current again.
 
     KeystoreError if there is none, or it cannot be read. VerificationError if its CAs are not
@@ -108,7 +117,8 @@ def rollback(root: Path, *, older: bool = False) -> InstalledSet:
                 with suppress(PqsecError):  # an unreadable set raises no marks
                     seen += _installed(current)
             store.trust(_raised(state, seen, pins))
-        store.point_to(current.previous)
+        receipt = receipt_of(earlier.enclaves, earlier.numbers, installed_at=earlier.at, now=now)
+        store.point_to(current.previous, receipt)
         return earlier
 
 
@@ -231,6 +241,15 @@ def _others(
     return others
 
 
+def _numbers(
+    before: InstalledSet | None, bundle: Bundle, wanted: Mapping[str, object]
+) -> dict[str, int]:
+    """The number of the bundle from which each participant in `wanted` comes, if it has one."""
+    kept = before.numbers if before else {}
+    known = {name: bundle.number if name in bundle.names else kept.get(name) for name in wanted}
+    return {name: number for name, number in known.items() if number is not None}
+
+
 def _same_authorities(one: Bundle, other: Bundle) -> bool:
     """Whether both have the same CAs in the same files; False if one cannot be read."""
     try:
@@ -248,10 +267,14 @@ def _keys(
     return keys_of(verified, [inside] if inside else store.keys(name))
 
 
-def _result(found: VerifiedBundle, store: CredentialStore, *, already: bool) -> Installed:
+def _result(
+    found: VerifiedBundle, store: CredentialStore, bundle: Bundle, *, already: bool
+) -> Installed:
     return Installed(
         names=tuple(each.name for each in found.verified),
         not_after=min(each.certificate.not_after for each in found.verified),
         current=store.root / CURRENT,
         already=already,
+        bundle=bundle.number,
+        receipt=store.receipt,
     )

@@ -10,7 +10,7 @@ from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path, save
 from pqsec_pki.enrolment.sealed import seal
 from pqsec_pki.errors import FileError, UsageError
-from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, issue
 
 
@@ -53,8 +53,9 @@ def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by n
         after_revocation=after_revocation,
         compromised_keys=compromised_keys,
     )
+    numbers = BundleNumbers.of(keystore)
     for each, path in zip(issued, paths, strict=True):
-        bundle = Bundle.of(keystore, [each.name], now=now)
+        bundle = Bundle.of(keystore, [each.name], now=now, numbers=numbers)
         try:
             write_bundle(bundle, path, recipient, force=force)
         except FileError as error:

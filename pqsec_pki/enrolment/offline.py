@@ -32,7 +32,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
@@ -129,10 +129,11 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
             after_revocation=after_revocation,
             compromised_keys=compromised_keys,
         )
-    files = {
-        _bundle_file(spec.name): Bundle.of(keystore, [spec.name], now=now, keys=False).to_bytes()
-        for spec in specs
-    }
+    numbers = BundleNumbers.of(keystore)
+    bundles = (
+        Bundle.of(keystore, [spec.name], now=now, keys=False, numbers=numbers) for spec in specs
+    )
+    files = {_bundle_file(each.names[0]): each.to_bytes() for each in bundles}
     about = {
         "created": now.isoformat(timespec="seconds"),
         "request_sha256": asked.sha256,

@@ -9,7 +9,7 @@ from pqsec_pki._files import read
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path, save
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import ExistsError, PqsecError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import BundleNumbers, Keystore
 
 
 def refresh(
@@ -20,9 +20,10 @@ def refresh(
     The bundles have no private keys. An older bundle for the same participant is replaced;
     ExistsError for anything else in its place. Errors as in `Bundle.of` and `save`.
     """
+    numbers = BundleNumbers.of(keystore)
     for name in names:
         goal = bundle_path(folder, name)
-        bundle = Bundle.of(keystore, [name], now=now, keys=False)
+        bundle = Bundle.of(keystore, [name], now=now, keys=False, numbers=numbers)
         there = _bundle_at(goal, name)
         if there is None or there.sha256 != bundle.sha256:
             save(goal, bundle.to_bytes(), force=there is not None)

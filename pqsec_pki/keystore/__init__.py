@@ -31,6 +31,7 @@ Questions:
     overlap              whether two identity CAs are trusted, and which of them issues
     compromised          finds keys that were revoked as compromised
     auditing             whether the ledger is intact
+    bundle_numbers       the number of a bundle, by the ledger's lines about its files
 """
 
 from typing import TYPE_CHECKING
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
+    from pqsec_pki.keystore.bundle_numbers import BundleNumbers
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.keystore import Keystore
@@ -95,6 +97,7 @@ __all__ = [
     "SETTINGS",
     "WAIT",
     "Authorities",
+    "BundleNumbers",
     "Entry",
     "Files",
     "Keystore",

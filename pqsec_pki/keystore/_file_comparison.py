@@ -9,7 +9,6 @@ import binascii
 import hashlib
 import json
 import os
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -94,7 +93,7 @@ def _stamp(path: str) -> str:
 
 
 def _compared(folder: str, certificate: str, permissions: str) -> Files:
-    if _fingerprint(f"{folder}/{layout.CERTIFICATE}") != certificate:
+    if pem_fingerprint(read(Path(f"{folder}/{layout.CERTIFICATE}"))) != certificate:
         return Files.OTHER_CERTIFICATE
     with suppress(MissingError):
         found = hashlib.sha256(read(Path(f"{folder}/{layout.PERMISSIONS}"))).hexdigest()
@@ -103,16 +102,10 @@ def _compared(folder: str, certificate: str, permissions: str) -> Files:
     return Files.OTHER_PERMISSIONS
 
 
-def _fingerprint(path: str) -> str | None:
-    """SHA-256 of the DER in a PEM file with one certificate; None if it is not base64.
-
-    FileError as from `read`: a file without end, or a pipe, is refused.
-    """
-    lines: Iterator[bytes] = iter(read(Path(path)).split(b"\n"))
-    for line in lines:
-        if line.startswith(b"-----BEGIN"):
-            break
-    body = b"".join(line for line in lines if not line.startswith(b"-----END"))
+def pem_fingerprint(data: bytes) -> str | None:
+    """SHA-256 of the DER of the first certificate in PEM `data`; None if it is not base64."""
+    _, _, block = data.partition(b"-----BEGIN")
+    body = block.partition(b"\n")[2].partition(b"-----END")[0]
     try:
         return hashlib.sha256(base64.b64decode(body)).hexdigest()
     except binascii.Error:

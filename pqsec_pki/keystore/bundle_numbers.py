@@ -1,0 +1,61 @@
+"""The number of a bundle: that of the newest ledger line among its files.
+
+It needs no counter, so who may only read a keystore can write bundles. Each change of a
+participant's files adds lines, so the number grows with it.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Self
+
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._file_comparison import pem_fingerprint
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import TRUST, TRUST_END
+
+_KINDS = (
+    *("identity-ca", "permissions-ca", "participant"),
+    *("permissions", "governance", "crl", TRUST),
+)
+"""The kinds of lines about files that are in bundles."""
+
+
+@dataclass(frozen=True, slots=True)
+class BundleNumbers:
+    """The ledger's lines about files, read once for all bundles."""
+
+    lines: Mapping[str, int] = field(repr=False)
+    """The number of each line, by its SHA-256."""
+    least: int
+    """The line that ended the last overlap, which put an older CA file into every enclave; 0 if
+    there is none."""
+
+    @classmethod
+    def of(cls, keystore: Keystore) -> Self:
+        """The numbers of the bundles of `keystore`; KeystoreError if its ledger is damaged."""
+        with keystore.open_ledger() as ledger:
+            return cls.among(ledger)
+
+    @classmethod
+    def among(cls, ledger: Ledger) -> Self:
+        """The same, from an open ledger."""
+        lines = {sha256: line for kind in _KINDS for sha256, line in ledger.numbers(kind).items()}
+        return cls(lines, max(ledger.numbers(TRUST_END).values(), default=0))
+
+    def number(self, files: Mapping[str, bytes]) -> int | None:
+        """The number of a bundle with these files of an enclave, by name.
+
+        None if the ledger knows none of them.
+        """
+        found = [self.lines[each] for each in _hashes(files) if each in self.lines]
+        return max(*found, self.least) if found else None
+
+
+def _hashes(files: Mapping[str, bytes]) -> Iterator[str]:
+    """SHA-256 of the files as in the ledger: of a certificate's DER, or of any file."""
+    for name, data in files.items():
+        if name.endswith(layout.CERTIFICATE):
+            yield pem_fingerprint(data) or ""
+        yield hashlib.sha256(data).hexdigest()
