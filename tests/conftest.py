@@ -9,11 +9,13 @@ import os
 import signal
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import TypeVar
 
 import hypothesis
 import pytest
+from coverage import Coverage
 
 from tests.libraries import Libraries, libraries
 
@@ -33,32 +35,41 @@ of OpenDDS, which no registry has, and is run by hand."""
 
 
 NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e"}
-"""Folders whose tests run the same code over and over, or processes of their own. So do those that
-kill at every call."""
-MEASURED_ONCE = {
-    *("test_attack_checks", "test_attacks", "test_commands_hostile", "test_diff", "test_errors"),
-    *("test_foreign_keystores", "test_handshake_modes", "test_smime", "test_tamper"),
-}
-"""Files whose tests take long and run the same code in each case: the first is measured."""
+"""Folders whose tests run the same code over and over, or processes of their own."""
+MEASURED = 0.5
+"""Seconds of the processor in which coverage of a test is measured: later it repeats itself, and
+measuring takes twice as long as the test."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Coverage is measured where it shows something new: it takes as long again as the tests.
-
-    Workers begin with the files that have most slow tests: none is left with one at the end.
-    """
+    """Workers begin with the files that have most slow tests: none is left with one at the end."""
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         items.sort(key=lambda item: -slow[item.path])
-    if config.getoption("cov_context", None):  # the job of mutants asks which test runs what
-        return
-    seen: set[str] = set()
-    for item in items:
-        file, test = item.path.stem, item.nodeid.partition("[")[0]
-        repeated = item.path.parent.name in NOT_MEASURED or file.endswith("_kill")
-        if repeated or (file in MEASURED_ONCE and test in seen):
-            item.add_marker(pytest.mark.no_cover)
-        seen.add(test)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Coverage is measured where a test shows something new, so that the gate takes half as long.
+
+    Not so in the job of mutants, which asks which test runs what.
+    """
+    coverage = Coverage.current()
+    if coverage is None or item.config.getoption("cov_context", None):
+        return (yield)
+    with ExitStack() as measured:
+
+        def stop(*_: object) -> None:
+            coverage.stop()
+            measured.callback(coverage.start)
+
+        if item.path.parent.name in NOT_MEASURED:
+            stop()
+        else:
+            signal.signal(signal.SIGPROF, stop)
+            signal.setitimer(signal.ITIMER_PROF, MEASURED)
+            measured.callback(signal.setitimer, signal.ITIMER_PROF, 0)
+        return (yield)
 
 
 @pytest.fixture(scope="session")
