@@ -206,8 +206,15 @@ def is_one_edit(one: str, other: str) -> bool:
 
 
 def _spellings(topic: str) -> set[str]:
-    """The topic, and what is left without each one of its characters."""
-    return {topic, *(topic[:n] + topic[n + 1 :] for n in range(len(topic)))}
+    """The topic, and what is left of it without one letter of a word that may have an error."""
+    places = (
+        place
+        for word in _WORD.finditer(topic)
+        if word.end() - word.start() >= _LEAST_WORD
+        for place in range(word.start(), word.end())
+        if topic[place].isalpha()
+    )
+    return {topic, *(topic[:n] + topic[n + 1 :] for n in places)}
 
 
 def _meet(one: TopicRight, other: TopicRight) -> bool:

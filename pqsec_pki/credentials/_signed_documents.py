@@ -42,16 +42,20 @@ class _Remembered(Generic[More, Found]):
                 return result
         result = self._function(document, *others, **named)
         with self._lock:
-            self._results[key], self._sizes[key] = result, len(document)
-            while sum(self._sizes.values()) > MAX_REMEMBERED:
+            if key not in self._results:  # another thread may have been faster
+                self._results[key], self._sizes[key] = result, len(document)
+                self._size += len(document)
+            while self._size > MAX_REMEMBERED:
                 oldest = next(iter(self._results))
-                del self._results[oldest], self._sizes[oldest]
+                self._size -= self._sizes.pop(oldest)
+                del self._results[oldest]
         return result
 
     def cache_clear(self) -> None:
         """Forget all results."""
         self._results: dict[object, Found] = {}
         self._sizes: dict[object, int] = {}
+        self._size = 0
 
 
 @dataclass(frozen=True, slots=True)

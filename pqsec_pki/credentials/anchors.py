@@ -1,7 +1,7 @@
 """The trust anchors of a participant, each with its role, and what they alone decide."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property, partial
 from itertools import combinations
@@ -39,7 +39,7 @@ from pqsec_pki.errors import (
     problems_of,
 )
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.smime import FoundSignature, Require, Verified
+from pqsec_pki.smime import FoundSignature, Require, SignedFile, Verified, verify
 
 
 @dataclass(frozen=True, kw_only=True)  # no slots, for cached properties
@@ -56,6 +56,9 @@ class TrustAnchors:
     stock_peers: bool = False
     """Whether peers may lack alternative signatures: then documents need a countersignature
     only if there is a countersigner."""
+    remembers_all: bool = field(default=False, compare=False)
+    """Whether it remembers every document that it verified, for passes over all participants of a
+    keystore; otherwise only the latest ones are remembered."""
 
     @classmethod
     def of(cls, files: Mapping[str, bytes], *, folder: str = "") -> Self:
@@ -77,6 +80,13 @@ class TrustAnchors:
     def identity_ca(self) -> Certificate:
         """The first identity CA, whose revocation list applies."""
         return self.identity_cas[0]
+
+    @property
+    def content(self) -> tuple[object, ...]:
+        """What two values with the same CAs, list and rules have in common, for comparing them."""
+        list_ = self.revocation_list
+        roles = tuple(tuple(each.der for each in found) for found in self.roles.values())
+        return *roles, list_ and list_.der, self.stock_peers
 
     @property
     def signed_twice(self) -> bool:
@@ -175,19 +185,36 @@ class TrustAnchors:
         """The permissions, likewise."""
         return self._document(message, PERMISSIONS, permissions_in)
 
-    def signatures(self, message: bytes) -> tuple[FoundSignature, ...]:
+    def signatures(self, message: bytes | SignedFile) -> tuple[FoundSignature, ...]:
         """The signatures on S/MIME `message`, likewise."""
         return self.signed(message).signatures
 
-    def signed(self, message: bytes, demanded: Require | None = None) -> Verified:
+    def signed(self, message: bytes | SignedFile, demanded: Require | None = None) -> Verified:
         """The document of any kind in S/MIME `message`, likewise.
 
         If the user gives the signatures that are `demanded`, these replace `required`.
         """
-        required = demanded or self.required
+        if demanded is None and self.remembers_all:
+            return self._remembered(SignedFile.of(message))
+        required, data = demanded or self.required, SignedFile.of(message).message
         return verified_by(
-            message, self.permissions_ca, self.countersigner, required, pinned=demanded is None
+            data, self.permissions_ca, self.countersigner, required, pinned=demanded is None
         )
+
+    def _remembered(self, file: SignedFile) -> Verified:
+        if file.message not in self._verified:
+            self._verified[file.message] = verify(
+                file,
+                self.permissions_ca,
+                alternative_ca=self.countersigner,
+                require=self.required,
+                pinned=True,
+            )
+        return self._verified[file.message]
+
+    @cached_property
+    def _verified(self) -> dict[bytes, Verified]:
+        return {}
 
     def verified(self, message: bytes, now: datetime) -> Verified:
         """The document in `message`, if signed by CAs that are valid at `now`."""

@@ -43,12 +43,13 @@ class Credentials:
         passphrase: bytes | None = None,
         *,
         folder: object = None,
+        anchors: TrustAnchors | None = None,
     ) -> Self:
         """The credentials in the files of the enclave `name`, by their names in `names.FILES`.
 
         KeystoreError if a required file is missing, MalformedError for a file that cannot be
         decoded, PassphraseError for an encrypted key without `passphrase`; the errors name
-        the file in `folder`, if given.
+        the file in `folder`, if given. `anchors` are those of the files, if they were read before.
         """
         where = str(folder or name)
         missing = [each for each in NEEDED if each not in files]
@@ -59,7 +60,7 @@ class Credentials:
             certificate=only_certificate(files[CERTIFICATE], f"{where}/{CERTIFICATE}"),
             private_key=_key(files, KEY, passphrase, where),
             alternative_key=_key(files, ALT_KEY, passphrase, where),
-            anchors=TrustAnchors.of(files, folder=where),
+            anchors=anchors or TrustAnchors.of(files, folder=where),
             permissions=files[PERMISSIONS],
             governance=files[GOVERNANCE],
         )

@@ -5,10 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki.credentials import ENCLAVES
+from pqsec_pki.credentials import ENCLAVES, TrustAnchors
 from pqsec_pki.errors import FileError
+from pqsec_pki.lint._anchors import SharedAnchors
 from pqsec_pki.lint._search import Search
-from pqsec_pki.lint.document import Document, document_of
+from pqsec_pki.lint.document import Document, Documents
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.profile import profile_file_of
 from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
@@ -16,8 +17,12 @@ from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
 _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
 
 
-def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
+def take_inventory(
+    paths: Iterable[Path], *, now: datetime, anchors: TrustAnchors | None = None
+) -> Inventory:
     """The inventory of these files and folders; links to files are followed.
+
+    Enclaves with the CAs in `anchors` use this value, with what it verified before.
 
     FileError if a path does not exist or cannot be read, or if there is nothing or too much to
     check.
@@ -33,7 +38,8 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
             f"{where}: nothing to check",
             hint="name a keystore, or files: .pem, .p7s and .xml",
         )
-    all_xml = [document_of(file) for file in files if _is_document(file, search)]
+    documents_of = Documents()
+    all_xml = [documents_of.of(file) for file in files if _is_document(file, search)]
     profiles = {each.path: found for each in all_xml if (found := profile_file_of(each))}
     documents = tuple(each for each in all_xml if each.path not in profiles)
     certificates = tuple(CertificateFile(file) for file in files if "CERTIFICATE" in file.labels)
@@ -46,7 +52,7 @@ def take_inventory(paths: Iterable[Path], *, now: datetime) -> Inventory:
         documents=tuple(each for each in documents if not _is_copy(each, subjects)),
         profiles=tuple(profiles.values()),
         certificates=certificates,
-        enclaves=tuple(_enclaves(search, subjects)),
+        enclaves=tuple(_enclaves(search, subjects, SharedAnchors(anchors))),
         keystore=search.keystore,
         interrupted_change=search.interrupted_change,
         missing_parts=search.missing_parts,
@@ -78,12 +84,12 @@ def _lines(xml: bytes | None) -> list[bytes]:
 
 
 def _enclaves(
-    search: Search, subjects: Mapping[Path, Document | CertificateFile]
+    search: Search, subjects: Mapping[Path, Document | CertificateFile], anchors: SharedAnchors
 ) -> Iterator[EnclaveFolder]:
     for folder, names in search.enclaves.items():
         files = {name: search.files[key] for name, key in names.items() if key in search.files}
         broken = tuple(name for name, key in names.items() if key is None)
-        yield EnclaveFolder(folder, _name(folder), files, broken, search.now, subjects)
+        yield EnclaveFolder(folder, _name(folder), files, broken, search.now, subjects, anchors)
 
 
 def _name(folder: Path) -> str:

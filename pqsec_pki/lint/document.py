@@ -24,6 +24,56 @@ ACTIONS = ("publish", "subscribe", "relay")
 """What a rule of permissions allows or denies."""
 
 
+class ParsedText:
+    """The XML of a document, parsed when first needed; files with the same text share it."""
+
+    def __init__(self, xml: bytes) -> None:
+        self.xml = xml
+
+    @cached_property
+    def tree(self) -> tuple[Tree | None, str | None]:
+        """(the tree, None), or (None, why it is not well-formed)."""
+        try:
+            return read_tree(self.xml), None
+        except PqsecError as error:
+            return None, str(error)
+
+    @cached_property
+    def nodes(self) -> Mapping[str, tuple[Node, ...]]:
+        """All elements by their tag, in document order."""
+        found: dict[str, list[Node]] = {}
+        for node in self.tree[0].root.walk() if self.tree[0] else ():
+            found.setdefault(node.tag, []).append(node)
+        return {tag: tuple(nodes) for tag, nodes in found.items()}
+
+    @cached_property
+    def problems(self) -> tuple[Problem, ...]:
+        """Differences from the schema, of text that is well-formed."""
+        try:
+            validate(self.xml)
+        except InvalidDocumentError as error:
+            return error.problems
+        except PqsecError as error:
+            return (Problem(str(error)),)
+        return ()
+
+    @cached_property
+    def governance(self) -> Governance | None:
+        """The governance; None if it does not match its schema."""
+        try:
+            return Governance.from_xml(self.xml)
+        except PqsecError:
+            return None
+
+    @cached_property
+    def permissions(self) -> Permissions | None:
+        """The permissions, likewise."""
+        try:
+            return Permissions.from_xml(self.xml)
+        except PqsecError:
+            return None
+
+
 @dataclass(frozen=True)
 class Document(Content):
     """A governance or permissions document, unsigned or signed.
@@ -31,48 +81,39 @@ class Document(Content):
     A document that is neither has this class itself, not a subclass.
     """
 
-    @cached_property
+    text: ParsedText | None
+    """None with `reason` if the S/MIME around the document cannot be read."""
+
+    @property
     def xml(self) -> bytes | None:
-        """The document itself; None with `reason` if the S/MIME around it cannot be read."""
+        """The document itself, with its line ends as in the file."""
         return self.file.signed_text[0] if self.file.is_signed else self.file.data
 
     @cached_property
     def _first_line(self) -> int:
         """How many lines of the file are before the document."""
-        if not self.file.is_signed or self.xml is None:
+        if not self.file.is_signed or self.text is None:
             return 0
-        return lines_before_document(self.file.data)
+        return lines_before_document(self.file.signed)
 
     def line(self, line: int | None) -> int | None:
         """The line in the file for a line in the document."""
         return None if line is None else line + self._first_line
 
-    @cached_property
-    def _tree(self) -> tuple[Tree | None, str | None]:
-        if self.xml is None:
-            return None, str(self.file.signed_text[1])
-        try:
-            return read_tree(self.xml), None
-        except PqsecError as error:
-            return None, str(error)
-
     @property
     def tree(self) -> Tree | None:
         """The XML as a tree; None with `reason` if it is not well-formed."""
-        return self._tree[0]
+        return self.text.tree[0] if self.text else None
 
     @property
     def root(self) -> Node | None:
         """The root element."""
         return self.tree.root if self.tree else None
 
-    @cached_property
+    @property
     def nodes(self) -> Mapping[str, tuple[Node, ...]]:
         """All elements by their tag, in document order."""
-        found: dict[str, list[Node]] = {}
-        for node in self.root.walk() if self.root else ():
-            found.setdefault(node.tag, []).append(node)
-        return {tag: tuple(nodes) for tag, nodes in found.items()}
+        return self.text.nodes if self.text else {}
 
     def all(self, *tags: str) -> Iterator[Node]:
         """All elements with one of these tags."""
@@ -86,32 +127,21 @@ class Document(Content):
     @property
     def reason(self) -> str | None:
         """Why there is no tree; None if there is one."""
-        return self._tree[1]
+        return self.text.tree[1] if self.text else str(self.file.signed_text[1])
 
-    @cached_property
+    @property
     def problems(self) -> tuple[Problem, ...]:
         """Differences from the schema; line numbers are those of the document, not the file."""
-        if self.xml is None or self.tree is None:
-            return ()
-        try:
-            validate(self.xml)
-        except InvalidDocumentError as error:
-            return error.problems
-        except PqsecError as error:
-            return (Problem(str(error)),)
-        return ()
+        return self.text.problems if self.text and self.tree else ()
 
 
 class GovernanceFile(Document):
     """A governance document."""
 
-    @cached_property
+    @property
     def governance(self) -> Governance | None:
         """The parsed document; None if it does not match its schema."""
-        try:
-            return Governance.from_xml(self.xml or b"")
-        except PqsecError:
-            return None
+        return self.text.governance if self.text else None
 
     @property
     def domain_rules(self) -> tuple[DomainRule, ...]:
@@ -122,13 +152,10 @@ class GovernanceFile(Document):
 class PermissionsFile(Document):
     """A permissions document."""
 
-    @cached_property
+    @property
     def permissions(self) -> Permissions | None:
         """The parsed document; None if it does not match its schema."""
-        try:
-            return Permissions.from_xml(self.xml or b"")
-        except PqsecError:
-            return None
+        return self.text.permissions if self.text else None
 
     @property
     def grants(self) -> tuple[Grant, ...]:
@@ -136,14 +163,25 @@ class PermissionsFile(Document):
         return self.permissions.grants if self.permissions else ()
 
 
-def document_of(file: File) -> Document:
-    """The document in `file`, of the subclass for its kind."""
-    document = Document(file)
-    root = document.root
-    kinds = {"domain_access_rules": GovernanceFile, "permissions": PermissionsFile}
-    for child in root.children if root and root.tag == "dds" else ():
-        if child.tag in kinds:
-            known = kinds[child.tag](file)
-            vars(known).update(vars(document))  # keeps the cached tree
-            return known
-    return document
+class Documents:
+    """Reads documents. A text that two files have, such as signed and unsigned, is parsed once."""
+
+    def __init__(self) -> None:
+        self._texts: dict[bytes, ParsedText] = {}
+
+    def of(self, file: File) -> Document:
+        """The document in `file`, of the subclass for its kind."""
+        xml = file.signed_text[0] if file.is_signed else file.data
+        text = None if xml is None else self._text(xml)
+        document = Document(file, text)
+        root = document.root
+        kinds = {"domain_access_rules": GovernanceFile, "permissions": PermissionsFile}
+        for child in root.children if root and root.tag == "dds" else ():
+            if child.tag in kinds:
+                return kinds[child.tag](file, text)
+        return document
+
+    def _text(self, xml: bytes) -> ParsedText:
+        is_ascii = xml.startswith(b"<") and b"\0" not in xml  # or another code with its line ends
+        alike = xml.replace(b"\r\n", b"\n") if is_ascii else xml  # as parsers of XML do
+        return self._texts.setdefault(alike, ParsedText(xml))

@@ -14,6 +14,7 @@ from pqsec_pki.smime import (
     AmbiguousError,
     CmsContent,
     ListedSigner,
+    SignedFile,
     document_in,
     is_signed,
     signers_in,
@@ -57,10 +58,15 @@ class File:
         return is_signed(self.data)
 
     @cached_property
+    def signed(self) -> SignedFile:
+        """The file as S/MIME, parsed when it is first asked."""
+        return SignedFile(self.data)
+
+    @cached_property
     def signed_text(self) -> tuple[bytes | None, PqsecError | None]:
         """(the document in S/MIME, None), or (None, why it cannot be read)."""
         try:
-            return document_in(self.data), None
+            return document_in(self.signed), None
         except PqsecError as error:
             return None, error
 
@@ -113,7 +119,7 @@ class File:
         if not self.is_signed:
             return None, None
         try:
-            return signers_in(self.data), None
+            return signers_in(self.signed), None
         except PqsecError as error:
             return None, str(error)
 

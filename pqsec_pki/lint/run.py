@@ -7,7 +7,7 @@ from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 
-from pqsec_pki.credentials import ENCLAVES
+from pqsec_pki.credentials import ENCLAVES, TrustAnchors
 from pqsec_pki.lint.collect import take_inventory
 from pqsec_pki.lint.enclaves.trust import without_repetitions
 from pqsec_pki.lint.keystores.files import PRIVATE
@@ -58,14 +58,16 @@ def check(
     now: datetime,
     targets: Iterable[Stack] = (),
     ignore: Iterable[Suppression] = (),
+    anchors: TrustAnchors | None = None,
 ) -> LintReport:
     """Find everything that is wrong or risky in these files, folders and keystores.
 
     No `targets` means all stacks. FileError if a path itself cannot be read; problems and
-    unreadable files inside are findings.
+    unreadable files inside are findings. Documents that `anchors` verified before are not verified
+    again.
     """
     named = list(paths)
-    inventory = take_inventory(named, now=now)
+    inventory = take_inventory(named, now=now, anchors=anchors)
     meant = frozenset(targets)
     asked = [rule for rule in RULES.values() if rule.matters_to(meant)]
     files = list(_suppression_files(named, tuple(ignore), asked, now.date()))
@@ -100,8 +102,8 @@ def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
         *inventory.documents,
         *inventory.profiles,
         *inventory.certificates,
+        inventory,  # before the enclaves: it verifies documents that were parsed here
         *inventory.enclaves,
-        inventory,
     )
     return without_repetitions(_answers(asked, subjects), inventory)
 

@@ -68,9 +68,9 @@ class DocumentAndSigners:
             return ()
         try:
             if self.anchors:
-                self.anchors.signatures(self.file.data)
+                self.anchors.signatures(self.file.signed)
             else:
-                verify(self.file.data, self.ca, alternative_ca=self.alternative_ca)
+                verify(self.file.signed, self.ca, alternative_ca=self.alternative_ca)
         except VerificationError as error:
             return error.problems
         return ()

@@ -25,6 +25,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.lint._anchors import SharedAnchors
 from pqsec_pki.lint._one_sided import one_sided
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.file import Content, File
@@ -96,6 +97,7 @@ class EnclaveFolder:
     """Names of broken links."""
     now: datetime = field(repr=False)
     inventory_files: Mapping[Path, "Document | CertificateFile"] = field(repr=False)
+    shared_anchors: SharedAnchors = field(repr=False)
 
     @property
     def path(self) -> Path:
@@ -105,10 +107,7 @@ class EnclaveFolder:
     @cached_property
     def anchors(self) -> TrustAnchors | None:
         """The CAs in it by their roles; None if one is missing or cannot be read."""
-        try:
-            return TrustAnchors.of({name: file.data for name, file in self.files.items()})
-        except (KeyError, PqsecError):  # KeyError: a file is missing
-            return None
+        return self.shared_anchors.of({name: file.data for name, file in self.files.items()})
 
     def certificate(self, name: str = CERTIFICATE) -> Certificate | None:
         """The first certificate in that file; None if it is missing or cannot be read."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pqsec_pki._files import exists, is_folder, walk
 from pqsec_pki.access import Action, DocumentOwner, Interpretation, Question
+from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
 from pqsec_pki.errors import (
     FileError,
@@ -24,11 +25,11 @@ from pqsec_pki.keystore import SETTINGS, Keystore, expanded
 from pqsec_pki.policy.loading import Document, document_at, governance_in
 from pqsec_pki.policy.participants import (
     PolicyInput,
-    anchors_of,
     identity_of,
     own_governance,
     own_permissions,
     shared_governance,
+    valid_anchors,
 )
 from pqsec_pki.problems import Code, Problem
 
@@ -72,9 +73,17 @@ def fleet_of(
     return _in_files(paths, governance, now)
 
 
-def fleet_in(keystore: Keystore, now: datetime, reading: Interpretation) -> Fleet:
-    """The participants of a keystore; those without a grant by `reading` are left out."""
-    anchors = anchors_of(keystore, now)
+def fleet_in(
+    keystore: Keystore,
+    now: datetime,
+    reading: Interpretation,
+    anchors: TrustAnchors | None = None,
+) -> Fleet:
+    """The participants of a keystore; those without a grant by `reading` are left out.
+
+    `anchors` are those of the keystore, if they were read before.
+    """
+    anchors = valid_anchors(anchors or keystore.anchors, now)
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
     members, refused = list[DocumentOwner](), dict[str, str]()

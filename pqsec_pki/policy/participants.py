@@ -56,9 +56,8 @@ def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     return keystore.root / f"{ENCLAVES}{regular_name(name)}" / file
 
 
-def anchors_of(keystore: Keystore, now: datetime) -> TrustAnchors:
-    """The trust anchors of its participants. VerificationError if they are not valid at `now`."""
-    anchors = keystore.anchors
+def valid_anchors(anchors: TrustAnchors, now: datetime) -> TrustAnchors:
+    """The `anchors`. VerificationError if they are not valid at `now`."""
     problems = anchors.problems(now)
     if problems:
         raise VerificationError(*problems)
@@ -87,7 +86,7 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
     Verified twice: against the keystore, and against the files of the enclave alone.
     """
     keystore.refuse_unknown(name)
-    anchors = anchors_of(keystore, now)
+    anchors = valid_anchors(keystore.anchors, now)
     check = partial(anchors.verified, now=now)
     policy_input = PolicyInput(
         who=regular_name(name),

@@ -18,12 +18,14 @@ HOLE = "{name}"
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """The groups, and for each participant its group and the part of its name that differs."""
+    """The groups, the group of each participant, and the parts in which their names differ."""
 
     groups: tuple[ParticipantGroup, ...]
-    group_of: dict[str, ParticipantGroup]
-    unit_of: dict[str, str]
-    """Only of members of groups of several; `tb3` of /tb3/camera, if there is /tb4/camera."""
+    group_of: dict[str, int]
+    """By their place in `groups`."""
+    own: dict[tuple[int, str], tuple[str, ...]]
+    """For a group of several and a unit, the members with it: `tb3` of /tb3/camera, if there is
+    /tb4/camera."""
     units: frozenset[str]
     lengths: frozenset[int]
     """How many parts a unit may have."""
@@ -47,19 +49,20 @@ def grouped(members: Sequence[DocumentOwner]) -> Grouping:
     for member in members:
         alike[_shape(member)].append(member.name)
     groups = list[ParticipantGroup]()
-    group_of, unit_of = dict[str, ParticipantGroup](), dict[str, str]()
+    group_of, own = dict[str, int](), defaultdict[tuple[int, str], list[str]](list)
     for names in (part for each in alike.values() for part in _parted(each)):
         first, last = _varying(names)
         parts = names[0].split("/")
         hole = [*parts[:first], HOLE, *parts[last + 1 :]] if len(names) > 1 else parts
         group = ParticipantGroup(label="/".join(hole), members=tuple(names))
+        group_of |= dict.fromkeys(names, len(groups))
+        for name in names if len(names) > 1 else ():
+            own[len(groups), "/".join(name.split("/")[first : last + 1])].append(name)
         groups.append(group)
-        group_of |= dict.fromkeys(names, group)
-        if len(names) > 1:
-            unit_of |= {name: "/".join(name.split("/")[first : last + 1]) for name in names}
-    units = frozenset(unit_of.values())
+    units = frozenset(unit for _, unit in own)
     lengths = frozenset(each.count("/") + 1 for each in units)
-    return Grouping(tuple(groups), group_of, unit_of, units, lengths)
+    members = {key: tuple(names) for key, names in own.items()}
+    return Grouping(tuple(groups), group_of, members, units, lengths)
 
 
 def _shape(member: DocumentOwner) -> object:

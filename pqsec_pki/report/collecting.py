@@ -3,7 +3,7 @@
 import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
@@ -60,8 +60,10 @@ def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
     lines = made.part(EVENTS, keystore.lines)
-    fleet = made.part(RIGHTS, lambda: fleet_in(keystore, now, SPEC))
-    checked = made.part(FINDINGS, lambda: check([keystore.root], now=now))
+    # What one part verified, the other one does not verify again.
+    anchors = made.part(RIGHTS, lambda: replace(keystore.anchors, remembers_all=True))
+    checked = made.part(FINDINGS, lambda: check([keystore.root], now=now, anchors=anchors))
+    fleet = _of(anchors, lambda read: made.part(RIGHTS, lambda: fleet_in(keystore, now, SPEC, read)))
     authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
     if checked:
         made.note_unread(checked)

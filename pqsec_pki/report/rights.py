@@ -13,7 +13,6 @@ from pqsec_pki.report._names import Grouping, grouped
 from pqsec_pki.report.values import (
     Holder,
     HolderExtent,
-    ParticipantGroup,
     Right,
     RightsRow,
     RightsSection,
@@ -22,9 +21,9 @@ from pqsec_pki.report.values import (
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A group, and which of its members."""
+    """A group, by its place, and which of its members."""
 
-    group: ParticipantGroup
+    group: int
     extent: HolderExtent
     members: tuple[str, ...]
 
@@ -71,16 +70,16 @@ def _key(placed: Placed, grouping: Grouping) -> _Key:
 
 def _parts(names: tuple[str, ...], unit: str, grouping: Grouping) -> Iterator[_Part]:
     """The names as groups, in the order of the groups."""
-    by_group: dict[ParticipantGroup, list[str]] = defaultdict(list)
+    by_group: dict[int, list[str]] = defaultdict(list)
     for name in names:
         by_group[grouping.group_of[name]].append(name)
     for group, there in by_group.items():
-        own = [each for each in group.members if unit and grouping.unit_of.get(each) == unit]
-        if len(there) == len(group.members):
+        own, count = grouping.own.get((group, unit), ()), len(grouping.groups[group].members)
+        if len(there) == count:
             yield _Part(group, HolderExtent.ALL, ())
-        elif own and there == own:
+        elif own and tuple(there) == own:
             yield _Part(group, HolderExtent.OWN, ())
-        elif own and len(there) == len(group.members) - len(own) and not set(own) & set(there):
+        elif own and len(there) == count - len(own) and not set(own) & set(there):
             yield _Part(group, HolderExtent.OTHERS, ())
         else:
             yield _Part(group, HolderExtent.SOME, tuple(there))
@@ -95,7 +94,7 @@ def _row(alike: list[Placed], grouping: Grouping, explain: "_Explaining") -> Rig
             one = next(each for each in names if grouping.group_of[each] == part.group)
             reason, place = explain.right(one, action, first)
             yield Holder(
-                group=part.group,
+                group=grouping.groups[part.group],
                 extent=part.extent,
                 members=part.members,
                 reason=reason,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         verify,
     )
     from pqsec_pki.smime.listing import CmsContent, ListedSigner, signers_in
+    from pqsec_pki.smime.signed_file import SignedFile
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -31,6 +32,7 @@ __all__ = [
     "FoundSignature",
     "ListedSigner",
     "Require",
+    "SignedFile",
     "Signer",
     "Verified",
     "document_in",

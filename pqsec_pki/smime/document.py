@@ -15,8 +15,9 @@ from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.smime import _canonical, _cms, _mime, _reading, _signer_info
+from pqsec_pki.smime import _canonical, _mime, _reading, _signer_info
 from pqsec_pki.smime._signer_info import DATA, Signer
+from pqsec_pki.smime.signed_file import SignedFile
 
 MAX_COUNTERSIGNATURES = 16
 """pqsec writes one. Each one takes a verification, and no signature covers their number."""
@@ -88,7 +89,7 @@ def sign(
 
 
 def verify(
-    message: bytes,
+    message: bytes | SignedFile,
     ca: Certificate,
     *,
     alternative_ca: Certificate | None = None,
@@ -102,8 +103,8 @@ def verify(
     can be stripped. certificates.verify_authority checks whether `ca` is a CA and valid now.
     """
     try:
-        reading = _reading.read(message)
-        data = _cms.parse(reading.cms)
+        file = SignedFile.of(message)
+        reading, data = file.reading, file.cms
         info = _signer(data)
         document = reading.document
         problems = list(_problems(info, reading.content, ca))
@@ -127,34 +128,35 @@ def verify(
         raise VerificationError(*problems)
     kept = [counter for counter, _ in signatures] if alternative_ca else counters
     certificate = raw(ca.der) if data.certificates else None
-    file = _canonical.file_of(reading.content, info, kept, certificate)
-    return Verified(document, found, len(counters) - len(signatures), file, reading.lines_before)
+    canonical = _canonical.file_of(reading.content, info, kept, certificate)
+    unchecked = len(counters) - len(signatures)
+    return Verified(document, found, unchecked, canonical, reading.lines_before)
 
 
-def document_in(message: bytes) -> bytes:
+def document_in(message: bytes | SignedFile) -> bytes:
     """The document in `message`, not verified: only for display.
 
     MalformedError if it is not S/MIME; AmbiguousError if DDS stacks would find another one.
     """
-    return _reading.read(message).document
+    return SignedFile.of(message).reading.document
 
 
-def lines_before_document(message: bytes) -> int:
+def lines_before_document(message: bytes | SignedFile) -> int:
     """Number of lines of the S/MIME file before its document; errors as in document_in."""
-    return _reading.read(message).lines_before
+    return SignedFile.of(message).reading.lines_before
 
 
-def is_canonical(message: bytes) -> bool:
+def is_canonical(message: bytes | SignedFile) -> bool:
     """Whether S/MIME `message` is in pqsec's canonical form. Nothing is verified."""
+    file = SignedFile.of(message)
     try:
-        reading = _reading.read(message)
-        data = _cms.parse(reading.cms)
-        info = _signer(data)
-        certificate = data.certificates[0] if data.certificates else None
-        file = _canonical.file_of(reading.content, info, _counters(info), certificate)
+        info = _signer(file.cms)
+        certificate = file.cms.certificates[0] if file.cms.certificates else None
+        content = file.reading.content
+        canonical = _canonical.file_of(content, info, _counters(info), certificate)
     except PqsecError:
         return False
-    return file == message
+    return canonical == file.message
 
 
 def _signer(data: SignedData) -> SignerInfo:

@@ -14,7 +14,8 @@ from pqsec_pki._asn1 import IssuerAndSerialNumber, SignerInfo, encode
 from pqsec_pki.algorithms import digest_of
 from pqsec_pki.certificates import name_text
 from pqsec_pki.errors import MalformedError, UnknownAlgorithmError
-from pqsec_pki.smime import _cms, _reading, _signer_info
+from pqsec_pki.smime import _signer_info
+from pqsec_pki.smime.signed_file import SignedFile
 
 MAX_SIGNATURES = 64
 """Signatures and countersignatures in total; DDS stacks accept one signature."""
@@ -48,9 +49,9 @@ class CmsContent:
     """Embedded certificates in DER, or other values in their place."""
 
 
-def signers_in(message: bytes) -> CmsContent:
+def signers_in(message: bytes | SignedFile) -> CmsContent:
     """The signatures and certificates in S/MIME `message`; MalformedError if it is not."""
-    data = _cms.parse(_reading.read(message).cms)
+    data = SignedFile.of(message).cms
     listed = _Lister()
     return CmsContent(
         signers=tuple(listed.signers(data.signer_infos.as_list())),

@@ -118,7 +118,7 @@ def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
     for name in sorted(set(enclave.broken_links) & set(FILES)):
         yield Problem("the link is broken", Code.FILE_MISSING, name).of(enclave.name)
     try:
-        credentials = Credentials.of(enclave.name, _files(enclave))
+        credentials = Credentials.of(enclave.name, _files(enclave), anchors=enclave.anchors)
         verify_credentials(credentials, now=enclave.now)
     except PqsecError as error:
         named = ENCLAVES in enclave.folder.parts  # elsewhere the folder's name means nothing

@@ -182,7 +182,7 @@ def ambiguous(file: File) -> Iterator[Violation]:
 )  # fmt: skip
 def not_canonical(file: File) -> Iterator[Violation]:
     readable = file.is_signed and file.signed_text[0] is not None
-    if readable and len(file.signers) == 1 and not is_canonical(file.data):
+    if readable and len(file.signers) == 1 and not is_canonical(file.signed):
         yield Violation("has another form than pqsec writes; stacks read the same document from it")
 
 
