@@ -11,7 +11,6 @@ from functools import lru_cache
 from itertools import product
 
 from pqsec_pki.access._domains import stretches
-from pqsec_pki.access._index import Names
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard
 from pqsec_pki.access.question import Action
@@ -30,6 +29,7 @@ _EVERYWHERE = DomainSet(parts=(DomainRange(first=0),))
 _ANY_PARTITION = ("*",)
 _WILD = re.compile(r"[*?\[\\]")
 _WORD = re.compile(r"[^/_]+")
+_LETTERS = re.compile(r"[^\W\d_]+")
 _LEAST_WORD = 3
 """Letters of a word that can have a typing error: /arm_l and /arm_r are two topics."""
 _CACHED = 1 << 14
@@ -103,9 +103,23 @@ def without_counterpart(
     Only plain topics, and of a service or action only the topic of its request.
     """
     sides = _Sides(known)
-    for right in asked:
-        if not _is_routine(right.topic) and not sides.has_counterpart(right):
-            yield Alone(right=right, meant=sides.spelled_alike(right))
+    alone = [
+        right
+        for right in asked
+        if not _is_routine(right.topic) and not sides.has_counterpart(right)
+    ]
+    near = {
+        action: _NearTopics(sides.literals(_OTHER[action]), {each.topic for each in of_action})
+        for action in _EITHER
+        if (of_action := [right for right in alone if right.action is action])
+    }
+    for right in alone:
+        found = (
+            topic
+            for topic in near[right.action].of(right.topic)
+            if sides.is_counterpart(right, topic)
+        )
+        yield Alone(right=right, meant=min(found, default=""))
 
 
 def _everything(
@@ -136,30 +150,27 @@ class _Sides:
         for each in rights:  # those that differ by their owner only are one
             alike = self._rights[each.action].setdefault(each.topic, {})
             alike.setdefault((each.domains, each.partitions), each)
-        self._literals = {
-            action: Names(topic for topic in topics if not is_wildcard(topic))
-            for action, topics in self._rights.items()
-        }
         self._prefixes: dict[Action, dict[str, list[str]]] = {action: {} for action in _EITHER}
-        self._spellings: dict[Action, dict[str, list[str]]] = {action: {} for action in _EITHER}
         for action, topics in self._rights.items():
             for topic in topics:
                 if found := _WILD.search(topic):
                     prefix = topic[: found.start()]
                     self._prefixes[action].setdefault(prefix, []).append(topic)
-                else:
-                    for spelling in _spellings(topic):
-                        self._spellings[action].setdefault(spelling, []).append(topic)
+
+    def literals(self, action: Action) -> Iterator[str]:
+        """The topics, without patterns."""
+        return (topic for topic in self._rights[action] if not _WILD.search(topic))
 
     def has_counterpart(self, right: TopicRight) -> bool:
         """Whether any right is the other side of a plain topic."""
         other = _OTHER[right.action]
         names = {right.topic, *self._patterns(other, right.topic)}
-        return any(
-            _meet(right, each)
-            for name in names
-            for each in self._rights[other].get(name, {}).values()
-        )
+        return any(self.is_counterpart(right, name) for name in names)
+
+    def is_counterpart(self, right: TopicRight, topic: str) -> bool:
+        """Whether a right to that topic or pattern is the other side, by domain and partition."""
+        found = self._rights[_OTHER[right.action]].get(topic, {})
+        return any(_meet(right, each) for each in found.values())
 
     def _patterns(self, action: Action, topic: str) -> Iterator[str]:
         prefixes = self._prefixes[action]
@@ -168,17 +179,26 @@ class _Sides:
                 if posix(pattern, topic):
                     yield pattern
 
-    def spelled_alike(self, right: TopicRight) -> str:
-        """A topic that differs by one edit of a letter, for which there is the other side."""
-        other = _OTHER[right.action]
-        near = {
+
+class _NearTopics:
+    """Finds those of the topics that differ by one edit of a letter from a wanted one."""
+
+    def __init__(self, topics: Iterable[str], wanted: Iterable[str]) -> None:
+        rests = {rest for topic in wanted for rest in _rests(topic)}
+        self._spelled: dict[str, list[str]] = {}
+        for topic in topics:
+            if not rests.isdisjoint(_rests(topic)):  # so with few topics of a large domain
+                for spelling in _spellings(topic):
+                    self._spelled.setdefault(spelling, []).append(topic)
+
+    def of(self, wanted: str) -> set[str]:
+        """The topics that differ so from this one."""
+        return {
             topic
-            for spelling in _spellings(right.topic)
-            for topic in self._spellings[other].get(spelling, ())
-            if is_one_edit(right.topic, topic)
-            and any(_meet(right, each) for each in self._rights[other][topic].values())
+            for spelling in _spellings(wanted)
+            for topic in self._spelled.get(spelling, ())
+            if is_one_edit(wanted, topic)
         }
-        return min(near, default="")
 
 
 def is_one_edit(one: str, other: str) -> bool:
@@ -203,6 +223,12 @@ def is_one_edit(one: str, other: str) -> bool:
         return short[start].isalpha() and long[start].isalpha()
     swapped = long[start + 1 : start + 2] + long[start : start + 1] + long[start + 2 :]
     return short[start:] == swapped and short[start : start + 2].isalpha()
+
+
+def _rests(topic: str) -> Iterator[str]:
+    """The topic without the letters of one word: the same for topics that differ by one edit."""
+    for word in _WORD.finditer(topic):
+        yield f"{topic[: word.start()]}{_LETTERS.sub('', word[0])}{topic[word.end() :]}"
 
 
 def _spellings(topic: str) -> set[str]:

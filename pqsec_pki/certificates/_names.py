@@ -4,6 +4,8 @@ cryptography writes emailAddress and a dozen others as dotted OIDs, which no sta
 in a permissions document.
 """
 
+import re
+
 from cryptography import x509
 from cryptography.x509.oid import NameOID
 
@@ -34,6 +36,7 @@ _WORDS = {
     NameOID.X500_UNIQUE_IDENTIFIER: "x500UniqueIdentifier",
 }
 _ESCAPED = ',+"\\<>;'
+_PLAIN = re.compile(r"[A-Za-z0-9/_.-]+")
 
 
 def name_text(name: x509.Name) -> str:
@@ -62,6 +65,8 @@ def _in_line(value: str) -> str:
 
 def _part(each: x509.NameAttribute[str | bytes]) -> str:
     value = _plain(each)
+    if _PLAIN.fullmatch(value):  # so with nearly all names
+        return f"{_word(each)}={value}"
     characters = [_escaped(character) for character in value]
     if value.startswith("#") and len(value) > 1:
         characters[0] = "\\#"

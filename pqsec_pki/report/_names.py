@@ -61,8 +61,8 @@ def grouped(members: Sequence[DocumentOwner]) -> Grouping:
         groups.append(group)
     units = frozenset(unit for _, unit in own)
     lengths = frozenset(each.count("/") + 1 for each in units)
-    members = {key: tuple(names) for key, names in own.items()}
-    return Grouping(tuple(groups), group_of, members, units, lengths)
+    alone = {key: tuple(names) for key, names in own.items()}
+    return Grouping(tuple(groups), group_of, alone, units, lengths)
 
 
 def _shape(member: DocumentOwner) -> object:

@@ -63,7 +63,9 @@ def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report
     # What one part verified, the other one does not verify again.
     anchors = made.part(RIGHTS, lambda: replace(keystore.anchors, remembers_all=True))
     checked = made.part(FINDINGS, lambda: check([keystore.root], now=now, anchors=anchors))
-    fleet = _of(anchors, lambda read: made.part(RIGHTS, lambda: fleet_in(keystore, now, SPEC, read)))
+    fleet = _of(
+        anchors, lambda read: made.part(RIGHTS, lambda: fleet_in(keystore, now, SPEC, read))
+    )
     authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
     if checked:
         made.note_unread(checked)

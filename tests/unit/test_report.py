@@ -7,6 +7,7 @@ import io
 import json
 import re
 import shutil
+from collections import Counter
 from dataclasses import replace
 from datetime import timedelta
 from html.parser import HTMLParser
@@ -17,6 +18,7 @@ import pytest
 from pqsec_pki.access import SPEC
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli._printing import as_json
+from pqsec_pki.credentials import anchors
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore import Keystore
@@ -26,6 +28,7 @@ from pqsec_pki.policy import fleet_in, who_may_use
 from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
 from pqsec_pki.report.rows import HEADER
 from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Strength
+from pqsec_pki.smime import _reading
 from tests.unit.keystores import DAY, NOW
 
 ROBOTS = [f"/r{number}" for number in range(1, 5)]
@@ -82,6 +85,26 @@ def keystore(root, tmp_path):
 @pytest.fixture(scope="module")
 def report(root):
     return report_of(Keystore.open(root), now=NOW, command="pqsec report")
+
+
+def test_each_document_is_parsed_and_verified_once_for_all_sections(root, monkeypatch):
+    parsed, verified = Counter(), Counter()
+    read, verify = _reading.read, anchors.verify
+
+    def counted_read(message):
+        parsed[message] += 1
+        return read(message)
+
+    def counted_verify(file, *arguments, **options):
+        verified[file.message] += 1
+        return verify(file, *arguments, **options)
+
+    monkeypatch.setattr(_reading, "read", counted_read)
+    monkeypatch.setattr(anchors, "verify", counted_verify)
+    report_of(Keystore.open(root), now=NOW)
+    documents = [each.read_bytes() for each in root.glob("enclaves/**/permissions.p7s")]
+    assert [parsed[each] for each in documents] == [1] * len(NAMES)
+    assert [verified[each] for each in documents] == [1] * len(NAMES)
 
 
 def unfolded(report):
