@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.cli.plan import few
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import GROUP, Keystore, State, is_several, regular_name
 from pqsec_pki.keystore import status as status_of
@@ -22,7 +21,9 @@ def named(
         members = keystore.groups
         absent = {each for name in groups for each in members[name.removeprefix(GROUP)]}
         if absent := absent.difference(found):
-            _printing.note(f"in {few(groups)} and not {where}: {few(sorted(absent))}")
+            _printing.note(
+                f"in {_printing.few(groups)} and not {where}: {_printing.few(sorted(absent))}"
+            )
     return found
 
 
@@ -39,7 +40,7 @@ def admitted(keystore: Keystore, names: Sequence[str]) -> list[str]:
     revoked = {each.name for each in standing.participants if each.state is State.REVOKED}
     left_out = revoked - set(literal)
     if left_out:
-        _printing.note(f"left out, because they are revoked: {few(sorted(left_out))}")
+        _printing.note(f"left out, because they are revoked: {_printing.few(sorted(left_out))}")
     found = [name for name in dict.fromkeys([*matching, *literal]) if name not in left_out]
     if not found:
         raise KeystoreError(f"all that match {', '.join(names)} are revoked")

@@ -1,6 +1,6 @@
 """Options for the rights of participants, shared by commands that issue or request."""
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -8,12 +8,12 @@ from typing import Any, Self
 
 import click
 
+from pqsec_pki import policy
 from pqsec_pki.cli import _completion, _policy, _printing, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec
-from pqsec_pki.policy import doubtful_topics
 
 _ROS = {
     "ros_node": ros.node_minimum,
@@ -170,9 +170,9 @@ class ParticipantOptions:
         return specs
 
 
-def note_doubtful_topics(keystore: Keystore, names: Iterable[str]) -> None:
+def note_doubtful_topics(keystore: Keystore, names: Collection[str]) -> None:
     """Note in one line which topics of participants look like mistakes, if any do."""
-    found = list(doubtful_topics(keystore, names, _settings.now()))
+    found = list(policy.doubtful_topics(keystore, names, _settings.now())) if names else ()
     if found:
         more = f"; and {len(found) - 1} more, see `pqsec check`" if len(found) > 1 else ""
         _printing.note(f"{found[0]}{more}")

@@ -16,6 +16,8 @@ from pqsec_pki.errors import FileError, shown
 
 JSON_VERSION = 1
 """Of what commands print with --json: a key that goes or changes its meaning makes it one more."""
+_SHOWN = 5
+"""The most names on one line; --json has all."""
 
 
 def emit(
@@ -92,6 +94,14 @@ def printable(text: str) -> str:
 def counted(number: int, what: str) -> str:
     """Such as "1 file" or "2 files"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def few(names: Iterable[str]) -> str:
+    """The names, shortened to fit on one line."""
+    some = [name for name in names if name]
+    if len(some) <= _SHOWN:
+        return ", ".join(some)
+    return f"{', '.join(some[: _SHOWN - 1])} and {len(some) - _SHOWN + 1} more"
 
 
 def numbered(texts: Iterable[str]) -> Iterator[str]:

@@ -11,7 +11,6 @@ from pqsec_pki._processes import watched
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli.plan import (
-    few,
     file_argument,
     new_keys_option,
     prune_option,
@@ -204,12 +203,12 @@ def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Pat
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]
     if waiting and not written:
         fix = "write their bundles with --bundles DIR or `pqsec bundle`"
-        _printing.note(f"the keys of these are on their robots: {few(waiting)}; {fix}")
+        _printing.note(f"the keys of these are on their robots: {_printing.few(waiting)}; {fix}")
     names: dict[StepAction, list[str]] = {}
     for step in done:
         names.setdefault(step.action, []).extend(filter(None, [step.name]))
     lines = [
-        f"{action.words}: {len(each)} ({few(each)})" if each else f"{action.words}: done"
+        f"{action.words}: {len(each)} ({_printing.few(each)})" if each else f"{action.words}: done"
         for action, each in names.items()
     ]
     lines += [f"bundles: {len(written)}"] if written else []

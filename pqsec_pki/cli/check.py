@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
-from pqsec_pki.cli.plan import few
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
@@ -179,7 +178,7 @@ def _grouped(findings: Sequence[Finding]) -> Iterator[str]:
             yield str(each)
         elif each is first:
             yield str(first)
-            yield f"  also {few(other.place for other in others)}"
+            yield f"  also {_printing.few(other.place for other in others)}"
 
 
 def _more(report: LintReport) -> list[str]:

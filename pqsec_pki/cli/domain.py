@@ -7,7 +7,6 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _help, _policy, _printing, _settings
-from pqsec_pki.cli.plan import few
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.domain import Imported, import_domain
 
@@ -57,7 +56,7 @@ def import_(sources: tuple[Path, ...], domains: str, output: Path | None, *, for
         _printing.note(note)
     by_reason = sorted(found.left_out, key=lambda each: (each.why, each.name))
     for why, some in groupby(by_reason, key=lambda each: each.why):
-        _printing.note(f"left out: {few(each.name for each in some)} ({why})")
+        _printing.note(f"left out: {_printing.few(each.name for each in some)} ({why})")
     if any(each.refused for each in found.left_out):
         click.get_current_context().exit(1)
 

@@ -11,7 +11,6 @@ import click
 
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._names import admitted
-from pqsec_pki.cli.plan import few
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Keystore, is_several
@@ -195,7 +194,7 @@ def _print_all(found: list[dict[str, Any]]) -> None:
         for text in (*each["notes"], *each["warnings"]):
             told.setdefault(text, []).append(each["participant"])
     for text, names in told.items():
-        _printing.note(f"{few(names)}: {text}")
+        _printing.note(f"{_printing.few(names)}: {text}")
     _printing.emit({"exports": found}, [str(path) for each in found for path in each["files"]])
 
 

@@ -126,7 +126,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     else:
         issued = issue_participants(keystore, authorities, specs, **choices)
     _warn(governance, specs)
-    note_doubtful_topics(keystore, [each.name for each in issued])
+    note_doubtful_topics(keystore, [spec.name for spec in specs if spec.has_rights])
     note_unsigned_governance(keystore)
     print_issued(keystore, issued, bundles)
 
@@ -155,7 +155,7 @@ def _matching(
 
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:
-    if not any(spec.publish or spec.subscribe or spec.grants for spec in specs):
+    if not any(spec.has_rights for spec in specs):
         _printing.note("no topic named: the permissions deny everything, also joining the domain")
     wanted = sorted({domain for spec in specs for domain in spec.domains.ids()})
     ungoverned = [domain for domain in wanted if governance.rule_for(domain) is None]

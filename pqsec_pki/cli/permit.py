@@ -18,7 +18,6 @@ from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli._participant_options import note_doubtful_topics, topic_options, topics_of
 from pqsec_pki.cli.diff import difference_lines, note_incomplete
-from pqsec_pki.cli.plan import few
 from pqsec_pki.documents import DomainSet, Grant
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
@@ -113,7 +112,7 @@ def _ask(changes: list[PermissionsChange], differences: list[DocumentDifference]
     confirm(
         lambda: _printing.emit(None, difference_lines(differences)),
         "Sign these permissions?",
-        what=f"the rights of {few([each.name for each in changes])} would change",
+        what=f"the rights of {_printing.few([each.name for each in changes])} would change",
         hint="--yes makes the change; `pqsec diff` and `pqsec explain` show rights",
     )
 

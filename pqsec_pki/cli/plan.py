@@ -1,6 +1,6 @@
 """pqsec plan: show the changes that `pqsec apply` would make."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
@@ -13,8 +13,6 @@ from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.keystore import Keystore
 
 DEFAULT_FILE = Path("domain.yaml")
-_SHOWN = 5
-"""The most names on one line; --json has all."""
 
 file_argument = click.argument("file", type=_settings.FILE, default=DEFAULT_FILE, metavar="[FILE]")
 prune_option = click.option(
@@ -68,7 +66,7 @@ def show(found: Plan, desired: Desired) -> None:
         where = ", ".join(map(str, desired.ungoverned))
         _printing.note(f"the governance does not name domain {where}: no participant can join it")
     if found.unlisted:
-        names = few(found.unlisted)
+        names = _printing.few(found.unlisted)
         _printing.note(f"not in {desired.path}: {names}; --prune revokes them")
 
 
@@ -78,7 +76,7 @@ def lines(found: Plan) -> Iterator[str]:
     alike = groupby(found.steps, key=lambda step: (step.action, _kind(step.action, step.why)))
     for (action, why), steps in alike:
         names = [step.name for step in steps]
-        yield f"{action.words:<{width}}  {few(names)}{'  ' * any(names)}({why})"
+        yield f"{action.words:<{width}}  {_printing.few(names)}{'  ' * any(names)}({why})"
     for each in found.blocked:
         yield f"blocked: {each.name} {each.why}; {each.way_out}"
     count = len(found.steps)
@@ -90,11 +88,3 @@ def lines(found: Plan) -> Iterator[str]:
 def _kind(action: StepAction, why: str) -> str:
     """The reason that similar steps share; for a renewal, without its date."""
     return why.split(maxsplit=1)[0] if action is StepAction.RENEW else why
-
-
-def few(names: Iterable[str]) -> str:
-    """The names, shortened to fit on one line."""
-    some = [name for name in names if name]
-    if len(some) <= _SHOWN:
-        return ", ".join(some)
-    return f"{', '.join(some[: _SHOWN - 1])} and {len(some) - _SHOWN + 1} more"

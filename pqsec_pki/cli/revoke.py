@@ -10,7 +10,6 @@ from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import named
-from pqsec_pki.cli.plan import few
 from pqsec_pki.keystore import Entry, Keystore
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
 from pqsec_pki.lifecycle import revoke as revoke_subjects
@@ -101,7 +100,7 @@ def revoke(
 
 def _ask(certificates: list[Entry]) -> None:
     count = _printing.counted(len(certificates), "certificate")
-    names = few(dict.fromkeys(each.name for each in certificates))
+    names = _printing.few(dict.fromkeys(each.name for each in certificates))
     confirm(
         lambda: _printing.emit(
             None,

@@ -43,6 +43,11 @@ class ParticipantSpec:
     config_digest: str = ""
     """The caller's value, which the ledger keeps through renewals; see `ParticipantState`."""
 
+    @property
+    def has_rights(self) -> bool:
+        """Whether it names a topic; without one, the permissions deny everything."""
+        return bool(self.publish or self.subscribe or self.grants)
+
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,

@@ -242,6 +242,8 @@ def test_both_help_options_stay_when_a_command_was_looked_at_alone(pqsec):
 # What help costs
 
 HEAVY = ("cryptography", "jinja2", "lxml", "sqlite3", "yaml")
+ROOMS = ("access", "domain", "handshake", "lint", "plugin", "selfcheck")
+HEAVY += tuple(f"pqsec_pki.{room}" for room in ROOMS)
 LIST_HEAVY = f"""\
 import sys
 from pqsec_pki.cli import main
@@ -277,6 +279,11 @@ def test_the_list_of_what_was_loaded_is_true(tmp_path):
 def test_profiles_and_algorithms_load_no_more_than_cryptography(tmp_path):
     for command in ("profiles", "algorithms"):
         assert loaded_by(tmp_path, command) == ["cryptography"]
+
+
+def test_issue_loads_no_room_that_it_does_not_use(tmp_path):
+    loaded_by(tmp_path, "-k", "k", "ca", "init", "--no-passphrase")
+    assert [each for each in loaded_by(tmp_path, "-k", "k", "issue", "/a") if "." in each] == []
 
 
 # Streams and signals
