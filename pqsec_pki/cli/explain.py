@@ -1,8 +1,7 @@
 """pqsec explain: show whether a participant may do something, and why."""
 
-import re
-import shlex
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,23 +16,25 @@ from pqsec_pki.access import (
     is_known,
     topics_named,
 )
-from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _explain_asked, _help, _printing, _settings
+from pqsec_pki.cli._explain_lines import lines_of, right_lines, right_value, value_of
+from pqsec_pki.cli._names import named
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import parse_subject, ros
 from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
+from pqsec_pki.keystore import is_several
 from pqsec_pki.policy import (
-    Answer,
-    DomainsAnswer,
+    NamedRight,
     PolicyInput,
-    answers_by_domain,
+    RightAnswer,
+    Use,
+    answer_right,
     governance_in,
     only_subject,
     permissions_in,
     policy_input_of,
     signed_by,
 )
-
-_PATTERN = re.compile(r"[*?\[\]]")
 
 
 @_help.command(
@@ -42,12 +43,15 @@ _PATTERN = re.compile(r"[*?\[\]]")
         "Ask about a DDS topic on one domain, as Fast DDS decides": (
             "pqsec explain --participant /listener --subscribe rt/chatter --domain 0 --as fastdds"
         ),
+        "Ask whether all of a robot's nodes may publish a ROS 2 topic": (
+            "pqsec explain --participant '/fleet/*' --ros-publish /chatter"
+        ),
         "Ask about files, without a keystore": (
             "pqsec explain --governance governance.yaml --permissions talker.yaml --join"
         ),
     },
     exit_codes={
-        0: "allowed",
+        0: "allowed, for all participants and topics",
         1: "denied, or a document is not valid or not signed by the CA",
         3: "a file, the keystore or the participant cannot be read",
     },
@@ -55,7 +59,7 @@ _PATTERN = re.compile(r"[*?\[\]]")
 @click.option(
     "--participant",
     metavar="NAME",
-    help="Ask about this participant of the keystore.",
+    help="Ask about this participant of the keystore, or those of '/robot1/*' or @hall1.",
     shell_complete=_completion.participants,
 )
 @click.option(
@@ -78,37 +82,7 @@ _PATTERN = re.compile(r"[*?\[\]]")
     type=_settings.FILE,
     help="Without a keystore: check that this CA signed both documents.",
 )
-@click.option(
-    "--publish",
-    metavar="TOPIC",
-    help="Ask whether it may publish this DDS topic.",
-    shell_complete=_completion.topics,
-)
-@click.option(
-    "--subscribe",
-    metavar="TOPIC",
-    help="Ask whether it may subscribe to this DDS topic.",
-    shell_complete=_completion.topics,
-)
-@click.option(
-    "--relay",
-    metavar="TOPIC",
-    help="Ask whether it may relay this DDS topic.",
-    shell_complete=_completion.topics,
-)
-@click.option(
-    "--ros-publish",
-    metavar="TOPIC",
-    help="Ask whether it may publish this ROS 2 topic.",
-    shell_complete=_completion.ros_topics,
-)
-@click.option(
-    "--ros-subscribe",
-    metavar="TOPIC",
-    help="Ask whether it may subscribe to this ROS 2 topic.",
-    shell_complete=_completion.ros_topics,
-)
-@click.option("--join", is_flag=True, help="Ask whether it may join the domain.")
+@_explain_asked.options
 @click.option("--domain", type=click.IntRange(0), help="Ask about this DDS domain.  [default: all]")
 @click.option(
     "--partition", "partitions", multiple=True, help="Ask about this partition; repeatable."
@@ -132,32 +106,93 @@ def explain(stack: str | None, **asked: Any) -> int:
     """Show whether a participant may do something, and which rule decides.
 
     Name a participant of the keystore, or the files of one, and one right. Documents of a
-    keystore must be signed by its CAs.
+    keystore must be signed by its CAs. A right may take several topics, as a ROS 2 service
+    does: all must be allowed on one domain. NAME may be a pattern ('/robot1/*') or a group
+    (@hall1): all must have the right.
     """
-    now = _settings.now()
-    action, topic = _wanted(asked)
+    right = _explain_asked.right_asked(asked)
+    asked_of = Question(
+        subject="",
+        domain=asked["domain"] or 0,
+        action=Action.JOIN,  # of each topic instead the action that the right needs
+        now=_settings.now(),
+        partitions=asked["partitions"],
+        data_tags=tuple(map(_tag, asked["tags"])),
+    )
+    everywhere = asked["domain"] is None
+    names = _participants(asked["participant"])
+    if len(names) > 1:
+        return _of_several(names, right, asked_of, stack, everywhere=everywhere)
     try:
-        policy_input = _policy_input(asked, now)
+        policy_input = _policy_input({**asked, "participant": names[0]}, asked_of.now)
     except VerificationError as error:
         if _settings.settings().json:
             _printing.emit({"allowed": False, "problems": error.lines}, [])
         raise
-    asked_of = Question(
-        subject=policy_input.subject,
-        domain=asked["domain"] or 0,
-        action=action,
-        now=now,
-        topic=topic,
-        partitions=asked["partitions"],
-        data_tags=tuple(map(_tag, asked["tags"])),
-    )
-    found = list(
-        answers_by_domain(policy_input, asked_of, stack, everywhere=asked["domain"] is None)
-    )
-    _print_answers(policy_input, found)
-    if not found[0].allowed and topic:
-        _note_similar_topic(policy_input, action, topic)
-    return 0 if found[0].allowed else 1
+    found = _answer(policy_input, right, asked_of, stack, everywhere=everywhere)
+    if len(found.uses) > 1:
+        value = {"allowed": found.allowed, "answers": [right_value(found)]}
+        _printing.emit(value, right_lines(found))
+        return 0 if found.allowed else 1
+    _print_one(policy_input, found.uses[0])
+    return 0 if found.allowed else 1
+
+
+def _answer(
+    policy_input: PolicyInput,
+    right: NamedRight,
+    question: Question,
+    stack: str | None,
+    *,
+    everywhere: bool,
+) -> RightAnswer:
+    own = replace(question, subject=policy_input.subject)
+    return answer_right(policy_input, right, own, stack, everywhere=everywhere)
+
+
+def _participants(given: str | None) -> list[str | None]:
+    """The participants that it stands for; one None if files are named instead."""
+    if given is None or not is_several(given):
+        return [given]
+    return list(named(_settings.open_keystore(), [given]))
+
+
+def _of_several(
+    names: Sequence[str | None],
+    right: NamedRight,
+    question: Question,
+    stack: str | None,
+    *,
+    everywhere: bool,
+) -> int:
+    """Print the answer for each; 0 if all may. Who has documents that are not valid may not."""
+    keystore = _settings.open_keystore()
+    values, lines, all_may = list[dict[str, object]](), list[str](), True
+    for name in filter(None, names):
+        try:
+            policy_input = policy_input_of(keystore, name, question.now)
+        except VerificationError as error:
+            all_may = False
+            values.append({"participant": name, "allowed": False, "problems": error.lines})
+            lines += [f"NO    {name}: {printable(line)}" for line in error.lines]
+            continue
+        found = _answer(policy_input, right, question, stack, everywhere=everywhere)
+        all_may = all_may and found.allowed
+        values.append(right_value(found))
+        lines += right_lines(found)
+    _printing.emit({"allowed": all_may, "answers": values}, lines)
+    return 0 if all_may else 1
+
+
+def _print_one(policy_input: PolicyInput, use: Use) -> None:
+    answers = use.answers
+    if use.topic is not None and use.topic != answers[0].question.topic:
+        _printing.note(f"{printable(use.topic)} is a pattern: the answer is for one such topic")
+    lines = (line for each in answers for line in lines_of(policy_input, each))
+    _printing.emit(value_of(policy_input, answers), lines)
+    question = answers[0].question
+    if not answers[0].allowed and question.topic:
+        _note_similar_topic(policy_input, question.action, question.topic)
 
 
 def _policy_input(asked: dict[str, Any], now: datetime) -> PolicyInput:
@@ -198,32 +233,6 @@ def _subject(text: str) -> str:
     return text
 
 
-def _wanted(asked: dict[str, Any]) -> tuple[Action, str | None]:
-    """The action and the DDS topic. UsageError unless there is exactly one question."""
-    wanted = [
-        (action, prefix, name)
-        for action in Action
-        for prefix in ("", "ros_")
-        if (name := asked.get(f"{prefix}{action}"))
-    ]
-    if len(wanted) != 1:
-        raise UsageError(
-            "ask exactly one question",
-            hint="use --publish TOPIC, --subscribe TOPIC, --relay TOPIC, --ros-publish TOPIC,"
-            " --ros-subscribe TOPIC or --join",
-        )
-    action, prefix, name = wanted[0]
-    if action is Action.JOIN:
-        return action, None
-    if _PATTERN.search(name):
-        instead = f"--{'ros-' if prefix else ''}topic {shlex.quote(printable(name))}"
-        raise UsageError(
-            f"{printable(name)} is a pattern, and explain needs the name of one topic",
-            hint=f"`pqsec who-may {instead}` lists the topics that match it",
-        )
-    return action, ros.topic(name) if prefix else name
-
-
 def _tag(text: str) -> tuple[str, str]:
     name, found, value = text.partition("=")
     if not found:
@@ -255,58 +264,3 @@ def _ros_topic(name: str) -> str:
         return ros.topic(name)
     except UsageError:
         return ""
-
-
-# Printing
-
-
-def _print_answers(policy_input: PolicyInput, found: list[DomainsAnswer]) -> None:
-    question = found[0].question
-    value = {
-        "participant": policy_input.who,
-        "subject": question.subject,
-        "action": question.action.value,
-        "topic": question.topic,
-        "partitions": question.partitions,
-        "data_tags": list(map("=".join, question.data_tags)),
-        "at": question.now,
-        "verified": policy_input.governance.verified and policy_input.permissions.verified,
-        **found[0].to_json(policy_input),
-        "elsewhere": [each.to_json(policy_input) for each in found[1:]],
-    }
-    _printing.emit(value, [line for each in found for line in _lines(policy_input, each)])
-
-
-def _lines(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]:
-    question, answer, others = finding.question, finding.answer, finding.others
-    what = "join" if question.topic is None else f"{question.action} {printable(question.topic)}"
-    title = f"{printable(policy_input.who)}: {what}, {finding.where}"
-    yield f"{answer.word.upper():<4}  {title}, by {answer.interpretation.title}"
-    yield from _why(policy_input, answer, "      ")
-    for number, word in enumerate(answer.protection):
-        yield f"{'' if number else '      protected':<17} {word}"
-    if others:
-        yield from _compared(policy_input, answer, others)
-
-
-def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -> Iterator[str]:
-    alike = [other.interpretation.title for other in others if not other.differs(answer)]
-    if alike:
-        yield f"same  {', '.join(alike)}"
-    for other in others:
-        if other.differs(answer):
-            yield f"{other.word.upper():<4}  {other.interpretation.title} decides differently"
-            yield from _why(policy_input, other, "      ")
-        elif other.disagreement:
-            yield f"note  {other.interpretation.title}: {other.disagreement}"
-        if other.hazard:
-            yield f"note  {other.interpretation.title}: {other.hazard}"
-
-
-def _why(policy_input: PolicyInput, answer: Answer, indent: str) -> Iterator[str]:
-    disagreement = f"; {answer.disagreement}" if answer.disagreement else ""
-    yield f"{indent}{printable(answer.decision.reason)}{disagreement}"
-    if place := policy_input.place(answer.decision):
-        criteria = policy_input.criteria_line(answer.decision)
-        topics = f" (its topics from line {criteria})" if criteria else ""
-        yield f"{indent}{printable(str(place[0]))}:{place[1]}{topics}"

@@ -1,7 +1,5 @@
 """pqsec who-may: show which participants may publish and subscribe to each topic."""
 
-import re
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -11,13 +9,12 @@ import click
 from pqsec_pki.access import (
     INTERPRETATIONS,
     Interpretation,
-    Placed,
-    TopicRow,
     domains_said,
     interpretation_named,
 )
-from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _printing, _ros_patterns, _settings
 from pqsec_pki.cli._printing import printable
+from pqsec_pki.cli._who_may_forms import FORMS, flow_lines
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError, meant
 from pqsec_pki.policy import (
@@ -30,10 +27,8 @@ from pqsec_pki.policy import (
     who_may_use,
 )
 
-_MOST = 6
-"""The most names in a cell of the text table."""
-_PATTERN = re.compile(r"[*?\[]")
-_MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
+_COLUMNS = ("topic", "domains", "pattern", "asked", "publish", "subscribe")
+_FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
 
 
 @_help.command(
@@ -46,6 +41,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
         ),
         "Show what a group can send to whom": ("pqsec who-may --matrix --participant '/fleet/*'"),
         "Draw a graph": "pqsec who-may --format dot",
+        "Write a table for a spreadsheet": "pqsec who-may --format csv",
     },
     exit_codes={
         0: "the table is printed",
@@ -116,14 +112,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
     show_default=True,
     help="Answer as this stack interprets the documents.",
 )
-@click.option(
-    "--format",
-    "form",
-    type=click.Choice(["table", "json", "dot", "md"]),
-    default="table",
-    show_default=True,
-    help="Print in this format.",
-)
+@_formats.option("dot", "md")
 @_settings.command_options
 def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     paths: tuple[Path, ...],
@@ -154,15 +143,24 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _printing.note(text)
     for name, reason in fleet.refused.items():
         _printing.note(f"{printable(name)} is left out: {printable(reason)}")
-    if matrix and form not in {"table", "json"}:
-        raise UsageError("--matrix is printed as table or json")
+    form = _formats.chosen(form)
+    if matrix and form in {"dot", "md"}:
+        raise UsageError("--matrix is printed as table, json or csv")
     chosen = _chosen(fleet, participants)
     wanted = (
         *topics,
-        *map(_ros_topic, ros_topics),
-        *(each for name in ros_services for each in _ros_service(name)),
-        *(each for name in ros_actions for each in _ros_action(name)),
-        *(each for name in ros_nodes for each in _ros_parameters(name)),
+        *map(_ros_patterns.topic, ros_topics),
+        *(
+            each
+            for name in ros_services
+            for each in _ros_patterns.both(_ros_patterns.service_server(name))
+        ),
+        *(
+            each
+            for name in ros_actions
+            for each in _ros_patterns.both(_ros_patterns.action_server(name))
+        ),
+        *(each for name in ros_nodes for each in _parameters(name)),
     )
     if "" in wanted:
         raise UsageError("the topic is empty")
@@ -174,14 +172,18 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             f"the governance does not name {domains_said(found.ungoverned)}: no participant can"
             " join it"
         )
-    form = "json" if _settings.settings().json else form
-    _settings.settings().json = form == "json"
     if chosen:
         found = replace(found, rows=rows_of(found.rows, chosen))
     if matrix:
-        _show_matrix(found, chosen)
-    else:
-        _printing.emit(found.to_json(), _FORMS[form](found.rows, len(fleet.members)))
+        _show_matrix(form, found, chosen)
+        return
+    _formats.emit(
+        form,
+        found.to_json(),
+        FORMS[form](found.rows, len(fleet.members)),
+        columns=_COLUMNS,
+        items=found.rows_as_json(),
+    )
 
 
 def _fleet(
@@ -194,27 +196,7 @@ def _fleet(
     return fleet_in(_settings.open_keystore(), now, interpretation)
 
 
-def _ros_topic(name: str) -> str:
-    """The DDS topic of a ROS 2 name, or the DDS pattern of a ROS 2 pattern."""
-    if name.startswith("/") and _PATTERN.search(name):
-        return f"rt{name}"
-    return ros.topic(name)
-
-
-def _ros_service(name: str) -> tuple[str, ...]:
-    """The topics of a service, or the DDS patterns of a ROS 2 pattern."""
-    if name.startswith("/") and _PATTERN.search(name):
-        return f"rq{name}Request", f"rr{name}Reply"
-    return ros.service_topics(name)
-
-
-def _ros_action(name: str) -> tuple[str, ...]:
-    if name.startswith("/") and _PATTERN.search(name):
-        return tuple(f"r{kind}{name}/_action/*" for kind in "qrt")
-    return ros.action_topics(name)
-
-
-def _ros_parameters(node: str) -> tuple[str, ...]:
+def _parameters(node: str) -> tuple[str, ...]:
     client = ros.parameter_client(node)
     return tuple(each for pair in zip(*client, strict=True) for each in pair)
 
@@ -232,10 +214,7 @@ def _chosen(fleet: Fleet, names: tuple[str, ...]) -> list[str]:
     return found
 
 
-# Printing
-
-
-def _show_matrix(found: WhoMay, chosen: list[str]) -> None:
+def _show_matrix(form: str, found: WhoMay, chosen: list[str]) -> None:
     """Print who can send what to whom, to or from the chosen ones if there are any."""
     wanted = set(chosen)
     shown = [
@@ -243,85 +222,11 @@ def _show_matrix(found: WhoMay, chosen: list[str]) -> None:
         for each in flows(found.rows)
         if not wanted or each.sender in wanted or not wanted.isdisjoint(each.receivers)
     ]
-    headers = ("from", "to", "domain", "what")
-    cells = (
-        (printable(each.sender), _names(each.receivers), str(each.domains), _topics(each.topics))
-        for each in shown
-    )
     value = {key: kept for key, kept in found.to_json().items() if key != "topics"}
-    _printing.emit({**value, "flows": shown}, _printing.table(headers, cells))
-
-
-def _topics(topics: tuple[str, ...]) -> str:
-    """In the words of ROS 2, where they have any."""
-    return _names(tuple(map(ros.said, topics)))
-
-
-def _names(names: tuple[str, ...]) -> str:
-    more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
-    return ", ".join(map(printable, names[:_MOST])) + more
-
-
-def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
-    def cell(names: tuple[str, ...]) -> str:
-        if len(names) == count > _MOST:
-            return f"all {count}"
-        return _names(names) or "-"
-
-    headers = ("topic", "domain", "may publish", "may subscribe")
-    cells = (
-        (_topic(each.row), str(each.domains), cell(each.row.publishers), cell(each.row.subscribers))
-        for each in rows
+    _formats.emit(
+        form,
+        {**value, "flows": shown},
+        flow_lines(shown),
+        columns=_FLOW_COLUMNS,
+        items=(each.to_json() for each in shown),
     )
-    yield from _printing.table(headers, cells)
-
-
-def _topic(row: TopicRow) -> str:
-    if not row.is_pattern:
-        return printable(row.topic)
-    sample = f"as for {printable(row.asked)}" if row.asked else "no topic that it matches was found"
-    return f"{printable(row.topic)} (pattern, {sample})"
-
-
-def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:
-    def cell(text: str) -> str:
-        return _MARKDOWN.sub(r"\\\1", text)
-
-    yield "| Topic | Domain | May publish | May subscribe |"
-    yield "|---|---|---|---|"
-    for each in rows:
-        who = (
-            ", ".join(map(printable, them)) for them in (each.row.publishers, each.row.subscribers)
-        )
-        yield f"| {' | '.join(map(cell, (_topic(each.row), str(each.domains), *who)))} |"
-
-
-def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
-    """A graph from publishers to topics to subscribers. Names are only in labels."""
-    used = (name for each in rows for name in (*each.row.publishers, *each.row.subscribers))
-    nodes = {name: f"p{number}" for number, name in enumerate(dict.fromkeys(used))}
-    yield "digraph who_may {"
-    yield "  rankdir=LR;"
-    for name, node in nodes.items():
-        yield f"  {node} [label={_label(printable(name))}];"
-    for number, each in enumerate(rows):
-        label = _label(f"{_topic(each.row)} (domain {each.domains})")
-        yield f"  t{number} [shape=box, label={label}];"
-        yield from (f"  {nodes[name]} -> t{number};" for name in each.row.publishers)
-        yield from (f"  t{number} -> {nodes[name]};" for name in each.row.subscribers)
-    yield "}"
-
-
-def _label(text: str) -> str:
-    """A quoted string of the dot language; escapes `\\`, `&` and quotes."""
-    for special, escaped in (("&", "&amp;"), ("\\", "\\\\"), ('"', '\\"')):
-        text = text.replace(special, escaped)
-    return f'"{text}"'
-
-
-_FORMS: dict[str, Callable[[Sequence[Placed], int], Iterator[str]]] = {
-    "table": _table,
-    "json": lambda _rows, _count: iter(()),
-    "dot": _dot,
-    "md": _markdown,
-}

@@ -5,6 +5,7 @@
     answers        the answer of each stack to one access question, on each domain
     fleet          the participants of a keystore, or of permissions documents
     who_may        who may publish and subscribe to each topic
+    named_rights   whether a participant may do what takes several topics, as to serve a service
     reasons        why one of them may
     one_sided      topics of some participants that look like mistakes
     differences    the rights that a change of documents or keystores grants and removes
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.policy.answers import Answer, DomainsAnswer, answers_by_domain
+    from pqsec_pki.policy.answers import Answer, DomainsAnswer
     from pqsec_pki.policy.differences import DocumentDifference, differences_between
     from pqsec_pki.policy.fleet import Fleet, fleet_in, fleet_of
     from pqsec_pki.policy.loading import (
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
         signed_by,
         valid_kind,
     )
+    from pqsec_pki.policy.named_rights import NamedRight, RightAnswer, Use, answer_right
     from pqsec_pki.policy.one_sided import doubtful_topics
     from pqsec_pki.policy.participants import (
         PolicyInput,
@@ -49,9 +51,12 @@ __all__ = [
     "Fleet",
     "Flow",
     "Loaded",
+    "NamedRight",
     "PolicyInput",
+    "RightAnswer",
+    "Use",
     "WhoMay",
-    "answers_by_domain",
+    "answer_right",
     "differences_between",
     "document_at",
     "doubtful_topics",

@@ -1,7 +1,7 @@
 """Which participants may publish and subscribe to each topic."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -43,19 +43,21 @@ class WhoMay:
             "as": self.interpretation.name,
             "participants": [member.name for member in self.fleet.members],
             "left_out": self.fleet.refused,
-            "topics": [
-                {
-                    "topic": each.row.topic,
-                    "domains": str(each.domains),
-                    "pattern": each.row.is_pattern,
-                    "asked": each.row.asked,
-                    "publish": list(each.row.publishers),
-                    "subscribe": list(each.row.subscribers),
-                }
-                for each in self.rows
-            ],
+            "topics": list(self.rows_as_json()),
             "unknown_topics": self.unknown,
         }
+
+    def rows_as_json(self) -> Iterator[dict[str, object]]:
+        """One object for each row."""
+        for each in self.rows:
+            yield {
+                "topic": each.row.topic,
+                "domains": str(each.domains),
+                "pattern": each.row.is_pattern,
+                "asked": each.row.asked,
+                "publish": list(each.row.publishers),
+                "subscribe": list(each.row.subscribers),
+            }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -360,24 +360,95 @@ def test_a_question_that_makes_no_sense_is_refused(pqsec, policy, line, words):
     pqsec(line).refused(2, words)
 
 
-def test_a_pattern_is_not_taken_for_the_name_of_a_topic(pqsec, policy):
-    """`--publish 'rt/*'` was answered with YES, since a rule has just that text."""
-    wrong = []
-    for option, pattern, instead in (
-        ("--publish", "rt/*", "--topic 'rt/*'"),
-        ("--subscribe", "chatte?", "--topic 'chatte?'"),
-        ("--relay", "[c]hatter", "--topic '[c]hatter'"),
-        ("--publish", "chatter]", "--topic 'chatter]'"),
-        ("--publish", "it's*", """--topic 'it'"'"'s*'"""),
-        ("--ros-publish", "/chat*", "--ros-topic '/chat*'"),
-        ("--ros-subscribe", "/*", "--ros-topic '/*'"),
-    ):
-        said = pqsec(FILES, option, pattern)
-        words = f"{pattern} is a pattern, and explain needs the name of one topic"
-        way_out = f"`pqsec who-may {instead}` lists the topics that match it"
-        if said.code != 2 or said.out or words not in said.err or way_out not in said.err:
-            wrong.append((option, pattern, said))
-    assert wrong == []
+def test_a_pattern_is_answered_for_what_it_matches(pqsec, policy, put):
+    """`--publish 'rt/*'` was once answered with YES, since a rule has just that text."""
+    found = pqsec(f"{FILES} --publish '*' --json").done().json["answers"][0]
+    told = {each["rule_topic"]: (each["topic"], each["allowed"]) for each in found["topics"]}
+    assert told == {"chatter": ("chatter", True), "rt/*": ("rt/x", True)}
+    put("p", permissions(rule("rt/a", "rt/b"), rule("rt/c", allow=False)))
+    said = pqsec(f"{FILES} --ros-publish '/[abc]'")
+    assert said.code == 1
+    assert [line.split()[:3] for line in said.out.splitlines() if "  p.xml" in line] == [
+        ["yes", "publish", "/a,"],
+        ["yes", "publish", "/b,"],
+        ["no", "publish", "/c,"],
+    ]
+    said = pqsec(f"{FILES} --subscribe 'a*'")
+    assert (said.code, "a* is a pattern: the answer is for one such topic" in said.err) == (1, True)
+    assert pqsec(f"{FILES} --publish 'rt/a]'").out.startswith("NO    CN=/robot: publish rt/a], ")
+
+
+def test_a_right_in_the_words_of_ros_takes_all_its_topics(pqsec, fleet_of_nodes):
+    ask = fleet_of_nodes.replace("who-may", "explain")
+    may = [
+        ("/bot/server", "--ros-service /reset"),
+        ("/desk", "--ros-client /reset"),
+        ("/bot/cook", "--ros-action-server /cook"),
+        ("/desk", "--ros-action-client /cook"),
+        ("/bot/server", "--ros-node /bot/server"),
+        ("/bot/cook", "--ros-publish /odom"),
+        ("/desk", "--ros-client '/res*'"),
+        ("/desk", "--ros-action-client '/c*'"),
+    ]
+    may_not = [
+        ("/desk", "--ros-service /reset"),
+        ("/bot/server", "--ros-client /reset"),
+        ("/desk", "--ros-action-server /cook"),
+        ("/desk", "--ros-parameters /bot/server"),
+        ("/desk", "--ros-node /bot/server"),
+    ]
+    for code, rows in ((0, may), (1, may_not)):
+        for name, right in rows:
+            said = pqsec(f"{ask} --participant {name} {right}")
+            assert (said.code, said.out[:3].strip()) == (code, ("YES", "NO")[code]), (name, right)
+    said = pqsec(f"{ask} --participant /desk --ros-client /reset").done().out.splitlines()
+    assert said[0] == "YES   /desk: call the service /reset, by DDS-Security 1.1"
+    assert said[1].startswith("      yes  publish request of /reset, domain 0  ")
+    assert said[2].startswith("      yes  subscribe reply of /reset, domain 0  ")
+    pqsec(f"{ask} --participant /desk --ros-service reset").refused(2, "not a full ROS 2 name")
+
+
+def test_a_right_is_on_one_domain_or_not_at_all(pqsec, put):
+    put("g", Governance.protected(DomainSet.parse("0-1")))
+    ends = (
+        PermissionRule(allow=True, domains=ZERO, publish=(Criteria(topics=("rq/aRequest",)),)),
+        PermissionRule(
+            allow=True, domains=DomainSet.of(1), subscribe=(Criteria(topics=("rr/aReply",)),)
+        ),
+    )
+    put("p", permissions(*ends))
+    assert pqsec(f"{FILES} --ros-client /a").code == 1
+    put("p", permissions(*(replace(each, domains=DomainSet.parse("0-1")) for each in ends)))
+    pqsec(f"{FILES} --ros-client /a").done()
+    pqsec(f"{FILES} --ros-client /a --domain 1").done()
+    assert pqsec(f"{FILES} --ros-client /a --domain 2").code == 1
+
+
+def test_several_participants_are_asked_at_once(pqsec, fleet_of_nodes):
+    ask = fleet_of_nodes.replace("who-may", "explain")
+    said = pqsec(f"{ask} --participant '/bot/*' --join").done().out
+    assert [line for line in said.splitlines() if line[:3] == "YES"] == [
+        "YES   /bot/cook: join, by DDS-Security 1.1",
+        "YES   /bot/server: join, by DDS-Security 1.1",
+    ]
+    found = pqsec(f"{ask} --participant '/bot/*' --ros-publish /odom --json")
+    assert found.code == 1
+    told = {each["participant"]: each["allowed"] for each in found.json["answers"]}
+    assert (told, found.json["allowed"]) == ({"/bot/cook": True, "/bot/server": False}, False)
+    pqsec(f"{ask} --participant '/none/*' --join").refused(3, "no participant matches")
+    pqsec(f"{ask} --participant @none --join").refused(3, "there is no group @none")
+
+
+def test_who_has_a_bad_document_may_not_and_the_others_are_told(pqsec, keystore):
+    path = keystore() / "enclaves/talker/permissions.p7s"
+    path.write_bytes(path.read_bytes().replace(b"rt/chatter", b"rt/charter"))
+    said = pqsec("-k k explain --participant '/*' --join")
+    assert said.code == 1
+    assert said.out.splitlines()[0].startswith("YES   /listener: join")
+    assert "NO    /talker: " in said.out
+    assert "permissions.p7s" in said.out
+    answers = pqsec("-k k explain --participant '/*' --join --json").json["answers"]
+    assert [each["allowed"] for each in answers] == [True, False]
 
 
 def test_of_several_subjects_one_is_asked(pqsec, put):
@@ -983,6 +1054,14 @@ def test_the_matrix_shows_who_can_send_what_to_whom(pqsec, fleet_of_nodes):
     lines = pqsec(f"{fleet_of_nodes} --matrix --topic rt/odom").done().out.splitlines()
     assert [line.split() for line in lines[1:]] == [["/bot/cook", "/desk", "0", "/odom"]]
     pqsec(f"{fleet_of_nodes} --matrix --format dot").refused(2, "--matrix")
+    rows = pqsec(f"{fleet_of_nodes} --matrix --topic rt/odom --format csv").done().out.splitlines()
+    assert rows == ["from,to,domains,topics,ros", "/bot/cook,/desk,0,rt/odom,/odom"]
+    rows = pqsec(f"{fleet_of_nodes} --topic rt/odom --format csv").done().out.splitlines()
+    assert rows == [
+        "topic,domains,pattern,asked,publish,subscribe",
+        "rt/odom,0,false,rt/odom,/bot/cook,/desk",
+    ]
+    pqsec(f"{fleet_of_nodes} --json --format csv").refused(2, "exclude each other")
 
 
 def test_participants_are_chosen_by_name_or_pattern(pqsec, fleet_of_nodes):

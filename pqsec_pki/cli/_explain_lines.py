@@ -1,0 +1,103 @@
+"""How explain prints its answers: one topic in full, several with one line for each."""
+
+from collections.abc import Iterator
+
+from pqsec_pki.cli._printing import printable
+from pqsec_pki.documents import ros
+from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Use
+
+
+def value_of(policy_input: PolicyInput, found: list[DomainsAnswer]) -> dict[str, object]:
+    """The answers for one topic, for --json."""
+    question = found[0].question
+    return {
+        "participant": policy_input.who,
+        "subject": question.subject,
+        "action": question.action.value,
+        "topic": question.topic,
+        "partitions": question.partitions,
+        "data_tags": list(map("=".join, question.data_tags)),
+        "at": question.now,
+        "verified": policy_input.governance.verified and policy_input.permissions.verified,
+        **found[0].to_json(policy_input),
+        "elsewhere": [each.to_json(policy_input) for each in found[1:]],
+    }
+
+
+def right_value(found: RightAnswer) -> dict[str, object]:
+    """The answers for all topics of a right, for --json; `ros` is the topic in words of ROS 2."""
+    return {
+        "participant": found.policy_input.who,
+        "right": found.right.words,
+        "allowed": found.allowed,
+        "topics": [
+            {
+                **value_of(found.policy_input, each.answers),
+                "rule_topic": each.topic,
+                "ros": None if each.topic is None else ros.said(each.topic),
+            }
+            for each in found.uses
+        ],
+    }
+
+
+def right_lines(found: RightAnswer) -> Iterator[str]:
+    """One line for each topic that is allowed; of the others also the reason."""
+    word = "YES" if found.allowed else "NO"
+    by = found.uses[0].answers[0].answer.interpretation.title if found.uses else ""
+    yield f"{word:<4}  {printable(found.policy_input.who)}: {printable(found.right.words)}, by {by}"
+    for use in found.uses:
+        for each in use.answers:
+            yield from _use_lines(found.policy_input, use, each)
+    if titles := found.different():
+        yield f"      not all of this is decided alike by {', '.join(titles)}: ask for one topic"
+
+
+def _use_lines(policy_input: PolicyInput, use: Use, each: DomainsAnswer) -> Iterator[str]:
+    answer, question = each.answer, each.question
+    what = "join"
+    if use.topic is not None:
+        what = f"{question.action} {printable(ros.said(use.topic))}"
+        if question.topic != use.topic:
+            what += f" (pattern, as for {printable(question.topic or '')})"
+    place = policy_input.place(answer.decision)
+    where = f"  {printable(str(place[0]))}:{place[1]}" if place else ""
+    yield f"      {answer.word:<4} {what}, {each.where}{where}"
+    if not answer.decision.allowed:
+        yield f"           {printable(answer.decision.reason)}"
+
+
+def lines_of(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]:
+    """The answer for one topic in full: reason, place, protection, and what stacks decide."""
+    question, answer, others = finding.question, finding.answer, finding.others
+    what = "join" if question.topic is None else f"{question.action} {printable(question.topic)}"
+    title = f"{printable(policy_input.who)}: {what}, {finding.where}"
+    yield f"{answer.word.upper():<4}  {title}, by {answer.interpretation.title}"
+    yield from _why(policy_input, answer, "      ")
+    for number, word in enumerate(answer.protection):
+        yield f"{'' if number else '      protected':<17} {word}"
+    if others:
+        yield from _compared(policy_input, answer, others)
+
+
+def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -> Iterator[str]:
+    alike = [other.interpretation.title for other in others if not other.differs(answer)]
+    if alike:
+        yield f"same  {', '.join(alike)}"
+    for other in others:
+        if other.differs(answer):
+            yield f"{other.word.upper():<4}  {other.interpretation.title} decides differently"
+            yield from _why(policy_input, other, "      ")
+        elif other.disagreement:
+            yield f"note  {other.interpretation.title}: {other.disagreement}"
+        if other.hazard:
+            yield f"note  {other.interpretation.title}: {other.hazard}"
+
+
+def _why(policy_input: PolicyInput, answer: Answer, indent: str) -> Iterator[str]:
+    disagreement = f"; {answer.disagreement}" if answer.disagreement else ""
+    yield f"{indent}{printable(answer.decision.reason)}{disagreement}"
+    if place := policy_input.place(answer.decision):
+        criteria = policy_input.criteria_line(answer.decision)
+        topics = f" (its topics from line {criteria})" if criteria else ""
+        yield f"{indent}{printable(str(place[0]))}:{place[1]}{topics}"

@@ -1,0 +1,108 @@
+"""Whether a participant may do what takes several topics, such as to serve a ROS 2 service."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from pqsec_pki.access import (
+    SPEC,
+    Action,
+    DocumentOwner,
+    Question,
+    domains_named,
+    interpretation_named,
+    topics_asked,
+    topics_named,
+)
+from pqsec_pki.policy.answers import DomainsAnswer, answer_of, answers_by_domain
+from pqsec_pki.policy.participants import PolicyInput
+
+
+@dataclass(frozen=True, slots=True)
+class NamedRight:
+    """Something that a participant may do, and what its endpoints need for it."""
+
+    words: str
+    """Such as `serve the service /reset`."""
+    uses: tuple[tuple[Action, str | None], ...]
+    """Actions with their DDS topic or pattern of topics; None for joining."""
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """The answer for one topic, or one pattern of the rules, that the right needs."""
+
+    topic: str | None
+    """As the rules have it: a pattern is answered with a sample, the question's topic."""
+    answers: list[DomainsAnswer]
+
+
+@dataclass(frozen=True, slots=True)
+class RightAnswer:
+    """Whether one participant has the right, with the answer for each topic."""
+
+    policy_input: PolicyInput
+    right: NamedRight
+    uses: list[Use]
+    allowed: bool
+    """Whether all of it is allowed, on at least one domain."""
+
+    def different(self) -> list[str]:
+        """The stacks that decide differently about at least one topic."""
+        found = (
+            other.interpretation.title
+            for use in self.uses
+            for each in use.answers
+            for other in each.others
+            if other.differs(each.answer)
+        )
+        return list(dict.fromkeys(found))
+
+
+def answer_right(
+    policy_input: PolicyInput,
+    right: NamedRight,
+    question: Question,
+    stack: str | None,
+    *,
+    everywhere: bool,
+) -> RightAnswer:
+    """The answer for all topics of the right; `question` has the subject, domain, time and tags.
+
+    A pattern is all topics and patterns of the participant's rules that it matches; if it matches
+    none, one topic of its own. `stack` and `everywhere` as in `answers_by_domain`.
+    """
+    asked = list(_questions(policy_input, right, question))
+    uses = [
+        Use(topic, answers_by_domain(policy_input, each, stack, everywhere=everywhere))
+        for topic, each in asked
+    ]
+    interpretation = interpretation_named(stack) if stack else SPEC
+    stretches = domains_named(policy_input.governance.value, policy_input.permissions.value)
+    domains = [each.first for each in stretches] if everywhere else [question.domain]
+    allowed = any(
+        all(
+            answer_of(policy_input, replace(each, domain=domain), interpretation).decision.allowed
+            for _, each in asked
+        )
+        for domain in domains
+    )
+    return RightAnswer(policy_input, right, uses, allowed)
+
+
+def _questions(
+    policy_input: PolicyInput, right: NamedRight, question: Question
+) -> Iterator[tuple[str | None, Question]]:
+    owner = DocumentOwner(
+        name=policy_input.who,
+        subject=policy_input.subject,
+        permissions=policy_input.permissions.value,
+    )
+    for action, topic in right.uses:
+        if topic is None:
+            yield None, replace(question, action=action, topic=None)
+            continue
+        asked = topics_asked([owner], [topic])
+        if len(asked) > 1 and topic not in topics_named([owner]):
+            asked.pop(topic, None)  # what no rule names
+        for each, sample in asked.items():
+            yield each, replace(question, action=action, topic=sample or each)
