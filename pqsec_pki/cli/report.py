@@ -1,14 +1,20 @@
 """pqsec report: write a report of the keystore for people, or for programs."""
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from shlex import join
 
 import click
 
-from pqsec_pki._files import refuse_existing, write
-from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki._files import read, refuse_existing, write
+from pqsec_pki.algorithms import load_private_key
+from pqsec_pki.certificates import verify_authority
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.credentials import only_certificate
+from pqsec_pki.errors import KeystoreError, UsageError, located
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.report import (
     Changes,
     Report,
@@ -17,7 +23,10 @@ from pqsec_pki.report import (
     html_of,
     read_earlier,
     report_of,
+    signature_path,
+    statement_of,
 )
+from pqsec_pki.smime import Signer, sign
 
 
 @_help.command(
@@ -25,9 +34,11 @@ from pqsec_pki.report import (
         "Write a page for any browser": "pqsec report -o report.html",
         "Keep the data, to compare the next report with": "pqsec report --format json -o june.json",
         "Show what changed since an earlier one": "pqsec report --compare may.json -o june.html",
+        "Sign it; `pqsec verify june.html.p7s` checks it": "pqsec report --sign -o june.html",
     },
     exit_codes={
         0: "the report is written",
+        1: "not written: the certificate to sign with is not a CA's, or not valid",
         3: "incomplete: something could not be read or is not valid, and the report says what;"
         " or there is no report",
     },
@@ -51,25 +62,57 @@ from pqsec_pki.report import (
     metavar="OLD.json",
     help="Show what changed since this earlier report, which is JSON.",
 )
+@click.option(
+    "--sign",
+    "is_signed",
+    is_flag=True,
+    help="Sign the report with the permissions CA, in a file beside it with .p7s.",
+)
+@click.option(
+    "--signer",
+    nargs=2,
+    type=_settings.FILE,
+    metavar="CERT KEY",
+    help="Sign it with this CA's certificate and private key instead.",
+)
+@_passphrases.option
 @_settings.command_options
-def report(form: str, output: Path | None, earlier: Path | None, *, force: bool) -> None:
+def report(  # noqa: PLR0913 -- one for each option, by name
+    form: str,
+    output: Path | None,
+    earlier: Path | None,
+    signer: tuple[Path, Path] | None,
+    passphrase_file: Path | None,
+    *,
+    is_signed: bool,
+    force: bool,
+) -> None:
     """Write a report of the keystore: who may command what, what ends when, and what changed.
 
     The page is one file that loads nothing, for a browser or a printer. It also shows what a
     quantum computer would break, the findings of `pqsec check`, and evidence: the ledger's head
-    and the fingerprints of the CAs. No private key is needed. The report shows policy and
-    weaknesses: it is readable for its owner only.
+    and the fingerprints of the CAs. No private key is needed, except to sign it. The report shows
+    policy and weaknesses: it is readable for its owner only.
     """
-    if output and not force:
-        refuse_existing(output)
+    is_signed = is_signed or signer is not None
+    if is_signed and output is None:
+        raise UsageError("a signature is written beside the report", hint="name it: -o FILE")
+    for path in (output, signature_path(output) if is_signed else None) if output else ():
+        if path and not force:
+            refuse_existing(path)
     before = read_earlier(earlier) if earlier else None
     keystore = _settings.open_keystore()
+    signing = _signing(keystore, signer, passphrase_file) if is_signed else None
     found = report_of(keystore, now=_settings.now(), command=join(["pqsec", *sys.argv[1:]]))
     changes = changes_since(before, found, keystore) if before else None
     form = "json" if _settings.settings().json else form
     text = _text(form, found, changes)
     if output:
-        write(output, text.encode(), private=True, force=force)
+        data = text.encode()
+        signature = signing(statement_of(output, data)) if signing else None
+        write(output, data, private=True, force=force)
+        if signature:
+            write(signature_path(output), signature, private=True, force=force)
     else:
         _printing.say(text.rstrip("\n"))
     if found.gaps:
@@ -79,6 +122,25 @@ def report(form: str, output: Path | None, earlier: Path | None, *, force: bool)
             "the report is incomplete: a part could not be read or is not valid",
             hint="the report begins with what it lacks; `pqsec check` has the reasons",
         )
+
+
+def _signing(
+    keystore: Keystore, signer: tuple[Path, Path] | None, passphrase_file: Path | None
+) -> Callable[[bytes], bytes]:
+    """What signs a text as S/MIME, with its certificate in it."""
+    if signer is None:
+        authorities = _passphrases.unlock(keystore, passphrase_file)
+        return partial(authorities.sign, now=_settings.now(), embed_certificate=True)
+    place, key_file = signer
+    certificate = only_certificate(read(place), str(place))
+    with located(place):  # what `pqsec verify` would refuse
+        verify_authority(certificate, now=_settings.now())
+    passphrase = _passphrases.of_key(passphrase_file)
+    with located(key_file):
+        key = load_private_key(read(key_file), passphrase.encode() if passphrase else None)
+    if key.public_key.spki != certificate.spki:
+        raise KeystoreError(f"{key_file} is not the private key of {place}")
+    return partial(sign, signer=Signer(certificate, key), now=_settings.now())
 
 
 def _text(form: str, found: Report, changes: Changes | None) -> str:

@@ -16,6 +16,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.documents import validate
 from pqsec_pki.errors import PqsecError, VerificationError, located
+from pqsec_pki.report import refuse_changed
 from pqsec_pki.smime import Require, Verified
 
 
@@ -25,9 +26,10 @@ from pqsec_pki.smime import Require, Verified
         "Check it with the CA certificate alone, and demand both signatures": (
             "pqsec verify permissions.p7s --ca robots/public/permissions_ca.cert.pem --require both"
         ),
+        "Check a signed report, which is beside its signature": "pqsec verify june.html.p7s",
     },
     exit_codes={
-        0: "the CA signed the document",
+        0: "the CA signed the document, or the report",
         1: "the signature is not valid, or one is missing",
         3: "a file or the keystore cannot be read",
     },
@@ -52,6 +54,9 @@ from pqsec_pki.smime import Require, Verified
 @_settings.command_options
 def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
     """Check who signed a governance or permissions document.
+
+    FILE can also be the signature that `pqsec report --sign` writes: the report, which must be
+    beside it, is checked too.
 
     The permissions CA itself must be the signer; certificates inside the file are not
     trusted. A post-quantum countersignature is checked if there is one. It can be removed
@@ -78,12 +83,13 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
         _refuse_signers(anchors, {PERMISSIONS_CA: ca, PERMISSIONS_ALT_CA: alt_ca or _second(ca)})
         with located(file):
             verified = anchors.signed(message, demanded)
+        report = refuse_changed(verified.document, file)
     except VerificationError as error:
         if _settings.settings().json:
             problems = [str(each) for each in error.problems]
             _printing.emit({"ok": False, "file": str(file), "problems": problems}, [])
         raise
-    _print_signatures(file, verified, anchors)
+    _print_signatures(report or file, verified, anchors, is_report=report is not None)
 
 
 def _beside(ca: Path) -> Path | None:
@@ -127,7 +133,9 @@ def _kind(document: bytes) -> str | None:
         return None
 
 
-def _print_signatures(file: Path, verified: Verified, anchors: TrustAnchors) -> None:
+def _print_signatures(
+    file: Path, verified: Verified, anchors: TrustAnchors, *, is_report: bool
+) -> None:
     found = [
         {
             "algorithm": each.algorithm.name,
@@ -150,7 +158,7 @@ def _print_signatures(file: Path, verified: Verified, anchors: TrustAnchors) -> 
     value = {
         "ok": True,
         "file": str(file),
-        "kind": _kind(verified.document),
+        "kind": "report" if is_report else _kind(verified.document),
         "signer": anchors.permissions_ca.subject_name,
         "countersigned": countersigned,
     }

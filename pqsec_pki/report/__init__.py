@@ -9,6 +9,7 @@
     history     what the ledger has, command by command
     comparing   what changed since an earlier report
     page        the report as one HTML file
+    signature   the signed statement beside a report
     rows        the report as CSV
 
 Nothing is decided here: the rooms `policy`, `lint` and `keystore` are asked.
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pqsec_pki.report.comparing import Changes, EarlierReport, changes_since, read_earlier
     from pqsec_pki.report.page import html_of
     from pqsec_pki.report.rows import csv_of
+    from pqsec_pki.report.signature import refuse_changed, signature_path, statement_of
     from pqsec_pki.report.values import Report
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -35,5 +37,8 @@ __all__ = [
     "csv_of",
     "html_of",
     "read_earlier",
+    "refuse_changed",
     "report_of",
+    "signature_path",
+    "statement_of",
 ]

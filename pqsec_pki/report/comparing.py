@@ -12,10 +12,8 @@ from pqsec_pki.access import is_known
 from pqsec_pki.errors import MalformedError, PqsecError
 from pqsec_pki.keystore import Keystore, Line
 from pqsec_pki.report.history import events_of
+from pqsec_pki.report.signature import MAX_REPORT
 from pqsec_pki.report.values import FORMAT, FindingsSection, LedgerEvent, Report, Right
-
-MAX_REPORT = 256 << 20
-"""Bytes of JSON. Of 2,000 robots with 20 rights each it has 5 MB."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -196,6 +196,7 @@ FIRST = {
         "install new.bundle",
     ),
     "report": ("report --format json -o may.json",),
+    "verify": ("report --sign -o june.html",),
     "sign-request import": (EXPORT, "sign-request sign fleet.request -o fleet.answer"),
     "sign-request sign": (EXPORT,),
     "ca crl": ("ca crl",),

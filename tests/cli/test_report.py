@@ -71,6 +71,70 @@ def test_a_damaged_part_is_told_with_exit_3(pqsec, keystore):
     pqsec("-k nowhere report").refused(3, "nowhere does not exist")
 
 
+@pytest.mark.parametrize("profile", ["classical", "transition", "cnsa2"])
+def test_a_signed_report_is_verified_with_the_signatures_of_its_profile(
+    pqsec, keystore, tmp_path, profile
+):
+    keystore(profile)
+    pqsec("-k k report --sign -o june.html").done()
+    pqsec("-k k report --signer k/public/permissions_ca.cert.pem k/private/permissions_ca.key.pem"
+          " --format csv -o june.csv").done()  # fmt: skip
+    assert (tmp_path / "june.html").read_text().startswith("<!DOCTYPE html>")
+    assert (tmp_path / "june.html.p7s").stat().st_mode & 0o777 == 0o600
+    found = json.loads(pqsec("-k k verify june.html.p7s --json").done().out)
+    assert (found["kind"], found["file"]) == ("report", "june.html")
+    assert len(found["signatures"]) == (2 if profile == "transition" else 1)
+    pqsec("verify june.csv.p7s --ca k/public/permissions_ca.cert.pem").done()
+    if profile == "transition":  # the certificate and key of one CA make one signature
+        pqsec("-k k verify june.csv.p7s").refused(1, "no post-quantum signature")
+
+
+def test_a_changed_report_and_a_signature_by_another_ca_are_refused(pqsec, keystore, tmp_path):
+    keystore("classical")
+    keystore("classical", "other", "another")
+    pqsec("-k k report --sign -o june.html").done()
+    pqsec("-k other report --sign -o july.html").done()
+    page = tmp_path / "june.html"
+    pqsec("-k other verify june.html.p7s").refused(1, "not signed by")
+    pqsec("-k k report --sign -o june.html").refused(3, "june.html exists")
+    page.rename(tmp_path / "kept.html")
+    pqsec("-k k report --sign -o june.html").refused(3, "june.html.p7s exists")
+    pqsec("-k k verify june.html.p7s").refused(3, "june.html: no such file")
+    page.write_bytes((tmp_path / "kept.html").read_bytes().replace(b"talker", b"walker", 1))
+    pqsec("-k k verify june.html.p7s").refused(1, "june.html was changed after signing")
+    (tmp_path / "july.html").rename(page)
+    (tmp_path / "july.html.p7s").rename(tmp_path / "june.html.p7s")
+    pqsec("-k other verify june.html.p7s").refused(3, "july.html: no such file")
+
+
+def test_a_report_is_not_signed_by_what_verify_would_refuse(pqsec, keystore, locked, tmp_path):
+    own = keystore("classical", "own")
+    key = "own/private/permissions_ca.key.pem"
+    pqsec("-k own report --sign").refused(2, "beside the report", hint="-o FILE")
+    line = "-k own report -o june.html --signer"
+    pqsec(f"{line} own/public/identity_ca.cert.pem {key}").refused(3, f"{key} is not the private")
+    talker = own / "enclaves/talker"
+    pqsec(f"{line} {talker}/cert.pem {talker}/key.pem").refused(1, "not marked as a CA", problems=3)
+    pqsec("-k k report --sign -o june.html --passphrase-file wrong").refused(3, "passphrase")
+    assert not list(tmp_path.glob("june*"))
+    pqsec("-k k report --sign -o june.html --passphrase-file right").done()
+    pqsec("-k k verify june.html.p7s").done()
+
+
+@pytest.mark.interop
+def test_openssl_and_sha512sum_verify_a_signed_report(pqsec, keystore, tmp_path):
+    keystore("classical")
+    pqsec("-k k report --sign -o june.html").done()
+    line = (
+        "openssl smime -verify -text -CAfile k/public/permissions_ca.cert.pem -in june.html.p7s"
+        r" | tr -d '\r' | sha512sum -c"
+    )
+    done = subprocess.run(
+        ["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "june.html: OK\n"
+
+
 @pytest.mark.interop
 @pytest.mark.skipif(not CHROMIUM, reason="chromium is not installed: apt-get install chromium")
 def test_chromium_runs_the_page_under_its_policy(pqsec, keystore, tmp_path):
