@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Container
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -38,6 +38,12 @@ def put(document: bytes, output: Path | None, *, force: bool) -> None:
     _files.write(output, document, force=force)
     value = {"written": output, "bytes": len(document)}
     _printing.emit(value, [f"{output}  ({len(document)} bytes)"])
+
+
+def duration_text(duration: timedelta) -> str:
+    """The duration in YAML, such as 90d or 12h."""
+    hours = int(duration / timedelta(hours=1))
+    return f"{hours}h" if hours % 24 else f"{hours // 24}d"
 
 
 class PolicyValue(Protocol):

@@ -1,11 +1,11 @@
-"""pqsec permissions: write and convert permissions in YAML, import SROS2 policies."""
+"""pqsec permissions: write, convert and learn permissions in YAML, import SROS2 policies."""
 
 from datetime import timedelta
 from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _help, _policy, _printing, _settings
+from pqsec_pki.cli import _help, _permissions_learn, _policy, _printing, _settings
 from pqsec_pki.documents import (
     DomainSet,
     Permissions,
@@ -74,8 +74,7 @@ def new(  # noqa: PLR0913 -- one for each option, by name
     """
     if not dds:
         _require_nodes(names)
-    hours = int(validity / timedelta(hours=1))
-    duration = f"{hours}h" if hours % 24 else f"{hours // 24}d"
+    duration = _policy.duration_text(validity)
     document = new_permissions(list(names), DomainSet.parse(domains), duration, nodes=not dds)
     _policy.put(document, output, force=force)
 
@@ -182,6 +181,7 @@ def _warn(enclaves: tuple[sros2.PolicyProfiles, ...]) -> None:
             )
 
 
+_permissions_learn.add_command(permissions)
 _policy.add_commands(
     permissions,
     lambda data: permissions_from_yaml(data, now=_settings.now()),

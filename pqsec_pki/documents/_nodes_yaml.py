@@ -20,7 +20,7 @@ from pqsec_pki.documents._yaml_reading import boolean, build, fields, one_or_mor
 from pqsec_pki.documents.ros import Endpoints
 from pqsec_pki.errors import UsageError
 
-_USES: Mapping[str, Callable[[str], Endpoints]] = {
+USES: Mapping[str, Callable[[str], Endpoints]] = {
     "publish": ros.topic_publisher,
     "subscribe": ros.topic_subscriber,
     "services": ros.service_server,
@@ -42,7 +42,7 @@ def node(item: Item) -> Endpoints:
         {
             "node": _with_line,
             "namespace": text,
-            **dict.fromkeys(_USES, partial(one_or_more, reader=_with_line)),
+            **dict.fromkeys(USES, partial(one_or_more, reader=_with_line)),
             **dict.fromkeys(("lifecycle", "use_sim_time", "minimum"), boolean),
         },
         required=("node",),
@@ -83,7 +83,7 @@ def _whole(name: str, given: Mapping[str, Any]) -> Iterator[Endpoints]:
 
 
 def _uses(name: str, given: Mapping[str, Any]) -> Iterator[Endpoints]:
-    for key, use in _USES.items():
+    for key, use in USES.items():
         for item, written in given.get(key, ()):
             if "*" in written or "?" in written:
                 example = "write patterns outside `nodes`, in DDS form: publish: ['rt/chat*']"

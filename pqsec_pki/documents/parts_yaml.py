@@ -5,6 +5,7 @@ read and write whole parts: domains, a governance, the rules of a grant.
 """
 
 from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml
+from pqsec_pki.documents._node_words import node_as_yaml
 from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, rules_as_yaml
 from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, dump, refused
 from pqsec_pki.documents._yaml_guesses import guess
@@ -46,6 +47,7 @@ __all__ = [  # defined in other modules, for other rooms
     "governance_as_yaml",
     "governance_in",
     "guess",
+    "node_as_yaml",
     "one_of",
     "one_or_more",
     "peeked",

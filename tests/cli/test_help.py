@@ -34,6 +34,7 @@ def commands(group: click.Group = root, path: str = "") -> Iterator[tuple[str, c
 
 ALL = dict(commands())
 
+RECORDED = Path(__file__).parents[1] / "vectors/learning"
 POLICY = """
 domains: 0
 validity: 1y
@@ -54,6 +55,9 @@ FILES = {
     ),
     "node.log": "Subject name is invalid(code: 146)\n",
     "quiet.log": "nothing of interest\n",
+    "domain.log": (RECORDED / "kitchen.log").read_text(),
+    "monday.txt": (RECORDED / "nodes.txt").read_text(),
+    "tuesday.txt": (RECORDED / "nodes.txt").read_text(),
 }
 
 
@@ -202,7 +206,7 @@ FIRST = {
     "ca crl": ("ca crl",),
 }
 """What is done before each example of a command."""
-MAY_BE_NO = {"needs-renewal", "diff", "apply", "plan"}
+MAY_BE_NO = {"needs-renewal", "diff", "apply", "plan", "permissions learn"}
 """The answer to their examples may be no."""
 
 
@@ -259,6 +263,7 @@ NO = {
     "log": f"--head {'0' * 64}",
     "needs-renewal": "",
     "permissions import": "bad.xml",
+    "permissions learn": "domain.log",
     "permissions read": "bad.xml",
     "permissions render": "bad.yaml",
     "plan": "domain.yaml",

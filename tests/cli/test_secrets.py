@@ -172,6 +172,7 @@ validate k/enclaves/talker/key.pem
 issue -k k /late --policy k/enclaves/talker/key.pem --passphrase-file second
 permissions render k/enclaves/talker/key.pem
 permissions import k/enclaves/talker/key.pem
+permissions learn k/enclaves/talker/key.pem
 governance read second
 issue -k k /late --csr k/enclaves/talker/key.pem --passphrase-file second
 install k/enclaves/talker/key.pem --dir robot

@@ -33,7 +33,7 @@ _START = """
 . "$NODE_SCRIPT"
 exec env LD_PRELOAD="$NODE_RMW" "$NODE_PYTHON" "$NODE_PROGRAM" "$@" $NODE_NAMES $NODE_ARGUMENTS
 """
-_LOOPBACK = """<CycloneDDS><Domain id="any">
+LOOPBACK = """<CycloneDDS><Domain id="any">
 <General>
  <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
  <AllowMulticast>false</AllowMulticast>
@@ -105,7 +105,7 @@ class Nodes:
         Its enclave is called as the first node, unless it is said.
         """
         loopback = self.folder / "loopback.xml"
-        loopback.write_text(_LOOPBACK)
+        loopback.write_text(LOOPBACK)
         variables = {
             **self.ros2.variables(self.folder),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",

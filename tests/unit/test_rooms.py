@@ -65,6 +65,7 @@ MAY_IMPORT["lint"] = {
 MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle"}
 MAY_IMPORT["policy"] = {"keystore", "access"} | MAY_IMPORT["keystore"]
 MAY_IMPORT["report"] = MAY_IMPORT["policy"] | {"policy", "lint"}
+MAY_IMPORT["learning"] = {"policy", "access", "keystore", "documents"}
 MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
 for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "attacks"):

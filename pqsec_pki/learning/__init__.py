@@ -1,0 +1,40 @@
+"""Proposes permissions from what was seen in a domain, and compares them with what is granted.
+
+    seen            the values: participants, and the topics that they were seen to use
+    cyclone_trace   reads traces of Cyclone DDS
+    node_info       reads the output of `ros2 node info`
+    recording       reads files of either kind, names participants and merges them
+    proposing       the permissions that allow what was seen
+    comparing       the differences to the permissions in a keystore
+
+What was seen is not proof of what is needed, and whoever is in an unsecured domain can pretend
+to be any participant: a proposal is for people to review.
+"""
+
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.learning.comparing import Comparison, Learned, compare
+    from pqsec_pki.learning.proposing import Proposal, Proposed, document_of, propose
+    from pqsec_pki.learning.recording import Recording, read_recordings
+    from pqsec_pki.learning.seen import Endpoint, NotProposed, SeenParticipant, UnreadLine
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "Comparison",
+    "Endpoint",
+    "Learned",
+    "NotProposed",
+    "Proposal",
+    "Proposed",
+    "Recording",
+    "SeenParticipant",
+    "UnreadLine",
+    "compare",
+    "document_of",
+    "propose",
+    "read_recordings",
+]

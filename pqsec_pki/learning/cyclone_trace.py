@@ -1,0 +1,158 @@
+"""Reads a trace of Cyclone DDS with the category `discovery`, as versions 0.9 to 11 write it.
+
+    TIME [DOMAIN]     THREAD: PARTICIPANT GUID QOS={...}     the process that writes the trace
+    TIME [DOMAIN]     THREAD: WRITER GUID QOS={...}          or READER
+    TIME [DOMAIN] dq.builtin: SPDP ST0 GUID ... QOS={...}    other participants, of any stack
+    TIME [DOMAIN] dq.builtin: SEDP ST0 GUID ... QOS={...}    their endpoints
+
+THREAD has ten characters, GUID is four numbers in hex. Other lines are not needed. Cyclone DDS
+does not escape names; so a name with a quote cannot be read, and neither can a line that
+Cyclone DDS cut, for want of space.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from pqsec_pki.access import Action
+from pqsec_pki.documents import MAX_DOMAIN, ros
+from pqsec_pki.errors import MalformedError, UsageError
+from pqsec_pki.learning.seen import Endpoint, SeenParticipant
+
+IS_LINE = re.compile(r"\s*\d+\.\d{6} \[(\d*)\] .{10}: ?(.*)", re.ASCII)
+"""Groups: the domain, which some lines do not have, and the message."""
+_GUID = r"(?P<guid>[0-9a-f]+:[0-9a-f]+:[0-9a-f]+):(?P<entity>[0-9a-f]+)\b"
+_ABOUT_PARTICIPANT = re.compile(rf"(?:PARTICIPANT|SPDP ST0) {_GUID}.* QOS=\{{(?P<qos>.*)\}}")
+_ABOUT_ENDPOINT = re.compile(rf"(?:WRITER|READER|SEDP ST0) {_GUID}.* ?QOS=\{{(?P<qos>.*)\}}")
+_KINDS = (
+    (re.compile(r"PARTICIPANT .*QOS=|SPDP ST0 .* NEW"), _ABOUT_PARTICIPANT),
+    (re.compile(r"(?:WRITER|READER) \S+ QOS=|SEDP ST0 .*(?: NEW|QOS=)"), _ABOUT_ENDPOINT),
+)
+"""Which lines are needed, and what they must be in full."""
+
+_ACTIONS = {
+    0x02: Action.PUBLISH,
+    0x03: Action.PUBLISH,
+    0x04: Action.SUBSCRIBE,
+    0x07: Action.SUBSCRIBE,
+}
+"""Kind of entity -> action (RTPS 2.5, table 9.1). Others are built in, or topics."""
+_OF_THE_PROCESS = ("__BUILT-IN PARTITION__",)
+"""Of readers of Cyclone DDS's own topics, which are not on the network."""
+_USER_DATA = re.compile(r"user_data=\d+<([^>]*)>")
+_OCTETS = re.compile(r'"([^"]*)"|(\d{1,3})')
+_ENCLAVE = re.compile(r"(?:\A|;)enclave=([^;]*);")
+_ENTITY_NAME = re.compile(r'\bentity_name="([^"]*)"')
+_PROCESS = re.compile(r'"__ProcessName":"([^"]*)"')
+_TOPIC = re.compile(r'(?:\A|,)topic_name="([^"]+)",type_name="')
+_PARTITIONS = re.compile(r'\bpartition=\{((?:"[^"]*"(?:,"[^"]*")*)?)\}')
+_NODE = re.compile(r"rq(/.+)/get_parametersRequest")
+"""The service that shows a node; nodes can be without it."""
+
+
+@dataclass(slots=True)
+class _TracedParticipant:
+    enclave: str = ""
+    label: str = ""
+    endpoints: dict[Endpoint, None] = field(default_factory=dict)
+
+    def seen(self) -> SeenParticipant:
+        nodes = tuple(dict.fromkeys(_nodes(self.endpoints)))
+        unnamed = self.enclave in {"", "/"}  # `/` is the enclave of nodes that were given none
+        return SeenParticipant(
+            name=(nodes[0] if nodes else "") if unnamed else self.enclave,
+            label=self.label,
+            nodes=nodes,
+            endpoints=frozenset(self.endpoints),
+        )
+
+
+@dataclass(slots=True)
+class CycloneTrace:
+    """The participants that the lines so far show."""
+
+    _found: dict[str, _TracedParticipant] = field(default_factory=dict)
+    """By the prefix of their GUIDs."""
+    needed: int = 0
+    """Lines about participants and endpoints so far."""
+
+    def add(self, line: str) -> None:
+        """Read one line. MalformedError, with the reason, if it cannot be read."""
+        whole = IS_LINE.fullmatch(line)
+        if whole is None:
+            raise MalformedError("not a line of a Cyclone DDS trace")
+        for needed, form in _KINDS:
+            if needed.match(whole[2]):
+                self.needed += 1
+                self._add(form, whole[1], whole[2])
+
+    def _add(self, form: re.Pattern[str], domain: str, message: str) -> None:
+        found = form.fullmatch(message)
+        if found is None:
+            raise MalformedError("the line is cut, or has a form that pqsec does not know")
+        if form is _ABOUT_PARTICIPANT:
+            participant = self._participant(found)
+            participant.label = _label(found["qos"]) or participant.label
+            participant.enclave = _enclave(found["qos"]) or participant.enclave
+        elif action := _ACTIONS.get(int(found["entity"][-2:], 16)):
+            endpoint = _endpoint(_domain(domain), action, found["qos"])
+            if endpoint.partitions != _OF_THE_PROCESS:
+                self._participant(found).endpoints[endpoint] = None
+
+    def _participant(self, found: re.Match[str]) -> _TracedParticipant:
+        return self._found.setdefault(found["guid"], _TracedParticipant())
+
+    def participants(self) -> list[SeenParticipant]:
+        """In the order of their first lines."""
+        return [each.seen() for each in self._found.values()]
+
+
+def _domain(text: str) -> int:
+    if not text or len(text) > len(str(MAX_DOMAIN)) or int(text) > MAX_DOMAIN:
+        raise MalformedError(f"'{text[:20]}' is not a domain from 0 to {MAX_DOMAIN}")
+    return int(text)
+
+
+def _endpoint(domain: int, action: Action, qos: str) -> Endpoint:
+    topic, partitions = _TOPIC.search(qos), _PARTITIONS.search(qos)
+    if topic is None or (partitions is None and "partition={" in qos):
+        raise MalformedError("its topic or its partitions cannot be read")
+    names = re.findall(r'"([^"]*)"', partitions[1]) if partitions else []
+    # A partition without a name is the default partition (DDS 1.4, 2.2.3.13).
+    return Endpoint(domain, action, topic[1], tuple(sorted({*names})) if any(names) else ())
+
+
+def _enclave(qos: str) -> str:
+    data = _USER_DATA.search(qos)
+    text = "".join(_characters(data[1])) if data else ""
+    found = _ENCLAVE.search(text)
+    if "enclave=" in text and found is None:
+        raise MalformedError("its enclave is cut: Cyclone DDS writes 100 bytes of user data")
+    return found[1] if found else ""
+
+
+def _characters(octets: str) -> Iterator[str]:
+    """Cyclone DDS writes octets as numbers, or as text in quotes if all can be printed."""
+    for text, number in _OCTETS.findall(octets):
+        yield text or (chr(int(number)) if number else "")
+
+
+def _label(qos: str) -> str:
+    found = _ENTITY_NAME.search(qos) or _PROCESS.search(qos)
+    return found[1] if found else ""
+
+
+def _nodes(endpoints: dict[Endpoint, None]) -> Iterator[str]:
+    for endpoint in endpoints:
+        found = _NODE.fullmatch(endpoint.topic)
+        if found and endpoint.action is Action.SUBSCRIBE and is_node(found[1]):
+            yield found[1]
+
+
+def is_node(name: str) -> bool:
+    """Whether a node of ROS 2 can have this full name."""
+    try:
+        ros.node_minimum(name)
+    except UsageError:
+        return False
+    return True

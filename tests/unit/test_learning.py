@@ -1,0 +1,286 @@
+"""Permissions proposed from traces of Cyclone DDS and from `ros2 node info`."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.access import Action
+from pqsec_pki.documents import permissions_from_yaml, ros
+from pqsec_pki.documents.parts_yaml import node_as_yaml
+from pqsec_pki.documents.ros import Endpoints
+from pqsec_pki.errors import FileError, MalformedError, UsageError
+from pqsec_pki.learning import (
+    Endpoint,
+    SeenParticipant,
+    compare,
+    document_of,
+    propose,
+    read_recordings,
+)
+from pqsec_pki.learning import recording as reading
+from tests.unit.keystores import NOW, made
+
+VECTORS = Path(__file__).parent.parent / "vectors" / "learning"
+KITCHEN, PARTITIONS, NODES = (
+    VECTORS / name for name in ("kitchen.log", "partitions.log", "nodes.txt")
+)
+LINE = (
+    "1795417423.769100 [0]     python: WRITER 1:2:3:303 QOS={user_data=0<>,"
+    'topic_name="Square",type_name="lab::Sample",partition={}}'
+)
+
+
+def topics(participant, action):
+    return {each.topic for each in participant.endpoints if each.action is action}
+
+
+def proposed(*participants):
+    return propose(participants, validity="90d", now=NOW)
+
+
+def proposal_of(*endpoints, nodes=()):
+    seen = SeenParticipant(name="/arm", nodes=nodes, endpoints=frozenset(endpoints))
+    [found] = proposed(seen).proposals
+    return found
+
+
+def recorded(tmp_path, text, **options):
+    path = tmp_path / "recorded"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_recordings([path], **options)
+
+
+def test_a_trace_of_cyclone_dds_shows_nodes_on_fast_dds():
+    found = read_recordings([KITCHEN])
+    assert not found.unread
+    assert not found.left_out
+    by_name = {each.name: each for each in found.participants}
+    # The enclave names a participant; without one (`/`), its first node does.
+    assert list(by_name) == ["/guest", "/kitchen/cook", "/observer"]
+    assert by_name["/kitchen/cook"].nodes == ("/cook",)
+    server, client = ros.action_server("/cook"), ros.action_client("/cook")
+    assert {*server.publish} <= topics(by_name["/kitchen/cook"], Action.PUBLISH)
+    assert {*client.subscribe} <= topics(by_name["/guest"], Action.SUBSCRIBE)
+    minimum = ros.node_minimum("/observer")
+    assert topics(by_name["/observer"], Action.PUBLISH) == {*minimum.publish}
+    assert topics(by_name["/observer"], Action.SUBSCRIBE) == {*minimum.subscribe}
+    assert {each.domain for seen in found.participants for each in seen.endpoints} == {0}
+
+
+def test_a_proposal_has_the_words_of_ros_and_allows_nothing_else():
+    found = read_recordings([KITCHEN])
+    result = proposed(*found.participants)
+    text = document_of(result.proposals, ["review it"], {"/guest": ["new"]})
+    assert "      - node: /cook\n        action_servers:\n          - /cook\n" in text
+    assert text.startswith("# review it\ngrants:\n  # new\n  - name: /guest\n")
+    grants = permissions_from_yaml(text.encode(), now=NOW).grants
+    assert grants == tuple(each.grant for each in result.proposals)
+    for grant, seen in zip(grants, found.participants, strict=True):
+        [rule] = grant.rules
+        assert {*rule.publish[0].topics} == topics(seen, Action.PUBLISH)
+        assert {*rule.subscribe[0].topics} == topics(seen, Action.SUBSCRIBE)
+
+
+def test_the_output_of_ros2_node_info_is_read_as_it_is():
+    found = read_recordings([NODES], domain=7)
+    assert not found.unread
+    assert [each.name for each in found.participants] == ["/clocked", "/cook", "/lift/second"]
+    texts = [each.text for each in proposed(*found.participants).proposals]
+    assert "use_sim_time: true" in texts[0]
+    assert "action_servers:\n          - /cook" in texts[1]
+    assert texts[2].endswith("    domains: 7\n    nodes:\n      - /lift/second\n")
+
+
+def test_partitions_and_participants_without_a_name():
+    found = read_recordings([PARTITIONS], names={"gripper": "/arm"})
+    assert [str(each).split(": ", 1)[1] for each in found.unread] == [
+        "its enclave is cut: Cyclone DDS writes 100 bytes of user data"
+    ]
+    [lab] = found.left_out
+    assert lab.what == "lab"
+    assert "--name 'lab=/NAME'" in lab.reason
+    result = proposed(*found.participants)
+    [rule] = result.proposals[0].grant.rules
+    assert [(each.topics, each.partitions) for each in rule.publish] == [
+        (("Square",), ("floor1", "floor2"))
+    ]
+    # A partition that is a pattern would allow others.
+    assert [each.topics for each in rule.subscribe] == [("Circle",)]
+    assert [each.reason for each in result.left_out] == [
+        "the partition 'floor*' is a pattern: write the rule yourself"
+    ]
+
+
+def test_recordings_of_several_times_merge(tmp_path):
+    lines = KITCHEN.read_text().splitlines(keepends=True)
+    parts = [tmp_path / "one.log", tmp_path / "two.log"]
+    parts[0].write_text("".join(lines[:60]))
+    parts[1].write_text("".join(lines[60:]))
+    whole = read_recordings([KITCHEN]).participants
+    merged = read_recordings([*parts, KITCHEN]).participants
+    assert merged == whole
+    # The same participant in both kinds, by the name of its enclave.
+    both = read_recordings([KITCHEN, NODES], names={"/cook": "/kitchen/cook"})
+    by_name = {each.name: each for each in both.participants}
+    assert "/cook" not in by_name
+    assert by_name["/kitchen/cook"] == whole[1]
+
+
+def test_the_rights_are_those_of_a_keystore_with_the_proposal(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/talker", "/spare"))
+    talker = SeenParticipant(
+        name="/talker",
+        endpoints=frozenset(
+            {Endpoint(0, Action.PUBLISH, "rt/chatter"), Endpoint(0, Action.SUBSCRIBE, "rt/new")}
+        ),
+    )
+    stranger = SeenParticipant(name="/stranger", endpoints=talker.endpoints)
+    learned = compare(keystore, proposed(talker, stranger).proposals, now=NOW)
+    own, unknown = learned.comparisons
+    assert own.known
+    assert own.not_granted == (
+        "publish 'rt/chatter' on domain 0",
+        "subscribe 'rt/new' on domain 0",
+    )
+    assert own.never_seen == ("publish 'x' on domain 0",)
+    assert not unknown.known
+    assert unknown.not_granted
+    assert learned.never_seen == ("/spare",)
+    assert not learned.ok
+
+
+def test_several_domains_have_their_own_rules():
+    alike = [Endpoint(domain, Action.PUBLISH, "a") for domain in (0, 3)]
+    assert "rules" not in proposal_of(*alike).text
+    other = Endpoint(3, Action.SUBSCRIBE, "b")
+    rules = proposal_of(*alike, other).grant.rules
+    assert [(str(each.domains), bool(each.subscribe)) for each in rules] == [
+        ("0", False),
+        ("3", True),
+    ]
+
+
+def test_topics_of_several_nodes_are_given_to_none_unless_named_for_it():
+    nodes = ("/robot/drive", "/robot/arm")
+    state = ros.lifecycle_node("/robot/arm")
+    points = [
+        *(Endpoint(0, Action.PUBLISH, topic) for topic in (*state.publish, "rt/odom")),
+        *(Endpoint(0, Action.SUBSCRIBE, topic) for topic in state.subscribe),
+    ]
+    text = proposal_of(*points, nodes=nodes).text
+    assert "      - /robot/drive\n      - node: /robot/arm\n        lifecycle: true\n" in text
+    assert "    publish:\n      - rt/odom\n" in text
+
+
+def test_half_of_a_service_is_not_completed():
+    """Who only listens to requests or to feedback must not get the right to call or to answer."""
+    heard = ("rq/resetRequest", "rt/cook/_action/feedback", "rq/cook/_action/send_goalRequest")
+    item, left = node_as_yaml("/spy", Endpoints(publish=(), subscribe=heard))
+    assert item == {"node": "/spy", "subscribe": ["/cook/_action/feedback"]}
+    assert left.subscribe == ("rq/cook/_action/send_goalRequest", "rq/resetRequest")
+
+
+@pytest.mark.parametrize(
+    ("topic", "reason"),
+    [("rt/*", "pattern"), ("rt/[ab]", "pattern"), ("rt/\x1b[2J", "pattern"), ("rt/\x07", "cannot")],
+)
+def test_hostile_topics_are_not_granted(topic, reason):
+    points = frozenset({Endpoint(0, Action.PUBLISH, each) for each in (topic, "rt/fine")})
+    result = proposed(SeenParticipant(name="/arm", endpoints=points))
+    [grant] = [each.grant for each in result.proposals]
+    assert grant.rules[0].publish[0].topics == ("rt/fine",)
+    [left] = result.left_out
+    assert reason in left.reason
+    assert left.what.isprintable()
+
+
+BROKEN = {
+    "cut line": (LINE[:-40], "cut"),
+    "quote in a topic": (LINE.replace("Square", 'Squ"are'), "cannot be read"),
+    "partition without an end": (LINE.replace("partition={}", 'partition={"a'), "cannot be read"),
+    "domain": (LINE.replace("[0]", "[231]"), "not a domain"),
+    "no domain": (LINE.replace("[0]", "[]"), "not a domain"),
+    "long domain": (LINE.replace("[0]", f"[{'9' * 5000}]"), "not a domain"),
+    "other text": ("hello", "not a line of a Cyclone DDS trace"),
+}
+
+
+def test_lines_that_cannot_be_read_are_named(tmp_path):
+    for what, (line, reason) in BROKEN.items():
+        found = recorded(tmp_path, f"{LINE}\n\n{line}\n", names={})
+        assert [each.line for each in found.unread] == [3], what
+        assert reason in found.unread[0].reason, what
+        assert found.unread[0].path.name == "recorded"
+
+
+INFO = "/talker\n" + "".join(
+    f"  {heading}:\n{use}\n"
+    for heading, use in (
+        ("Subscribers", ""),
+        ("Publishers", "    /chatter: std_msgs/msg/String"),
+        ("Service Servers", ""),
+        ("Service Clients", ""),
+        ("Action Servers", ""),
+        ("Action Clients", ""),
+    )
+)
+
+
+def test_lines_of_nodes_that_cannot_be_read_are_named(tmp_path):
+    cases = {
+        "Unable to find node '/gone'": (INFO + "Unable to find node '/gone'\n", 14),
+        "ends early": (INFO[: INFO.index("  Action Clients")], 12),
+        "next too early": (INFO[: INFO.index("  Action Clients")] + INFO, 12),
+        "name": (INFO.replace("/chatter:", "/cha-tter:"), 5),
+        "heading": (INFO.replace("Publishers", "Printers"), 4),
+        "node": (INFO + "/two//slashes\n", 14),
+    }
+    for what, (text, line) in cases.items():
+        found = recorded(tmp_path, text)
+        assert line in [each.line for each in found.unread], (what, found.unread)
+    whole = recorded(tmp_path, INFO)
+    assert not whole.unread
+    assert topics(whole.participants[0], Action.PUBLISH) == {"rt/chatter"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("\n\n", "is empty"),
+        ("hello\n", "neither"),
+        (b"\xff\xfe\x00", "neither"),
+        (
+            "1795417423.769100 [0]     python: udp de-initialized\n",
+            "no line is about a participant",
+        ),
+    ],
+)
+def test_other_files_are_refused(tmp_path, text, message):
+    with pytest.raises(MalformedError, match=message):
+        recorded(tmp_path, text)
+
+
+def test_limits(tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "MAX_ENDPOINTS", 10)
+    with pytest.raises(MalformedError, match="more than 10 endpoints"):
+        read_recordings([KITCHEN])
+    monkeypatch.setattr(reading, "MAX_RECORDING", 1000)
+    with pytest.raises(FileError, match="larger than 1000 bytes"):
+        read_recordings([KITCHEN])
+
+
+def test_names_that_were_not_seen_or_cannot_be_issued(tmp_path):
+    with pytest.raises(UsageError, match="'/cok' was seen") as error:
+        read_recordings([NODES], names={"/cok": "/kitchen/cook"})
+    assert "'/cook'" in (error.value.hint or "")
+    hidden = INFO.replace("/talker", "/_ros2cli_daemon_0")
+    long = INFO.replace("/talker", f"/{'a' * 64}")
+    found = recorded(tmp_path, hidden + long)
+    assert not found.participants
+    assert [re.sub(r"\d+", "N", each.reason) for each in found.left_out] == [
+        "it is a hidden node, as tools are",
+        "its name has more than N characters: name it with --name",
+    ]
+    assert recorded(tmp_path, long, names={f"/{'a' * 64}": "/a"}).participants[0].name == "/a"
