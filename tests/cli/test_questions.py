@@ -589,6 +589,12 @@ def test_a_topic_that_no_rule_names_is_told_with_what_may_be_meant(pqsec, apart,
     assert pqsec("-k k who-may --topic rt/chatter").done().err == ""
 
 
+def test_nothing_is_a_slip_where_one_of_several_may_use_all_topics(pqsec, apart):
+    pqsec("-k k issue /arm --domain 0 --publish '*'").done()
+    said = pqsec("-k k who-may --json --topic rt/chater")
+    assert (said.err, said.json["unknown_topics"]) == ("", {})
+
+
 def test_a_topic_that_a_pattern_covers_is_not_told_as_a_slip(pqsec, apart):
     pqsec("-k k issue /arm --domain 0 --publish 'rt/arm/*'").done()
     asked = ("rt/arm/left", "rt/sca", "rt/arm/l*")

@@ -57,10 +57,11 @@ TESTS = {
         "domain_requests",
         "issue_with_bundles",
     ),
-    "plugin": ("plugin_*",),
+    "plugin": ("plugin_*", "cli/test_plugin.py"),
     "access": (
         "access",
         "amending",
+        "counterparts",
         "decide",
         "matrix_*",
         "everywhere",
@@ -68,7 +69,7 @@ TESTS = {
         "sharing",
         "plugin_rights",
     ),
-    "policy": ("one_verdict", "cli/test_questions.py"),
+    "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
 }
 """For each room the files of tests for it: test_*.py in tests/unit, or a path in tests."""
 

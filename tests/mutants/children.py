@@ -9,6 +9,7 @@ import gc
 import importlib
 import json
 import os
+import pkgutil
 import resource
 import shutil
 import signal
@@ -63,6 +64,12 @@ class _Recorder:
     def _heard(self, event: str, arguments: tuple) -> None:
         if event == "subprocess.Popen" and sys.executable in str(arguments[1]):
             self.starting.add(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
+
+    def pytest_collection_finish(self) -> None:
+        """Rooms load on demand: what runs at import must not look as if one test ran it."""
+        for each in pkgutil.walk_packages(importlib.import_module(PACKAGE).__path__, f"{PACKAGE}."):
+            if not each.name.endswith("__main__"):
+                importlib.import_module(each.name)
 
     def pytest_runtest_logreport(self, report) -> None:
         self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration

@@ -105,6 +105,12 @@ def test_a_denied_topic_is_not_added():
                 add_rights(grant(*rules), rights(topic), ZERO)
 
 
+def test_a_deny_rule_of_another_domain_hides_nothing():
+    found = add_rights(grant(rule("a", allow=False, domains=ONE), rule("b")), rights("a"), ZERO)
+    assert may_publish(found, "a")
+    assert not may_publish(found, "a", domain=1)
+
+
 def test_a_deny_rule_that_hides_rules_below_it_stays():
     """Without it, the rule below would allow again."""
     everything = PermissionRule.deny_all(ZERO)

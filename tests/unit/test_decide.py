@@ -307,6 +307,11 @@ def test_what_governance_opens_is_closed_to_those_who_may_not_join():
     assert denied.reason == "grant 'g' has no allow_rule for domain 0"
     assert ask(governed=opened, by=Viewpoint.OWN).allowed
     assert ask(governed=governance(topics("a", write=False), join=False)).allowed
+    closed = governance().domain_rules[0]
+    [last] = closed.topic_rules[-1:]
+    for rules, allowed in (((last,), False), ((topics("a", write=False), last), True)):
+        governed = Governance(domain_rules=(replace(closed, topic_rules=rules),))
+        assert ask(governed=governed, action=JOIN, by=Viewpoint.OWN).allowed == allowed
 
 
 def test_the_first_topic_rule_that_has_the_topic_governs():
@@ -557,6 +562,12 @@ def test_a_subject_that_ends_in_a_separator_is_whole_for_every_stack():
         ).allowed
 
 
+def test_an_empty_piece_of_a_subject_is_in_no_grant_for_cyclone_dds():
+    permissions = Permissions(grants=(grant(allow(*criteria("a")), subject="CN=/robot,="),))
+    asked = question(subject="CN=/robot//")
+    assert not decide(governance(), permissions, asked, CYCLONEDDS).allowed
+
+
 def test_a_subject_outside_ascii_is_spelled_for_each_stack():
     asked = question(subject="CN=ñ")
     for named, wanted in (("CN=ñ", ["spec", "fastdds"]), ("CN=\\C3\\B1", None)):
@@ -670,6 +681,10 @@ def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
     ("documents", "words"),
     [
         ((governance(domains=DomainSet(parts=(231,))), grant()), "above 230"),
+        (
+            (governance(domains=DomainSet(parts=(DomainRange(first=0, last=231),))), grant()),
+            "above 230",
+        ),
         ((governance(domains=DomainSet(parts=(DomainRange(first=3, last=1),))), grant()), "empty"),
         ((governance(topics("")), grant()), "empty topic"),
     ],

@@ -102,6 +102,20 @@ def test_a_peer_that_is_revoked_within_the_handshake_gets_no_secret(keystore):
     assert told(listener) == [known]
 
 
+def test_of_several_peers_the_guid_is_checked_of_the_one_that_is_asked_about(tmp_path):
+    store = made(tmp_path / "k", "classical", names=("/listener", "/one", "/other"))
+    listener, candidates, peers = side(folder(store, "listener")), [], []
+    for name in ("one", "other"):
+        shim, (pairs, where) = Shim("authentication"), properties(folder(store, name))
+        candidate = new_guid()
+        _, handle, guid, *_ = shim.call("validate_local_identity", 0, where, pairs, candidate)
+        ends = shaken(listener, (shim, handle, guid))
+        candidates.append((guid, candidate))
+        peers += [peer for one, _, peer in ends if one is listener[0]]
+    for peer, (guid, candidate) in zip(peers, candidates, strict=True):
+        listener[0].call("check_guid_comes_from", peer, guid, candidate)
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [

@@ -4,6 +4,7 @@ import errno
 import fcntl
 import json
 import os
+import resource
 import select
 import shutil
 import signal
@@ -134,6 +135,18 @@ def test_hosts_are_spread_over_a_worker_for_each_core_and_a_host_stays_in_one(pl
         named = {f"[{each.pid}]" for each in four}
         assert {name[name.index("[") :] for name, _ in connections(place)} == named
         assert len(connections(place)) == 8
+
+
+def test_where_no_further_worker_can_be_started_hosts_share_the_one_there_is(place, agent):
+    with host(place):
+        opened = max(int(each.name) for each in Path(f"/proc/{agent.pid}/fd").iterdir())
+        most = opened + 3  # its connection, and not both ends of a worker's channel too
+        resource.prlimit(agent.pid, resource.RLIMIT_NOFILE, (most, most))
+        with host(place):
+            assert len(agent_status(place).workers) == 1
+            assert len(connections(place)) == 4
+    agent.terminate()
+    assert "no further worker can be started: Too many open files" in agent.stderr.read()
 
 
 @pytest.mark.usefixtures("agent")
