@@ -51,6 +51,8 @@ class Code(StrEnum):
 
     # Revocation (RFC 5280 6.3)
     REVOKED = "revoked"
+    NOT_ISSUED = "not-issued"
+    """A certificate that the ledger does not have for that participant."""
     LIST_MISSING = "list-missing"
     LIST_EXPIRED = "list-expired"
     LIST_NOT_YET_VALID = "list-not-yet-valid"

@@ -42,6 +42,10 @@ COMMANDS = {
     "bundle": ("bundle", "Write everything that one robot needs into one file."),
     "install": ("install", "Check a bundle and install it on this robot."),
     "rollback": ("install", "Restore what was installed before the last bundle."),
+    "receipt": (
+        "receipt",
+        "Record what robots run, from the receipts that `pqsec install` writes.",
+    ),
     "sign-request": ("sign_request", "Sign requests with CAs on an offline machine."),
     "renew": ("renew", "Renew certificates and permissions, with the same rights as before."),
     "needs-renewal": (
@@ -97,7 +101,7 @@ GROUPS = {
         "demo ca adopt issue permit renew needs-renewal revoke status log plan apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
-        "request bundle-key bundle install rollback sign-request"
+        "request bundle-key bundle install rollback receipt sign-request"
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (

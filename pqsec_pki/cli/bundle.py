@@ -1,15 +1,24 @@
 """pqsec bundle: write what one robot needs from a keystore into one file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
-from pqsec_pki.cli._names import admitted
-from pqsec_pki.enrolment import Bundle, bundle_path, write_bundle
+from pqsec_pki.cli._names import admitted, named
+from pqsec_pki.enrolment import Bundle, bundle_path, refuse_plain_keys, write_bundle
 from pqsec_pki.errors import FileError, UsageError, located
-from pqsec_pki.keystore import is_several, regular_name
+from pqsec_pki.keystore import (
+    BundleNumbers,
+    Keystore,
+    State,
+    is_several,
+    regular_name,
+    robot_states,
+    status,
+)
 
 
 @_help.command(
@@ -22,6 +31,9 @@ from pqsec_pki.keystore import is_several, regular_name
         ),
         "Write a bundle for all participants that a file names": (
             "pqsec bundle --robot names.txt --no-keys -o robot.bundle"
+        ),
+        "Write a bundle for each robot that does not run what it should": (
+            "pqsec bundle --outdated --no-keys --bundles out"
         ),
     },
     exit_codes={
@@ -43,6 +55,13 @@ from pqsec_pki.keystore import is_several, regular_name
     type=_settings.FILE,
     help="Write to this file. [default: named after the first NAME]",
 )
+@click.option(
+    "--outdated",
+    is_flag=True,
+    help="Write only what robots lack by their receipts, or have no receipt for: one file for each"
+    " participant, or all in the file of -o. [default NAME: all participants]",
+)
+@_bundles.folder_option
 @_bundles.seal_option
 @click.option("--plain-key", is_flag=True, help="Write private keys without encryption.")
 @click.option("--no-keys", is_flag=True, help="Leave out private keys.")
@@ -52,8 +71,10 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
     robot: Path | None,
     output: Path | None,
+    folder: Path | None,
     seal_for: Path | None,
     *,
+    outdated: bool,
     plain_key: bool,
     no_keys: bool,
     force: bool,
@@ -65,36 +86,74 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     revocation list, and its private keys if they were generated here; never a CA key. A
     bundle that `pqsec install` would refuse is not written. A bundle with private keys must
     be encrypted with --seal-for, unless you use --plain-key.
+
+    --outdated compares the files of the keystore with the receipts that `pqsec receipt import`
+    recorded. A participant without a receipt counts as outdated. Participants that a bundle
+    cannot be for, because they are revoked or expired, are left out, and a note says so.
     """
-    if bool(names) == bool(robot):
+    if (names and robot) or not (names or robot or outdated):
         raise UsageError("no participant named: give names, or --robot FILE")
+    if folder and (output or not outdated):
+        raise UsageError("--bundles is for --outdated, and excludes -o")
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
     keystore = _settings.open_keystore()
-    wanted = admitted(keystore, names or _names_in(robot))
-    goal = output or bundle_path(Path(), regular_name(wanted[0]))
-    now = _settings.now()
-    made = Bundle.of(keystore, wanted, now=now, keys=not no_keys)
-    recipient = _bundles.recipient(seal_for)
-    write_bundle(made, goal, recipient, force=force, plain_key=plain_key)
-    if made.has_keys and plain_key:
-        _printing.note(
-            f"{goal} has private keys without encryption: anybody with the file can read them"
-        )
-    value = {
-        "bundle": goal,
+    given = names or (_names_in(robot) if robot else ())
+    wanted = _outdated(keystore, given) if outdated else admitted(keystore, given)
+    together = [wanted] if output or not outdated else [[name] for name in wanted]
+    paths = [output or bundle_path(folder or Path(), regular_name(each[0])) for each in together]
+    now, recipient = _settings.now(), _bundles.recipient(seal_for)
+    numbers = BundleNumbers.of(keystore)
+    bundles = [
+        Bundle.of(keystore, each, now=now, keys=not no_keys, numbers=numbers) for each in together
+    ]
+    for made, path in zip(bundles, paths, strict=True):  # all or none
+        if not plain_key:
+            refuse_plain_keys(made, recipient)
+        if not force:
+            _files.refuse_existing(path)
+    for made, path in zip(bundles, paths, strict=True):
+        write_bundle(made, path, recipient, force=force, plain_key=plain_key)
+        if made.has_keys and plain_key:
+            _printing.note(
+                f"{path} has private keys without encryption: anybody with the file can read them"
+            )
+    values = [
+        _value(*each, sealed=seal_for is not None) for each in zip(bundles, paths, strict=True)
+    ]
+    lines = [f"{', '.join(made.names)}  {path}" for made, path in zip(bundles, paths, strict=True)]
+    if outdated:
+        _printing.emit({"bundles": values}, lines or ["every robot runs what it should"])
+    else:
+        _printing.emit(values[0], lines)
+
+
+def _value(made: Bundle, path: Path, *, sealed: bool) -> dict[str, object]:
+    return {
+        "bundle": path,
         "names": made.names,
         "number": made.number,
         "keys": made.has_keys,
-        "sealed": seal_for is not None,
+        "sealed": sealed,
         "ca_sha256": made.fingerprints,
     }
-    _printing.emit(value, [f"{', '.join(made.names)}  {goal}"])
 
 
-def _names_in(path: Path | None) -> tuple[str, ...]:
+def _outdated(keystore: Keystore, names: Sequence[str]) -> list[str]:
+    """Of these participants, or all, those whose robots do not run what they should."""
+    standing = status(keystore, named(keystore, names) if names else None, now=_settings.now())
+    participants = sorted(standing.participants, key=lambda each: each.name)
+    robots = robot_states(keystore, participants)
+    valid = {each.name for each in participants if each.state in {State.VALID, State.DUE}}
+    left_out = [f"{each.name} ({each.state})" for each in participants if each.name not in valid]
+    if left_out:
+        _printing.note(f"left out: {_printing.few(left_out)}")
+    return [name for name in robots if name in valid and robots[name].state.calls_for_bundle]
+
+
+def _names_in(path: Path) -> tuple[str, ...]:
     """The names in the file, one in a line; text after # is a comment."""
-    lines = _files.read(path).decode(errors="replace").splitlines() if path else []
+    lines = _files.read(path).decode(errors="replace").splitlines()
     written = [name for line in lines if (name := line.partition("#")[0].strip())]
     with located(path):
         names = tuple(name if is_several(name) else regular_name(name) for name in written)

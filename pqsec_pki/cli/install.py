@@ -65,8 +65,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     this robot. Then DIR/current is switched, in one step, to a folder with the bundle and
     everything else that is installed. The previous folder is kept for `pqsec rollback`.
 
-    DIR/installed.receipt then says what is installed, signed with the keys of this robot. To
-    make it again, install the same bundle again.
+    DIR/installed.receipt then says what is installed, signed with the keys of this robot: copy
+    it to the machine with the CAs, for `pqsec receipt import`. To make it again, install the
+    same bundle again.
     """
     done = install_bundle(
         bundle,

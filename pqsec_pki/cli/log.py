@@ -110,7 +110,7 @@ def _verify(keystore: Keystore, head: str | None) -> None:
     _printing.emit(value, [f"the ledger is complete: {count} lines, head {newest}"])
 
 
-_JSON_ONLY = {"keys"}
+_JSON_ONLY = {"keys", "statement"}
 """Details that only --json shows."""
 
 

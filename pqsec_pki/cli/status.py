@@ -1,6 +1,6 @@
 """pqsec status: show participants, their state and expiry."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -11,11 +11,13 @@ from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
 from pqsec_pki.cli._names import named
 from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import ExistsError, UsageError
-from pqsec_pki.keystore import Keystore, State, Status
+from pqsec_pki.keystore import Keystore, RobotState, State, Status, robot_states
 from pqsec_pki.keystore import status as status_of
 
 _HEADERS = ("participant", "state", "until", "profile", "domains", "serial")
 _COLUMNS = ("name", "state", "not_after", "profile", "domains", "serial")
+_ROBOT_HEADERS = ("robot", "runs", "should run", "changed")
+_ROBOT_COLUMNS = ("robot", "runs", "should_run", "changed", "installed_at")
 _ROLES = {
     "identity-ca": "identity CA",
     "permissions-ca": "permissions CA",
@@ -86,6 +88,10 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 
     NAME may be a pattern ('/robot1/*') or a group (@hall1); without a NAME, all are
     shown. The data comes from the ledger, not from the files: check those with `pqsec check`.
+
+    After `pqsec receipt import`, it also shows the numbers of the bundles that each robot runs
+    and should run, and which files differ: `robot` is current, outdated, or unknown without a
+    receipt. `pqsec bundle --outdated` writes what they lack.
     """
     _formats.chosen(form)
     keystore = _settings.open_keystore()
@@ -95,18 +101,22 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         raise UsageError("--prometheus shows all: it excludes NAME and filters")
     standing = status_of(keystore, chosen or None, now=_settings.now(), due=due)
     standing = standing.only(set(map(State, states)) or None, domain, expires_before)
+    robots = robot_states(keystore, standing.participants)
+    rows = [{**each.to_json(), **robots[each.name].to_json()} for each in standing.participants]
     if prometheus:
         _write(prometheus, "".join(_metrics(standing)))
     _formats.emit(
         form,
-        {"keystore": keystore.root, **standing.to_json()},
-        _lines(keystore, standing, "none" if is_filtered else "none yet: pqsec issue NAME"),
-        columns=_COLUMNS,
-        items=(each.to_json() for each in standing.participants),
+        {"keystore": keystore.root, **standing.to_json(), "participants": rows},
+        _lines(keystore, standing, robots, "none" if is_filtered else "none yet: pqsec issue NAME"),
+        columns=(*_COLUMNS, *_ROBOT_COLUMNS),
+        items=rows,
     )
 
 
-def _lines(keystore: Keystore, standing: Status, nobody: str) -> Iterator[str]:
+def _lines(
+    keystore: Keystore, standing: Status, robots: Mapping[str, RobotState], nobody: str
+) -> Iterator[str]:
     yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
     for term in standing.shared:
         state = "" if term.state is State.VALID else f", {term.state}"
@@ -114,17 +124,24 @@ def _lines(keystore: Keystore, standing: Status, nobody: str) -> Iterator[str]:
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
     yield f"participants     {', '.join(counts) or nobody}"
     if standing.participants:
+        has_receipts = any(each.receipt for each in robots.values())
         yield ""
         yield from _printing.table(
-            _HEADERS,
+            (*_HEADERS, *(_ROBOT_HEADERS if has_receipts else ())),
             (
                 (
                     *(each.name, each.state, f"{each.not_after:%Y-%m-%d}"),
                     *(each.profile or "-", each.domains or "-", each.serial),
+                    *(_robot(robots[each.name]) if has_receipts else ()),
                 )
                 for each in standing.participants
             ),
         )
+
+
+def _robot(robot: RobotState) -> tuple[str, ...]:
+    numbers = (f"{each or '-'}" for each in (robot.runs, robot.should_run))
+    return (robot.state, *numbers, ", ".join(robot.changed) or "-")
 
 
 def _metrics(standing: Status) -> Iterator[str]:

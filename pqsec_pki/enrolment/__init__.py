@@ -17,10 +17,13 @@ if TYPE_CHECKING:
         IssuedBundle,
         bundle_paths,
         issue_with_bundles,
+        refuse_plain_keys,
         write_bundle,
     )
     from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
     from pqsec_pki.enrolment.outbox import refresh
+    from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
+    from pqsec_pki.enrolment.receipt_import import ImportedReceipt, import_receipts
     from pqsec_pki.enrolment.requesting import Requested, make_sealing_key, request
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
@@ -34,18 +37,21 @@ __all__ = [
     "NAMELESS",
     "Accepted",
     "Bundle",
+    "ImportedReceipt",
     "Installed",
     "InstalledSet",
     "IssuedBundle",
     "Pins",
     "Requested",
     "SignRequest",
+    "SignedReceipt",
     "VerifiedBundle",
     "accept",
     "bundle_path",
     "bundle_paths",
     "fingerprint",
     "flat_name",
+    "import_receipts",
     "install",
     "is_sealed",
     "issue_with_bundles",
@@ -55,7 +61,9 @@ __all__ = [
     "pin_texts",
     "pins_in_use",
     "pins_of",
+    "read_receipts",
     "refresh",
+    "refuse_plain_keys",
     "request",
     "rollback",
     "save",

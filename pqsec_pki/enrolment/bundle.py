@@ -26,12 +26,16 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UsageError, shown
-from pqsec_pki.keystore import BundleNumbers, Keystore, enclave_files, regular_name
+from pqsec_pki.keystore import (
+    BundleNumbers,
+    Keystore,
+    bundle_number,
+    enclave_files,
+    regular_name,
+)
 from pqsec_pki.problems import Code
 
 KIND = "bundle"
-MAX_NUMBER = (1 << 63) - 1
-"""Of a row in SQLite, so of a ledger line."""
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -179,13 +183,6 @@ def _verified(
         )
         raise
     return {**verify_credentials(credentials, now=now).files, **private}
-
-
-def bundle_number(value: object) -> int | None:
-    """A bundle's number as JSON has it, if any; MalformedError if no ledger line can have it."""
-    if value is None or (type(value) is int and 0 < value <= MAX_NUMBER):
-        return value
-    raise MalformedError("the bundle's number is not the number of a ledger line")
 
 
 def _check_complete(name: str, files: Mapping[str, bytes]) -> None:

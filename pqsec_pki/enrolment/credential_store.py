@@ -33,9 +33,10 @@ from pqsec_pki._files import (
 )
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
-from pqsec_pki.enrolment.bundle import bundle_number, flat_name
+from pqsec_pki.enrolment.bundle import flat_name
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, MalformedError, located
+from pqsec_pki.keystore import bundle_number
 
 CURRENT, SETS, REQUESTS = "current", "sets", "requests"
 RECORD = "installed.json"

@@ -73,6 +73,15 @@ def bundle_paths(names: Iterable[str], folder: Path, *, force: bool = False) -> 
     return paths
 
 
+def refuse_plain_keys(bundle: Bundle, recipient: SealingPublicKey | None) -> None:
+    """UsageError if the bundle has private keys, and no recipient to encrypt it for."""
+    if bundle.has_keys and not recipient:
+        raise UsageError(
+            f"the bundle has private keys of {', '.join(bundle.names)}",
+            hint="encrypt it for its robot: --seal-for FILE; or use --plain-key and protect it",
+        )
+
+
 def write_bundle(
     bundle: Bundle,
     path: Path,
@@ -86,11 +95,8 @@ def write_bundle(
     UsageError if it has private keys, and neither a recipient nor `plain_key` is given. Other
     errors as in `save`.
     """
-    if bundle.has_keys and not (recipient or plain_key):
-        raise UsageError(
-            f"the bundle has private keys of {', '.join(bundle.names)}",
-            hint="encrypt it for its robot: --seal-for FILE; or use --plain-key and protect it",
-        )
+    if not plain_key:
+        refuse_plain_keys(bundle, recipient)
     data = bundle.to_bytes()
     data = seal(data, recipient) if recipient else data
     save(path, data, private=bundle.has_keys, force=force)

@@ -8,13 +8,10 @@ were issued to whom: `receipt_import.py`.
 """
 
 import hashlib
-import json
-import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Self
 
 from pqsec_pki import __version__
 from pqsec_pki.algorithms import load_private_key
@@ -23,92 +20,17 @@ from pqsec_pki.credentials import (
     ALT_KEY,
     CERTIFICATE,
     ENCLAVES,
-    FILES,
     KEY,
-    KEYS,
     key_problems,
     only_certificate,
 )
 from pqsec_pki.enrolment.archive import Archive
-from pqsec_pki.enrolment.bundle import bundle_number
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, shown
-from pqsec_pki.keystore import regular_name
+from pqsec_pki.keystore import PUBLIC_FILES, RECEIPT, Receipt, regular_name
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import Signer, sign, verify
 
-KIND = "receipt"
-FORMAT = 1
 STATEMENT = "receipt.p7s"
-_PUBLIC = tuple(file for file in FILES if file not in KEYS)
-_SHA256 = re.compile("[0-9a-f]{64}")
-_VERSION = re.compile(r"[0-9A-Za-z.+_-]{1,64}")
-MAX_STATEMENT = 16 << 10
-"""Bytes; the seven files of an enclave take less than one thousand."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Receipt:
-    """What is installed of one participant."""
-
-    participant: str
-    bundle: int | None
-    """The number of the bundle that it came from, as its manifest says. Nothing signs that."""
-    files: Mapping[str, str]
-    """SHA-256 of each file, in hex, by its name; never of a private key."""
-    installed_at: datetime
-    made_at: datetime
-    """When the robot made the receipt, by its clock."""
-    pqsec: str
-    """The version that made it."""
-
-    def to_json(self) -> bytes:
-        """The statement; the same bytes for the same receipt."""
-        value = {
-            "format": FORMAT,
-            "kind": KIND,
-            "participant": self.participant,
-            "bundle": self.bundle,
-            "files": self.files,
-            "installed_at": self.installed_at.isoformat(),
-            "made_at": self.made_at.isoformat(),
-            "pqsec": self.pqsec,
-        }
-        return json.dumps(value, indent=2, sort_keys=True).encode() + b"\n"
-
-    @classmethod
-    def from_json(cls, data: bytes) -> Self:
-        """The receipt in `data`, with any line ends; MalformedError if it is not exactly one."""
-        text = data.replace(b"\r\n", b"\n")
-        try:
-            if len(text) > MAX_STATEMENT:
-                raise MalformedError(f"larger than {MAX_STATEMENT} bytes")
-            value: dict[str, Any] = json.loads(text)
-            if value["kind"] != KIND or value["format"] != FORMAT:
-                raise MalformedError("made by another version of pqsec")
-            found = cls(
-                participant=regular_name(_text(value["participant"])),
-                bundle=bundle_number(value["bundle"]),
-                files={
-                    _one_of(_PUBLIC, name): _matching(_SHA256, each)
-                    for name, each in value["files"].items()
-                },
-                installed_at=_time(value["installed_at"]),
-                made_at=_time(value["made_at"]),
-                pqsec=_matching(_VERSION, value["pqsec"]),
-            )
-            if found.to_json() != text:
-                raise MalformedError("not in the form that pqsec writes")
-        except (
-            *(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError),
-            PqsecError,
-        ) as error:
-            raise MalformedError(f"not a receipt of pqsec: {shown(str(error))}") from error
-        return found
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 of the statement, in hex: the same whoever signs it, and however often."""
-        return hashlib.sha256(self.to_json()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +60,7 @@ def receipt_of(
             files={
                 file: hashlib.sha256(data).hexdigest()
                 for file, data in sorted(installed.items())
-                if file in _PUBLIC
+                if file in PUBLIC_FILES
             },
             installed_at=installed_at.astimezone(UTC).replace(microsecond=0),
             made_at=now.astimezone(UTC),
@@ -148,7 +70,7 @@ def receipt_of(
             statement = _signed(receipt, installed)
             files[f"{ENCLAVES}{name}/{CERTIFICATE}"] = installed[CERTIFICATE]
             files[f"{ENCLAVES}{name}/{STATEMENT}"] = statement
-    return Archive(KIND, {}, files).pack()
+    return Archive(RECEIPT, {}, files).pack()
 
 
 def read_receipts(data: bytes) -> tuple[SignedReceipt, ...]:
@@ -157,7 +79,7 @@ def read_receipts(data: bytes) -> tuple[SignedReceipt, ...]:
     MalformedError if it is not a receipt file. VerificationError, with everything that is wrong,
     for a signature that is not valid or missing, and for a receipt of another certificate.
     """
-    archive = Archive.unpack(data, KIND)
+    archive = Archive.unpack(data, RECEIPT)
     if not archive.files:
         raise MalformedError("the receipt has no participants")
     found, problems = [], []
@@ -218,28 +140,3 @@ def _name_in(path: str) -> str:
         if file in {CERTIFICATE, STATEMENT} and folder == f"{ENCLAVES}{regular_name(name)}":
             return name
     raise MalformedError(f"a receipt must not contain {shown(path)}")
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"a {type(value).__name__} in place of a text")
-    return value
-
-
-def _one_of(names: tuple[str, ...], value: object) -> str:
-    if value not in names:
-        raise ValueError(f"{shown(str(value))} is not one of {', '.join(names)}")
-    return _text(value)
-
-
-def _matching(pattern: re.Pattern[str], value: object) -> str:
-    if not pattern.fullmatch(_text(value)):
-        raise ValueError(f"{shown(_text(value))} does not match {pattern.pattern}")
-    return _text(value)
-
-
-def _time(value: object) -> datetime:
-    found = datetime.fromisoformat(_text(value))
-    if found.tzinfo is None:
-        raise ValueError("a time without a time zone")
-    return found

@@ -32,6 +32,8 @@ Questions:
     compromised          finds keys that were revoked as compromised
     auditing             whether the ledger is intact
     bundle_numbers       the number of a bundle, by the ledger's lines about its files
+    receipt              what a robot says that it runs, and its line in the ledger
+    robots               what each robot runs and should run, by the newest receipts
 """
 
 from typing import TYPE_CHECKING
@@ -48,7 +50,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
-    from pqsec_pki.keystore.bundle_numbers import BundleNumbers
+    from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.keystore import Keystore
@@ -70,6 +72,8 @@ if TYPE_CHECKING:
         load_revocation_list,
     )
     from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching
+    from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
+    from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
@@ -94,24 +98,30 @@ __all__ = [
     "GROUP",
     "GROUP_NAME",
     "PERMITTED",
+    "PUBLIC_FILES",
+    "RECEIPT",
     "SETTINGS",
     "WAIT",
     "Authorities",
     "BundleNumbers",
     "Entry",
     "Files",
+    "InstallState",
     "Keystore",
     "Ledger",
     "Line",
     "Overlap",
     "ParticipantState",
     "Phase",
+    "Receipt",
+    "RobotState",
     "SharedStatus",
     "StagedFolder",
     "State",
     "Status",
     "Transaction",
     "audit",
+    "bundle_number",
     "certificate_entry",
     "change",
     "check_pair",
@@ -135,6 +145,7 @@ __all__ = [
     "participant_states",
     "refuse_overlap",
     "regular_name",
+    "robot_states",
     "settings_file",
     "signed_governance",
     "signed_grants",

@@ -112,6 +112,12 @@ class Ledger:
         """The entries of that kind and name, oldest first."""
         return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
 
+    def newest(self, kind: str) -> list[Entry]:
+        """The newest entry of that kind for each name."""
+        return self._find(
+            "number IN (SELECT max(number) FROM ledger WHERE kind = ? GROUP BY name)", kind
+        )
+
     def revoked_for(self, reason: str) -> list[Entry]:
         """The entries of participants whose certificates were revoked for that reason."""
         return self._find(_REVOKED_FOR, reason)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
+from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._file_comparison import pem_fingerprint
 from pqsec_pki.keystore._ledger import Ledger
@@ -20,6 +21,8 @@ _KINDS = (
     *("permissions", "governance", "crl", TRUST),
 )
 """The kinds of lines about files that are in bundles."""
+MAX_NUMBER = (1 << 63) - 1
+"""Of a row in SQLite, so of a ledger line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,13 @@ class BundleNumbers:
         """
         found = [self.lines[each] for each in _hashes(files) if each in self.lines]
         return max(*found, self.least) if found else None
+
+
+def bundle_number(value: object) -> int | None:
+    """A bundle's number as JSON has it, if any; MalformedError if no ledger line can have it."""
+    if value is None or (type(value) is int and 0 < value <= MAX_NUMBER):
+        return value
+    raise MalformedError("the bundle's number is not the number of a ledger line")
 
 
 def _hashes(files: Mapping[str, bytes]) -> Iterator[str]:

@@ -13,9 +13,9 @@ from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.enrolment import Bundle, install, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
-from pqsec_pki.enrolment.receipt import Receipt, read_receipts, receipt_of
+from pqsec_pki.enrolment.receipt import read_receipts, receipt_of
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
-from pqsec_pki.keystore import BundleNumbers, Keystore
+from pqsec_pki.keystore import BundleNumbers, Keystore, Receipt
 from pqsec_pki.lifecycle import Renewal, Rollover, Scope, renew, revoke, sign_governance
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import Signer, sign
@@ -308,6 +308,7 @@ def test_signed_text_that_is_not_exactly_a_receipt_is_refused(enclave):
         text().replace(b"{", b'{"format": 1,', 1),  # twice
         *(text(kind="bundle"), text(format=2), text(more=1), text(pqsec="\x1b[2J"), text(pqsec=1)),
         *(text(participant=each) for each in ("/", "/../x", "fleet/robot1", 7, None)),
+        text(participant="/long" * 4000),
         *(text(bundle=each) for each in (0, -1, True, "7", 1 << 63, 1.5)),
         *(text(made_at=each) for each in ("2026-11-21", "2026-11-21T12:00:00", "now", 7)),
         text(installed_at="2026-11-21T12:00:00"),
@@ -318,6 +319,9 @@ def test_signed_text_that_is_not_exactly_a_receipt_is_refused(enclave):
     for each in hostile:
         with pytest.raises(MalformedError):
             read_receipts(packed({**members_of(enclave), STATEMENT: statement(enclave, each)}))
+    for each in (text(kind="bundle"), text(format=2)):
+        with pytest.raises(MalformedError, match="made by another version of pqsec"):
+            Receipt.from_json(each)
 
 
 def test_an_archive_that_is_not_a_receipt_file_is_refused(enclave, transition):
@@ -329,7 +333,7 @@ def test_an_archive_that_is_not_a_receipt_file_is_refused(enclave, transition):
         packed({**members, f"enclaves{ROBOT}/key.pem": b""}),
         packed({**members, "receipt.p7s": members[STATEMENT]}),
         packed({f"x/{path}": each for path, each in members.items()}),
-        packed({f"enclaves/x.pem/{path[-11:]}": each for path, each in members.items()}),
+        packed({path.replace(ROBOT, "/x.pem"): each for path, each in members.items()}),
         packed({**members, CERT: members[CERT] * 2}),
         packed({**members, CERT: b"x"}),
     ]

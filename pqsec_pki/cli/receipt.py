@@ -1,0 +1,71 @@
+"""pqsec receipt: record what robots run."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.enrolment import ImportedReceipt, import_receipts
+
+
+@_help.group()
+@_settings.command_options
+def receipt() -> None:
+    """Record what robots run, from the receipts that `pqsec install` writes."""
+
+
+@receipt.command(
+    "import",
+    examples={
+        "Record what a robot runs": "pqsec receipt import credentials/installed.receipt",
+        "Record it again after the robot's clock was wrong": (
+            "pqsec receipt import credentials/installed.receipt --older"
+        ),
+    },
+    exit_codes={
+        0: "recorded, now or earlier",
+        1: (
+            "nothing is recorded: a signature is not valid, the certificate was not issued here or"
+            " is revoked, or a newer receipt is recorded"
+        ),
+        3: "a file cannot be read or is not a receipt, or the keystore cannot be changed",
+    },
+)
+@click.argument("files", nargs=-1, required=True, type=_settings.FILE, metavar="FILE...")
+@click.option(
+    "--older", is_flag=True, help="Also record a receipt that is older than the one recorded."
+)
+@_settings.command_options
+def import_(files: tuple[Path, ...], *, older: bool) -> None:
+    """Record what robots run, from the receipts that `pqsec install` writes.
+
+    FILE is DIR/installed.receipt of a robot. Each of its participants must have signed with all
+    keys of a certificate that this keystore issued to it and did not revoke; a certificate that
+    was renewed since shows that the robot is outdated. Receipts are recorded in the ledger, all
+    or none. Then `pqsec status` shows what each robot runs, and what it should run.
+    """
+    keystore = _settings.open_keystore(to_change=True)
+    done = import_receipts(keystore, files, now=_settings.now(), older=older)
+    value = {
+        "receipts": [
+            {
+                "name": each.receipt.participant,
+                "file": each.path,
+                "already": each.already,
+                "bundle": each.receipt.bundle,
+                "installed_at": each.receipt.installed_at,
+                "made_at": each.receipt.made_at,
+                "pqsec": each.receipt.pqsec,
+            }
+            for each in done
+        ]
+    }
+    _printing.emit(value, map(_line, done))
+
+
+def _line(each: ImportedReceipt) -> str:
+    receipt = each.receipt
+    number = "without a number" if receipt.bundle is None else receipt.bundle
+    word = "was recorded before" if each.already else "recorded"
+    installed = f"installed {receipt.installed_at:%Y-%m-%d %H:%M} UTC"
+    return f"{receipt.participant}  {word}: bundle {number}, {installed}  {each.path}"

@@ -1,0 +1,146 @@
+"""A receipt: what is installed of one participant, as its robot says. Its signature is not here.
+
+The ledger has the receipts that were imported. The room `enrolment` makes, signs and verifies them.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Self
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import FILES, KEYS
+from pqsec_pki.errors import KeystoreError, MalformedError, PqsecError, shown
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore.bundle_numbers import bundle_number
+
+RECEIPT = "receipt"
+"""The kind of the ledger's lines, and of the file."""
+FORMAT = 1
+PUBLIC_FILES = tuple(file for file in FILES if file not in KEYS)
+MAX_STATEMENT = 16 << 10
+"""Bytes; the seven files of an enclave take less than one thousand."""
+_STATEMENT = "statement"
+_SHA256 = re.compile("[0-9a-f]{64}")
+_VERSION = re.compile(r"[0-9A-Za-z.+_-]{1,64}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Receipt:
+    """What is installed of one participant."""
+
+    participant: str
+    bundle: int | None
+    """The number of the bundle that it came from, as its manifest says. Nothing signs that."""
+    files: Mapping[str, str]
+    """SHA-256 of each file, in hex, by its name; never of a private key."""
+    installed_at: datetime
+    made_at: datetime
+    """When the robot made the receipt, by its clock."""
+    pqsec: str
+    """The version that made it."""
+
+    @classmethod
+    def of(cls, entry: Entry) -> Self:
+        """The receipt in a ledger entry; KeystoreError if that is damaged."""
+        try:
+            return cls.from_json(str(entry.details.get(_STATEMENT)).encode())
+        except MalformedError:
+            raise KeystoreError(
+                f"the ledger's line on the receipt of {shown(entry.name)} is damaged",
+                hint="`pqsec log --verify` shows which lines were altered",
+            ) from None
+
+    def entry(self, certificate: Certificate, now: datetime) -> Entry:
+        """The ledger entry of this receipt, which the holder of `certificate` signed."""
+        return Entry(
+            at=now.isoformat(timespec="seconds"),
+            kind=RECEIPT,
+            name=self.participant,
+            serial=f"{certificate.serial_number:x}",
+            sha256=self.sha256,
+            not_after=None,
+            details={
+                "bundle": str(self.bundle or ""),
+                "installed": self.installed_at.isoformat(),
+                _STATEMENT: self.to_json().decode(),
+            },
+        )
+
+    def to_json(self) -> bytes:
+        """The statement; the same bytes for the same receipt."""
+        value = {
+            "format": FORMAT,
+            "kind": RECEIPT,
+            "participant": self.participant,
+            "bundle": self.bundle,
+            "files": self.files,
+            "installed_at": self.installed_at.isoformat(),
+            "made_at": self.made_at.isoformat(),
+            "pqsec": self.pqsec,
+        }
+        return json.dumps(value, indent=2, sort_keys=True).encode() + b"\n"
+
+    @classmethod
+    def from_json(cls, data: bytes) -> Self:
+        """The receipt in `data`, with any line ends; MalformedError if it is not exactly one."""
+        text = data.replace(b"\r\n", b"\n")
+        try:
+            if len(text) > MAX_STATEMENT:
+                raise MalformedError(f"larger than {MAX_STATEMENT} bytes")
+            value: dict[str, Any] = json.loads(text)
+            if value["kind"] != RECEIPT or value["format"] != FORMAT:
+                raise MalformedError("made by another version of pqsec")
+            found = cls(
+                participant=layout.enclave_name(_text(value["participant"])),
+                bundle=bundle_number(value["bundle"]),
+                files={
+                    _one_of(PUBLIC_FILES, name): _matching(_SHA256, each)
+                    for name, each in value["files"].items()
+                },
+                installed_at=_time(value["installed_at"]),
+                made_at=_time(value["made_at"]),
+                pqsec=_matching(_VERSION, value["pqsec"]),
+            )
+            if found.to_json() != text:
+                raise MalformedError("not in the form that pqsec writes")
+        except (
+            *(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError),
+            PqsecError,
+        ) as error:
+            raise MalformedError(f"not a receipt of pqsec: {shown(str(error))}") from error
+        return found
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the statement, in hex: the same whoever signs it, and however often."""
+        return hashlib.sha256(self.to_json()).hexdigest()
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"a {type(value).__name__} in place of a text")
+    return value
+
+
+def _one_of(names: tuple[str, ...], value: object) -> str:
+    if value not in names:
+        raise ValueError(f"{shown(str(value))} is not one of {', '.join(names)}")
+    return _text(value)
+
+
+def _matching(pattern: re.Pattern[str], value: object) -> str:
+    if not pattern.fullmatch(_text(value)):
+        raise ValueError(f"{shown(_text(value))} does not match {pattern.pattern}")
+    return _text(value)
+
+
+def _time(value: object) -> datetime:
+    found = datetime.fromisoformat(_text(value))
+    if found.tzinfo is None:
+        raise ValueError("a time without a time zone")
+    return found

@@ -1,0 +1,156 @@
+"""What the robot of each participant runs, by its newest receipt, and what it should run."""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.credentials import (
+    GOVERNANCE,
+    PERMISSIONS,
+    REVOCATION_LIST,
+    TrustAnchors,
+    certificates_in,
+    only_list,
+)
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore.bundle_numbers import BundleNumbers
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant import enclave_files
+from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
+from pqsec_pki.keystore.states import ParticipantState, State
+from pqsec_pki.smime import is_canonical
+
+
+class InstallState(StrEnum):
+    """How the files on a robot compare with those in the keystore."""
+
+    CURRENT = "current"
+    OUTDATED = "outdated"
+    UNKNOWN = "unknown"
+    """No receipt was imported."""
+    NONE = "none"
+    """It should run nothing: its certificate is revoked, or gone."""
+
+    @property
+    def calls_for_bundle(self) -> bool:
+        """Whether `pqsec bundle --outdated` would write a bundle."""
+        return self in {InstallState.OUTDATED, InstallState.UNKNOWN}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotState:
+    """What the robot of one participant runs and should run."""
+
+    name: str
+    state: InstallState
+    receipt: Receipt | None
+    """The newest that was imported."""
+    should_run: int | None
+    """The number of the bundle that `pqsec bundle` would write now. None if it should run nothing,
+    or if no receipt of any participant was imported: then no file is read."""
+    changed: tuple[str, ...] = ()
+    """The names of the files that differ, or that only the robot or only the keystore has."""
+
+    @property
+    def runs(self) -> int | None:
+        """The number of the bundle that is installed; None if that is not known.
+
+        If the files are those of the keystore, it is the keystore's number; else what the receipt
+        says, which nothing signs but the robot.
+        """
+        if self.state is InstallState.CURRENT:
+            return self.should_run
+        return self.receipt.bundle if self.receipt else None
+
+    @property
+    def installed_at(self) -> datetime | None:
+        """When the robot installed it; None without a receipt."""
+        return self.receipt.installed_at if self.receipt else None
+
+    def to_json(self) -> dict[str, object]:
+        """The state for --json."""
+        return {
+            "robot": self.state,
+            "runs": self.runs,
+            "should_run": self.should_run,
+            "changed": self.changed,
+            "installed_at": self.installed_at,
+        }
+
+
+def robot_states(
+    keystore: Keystore, participants: Iterable[ParticipantState]
+) -> dict[str, RobotState]:
+    """The state of the robot of each of these participants, by name, in their order.
+
+    The files of the keystore are compared with the newest receipt. KeystoreError for a damaged
+    ledger or a missing file, FileError for one that cannot be read.
+    """
+    with keystore.open_ledger() as ledger:
+        receipts = {entry.name: Receipt.of(entry) for entry in ledger.newest(RECEIPT)}
+        numbers = BundleNumbers.among(ledger) if receipts else None
+    with disk_errors(keystore.root):
+        return {
+            each.name: _state(keystore, each, receipts.get(each.name), numbers)
+            for each in participants
+        }
+
+
+def _state(
+    keystore: Keystore,
+    participant: ParticipantState,
+    receipt: Receipt | None,
+    numbers: BundleNumbers | None,
+) -> RobotState:
+    name, state = participant.name, InstallState.UNKNOWN
+    if participant.state in {State.REVOKED, State.GONE}:
+        return RobotState(name=name, state=InstallState.NONE, receipt=receipt, should_run=None)
+    if numbers is None:
+        return RobotState(name=name, state=state, receipt=None, should_run=None)
+    found = enclave_files(keystore.root, name)
+    files = {file: data for file, data in found.items() if file in PUBLIC_FILES}
+    changed: tuple[str, ...] = ()
+    if receipt:
+        changed = _changed(files, receipt.files)
+        state = InstallState.OUTDATED if changed else InstallState.CURRENT
+    return RobotState(
+        name=name,
+        state=state,
+        receipt=receipt,
+        should_run=numbers.number(files),
+        changed=changed,
+    )
+
+
+def _changed(files: Mapping[str, bytes], installed: Mapping[str, str]) -> tuple[str, ...]:
+    """The names of files that are not installed as they are, or would be in a bundle."""
+    differing = [
+        file
+        for file in sorted(files.keys() | installed.keys())
+        if file not in files or _sha256(files[file]) != installed.get(file)
+    ]
+    return tuple(
+        file
+        for file in differing
+        if file not in files or _sha256(_in_bundle(file, files)) != installed.get(file)
+    )
+
+
+def _in_bundle(file: str, files: Mapping[str, bytes]) -> bytes:
+    """The file as a bundle has it: other tools' files are written again in pqsec's own form."""
+    data = files[file]
+    with suppress(PqsecError):  # the file is not valid: no bundle has it
+        if file in {PERMISSIONS, GOVERNANCE}:
+            return data if is_canonical(data) else TrustAnchors.of(files).signed(data).message
+        if file == REVOCATION_LIST:
+            return only_list(data, file).pem
+        return b"".join(each.pem for each in certificates_in(data, file))
+    return data
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
