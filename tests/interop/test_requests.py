@@ -1,5 +1,7 @@
 """OpenSSL 3.5 takes the requests we make, and robots that use it are enrolled with its own."""
 
+import hashlib
+import json
 import shutil
 import subprocess
 
@@ -8,6 +10,7 @@ import pytest
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.enrolment import Bundle, install, request, validate_csrs
+from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR, Lab
 
@@ -58,6 +61,20 @@ def test_a_robot_whose_keys_openssl_made_is_enrolled(openssl35, tmp_path, now, p
     openssl35("verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem")
     public = openssl35("x509", "-in", folder / "cert.pem", "-noout", "-pubkey")
     assert openssl35("pkey", "-in", folder / "key.pem", "-pubout") == public
+    # Its receipt needs no pqsec either
+    data = (robot / "installed.receipt").read_bytes()
+    statement = Archive.unpack(data, "receipt").files[f"enclaves{NAME}/receipt.p7s"]
+    (tmp_path / "receipt.p7s").write_bytes(statement)
+    trust = ("-certfile", folder / "cert.pem", "-CAfile", folder / "identity_ca.cert.pem")
+    read = openssl35(
+        *("cms", "-verify", "-text", "-purpose", "any", *trust, "-in", tmp_path / "receipt.p7s")
+    )
+    files = {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.iterdir()
+        if not path.name.endswith("key.pem")
+    }
+    assert json.loads(read)["files"] == files
 
 
 def test_tar_reads_a_bundle(requires, labs, tmp_path):

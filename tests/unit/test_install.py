@@ -14,7 +14,15 @@ import pytest
 from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import IDENTITY_CA
-from pqsec_pki.enrolment import Bundle, install, make_sealing_key, request, rollback, seal
+from pqsec_pki.enrolment import (
+    Bundle,
+    install,
+    make_sealing_key,
+    read_receipts,
+    request,
+    rollback,
+    seal,
+)
 from pqsec_pki.enrolment.credential_store import CredentialStore, changing
 from pqsec_pki.enrolment.trust import ROLES, pins_of
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
@@ -78,6 +86,8 @@ def installed(robot):
     found = Bundle(LATER, current.enclaves)
     [credentials] = verify_bundle(found, found.roles, now=LATER).verified
     keys_of(credentials, [found.enclaves[ROBOT]])
+    receipt = robot / "installed.receipt"
+    assert not receipt.exists() or len(read_receipts(receipt.read_bytes())) == 1
     for file in current.path.rglob("*"):
         private = file.is_dir() or file.name.endswith("key.pem")
         assert stat.S_IMODE(file.stat().st_mode) == (

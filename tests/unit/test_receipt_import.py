@@ -183,8 +183,10 @@ def test_a_folder_of_receipts_may_be_imported_again_and_again(keystore, robot, p
         put_again(robot, LATER + day * DAY)
         shutil.copy(robot / "installed.receipt", place / f"{day}.receipt")
     files = sorted(place.glob("*.receipt"), reverse=True)
-    done = import_receipts(keystore, files, now=LATER + 3 * DAY)
-    assert [each.path.name for each in done] == ["1.receipt", "2.receipt", "3.receipt"]
+    done = import_receipts(keystore, [*files, files[0]], now=LATER + 3 * DAY)
+    assert [(each.path.name, each.already) for each in done] == [
+        *(("1.receipt", False), ("2.receipt", False), ("3.receipt", False), ("3.receipt", True)),
+    ]
     newest, head = state(keystore).receipt, keystore.head
     assert newest.made_at == LATER + 3 * DAY
     again = import_receipts(keystore, [*files, files[0]], now=LATER + 3 * DAY)
@@ -198,6 +200,14 @@ def test_the_same_statement_signed_again_is_the_same_receipt(keystore, robot):
     put_again(robot, LATER)
     assert (robot / "installed.receipt").read_bytes() != before
     assert receive(keystore, robot)[0].already
+
+
+def test_two_receipts_of_one_moment_are_not_both_recorded(keystore, robot):
+    receive(keystore, robot)
+    current = CredentialStore(robot).current
+    data = receipt_of(current.enclaves, {}, installed_at=current.at, now=LATER)
+    (robot / "installed.receipt").write_bytes(data)
+    refused(keystore, robot, Code.OLDER)
 
 
 def test_a_receipt_from_the_future_is_refused(keystore, robot):
