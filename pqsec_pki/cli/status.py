@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki._files import is_there, read, write
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli._metrics import write_metrics
 from pqsec_pki.cli._names import named
 from pqsec_pki.documents import MAX_DOMAIN
-from pqsec_pki.errors import ExistsError, UsageError
+from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore, RobotState, State, Status, robot_states
 from pqsec_pki.keystore import status as status_of
 
@@ -25,7 +25,6 @@ _ROLES = {
     "trusted-too": "trusted too",
     "crl": "revocation list",
 }
-_FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 
 
 @_help.command(
@@ -104,7 +103,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     robots = robot_states(keystore, standing.participants)
     rows = [{**each.to_json(), **robots[each.name].to_json()} for each in standing.participants]
     if prometheus:
-        _write(prometheus, "".join(_metrics(standing)))
+        write_metrics(prometheus, keystore, standing)
     _formats.emit(
         form,
         {"keystore": keystore.root, **standing.to_json(), "participants": rows},
@@ -142,33 +141,3 @@ def _lines(
 def _robot(robot: RobotState) -> tuple[str, ...]:
     numbers = (f"{each or '-'}" for each in (robot.runs, robot.should_run))
     return (robot.state, *numbers, ", ".join(robot.changed) or "-")
-
-
-def _metrics(standing: Status) -> Iterator[str]:
-    """The metrics in Prometheus' text format, version 0.0.4."""
-    yield _FIRST_LINE
-    yield "# TYPE pqsec_not_after_seconds gauge\n"
-    every = [("participant", each.name, each.not_after) for each in standing.participants]
-    for kind, name, end in [*((t.kind, t.name, t.not_after) for t in standing.shared), *every]:
-        labels = f'kind="{kind}",name="{_label(name)}"'
-        yield f"pqsec_not_after_seconds{{{labels}}} {end.timestamp():.0f}\n"
-    yield "# HELP pqsec_participants How many participants are in each state.\n"
-    yield "# TYPE pqsec_participants gauge\n"
-    for state, count in standing.counts().items():
-        yield f'pqsec_participants{{state="{state}"}} {count}\n'
-    yield "# HELP pqsec_status_seconds When these metrics were made, as Unix time.\n"
-    yield "# TYPE pqsec_status_seconds gauge\n"
-    yield f"pqsec_status_seconds {standing.at.timestamp():.0f}\n"
-
-
-def _label(text: str) -> str:
-    return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
-
-
-def _write(path: Path, metrics: str) -> None:
-    """Write the metrics. ExistsError if `path` is another kind of file."""
-    if is_there(path) and not read(path).startswith(_FIRST_LINE.encode()):
-        raise ExistsError(
-            f"{path} exists and is not a metrics file of pqsec", hint="choose another file"
-        )
-    write(path, metrics.encode(), force=True)

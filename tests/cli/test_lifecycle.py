@@ -1,11 +1,17 @@
 """renew, needs-renewal, revoke, ca crl, status and log, as their users run them."""
 
 import json
+import os
 import re
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime
 
 import pytest
+
+from pqsec_pki.cli._metrics import write_metrics
+from pqsec_pki.keystore import Keystore, status
 
 
 @pytest.fixture
@@ -118,16 +124,43 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     assert all(samples)
     assert {sample[1] for sample in samples} == {
         "pqsec_not_after_seconds",
+        "pqsec_participant_info",
         "pqsec_participants",
         "pqsec_status_seconds",
     }
     typed = [line.split()[2] for line in lines if line.startswith("# TYPE")]
-    assert len(typed) == len(set(typed)) == 3
-    assert 'pqsec_participants{state="valid"} 2' in lines
+    assert len(typed) == len(set(typed)) == 4
+    place = f'keystore="{tmp_path}/k"'
+    kind = 'profile="classical",domains="0"'
+
+    def counted(state, count):
+        return f'pqsec_participants{{{place},state="{state}",{kind}}} {count}'
+
+    def info(state):
+        return f'pqsec_participant_info{{{place},name="/talker",state="{state}",{kind}}} 1'
+
+    assert {counted("valid", 2), counted("due", 0), info("valid")} <= set(lines)
     pqsec("-k k revoke /talker --yes")
     pqsec("-k k status --prometheus pqsec.prom").done()
-    assert 'pqsec_participants{state="revoked"} 1' in (tmp_path / "pqsec.prom").read_text()
+    lines = (tmp_path / "pqsec.prom").read_text().splitlines()
+    assert {counted("revoked", 1), info("revoked")} <= set(lines)
     assert [path.name for path in tmp_path.iterdir() if "prom" in path.name] == ["pqsec.prom"]
+
+
+def test_metrics_stay_valid_with_hostile_names(tmp_path, k):
+    """The name of an adopted CA and the path of a keystore may have any character."""
+    root = tmp_path / os.fsdecode(b'a "b\\\n\xff')
+    k.rename(root)
+    keystore = Keystore.open(root)
+    standing = status(keystore, now=datetime.now(UTC))
+    hostile = replace(standing.shared[0], name='x"} 1\\\n\u202e\udcff\r')
+    write_metrics(tmp_path / "m.prom", keystore, replace(standing, shared=(hostile,)))
+    lines = (tmp_path / "m.prom").read_bytes().decode().split("\n")[:-1]
+    samples = [METRIC.fullmatch(line) for line in lines if not line.startswith("#")]
+    assert len(samples) > 3
+    assert all(samples)
+    first = next(line for line in lines if not line.startswith("#"))
+    assert r'/a \"b\\\n\\xff",kind="identity-ca",name="x\"} 1\\\n' in first
 
 
 # log

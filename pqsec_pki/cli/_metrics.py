@@ -1,0 +1,94 @@
+"""The metrics of `status --prometheus`, in Prometheus' text format 0.0.4.
+
+Names and labels are stable: alert rules use them. A participant's profile, domains and state are
+labels of pqsec_participant_info, not of its expiry, so that a series of the expiry goes on when
+they change. `keystore` is a label of all, so that one collector may read the files of several.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from pqsec_pki._files import is_there, read, write
+from pqsec_pki.errors import ExistsError
+from pqsec_pki.keystore import Keystore, State, Status
+
+_FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
+
+Sample = tuple[dict[str, str], int]
+"""Labels and value."""
+
+
+def write_metrics(path: Path, keystore: Keystore, standing: Status) -> None:
+    """Write the metrics to `path`, atomically. ExistsError if it is another kind of file."""
+    if is_there(path) and not read(path).startswith(_FIRST_LINE.encode()):
+        raise ExistsError(
+            f"{path} exists and is not a metrics file of pqsec", hint="choose another file"
+        )
+    write(path, "".join(_lines(keystore, standing)).encode(), force=True)
+
+
+def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
+    root = str(keystore.root.resolve())
+    yield from _metric(
+        "not_after_seconds",
+        "When it ends, as Unix time.",
+        [
+            ({"keystore": root, "kind": kind, "name": name}, int(end.timestamp()))
+            for kind, name, end in (
+                *((each.kind, each.name, each.not_after) for each in standing.shared),
+                *(("participant", each.name, each.not_after) for each in standing.participants),
+            )
+        ],
+    )
+    yield from _metric(
+        "participant_info",
+        "State, profile and domains of a participant; always 1.",
+        [
+            (
+                {
+                    "keystore": root,
+                    "name": each.name,
+                    "state": each.state,
+                    "profile": each.profile or "",
+                    "domains": each.domains or "",
+                },
+                1,
+            )
+            for each in standing.participants
+        ],
+    )
+    yield from _metric(
+        "participants",
+        "How many participants have this state, profile and domains.",
+        _counts(root, keystore, standing),
+    )
+    now = int(standing.at.timestamp())
+    yield from _metric(
+        "status_seconds", "When these metrics were made, as Unix time.", [({"keystore": root}, now)]
+    )
+
+
+def _counts(root: str, keystore: Keystore, standing: Status) -> Iterator[Sample]:
+    """For each profile and domains all states, also with 0: an alert on a number then ends."""
+    found = Counter(
+        (each.profile or "", each.domains or "", each.state) for each in standing.participants
+    )
+    kinds = {(keystore.profile.name, str(keystore.domains))} | {key[:2] for key in found}
+    for profile, domains in sorted(kinds):
+        for state in State:
+            labels = {"state": state.value, "profile": profile, "domains": domains}
+            yield {"keystore": root, **labels}, found[profile, domains, state]
+
+
+def _metric(name: str, words: str, samples: Iterable[Sample]) -> Iterator[str]:
+    yield f"# HELP pqsec_{name} {words}\n# TYPE pqsec_{name} gauge\n"
+    for labels, value in samples:
+        written = ",".join(f'{key}="{_label(text)}"' for key, text in labels.items())
+        yield f"pqsec_{name}{{{written}}} {value}\n"
+
+
+def _label(text: str) -> str:
+    """The text, escaped. A path that is not UTF-8 has `\\xff` for a byte."""
+    text = text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
