@@ -6,12 +6,12 @@ they change. `keystore` is a label of all, so that one collector may read the fi
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pqsec_pki._files import is_there, read, write
 from pqsec_pki.errors import ExistsError
-from pqsec_pki.keystore import Keystore, State, Status
+from pqsec_pki.keystore import Keystore, RobotState, State, Status
 
 _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 
@@ -19,16 +19,18 @@ Sample = tuple[dict[str, str], int]
 """Labels and value."""
 
 
-def write_metrics(path: Path, keystore: Keystore, standing: Status) -> None:
+def write_metrics(
+    path: Path, keystore: Keystore, standing: Status, robots: Mapping[str, RobotState]
+) -> None:
     """Write the metrics to `path`, atomically. ExistsError if it is another kind of file."""
     if is_there(path) and not read(path).startswith(_FIRST_LINE.encode()):
         raise ExistsError(
             f"{path} exists and is not a metrics file of pqsec", hint="choose another file"
         )
-    write(path, "".join(_lines(keystore, standing)).encode(), force=True)
+    write(path, "".join(_lines(keystore, standing, robots)).encode(), force=True)
 
 
-def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
+def _lines(keystore: Keystore, standing: Status, robots: Mapping[str, RobotState]) -> Iterator[str]:
     root = str(keystore.root.resolve())
     yield from _metric(
         "not_after_seconds",
@@ -43,7 +45,7 @@ def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
     )
     yield from _metric(
         "participant_info",
-        "State, profile and domains of a participant; always 1.",
+        "State, profile and domains of a participant, and what its robot runs; always 1.",
         [
             (
                 {
@@ -52,6 +54,7 @@ def _lines(keystore: Keystore, standing: Status) -> Iterator[str]:
                     "state": each.state,
                     "profile": each.profile or "",
                     "domains": each.domains or "",
+                    "robot": robots[each.name].state,
                 },
                 1,
             )

@@ -103,7 +103,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     robots = robot_states(keystore, standing.participants)
     rows = [{**each.to_json(), **robots[each.name].to_json()} for each in standing.participants]
     if prometheus:
-        write_metrics(prometheus, keystore, standing)
+        write_metrics(prometheus, keystore, standing, robots)
     _formats.emit(
         form,
         {"keystore": keystore.root, **standing.to_json(), "participants": rows},

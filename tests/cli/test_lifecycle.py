@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import pytest
 
 from pqsec_pki.cli._metrics import write_metrics
-from pqsec_pki.keystore import Keystore, status
+from pqsec_pki.keystore import Keystore, robot_states, status
 
 
 @pytest.fixture
@@ -136,14 +136,15 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     def counted(state, count):
         return f'pqsec_participants{{{place},state="{state}",{kind}}} {count}'
 
-    def info(state):
-        return f'pqsec_participant_info{{{place},name="/talker",state="{state}",{kind}}} 1'
+    def info(state, robot="unknown"):
+        labels = f'{place},name="/talker",state="{state}",{kind},robot="{robot}"'
+        return f"pqsec_participant_info{{{labels}}} 1"
 
     assert {counted("valid", 2), counted("due", 0), info("valid")} <= set(lines)
     pqsec("-k k revoke /talker --yes")
     pqsec("-k k status --prometheus pqsec.prom").done()
     lines = (tmp_path / "pqsec.prom").read_text().splitlines()
-    assert {counted("revoked", 1), info("revoked")} <= set(lines)
+    assert {counted("revoked", 1), info("revoked", "none")} <= set(lines)
     assert [path.name for path in tmp_path.iterdir() if "prom" in path.name] == ["pqsec.prom"]
 
 
@@ -153,8 +154,9 @@ def test_metrics_stay_valid_with_hostile_names(tmp_path, k):
     k.rename(root)
     keystore = Keystore.open(root)
     standing = status(keystore, now=datetime.now(UTC))
+    robots = robot_states(keystore, standing.participants)
     hostile = replace(standing.shared[0], name='x"} 1\\\n\u202e\udcff\r')
-    write_metrics(tmp_path / "m.prom", keystore, replace(standing, shared=(hostile,)))
+    write_metrics(tmp_path / "m.prom", keystore, replace(standing, shared=(hostile,)), robots)
     lines = (tmp_path / "m.prom").read_bytes().decode().split("\n")[:-1]
     samples = [METRIC.fullmatch(line) for line in lines if not line.startswith("#")]
     assert len(samples) > 3
