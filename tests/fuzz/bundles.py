@@ -18,7 +18,16 @@ from pathlib import Path
 from pqsec_pki.algorithms import SealingPrivateKey, profile_named
 from pqsec_pki.certificates import certificate_request
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.enrolment import Bundle, SignRequest, accept, install, open_sealed, seal, sign
+from pqsec_pki.enrolment import (
+    Bundle,
+    SignRequest,
+    accept,
+    install,
+    open_sealed,
+    read_receipts,
+    seal,
+    sign,
+)
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, revoke
@@ -123,6 +132,20 @@ def take_answer(data):
             assert not out.exists()
             raise
         assert sorted(each.name for each in out.iterdir()) == ["new+a.bundle", "new+b.bundle"]
+
+
+@cache
+def receipt():
+    """What a robot writes that has installed the bundle."""
+    file, root = Path(home().name) / "b.bundle", Path(home().name) / "robot"
+    file.write_bytes(bundle().to_bytes())
+    return install(file, root, bundle().roles, now=NOW).receipt.read_bytes()
+
+
+def take_receipt(data):
+    """Only what the robot said, whatever else of it was lost."""
+    found = {each.receipt.sha256 for each in read_receipts(data)}
+    assert found <= {each.receipt.sha256 for each in read_receipts(receipt())}
 
 
 # Spoiling
@@ -281,4 +304,5 @@ TARGETS = {
     ),
     "sign-request": (take_request, lambda: [asked()], spoilt),
     "sign-answer": (take_answer, lambda: [answer()], spoilt),
+    "receipt": (take_receipt, lambda: [receipt()], spoilt),
 }
