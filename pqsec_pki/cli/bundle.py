@@ -58,8 +58,8 @@ from pqsec_pki.keystore import (
 @click.option(
     "--outdated",
     is_flag=True,
-    help="Write only what robots lack by their receipts, or have no receipt for: one file for each"
-    " participant, or all in the file of -o. [default NAME: all participants]",
+    help="Write only what robots lack, of NAME or of all participants: one file for each, or all"
+    " in the file of -o.",
 )
 @_bundles.folder_option
 @_bundles.seal_option
@@ -87,9 +87,9 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     bundle that `pqsec install` would refuse is not written. A bundle with private keys must
     be encrypted with --seal-for, unless you use --plain-key.
 
-    --outdated compares the files of the keystore with the receipts that `pqsec receipt import`
-    recorded. A participant without a receipt counts as outdated. Participants that a bundle
-    cannot be for, because they are revoked or expired, are left out, and a note says so.
+    With --outdated, robots lack something if the receipt that `pqsec receipt import` recorded
+    names other files than the keystore has, or if there is no receipt. Participants that a
+    bundle cannot be for, because they are revoked or expired, are left out, and a note says so.
     """
     if (names and robot) or not (names or robot or outdated):
         raise UsageError("no participant named: give names, or --robot FILE")

@@ -88,9 +88,10 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     NAME may be a pattern ('/robot1/*') or a group (@hall1); without a NAME, all are
     shown. The data comes from the ledger, not from the files: check those with `pqsec check`.
 
-    After `pqsec receipt import`, it also shows the numbers of the bundles that each robot runs
-    and should run, and which files differ: `robot` is current, outdated, or unknown without a
-    receipt. `pqsec bundle --outdated` writes what they lack.
+    After `pqsec receipt import`, it also compares the files with those that each robot has
+    installed: `robot` is current, outdated, or unknown without a receipt; then follow the numbers
+    of the bundles that it runs and should run, and the files that differ. `pqsec bundle
+    --outdated` writes what robots lack.
     """
     _formats.chosen(form)
     keystore = _settings.open_keystore()

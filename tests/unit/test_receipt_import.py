@@ -253,6 +253,25 @@ def test_files_that_other_tools_signed_are_compared_as_a_bundle_has_them(keystor
     assert state(keystore).changed == ("cert.pem",)
 
 
+def test_a_file_that_only_the_robot_has_is_named(keystore, robot):
+    renew_list(keystore, keystore.unlock(None), now=LATER)
+    put(robot, Bundle.of(keystore, [ROBOT], now=LATER))
+    receive(keystore, robot)
+    assert state(keystore).changed == ()
+    (keystore.root / f"enclaves{ROBOT}/crl.pem").unlink()
+    assert state(keystore).changed == ("crl.pem",)
+
+
+def test_what_is_current_has_the_keystores_number_whatever_the_receipt_says(keystore, place):
+    for number in (None, 7000):
+        bundle = replace(Bundle.of(keystore, ["/arm"], now=LATER), number=number)
+        put(place / str(number), bundle)
+        receive(keystore, place / str(number), older=True)
+        found = state(keystore, "/arm")
+        assert found.receipt.bundle == number
+        assert found.runs == found.should_run == Bundle.of(keystore, ["/arm"], now=LATER).number
+
+
 def test_a_damaged_line_and_a_missing_file_are_told(keystore, robot):
     [done] = receive(keystore, robot)
     (keystore.root / f"enclaves{ROBOT}/permissions.p7s").unlink()
