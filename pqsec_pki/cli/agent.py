@@ -68,6 +68,7 @@ def stop() -> None:
     participant that was created earlier cannot authenticate new peers and is not informed
     of revocations: restart it.
     """
+    # It does not ask, as `revoke` does: it destroys nothing, and a new agent starts by itself.
     stopped = stop_agent(_agent_folder())
     _printing.emit({"stopped": stopped}, ["stopped" if stopped else _NOT_RUNNING])
 

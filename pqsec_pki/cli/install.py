@@ -1,13 +1,15 @@
 """pqsec install and rollback: on the robot, install a bundle or return to the previous one."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
-from pqsec_pki.enrolment import pins_of
+from pqsec_pki.enrolment import pins_of, removed_alone
 from pqsec_pki.enrolment import rollback as roll_back
 
 
@@ -48,6 +50,7 @@ from pqsec_pki.enrolment import rollback as roll_back
 @click.option(
     "--older", is_flag=True, help="Also install a bundle that is older than the installed one."
 )
+@click.option("--yes", is_flag=True, help="With --only: do not ask for confirmation.")
 @folder_option
 @_settings.command_options
 def install(  # noqa: PLR0913 -- one for each option, by name
@@ -58,6 +61,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     trust_first: bool,
     older: bool,
     only: bool,
+    yes: bool,
 ) -> None:
     """Check a bundle and install it on this robot.
 
@@ -69,6 +73,8 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     it to the machine with the CAs, for `pqsec receipt import`. To make it again, install the
     same bundle again.
     """
+    if only and not yes:
+        _ask(removed_alone(bundle, folder))
     done = install_bundle(
         bundle,
         folder,
@@ -91,6 +97,17 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 
+def _ask(removed: Sequence[str]) -> None:
+    """Ask if anything is removed: keys that were generated on the robot are nowhere else."""
+    if removed:
+        confirm(
+            lambda: _printing.emit(None, [f"remove: {name}" for name in removed]),
+            "Remove these and their keys?",
+            what=f"{_printing.few(removed)} would be removed, with the keys",
+            hint="--yes removes them; without --only they stay",
+        )
+
+
 @_help.command(
     examples={
         "Return to the set before the last bundle, which is older": "pqsec rollback --older",
@@ -107,9 +124,10 @@ def install(  # noqa: PLR0913 -- one for each option, by name
 def rollback(folder: Path, *, older: bool) -> None:
     """Restore what was installed before the last bundle.
 
-    It works once. Something older than the newest installed bundle is refused, unless you use
-    --older: it may grant rights that were withdrawn, and accept peers that were revoked. The
-    expiry of its certificates is not checked.
+    It works once, and destroys nothing: install the bundle again to undo it. Something older
+    than the newest installed bundle is refused, unless you use --older: it may grant rights
+    that were withdrawn, and accept peers that were revoked. The expiry of its certificates is
+    not checked.
     """
     earlier = roll_back(folder, now=_settings.now(), older=older)
     value = {"current": earlier.path, "installed_at": earlier.at}

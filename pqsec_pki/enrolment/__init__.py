@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
     from pqsec_pki.enrolment.credential_store import InstalledSet
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
-    from pqsec_pki.enrolment.installing import Installed, install, rollback
+    from pqsec_pki.enrolment.installing import Installed, install, removed_alone, rollback
     from pqsec_pki.enrolment.issuing import (
         IssuedBundle,
         bundle_paths,
@@ -64,6 +64,7 @@ __all__ = [
     "read_receipts",
     "refresh",
     "refuse_plain_keys",
+    "removed_alone",
     "request",
     "rollback",
     "save",

@@ -93,6 +93,18 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         return _result(found, store, bundle, already=already)
 
 
+def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
+    """The participants, sorted, that `install` of the bundle in file `path` `alone` would remove.
+
+    Errors as of `install` for a file that is not a bundle; its content is not verified.
+    """
+    data = read(path, limit=MAX_FILE)
+    with changing(root) as store, located(path):
+        names = Bundle.from_bytes(_opened(data, root)).names
+        installed = store.current.enclaves if store.current else {}
+        return tuple(sorted(installed.keys() - set(names)))
+
+
 def rollback(root: Path, *, now: datetime, older: bool = False) -> InstalledSet:
     """Make the set before the current one current again.
 

@@ -324,7 +324,12 @@ def test_a_robot_of_two_participants_keeps_both(pqsec, asked, tmp_path):
     pqsec("install fleet+robot1.bundle --dir r").done()
     enclaves = tmp_path / "r/current/enclaves/fleet"
     assert sorted(each.name for each in enclaves.iterdir()) == ["arm", "robot1"]
-    pqsec("install fleet+robot1.bundle --dir r --only").done()
+    line = "install fleet+robot1.bundle --dir r --only"
+    pqsec(line).refused(2, "/fleet/arm would be removed", hint="--yes")
+    assert sorted(each.name for each in enclaves.iterdir()) == ["arm", "robot1"]
+    pqsec(f"{line} --yes").done()
+    assert [each.name for each in enclaves.iterdir()] == ["robot1"]
+    pqsec(line).done()  # nothing to remove: no question
     assert [each.name for each in enclaves.iterdir()] == ["robot1"]
 
 
