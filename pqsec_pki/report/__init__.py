@@ -9,6 +9,7 @@
     history     what the ledger has, command by command
     comparing   what changed since an earlier report
     page        the report as one HTML file
+    picture     its matrix, and its picture of participants and topics
     signature   the signed statement beside a report
     rows        the report as CSV
 

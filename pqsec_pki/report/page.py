@@ -7,7 +7,7 @@ name can neither be markup nor hide or reorder what is beside it.
 
 import base64
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
@@ -15,14 +15,14 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
+from pqsec_pki.documents import ros
 from pqsec_pki.errors import shown
 from pqsec_pki.lint import Severity
 from pqsec_pki.report.comparing import Changes
+from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
 from pqsec_pki.report.values import (
     Ending,
     Exposure,
-    Holder,
-    HolderExtent,
     ParticipantGroup,
     Report,
     RightsRow,
@@ -33,12 +33,10 @@ from pqsec_pki.report.values import (
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-MOST_NAMES = 500
+MOST_NAMES = 2_000
 """Names in a list of the page; a list of more says how many are left out. JSON has all."""
 MOST_ROWS = 200
 """Rows of events, places and changes likewise."""
-MOST_COLUMNS = 10
-"""Groups in the matrix; more do not fit on A4."""
 MOST_MONTHS = 24
 """Bars of the chart; later months are in one bar, so that it fits on A4."""
 
@@ -57,7 +55,9 @@ def html_of(report: Report, changes: Changes | None = None) -> str:
         style=_raw(style),
         script=_raw(script),
         policy=policy,
-        matrix=_matrix(report.rights) if report.rights else [],
+        matrix=matrix_of(report.rights) if report.rights else [],
+        picture=picture_of(report.rights) if report.rights else None,
+        number_of=_numbers(report.rights),
         months=_months(report.endings or (), report.at),
         exposures=_by_use(report.exposures or ()),
         severities=list(Severity),
@@ -68,27 +68,11 @@ def html_of(report: Report, changes: Changes | None = None) -> str:
     )
 
 
-def _matrix(rights: RightsSection) -> list[tuple[RightsRow, list[str]]]:
-    """Each row with a cell for each group: P, S or both, and * for some of its members only."""
-    if len(rights.groups) > MOST_COLUMNS:
-        return []
-    return [
-        (
-            row,
-            [
-                _cell("P", group, row.publishers) + _cell("S", group, row.subscribers)
-                for group in rights.groups
-            ],
-        )
-        for row in rights.rows
-    ]
-
-
-def _cell(letter: str, group: ParticipantGroup, holders: Iterable[Holder]) -> str:
-    for each in holders:
-        if each.group == group:
-            return letter if each.extent is HolderExtent.ALL else f"{letter}*"
-    return ""
+def _numbers(rights: RightsSection | None) -> Callable[[ParticipantGroup | RightsRow], int]:
+    """The number of each group, and of each row."""
+    every = (rights.groups, rights.rows) if rights else ()
+    numbers = {id(each): number for those in every for number, each in enumerate(those)}
+    return lambda each: numbers[id(each)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,5 +168,7 @@ def _environment() -> "Environment":
     )
     environment.filters["moment"] = _moment
     environment.filters["day"] = "{:%Y-%m-%d}".format
+    environment.tests["routine"] = is_routine
+    environment.filters["ros"] = ros.said
     environment.filters["number"] = "{:,}".format
     return environment

@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import replace
 from datetime import timedelta
 from html.parser import HTMLParser
-from itertools import product
+from itertools import pairwise, product
 
 import pytest
 
@@ -19,13 +19,14 @@ from pqsec_pki.access import SPEC
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli._printing import as_json
 from pqsec_pki.credentials import anchors
-from pqsec_pki.documents import DomainSet
+from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, revoke
 from pqsec_pki.lint import Severity
 from pqsec_pki.policy import fleet_in, who_may_use
 from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
+from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
 from pqsec_pki.report.rows import HEADER
 from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Strength
 from pqsec_pki.smime import _reading
@@ -361,6 +362,73 @@ def test_tables_have_captions_and_headers_with_a_scope(report):
     assert len(ids) == len(set(ids))
     pointed = {each["href"][1:] for each in page.named("a")}
     assert pointed <= set(ids)
+
+
+def test_headings_are_in_order_and_everything_has_a_name_that_is_read_aloud(report):
+    page = Page(html_of(report))
+    levels = [int(tag[1]) for tag, _ in page.tags if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert levels.count(1) == 1
+    ids = {attrs["id"] for _, attrs in page.tags if "id" in attrs}
+    for tag, attrs in page.tags:
+        assert attrs.get("aria-labelledby", "rights") in ids
+        assert attrs.get("for", "filter") in ids
+        is_area = tag in {"section", "nav", "svg"} or "role" in attrs
+        silent = attrs.get("role") in {"status", "search"} or attrs.get("aria-hidden") == "true"
+        assert not is_area or silent or {"aria-label", "aria-labelledby"} & attrs.keys(), attrs
+        assert tag != "button" or attrs["type"] == "button"
+
+
+def test_the_picture_has_every_right_that_is_not_given_to_every_node(tmp_path):
+    names, node = ("/a", "/b", "/boss"), ros.node_minimum
+    keystore = Keystore.create(
+        tmp_path / "k",
+        profile_named("classical"),
+        name="Test",
+        domains=DomainSet.parse("0"),
+        validity=900 * DAY,
+        passphrase=None,
+        now=NOW,
+    )
+    own = {"/boss": (["rt/all", "rq/boss_setRequest"], ["rr/boss_setReply"])}
+    specs = [
+        spec(name, [*node(name).publish, *publish], [*node(name).subscribe, *subscribe], "0")
+        for name in names
+        for publish, subscribe in [own.get(name, ([f"rt{name}/odom"], ["rt/all"]))]
+    ]
+    issue(keystore, keystore.unlock(None), specs, now=NOW)
+    rights = report_of(keystore, now=NOW).rights
+    picture, table = picture_of(rights), {each.label for each in rights.rows}
+    drawn = {row.label for flow in picture.flows for row in flow.rows}
+    assert drawn == {row.label for row, _ in matrix_of(rights)}
+    assert {"rt/all", "rt/{name}/odom", "rq/boss_setRequest", "rr/boss_setReply"} <= drawn
+    assert {"rt/parameter_events", "rt/rosout"} & drawn == set()
+    assert table - drawn >= {"ros_discovery_info", "rq/boss/set_parametersRequest"}
+    by_label = {row.label: flow for flow in picture.flows for row in flow.rows}
+    to_all = by_label["rt/all"]
+    assert [each.group.label for each in to_all.publishers] == ["/boss"]
+    assert [each.group.label for each in to_all.subscribers] == ["/{name}"]
+    assert not by_label["rt/{name}/odom"].subscribers
+    assert picture.flows[0] is to_all
+
+
+def test_parameters_that_another_participant_may_set_are_in_the_picture(tmp_path, report):
+    row = replace(report.rights.rows[0], topics=("rq/r1/set_parametersRequest",))
+    assert not is_routine(replace(row, publishers=row.publishers, subscribers=row.publishers))
+    assert is_routine(replace(row, publishers=()))
+
+
+def test_each_cell_of_the_matrix_leads_to_the_rule_that_decided(report):
+    page = Page(html_of(report))
+    cells = [each for each in page.named("a") if each["href"].startswith("#rule-")]
+    rows = [
+        holder.place
+        for row in report.rights.rows
+        if not is_routine(row)
+        for holder in (*row.publishers, *row.subscribers)
+    ]
+    assert sorted(each["aria-label"].rpartition("by ")[2] for each in cells) == sorted(rows)
 
 
 HOSTILE = (
