@@ -12,7 +12,7 @@ from pqsec_pki import __version__
 from pqsec_pki.access import SPEC
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, State, Status, audit
+from pqsec_pki.keystore import Keystore, Line, State, Status, audit, robot_states
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
 from pqsec_pki.policy import Fleet, fleet_in
@@ -36,6 +36,7 @@ from pqsec_pki.report.values import (
     HandshakeSize,
     ParticipantRow,
     Report,
+    RobotRow,
 )
 
 Given = TypeVar("Given")
@@ -47,6 +48,7 @@ QUANTUM = "What a quantum computer breaks"
 FINDINGS = "What is wrong or risky"
 EVENTS = "What was issued, renewed and revoked"
 SIZES = "How large the handshakes are"
+ROBOTS = "What each robot runs"
 EVIDENCE = "Evidence"
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
@@ -88,6 +90,7 @@ def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report
         findings=_of(checked, made.findings),
         events=_of(lines, events_of),
         sizes=_of(checked, lambda found: _sizes(found.inventory)),
+        robots=_of(status, lambda found: made.part(ROBOTS, lambda: _robots(keystore, found))),
         evidence=_of(lines, lambda found: made.part(EVIDENCE, lambda: _evidence(keystore, found))),
         gaps=tuple(dict.fromkeys(made.gaps)),
     )
@@ -235,6 +238,21 @@ def _sizes(inventory: Inventory) -> tuple[HandshakeSize, ...]:
             names=tuple(sorted(names)),
         )
         for (message, certificate, permissions), names in sorted(alike.items(), reverse=True)
+    )
+
+
+def _robots(keystore: Keystore, status: Status) -> tuple[RobotRow, ...]:
+    people = sorted(status.participants, key=lambda each: each.name)
+    return tuple(
+        RobotRow(
+            name=each.name,
+            state=each.state,
+            runs=each.runs,
+            should_run=each.should_run,
+            changed=each.changed,
+            installed_at=each.installed_at,
+        )
+        for each in robot_states(keystore, people).values()
     )
 
 

@@ -15,6 +15,7 @@ _WORDS = {
     "trust": "changed which identity CAs are trusted",
     "revocation": "revoked",
     "compromise": "marked as compromised",
+    "receipt": "recorded what a robot installed",
 }
 ISSUED = "issued"
 RENEWED = "renewed"

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._assets import asset
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import shown
+from pqsec_pki.keystore import InstallState
 from pqsec_pki.lint import Severity
 from pqsec_pki.report.comparing import Changes
 from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
@@ -27,6 +28,7 @@ from pqsec_pki.report.values import (
     Report,
     RightsRow,
     RightsSection,
+    RobotRow,
     Strength,
 )
 
@@ -58,6 +60,7 @@ def html_of(report: Report, changes: Changes | None = None) -> str:
         matrix=matrix_of(report.rights) if report.rights else [],
         picture=picture_of(report.rights) if report.rights else None,
         number_of=_numbers(report.rights),
+        robots=_robots_alike(report.robots or ()),
         months=_months(report.endings or (), report.at),
         exposures=_by_use(report.exposures or ()),
         severities=list(Severity),
@@ -119,6 +122,15 @@ def _by_use(exposures: Iterable[Exposure]) -> list[Exposure]:
         )
         for alike in merged.values()
     ]
+
+
+def _robots_alike(robots: Iterable[RobotRow]) -> list[list[RobotRow]]:
+    """Robots in the same state, with the same differences; those that lack something first."""
+    alike: dict[tuple[object, ...], list[RobotRow]] = {}
+    for each in robots:
+        alike.setdefault((each.state, each.changed, each.runs, each.should_run), []).append(each)
+    rank = [InstallState.OUTDATED, InstallState.UNKNOWN, InstallState.CURRENT, InstallState.NONE]
+    return sorted(alike.values(), key=lambda those: rank.index(those[0].state))
 
 
 def _hash(text: str) -> str:

@@ -17,7 +17,7 @@ MOST_FLOWS = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flow:
+class PictureFlow:
     """Topics that the same participants may publish, and the same may subscribe to."""
 
     domains: str
@@ -32,7 +32,7 @@ class Picture:
 
     senders: tuple[ParticipantGroup, ...]
     receivers: tuple[ParticipantGroup, ...]
-    flows: tuple[Flow, ...]
+    flows: tuple[PictureFlow, ...]
     more: int
     """How many flows are left out."""
 
@@ -71,7 +71,7 @@ def picture_of(rights: RightsSection) -> Picture:
         if not is_routine(row):
             alike[row.domains, _parts(row.publishers), _parts(row.subscribers)].append(row)
     flows = [
-        Flow(
+        PictureFlow(
             domains=rows[0].domains,
             rows=tuple(rows),
             publishers=rows[0].publishers,

@@ -89,6 +89,11 @@ def _keys(report: Report) -> Iterator[_Row]:
     for exposure in report.exposures or ():
         words = f"{exposure.strength}: {exposure.consequence}"
         yield "quantum", exposure.use, exposure.algorithm, words, "", "", exposure.profile
+    for robot in report.robots or ():
+        at = robot.installed_at.isoformat() if robot.installed_at else ""
+        numbers = f"runs {robot.runs or '-'}, should run {robot.should_run or '-'}"
+        words = f"{robot.state.value}: {numbers}"
+        yield "robot", robot.name, "installed", words, "", at, " ".join(robot.changed)
     if report.evidence:
         lines = f"{report.evidence.lines} lines"
         yield "evidence", "ledger", lines, report.evidence.head, "", "", ""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
-from pqsec_pki.keystore import State
+from pqsec_pki.keystore import InstallState, State
 from pqsec_pki.lint import Severity
 
 FORMAT = 1
@@ -202,6 +202,20 @@ class ParticipantRow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RobotRow:
+    """What the robot of one participant runs, by its newest receipt, and what it should run."""
+
+    name: str
+    state: InstallState
+    runs: int | None
+    """The number of its bundle; None if that is not known."""
+    should_run: int | None
+    changed: tuple[str, ...]
+    """The names of the files that differ."""
+    installed_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AuthorityRow:
     """A CA, or the revocation list."""
 
@@ -245,6 +259,7 @@ class Report:
     findings: FindingsSection | None
     events: tuple[LedgerEvent, ...] | None
     sizes: tuple[HandshakeSize, ...] | None
+    robots: tuple[RobotRow, ...] | None
     evidence: Evidence | None
     gaps: tuple[Gap, ...]
 
@@ -268,6 +283,7 @@ class Report:
             "findings": self.findings,
             "events": self.events,
             "handshake_sizes": self.sizes,
+            "robots": self.robots,
             "evidence": self.evidence,
         }
 

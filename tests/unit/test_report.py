@@ -19,10 +19,12 @@ from pqsec_pki.access import SPEC
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli._printing import as_json
 from pqsec_pki.credentials import anchors
-from pqsec_pki.documents import DomainSet, ros
+from pqsec_pki.documents import DomainSet, Governance, ros
+from pqsec_pki.enrolment import import_receipts, install
+from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.errors import MalformedError
-from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, revoke
+from pqsec_pki.keystore import InstallState, Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, revoke, sign_governance
 from pqsec_pki.lint import Severity
 from pqsec_pki.policy import fleet_in, who_may_use
 from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
@@ -30,7 +32,8 @@ from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
 from pqsec_pki.report.rows import HEADER
 from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Strength
 from pqsec_pki.smime import _reading
-from tests.unit.keystores import DAY, NOW
+from tests.unit.enrolling import ROBOT, answered, asked_of
+from tests.unit.keystores import DAY, NOW, made
 
 ROBOTS = [f"/r{number}" for number in range(1, 5)]
 NAMES = [*ROBOTS, "/fleet/boss", "/tb3_1/camera", "/tb3_2/camera", "/tb3_1/arm", "/tb3_2/arm"]
@@ -202,6 +205,30 @@ def test_the_same_keystore_and_time_give_the_same_bytes(root, report):
     for form in (html_of, csv_of):
         assert form(again) == form(report)
     assert as_json(again.to_json()) == as_json(report.to_json())
+
+
+def test_what_robots_run_is_told_by_their_receipts(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/arm", "/leg"))
+    before = report_of(keystore, now=NOW)
+    assert {each.state for each in before.robots} == {InstallState.UNKNOWN}
+    assert "no receipt of a robot was imported" in html_of(before)
+    robot = tmp_path / "robot"
+    bundle = answered(keystore, asked_of(keystore, robot))
+    (tmp_path / "bundle").write_bytes(bundle.to_bytes())
+    install(tmp_path / "bundle", robot, bundle.roles, now=NOW)
+    import_receipts(keystore, [CredentialStore(robot).receipt], now=NOW)
+    [current] = [each for each in report_of(keystore, now=NOW).robots if each.name == ROBOT]
+    assert (current.state, current.changed) == (InstallState.CURRENT, ())
+    assert current.runs == current.should_run
+    later = NOW + timedelta(hours=1)
+    document = Governance.from_xml((keystore.root / "enclaves/governance.xml").read_bytes())
+    sign_governance(keystore, keystore.unlock(None), document, now=later)
+    report = report_of(keystore, now=later)
+    [outdated] = [each for each in report.robots if each.name == ROBOT]
+    assert (outdated.state, outdated.changed) == (InstallState.OUTDATED, ("governance.p7s",))
+    assert "Files that differ" in html_of(report)
+    [row] = [row for row in read_csv(csv_of(report)) if row[:2] == ["robot", ROBOT]]
+    assert row[3].startswith("outdated: runs ")
 
 
 # What cannot be read
