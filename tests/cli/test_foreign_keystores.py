@@ -16,6 +16,7 @@ from tests.cli.conftest import copy
 from tests.longer import some
 
 TALKER = "/talker"
+SEEN = Path(__file__).parents[1] / "vectors/learning/nodes.txt"
 READING = {
     "ca show": [""],
     "ca crl": ["--show"],
@@ -38,13 +39,14 @@ READING = {
     "explain": ["--participant /talker --publish rt/chatter"],
     "who-may": ["", "k"],
     "diff": ["k k"],
+    "permissions learn": [str(SEEN)],
     "inspect": ["k/public/identity_ca.cert.pem k/enclaves/governance.p7s"],
     "validate": ["k/enclaves/governance.xml"],
 }
 """Commands that are given a keystore, or files of one, and change nothing: how each is run."""
 CHANGING = {
     *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit", "adopt"),
-    *("sign-governance", "sign-permissions", "sign-request sign"),
+    *("sign-governance", "sign-permissions", "sign-request sign", "receipt import"),
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "explain-error", "profiles"),
