@@ -43,12 +43,15 @@ class Question:
     def __post_init__(self) -> None:
         if self.now.utcoffset() is None:
             raise UsageError(f"the time {self.now} has no time zone")
-        object.__setattr__(self, "now", self.now.astimezone(UTC))
+        if self.now.tzinfo is not UTC:
+            object.__setattr__(self, "now", self.now.astimezone(UTC))
         if (self.topic is None) is not (self.action is Action.JOIN):
             raise UsageError(
                 f"`{self.action}` {'needs a' if self.topic is None else 'has no'} topic"
             )
         if self.topic == "":
             raise UsageError("the topic's name is empty")
-        if any(len(name) > MAX_NAME for name in (self.topic or "", *self.partitions)):
+        if len(self.topic or "") > MAX_NAME or any(
+            len(each) > MAX_NAME for each in self.partitions
+        ):
             raise UsageError(f"a name is longer than {MAX_NAME} characters")

@@ -51,8 +51,7 @@ class PolicyInput:
 
 
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
-    """The path of that file of a participant. KeystoreError for an unknown participant."""
-    keystore.refuse_unknown(name)
+    """The path of that file of a participant, which may not exist."""
     return keystore.root / f"{ENCLAVES}{regular_name(name)}" / file
 
 
@@ -65,7 +64,11 @@ def valid_anchors(anchors: TrustAnchors, now: datetime) -> TrustAnchors:
 
 
 def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
-    """A participant's certificate. VerificationError if it is not valid, or is revoked."""
+    """A participant's certificate. VerificationError if it is not valid, or is revoked.
+
+    KeystoreError for an unknown participant.
+    """
+    keystore.refuse_unknown(name)
     path = enclave_file(keystore, name, CERTIFICATE)
     certificate = load_certificate(path)
     with located(path):

@@ -139,6 +139,8 @@ def is_signed(data: bytes) -> bool:
 
 def _canonical(data: bytes) -> bytes:
     """`data` with CRLF line ends; CR CR LF, from text that was converted twice, is one line end."""
+    if b"\r" not in data:  # so with files that pqsec or OpenSSL wrote
+        return data.replace(b"\n", b"\r\n")
     return _LINE_END.sub(b"\r\n", data)
 
 
