@@ -108,7 +108,7 @@ QUESTIONS = {
     "-k k verify-handshake --all": "enclaves",
     "-k k verify-handshake /talker /listener": "enclaves/talker",
     "-k k verify-handshake /listener /talker": "enclaves",
-    "-k k bundle /talker --plain-key -o b": "enclaves/talker",
+    "-k k bundle /talker --plain-key -o b": "private",  # its number is in the ledger
     "-k k export cyclonedds /talker": "enclaves/talker",
     "inspect k/enclaves/talker/cert.pem": "enclaves/talker",
     "-k k verify k/enclaves/talker/permissions.p7s": "enclaves/talker",

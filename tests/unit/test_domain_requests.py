@@ -144,8 +144,10 @@ def tampered(path):
     good, bad = certificate_request("/r2", key, None), certificate_request("/r2", other, None)
     der = bytearray(good.der)
     der[-len(bad.signature) :] = bad.signature
-    swapped = bytes(der) if len(good.signature) == len(bad.signature) else good.der[:-1] + b"\0"
-    path.write_bytes(type(good).from_der(swapped).pem)
+    if len(good.signature) != len(bad.signature):
+        der = bytearray(good.der)
+        der[-1] ^= 1  # not to 0, which it may be
+    path.write_bytes(type(good).from_der(bytes(der)).pem)
 
 
 def test_a_request_that_is_spoilt_between_plan_and_apply_is_not_answered(tmp_path):
