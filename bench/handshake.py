@@ -24,10 +24,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from suites import NOW, YEAR, Suite, floor, handshake, people, suites
+from suites import NOW, YEAR, floor, handshake, participants, suites, target
 from tries import Spent
 
-from pqsec_pki.algorithms import profile_named
+from pqsec_pki.algorithms import KEY_AGREEMENTS, profile_named
+from pqsec_pki.benchmark import HandshakeSuite
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.handshake import Identity, adjusted_guid
 from pqsec_pki.keystore import Keystore
@@ -85,10 +86,10 @@ def shown(found: Compared) -> Compared:
     return found
 
 
-def against_floor(suite: Suite, seconds: float) -> Compared:
-    both = people(suite.key, suite.alternative)
-    ours = handshake(both.alice, both.bob, suite.agreement)
-    return compare(str(suite), ours, floor(suite), seconds, suite.target)
+def against_floor(suite: HandshakeSuite, seconds: float) -> Compared:
+    both = participants(suite)
+    ours = handshake(both.initiator, both.responder, suite.agreement)
+    return compare(str(suite), ours, floor(suite), seconds, target(suite))
 
 
 def against_cyclone(seconds: float) -> Iterator[Compared]:
@@ -102,9 +103,9 @@ def against_cyclone(seconds: float) -> Iterator[Compared]:
     if plugins is None:
         print("SKIPPED: its plugins are not on this machine: apt-get install libddsc0debian")
         return
-    for key, target in (("ecdsa-p256", CYCLONE_TARGET), ("rsa-2048", None)):
+    for key, most in (("ecdsa-p256", CYCLONE_TARGET), ("rsa-2048", None)):
         with tempfile.TemporaryDirectory() as folder:
-            yield _against_cyclone(plugins, Path(folder), key, seconds, target)
+            yield _against_cyclone(plugins, Path(folder), key, seconds, most)
 
 
 def _against_cyclone(
@@ -115,7 +116,7 @@ def _against_cyclone(
     names = ("/bench/alice", "/bench/bob")
     keystore = enrol(folder / "keystore", key, names)
     one, other = (identity(keystore, name) for name in names)
-    ours = handshake(one, other, "ecdh-p256")
+    ours = handshake(one, other, KEY_AGREEMENTS.named("ecdh-p256"))
     folders = [keystore.root / f"enclaves{name}" for name in names]
     with both_sides(plugins, *folders) as theirs:
         return compare(f"{key}, ecdh-p256", ours, theirs, seconds, target)

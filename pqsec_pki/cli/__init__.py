@@ -91,6 +91,7 @@ COMMANDS = {
     "who-may": ("who_may", "Show which participants may publish and subscribe to each topic."),
     "diff": ("diff", "Show the rights that a policy change grants and removes."),
     "inspect": ("inspect", "Describe a certificate, key, request or document."),
+    "bench": ("bench", "Measure the time, message sizes and memory of the handshake."),
     "profiles": ("algorithms", "List the profiles: algorithms that are used together."),
     "algorithms": ("algorithms", "List the algorithms, their sizes and which stacks run them."),
 }
@@ -105,8 +106,8 @@ GROUPS = {
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (
-        "check report verify verify-handshake explain who-may diff cbom migrate inspect profiles"
-        " algorithms"
+        "check report verify verify-handshake explain who-may diff cbom migrate inspect bench"
+        " profiles algorithms"
     ),
     "Use with a DDS stack": "export try explain-error plugin agent",
 }

@@ -166,9 +166,8 @@ def test_help_ends_with_the_examples_and_the_exit_codes(pqsec):
         lines = [line[4:] for line in examples.splitlines() if line.startswith("    pqsec ")]
         if lines != list(command.examples.values()):
             faults.append(f"{path}: {lines}")
-        if [line[2] for line in codes.splitlines() if line[2] != " "] != list(
-            map(str, command.exit_codes)
-        ):
+        numbers = [line.split()[0] for line in codes.splitlines() if line[2] != " "]
+        if numbers != list(map(str, command.exit_codes)):
             faults.append(f"{path}: {codes}")
     assert faults == []
 
@@ -271,6 +270,8 @@ NO = {
     "plugin status": "--dir nowhere",
     "receipt import": "credentials/installed.receipt",
     "renew": "/fleet/robot1 --keep-key",
+    "report": "-o signed.html --signer robots/enclaves/talker/cert.pem"
+    " robots/enclaves/talker/key.pem",
     "rollback": "",
     "sign-governance": "bad.xml",
     "sign-permissions": "bad.xml",
@@ -355,6 +356,7 @@ UNPRINTABLE = {
 FAILS_ELSEWHERE = {
     "agent run": "needs another agent: tests/cli/test_plugin.py",
     "agent status": "needs a broken agent: tests/unit/test_plugin_agent.py",
+    "bench": "only if the result cannot be printed: tests/cli/test_bench.py",
 }
 
 

@@ -1,0 +1,91 @@
+"""pqsec bench: its table, its JSON and CSV, and what Ctrl-C leaves."""
+
+import csv
+import subprocess
+import sys
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.benchmark import measuring
+
+PQ = "bench --profile pq --rounds 2 --warm-up 0"
+
+
+def test_the_table_has_a_row_for_each_suite(pqsec):
+    done = pqsec("bench --rounds 1 --warm-up 0 --kem mlkem768 --profile pq --profile hybrid").done()
+    head, pq, hybrid, empty, *_ = done.out.splitlines()
+    assert (head.split()[:2], empty) == (["profile", "signature"], "")
+    assert pq.split()[:3] == ["pq", "ml-dsa-65", "mlkem768"]
+    assert hybrid.split()[:2] == ["mldsa65-ecdsa-p256-sha512", "mlkem768"]  # not the profile's own
+    assert "cryptography " in done.out
+
+
+def test_json_has_samples_and_the_environment(pqsec):
+    value = pqsec(f"{PQ} --json").done().json
+    assert value["complete"]
+    assert {"pqsec", "python", "openssl", "cores", "governor"} <= set(value["environment"])
+    [suite] = value["suites"]
+    assert (suite["profile"], suite["rounds"], len(suite["samples"])) == ("pq", 2, 8)
+    assert len(suite["fragments"]) == 3
+
+
+def test_csv_has_a_line_for_each_operation(pqsec):
+    rows = list(csv.DictReader(StringIO(pqsec(f"{PQ} --format csv").done().out)))
+    assert len(rows) == 8
+    assert {row["operation"] for row in rows} == {
+        *("begin_handshake_request", "begin_handshake_reply"),
+        *("process_handshake (reply)", "process_handshake (final)"),
+    }
+    assert all(float(row["wall_us"]) > 0 for row in rows)
+
+
+@pytest.fixture
+def interrupted(monkeypatch):
+    """interrupted(n): Ctrl-C comes in the n-th round."""
+
+    def after(count):
+        rounds, undisturbed = [], measuring._undisturbed
+
+        def run(*arguments):
+            rounds.append(1)
+            if len(rounds) == count:
+                raise KeyboardInterrupt
+            return undisturbed(*arguments)
+
+        monkeypatch.setattr(measuring, "_undisturbed", run)
+
+    return after
+
+
+def test_an_interruption_prints_what_was_measured(pqsec, interrupted):
+    interrupted(4)
+    done = pqsec("bench --json --rounds 2 --warm-up 0")
+    assert done.code == 130
+    assert not done.json["complete"]
+    assert [suite["rounds"] for suite in done.json["suites"]] == [2, 1]
+    assert "interrupted" in done.err
+
+
+def test_an_interruption_before_the_first_round_prints_none(pqsec, interrupted):
+    interrupted(1)
+    done = pqsec("bench --json --rounds 2 --warm-up 0")
+    assert (done.code, done.json["suites"]) == (130, [])
+
+
+def test_a_full_disk_is_told():
+    command = [sys.executable, "-m", "pqsec_pki", *PQ.split()]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert (done.returncode, b"the command itself succeeded" in done.stderr) == (3, True)
+
+
+def test_what_cannot_be_measured_is_refused(pqsec):
+    for line, words in (
+        ("bench --signature rsa", "no signature algorithm named 'rsa'"),
+        ("bench --kem ml-kem", "no key agreement named 'ml-kem'"),
+        ("bench --all --kem mlkem768", "--all measures everything"),
+        ("bench --rounds 0", "--rounds"),
+    ):
+        pqsec(line).refused(2, words)
