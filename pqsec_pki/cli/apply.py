@@ -22,6 +22,7 @@ from pqsec_pki.domain import (
     Step,
     StepAction,
     apply_plan,
+    change_profile,
     create_keystore,
     read_domain,
     refuse_mass_revocation,
@@ -104,9 +105,14 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
                 refuse_mass_revocation(desired, found)
         else:
             _ask(found, desired)
-        keystore, authorities = _opened(desired, keystore, passphrase_file, none=no_passphrase)
-        bundles = _BundleWriter(desired, keystore, found, folder)
-        done = _apply_steps(desired, keystore, authorities, found, bundles)
+        if keystore and found.changes_profile:
+            passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
+            keystore = change_profile(desired, keystore, found, passphrase=passphrase, now=now)
+            done = [*found.steps]
+        else:
+            keystore, authorities = _opened(desired, keystore, passphrase_file, none=no_passphrase)
+            bundles = _BundleWriter(desired, keystore, found, folder)
+            done = _apply_steps(desired, keystore, authorities, found, bundles)
     written = _BundleWriter(desired, keystore, found, folder).fill(len(done)) if keystore else []
     if keystore and (written or (found.steps and not check)):
         _report(found, done, keystore, written)
@@ -195,6 +201,11 @@ def _apply_steps(
 
 
 def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Path]) -> None:
+    if found.changes_profile:
+        _printing.note(
+            "copy to every robot its enclave folder, with the files that its links point to, and"
+            " restart all participants of a domain together; run apply again for other changes"
+        )
     for each in found.blocked:
         _printing.note(f"{each.name} {each.why}: not changed")
     if any(step.action in {StepAction.REVOKE, StepAction.RENEW_CRL} for step in done):

@@ -2,17 +2,21 @@
 
 from collections.abc import Iterator
 from datetime import datetime
+from pathlib import Path
 
 import click
 
+from pqsec_pki import _files
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.domain import read_domain
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.migration import (
     MigrationPlan,
-    MigrationStep,
     Rehearsal,
     plan_migration,
     rehearse,
+    step_files,
 )
 from pqsec_pki.selfcheck import STACKS, stack_named
 
@@ -32,13 +36,17 @@ def migrate() -> None:
             "pqsec migrate plan --stack cyclonedds"
         ),
         "Rehearse the steps to CNSA 2.0 on a copy": "pqsec migrate plan --to cnsa2 --rehearse",
+        "Write a domain file for each step, for `pqsec apply`": (
+            "pqsec migrate plan domain.yaml --steps ."
+        ),
     },
     exit_codes={
         0: "the steps are shown, and the rehearsal succeeded",
         1: "in the rehearsal, participants did not authenticate each other",
-        3: "the keystore cannot be read",
+        3: "the keystore or FILE cannot be read, or a step's file cannot be written",
     },
 )
+@click.argument("file", type=_settings.FILE, required=False, metavar="[FILE]")
 @click.option(
     "--to",
     "target",
@@ -52,7 +60,7 @@ def migrate() -> None:
     "stacks",
     multiple=True,
     type=click.Choice(_STOCK),
-    help="Plan for robots with this stack. Repeatable. [default: all]",
+    help="Plan for robots with this stack. Repeatable. [default: those of FILE, or all]",
     shell_complete=_completion.among(_STOCK),
 )
 @click.option(
@@ -61,19 +69,36 @@ def migrate() -> None:
     is_flag=True,
     help="Also make all changes on a copy, and run handshakes between old and new files.",
 )
+@click.option(
+    "--steps",
+    "folder",
+    type=_settings.FOLDER,
+    metavar="DIR",
+    help="Write to DIR a domain file for each step, with which `pqsec apply` makes it.",
+)
 @_settings.command_options
-def plan(target: str, stacks: tuple[str, ...], *, rehearsing: bool) -> None:
+def plan(
+    file: Path | None,
+    target: str,
+    stacks: tuple[str, ...],
+    folder: Path | None,
+    *,
+    rehearsing: bool,
+) -> None:
     """Show the steps to a post-quantum profile, and rehearse them on a copy.
 
     For each step: what robots with each stack need, whether robots can change one by one, and
     what breaks without the step. This is found by handshakes between sample participants,
-    in the same code as `pqsec verify-handshake`. The keystore is not changed.
+    in the same code as `pqsec verify-handshake`. The keystore is not changed. FILE is a
+    domain.yaml with `stacks`, those of the robots.
     """
     keystore, now = _settings.open_keystore(), _settings.now()
     profile = profile_named(target)
-    rows = tuple(stack_named(each) for each in stacks or _STOCK)
+    told = read_domain(file).stacks if file else ()
+    rows = tuple(stack_named(each) for each in stacks or told or _STOCK)
     found = plan_migration(keystore, profile, rows, now=now)
     rehearsal = rehearse(keystore, profile, now=now) if rehearsing else None
+    paths = _write_steps(found, keystore, file, folder, now) if folder else []
     value: dict[str, object] = {
         "from": found.before,
         "to": found.target,
@@ -84,6 +109,9 @@ def plan(target: str, stacks: tuple[str, ...], *, rehearsing: bool) -> None:
         ],
     }
     lines = [*_plan_lines(found, now)]
+    if folder:
+        value["files"] = paths
+        lines += ["", *(f"pqsec apply {path}" for path in paths)]
     if rehearsal is not None:
         value["rehearsal"] = rehearsal
         lines += ["", *_rehearsal_lines(rehearsal)]
@@ -92,31 +120,30 @@ def plan(target: str, stacks: tuple[str, ...], *, rehearsing: bool) -> None:
         click.get_current_context().exit(1)
 
 
+def _write_steps(
+    plan: MigrationPlan, keystore: Keystore, file: Path | None, folder: Path, now: datetime
+) -> list[Path]:
+    """Write the domain file of each step; returns the paths."""
+    files = step_files(plan, keystore, file, folder, now=now)
+    for each in files:
+        _files.refuse_existing(folder / each.name)
+    for each in files:
+        _files.write(folder / each.name, each.document)
+    return [folder / each.name for each in files]
+
+
 def _plan_lines(plan: MigrationPlan, now: datetime) -> Iterator[str]:
     counted = _printing.counted(len(plan.steps), "step")
     yield f"from profile {plan.before} to {plan.target}: {counted}"
     for number, step in enumerate(plan.steps, 1):
         yield ""
-        yield from _step_lines(number, step)
+        yield from step.lines(number)
     yield ""
     yield "Dates:"
     for each in plan.deadlines:
         passed = " (passed)" if each.day < now.date() else ""
         yield f"  {each.day:%Y-%m-%d}{passed}  {each.what}"
         yield f"              {each.source}"
-
-
-def _step_lines(number: int, step: MigrationStep) -> Iterator[str]:
-    how = "stop the domain, change all robots, start it" if step.at_once else "robot by robot"
-    yield f"{number}. {step.title} ({how})"
-    yield from (f"   run      {each}" for each in step.commands)
-    yield from (f"   needs    {each.stack}: {each.needs}" for each in step.stacks)
-    yield f"   mixed    {step.mixed}"
-    yield from (f"   skipped  {each}" for each in step.if_skipped)
-    if step.reissued:
-        yield f"   reissues {_printing.counted(step.reissued, 'participant')}"
-    yield from (f"   not      {name}: {why}" for name, why in step.left_out.items())
-    yield f"   level    {step.level} of traffic after the step (NIST category; 0: none)"
 
 
 def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:

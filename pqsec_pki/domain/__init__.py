@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.domain._profile_change import change_profile
     from pqsec_pki.domain.applying import apply, apply_plan, create_keystore, refuse_mass_revocation
     from pqsec_pki.domain.desired import Desired, Member, Role
     from pqsec_pki.domain.importing import Imported, import_domain
     from pqsec_pki.domain.planning import plan
-    from pqsec_pki.domain.reading import new_domain, read_domain
+    from pqsec_pki.domain.reading import desired_in, new_domain, read_domain
     from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -30,7 +31,9 @@ __all__ = [
     "StepAction",
     "apply",
     "apply_plan",
+    "change_profile",
     "create_keystore",
+    "desired_in",
     "import_domain",
     "new_domain",
     "plan",

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.certificates import Reason
+from pqsec_pki.domain._profile_change import change_profile
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.planning import plan as make_plan
 from pqsec_pki.domain.requests import spec_of
@@ -60,12 +61,16 @@ def apply(  # noqa: PLR0913 -- the choices are the user's, and by name
 
     Returns the plan with the steps that were executed; it also has the participants that stay
     blocked. `passphrase` encrypts or encrypted the CA keys; None if they are not encrypted.
+    After a change of the profile, call it again for the other changes.
     `prune` and `new_keys` as in `plan`, `revoke_most` as in `refuse_mass_revocation`; other
     errors as of `Keystore.open`, `plan` and `apply_plan`.
     """
     keystore = Keystore.find(root, to_change=True)
     found = make_plan(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     if not found.steps:
+        return found
+    if keystore and found.changes_profile:
+        change_profile(desired, keystore, found, passphrase=passphrase, now=now)
         return found
     if not revoke_most:
         refuse_mass_revocation(desired, found)
@@ -215,8 +220,8 @@ class _Worker:
         names = [step.name for step in steps]
         members, profile = self._desired.members, self._keystore.profile
         match action:
-            case StepAction.CREATE_CAS:
-                pass
+            case StepAction.CREATE_CAS | StepAction.CHANGE_PROFILE:
+                pass  # done before, because the CAs come from there
             case StepAction.SIGN_GOVERNANCE:
                 config_digest = self._desired.governance_digest
                 sign_governance(

@@ -120,6 +120,10 @@ class Desired:
     """Members by the group's name, sorted."""
     prune: bool
     """Whether to revoke participants that are not in the file."""
+    stacks: tuple[str, ...]
+    """The stacks of the robots, such as `cyclonedds` or `fastdds-3.1`, for `migrate plan`."""
+    migrate_from: str | None
+    """The profile of a keystore that `apply` changes to `profile`; None for no such change."""
 
     @cached_property
     def governance_digest(self) -> str:

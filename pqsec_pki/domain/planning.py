@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
+from pqsec_pki.domain._profile_change import is_wanted, plan_profile_change
 from pqsec_pki.domain._reconcile import Reconciler
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
@@ -39,10 +40,14 @@ def plan(
     """The steps from the keystore, None if there is none yet, to the desired state.
 
     `prune` has the same effect as in the file. `new_keys` allows requests for other keys than
-    the participant had. KeystoreError if the keystore has another name or profile.
+    the participant had. KeystoreError if the keystore has another name, or another profile that
+    the file does not change.
     """
     if keystore is None:
         return _from_nothing(desired)
+    if is_wanted(desired, keystore):
+        _refuse_another_name(desired, keystore)
+        return plan_profile_change(desired, keystore, now=now)
     _refuse_another(desired, keystore)
     actual = status(keystore, now=now, due=desired.renew_before, compare_files=True)
     reconciler = Reconciler(
@@ -72,8 +77,13 @@ def _refuse_another(desired: Desired, keystore: Keystore) -> None:
         raise KeystoreError(
             f"{desired.path} has profile {desired.profile}, but {keystore.root} has profile"
             f" {keystore.profile.name}",
-            hint="`pqsec ca rotate` changes the profile of a keystore",
+            hint="`pqsec ca rotate` changes the profile of a keystore; so does `pqsec apply`, if"
+            f" the file has `migrate_from: {keystore.profile.name}`",
         )
+    _refuse_another_name(desired, keystore)
+
+
+def _refuse_another_name(desired: Desired, keystore: Keystore) -> None:
     subject = keystore.identity_ca.subject_name
     if desired.name and f"CN={desired.name} " not in subject:
         raise KeystoreError(

@@ -43,8 +43,10 @@ from pqsec_pki.documents.parts_yaml import (
     each,
     fields,
     governance_in,
+    one_or_more,
     peeked,
     read,
+    refused,
     table,
     text,
 )
@@ -52,10 +54,12 @@ from pqsec_pki.domain._groups import groups_in, members_of_groups
 from pqsec_pki.domain._members import members_of
 from pqsec_pki.domain._roles import entry_in, roles_in
 from pqsec_pki.domain.desired import Desired, Role, validity_in
-from pqsec_pki.errors import located
+from pqsec_pki.errors import located, shown
+from pqsec_pki.stacks import Stack
 
 YEAR = timedelta(days=365)
 DEFAULT_CA_VALIDITY = 10 * YEAR
+_STACKS = [each.value for each in Stack if each is not Stack.ROS2]
 
 
 def read_domain(path: Path) -> Desired:
@@ -90,7 +94,10 @@ def new_domain(name: str) -> bytes:
     return template.substitute(name=name).encode()
 
 
-_KEPT = ("name", "profile", "domains", "ca_validity", "renew_before", "prune")
+_KEPT = (
+    *("name", "profile", "domains", "ca_validity", "renew_before", "prune"),
+    *("stacks", "migrate_from"),
+)
 
 
 def _domain(item: Item) -> dict[str, Any]:
@@ -110,8 +117,12 @@ def _domain(item: Item) -> dict[str, Any]:
         "participants": partial(each, reader=partial(entry_in, roles)),
         "groups": groups_in,
         "prune": boolean,
+        "stacks": partial(one_or_more, reader=_stack),
+        "migrate_from": partial(chosen, names=[profile.name for profile in PROFILES]),
     }
     settings = fields(item, readers)
+    if settings.get("migrate_from") and settings.get("profile") in {None, settings["migrate_from"]}:
+        raise refused(item, "`migrate_from` needs a `profile` to change to, which is another one")
     settings.setdefault("governance", PRESETS[0].governance(default_domains))
     return {**_DEFAULTS, "domains": default_domains, **settings}
 
@@ -125,6 +136,8 @@ _DEFAULTS: Mapping[str, Any] = {
     "participants": (),
     "groups": {},
     "prune": False,
+    "stacks": (),
+    "migrate_from": None,
 }
 
 
@@ -132,6 +145,14 @@ def _ca_name(item: Item) -> str:
     """A name that fits into the CAs' certificates."""
     name = text(item)
     build(item, common_name, name=f"{name} Permissions CA".strip())
+    return name
+
+
+def _stack(item: Item) -> str:
+    """A stack, or versions of it that behave alike."""
+    name = text(item)
+    if name.partition("-")[0] not in _STACKS:
+        raise refused(item, f"'{shown(name)}' is not a stack; known: {', '.join(_STACKS)}")
     return name
 
 

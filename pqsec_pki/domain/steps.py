@@ -7,6 +7,7 @@ from enum import StrEnum
 class StepAction(StrEnum):
     """What a step does, in the order of execution."""
 
+    CHANGE_PROFILE = "change-profile"
     CREATE_CAS = "create-cas"
     SIGN_GOVERNANCE = "sign-governance"
     STORE_GROUPS = "store-groups"
@@ -24,6 +25,7 @@ class StepAction(StrEnum):
 
 
 _WORDS = {
+    StepAction.CHANGE_PROFILE: "change the profile",
     StepAction.CREATE_CAS: "create the CAs",
     StepAction.SIGN_GOVERNANCE: "sign the governance",
     StepAction.STORE_GROUPS: "store the groups",
@@ -88,6 +90,11 @@ class Plan:
     def revoked(self) -> int:
         """How many participants the plan revokes."""
         return sum(step.action is StepAction.REVOKE for step in self.steps)
+
+    @property
+    def changes_profile(self) -> bool:
+        """Whether the plan replaces everything, by `change_profile`; then it has no other step."""
+        return any(step.action is StepAction.CHANGE_PROFILE for step in self.steps)
 
     @property
     def in_order(self) -> bool:

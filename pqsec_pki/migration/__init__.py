@@ -10,6 +10,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.migration.deadlines import DEADLINES, Deadline
+    from pqsec_pki.migration.domain_files import StepFile, step_files
     from pqsec_pki.migration.planning import plan_migration
     from pqsec_pki.migration.rehearsal import Rehearsal, rehearse
     from pqsec_pki.migration.steps import MigrationPlan, MigrationStep, StackNeeds
@@ -23,6 +24,8 @@ __all__ = [
     "MigrationStep",
     "Rehearsal",
     "StackNeeds",
+    "StepFile",
     "plan_migration",
     "rehearse",
+    "step_files",
 ]

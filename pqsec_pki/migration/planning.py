@@ -79,6 +79,8 @@ class _StepFinder:
         peers = (_STOCK_PEERS,) if old.profile.alternative_key else ()
         return MigrationStep(
             title="install pqsec's plugin on every robot",
+            before=old.profile.name,
+            after=old.profile.name,
             commands=("pqsec plugin install", *peers),
             at_once=False,
             stacks=tuple(self._plugin_needs(each) for each in self.stacks),
@@ -112,6 +114,8 @@ class _StepFinder:
         self.accepts_stock = False
         return MigrationStep(
             title=f"change the keystore from profile {old.profile.name} to {new.profile.name}",
+            before=old.profile.name,
+            after=new.profile.name,
             commands=(f"pqsec ca rotate --profile {new.profile.name} --apply", *strict),
             at_once=failed is not None,
             stacks=tuple(self._needs(each, refusals.get(each.name)) for each in self.stacks),

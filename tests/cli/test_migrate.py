@@ -1,5 +1,7 @@
 """pqsec migrate plan on the command line."""
 
+from tests.unit.test_migration import DOMAIN
+
 
 def test_a_plan_and_its_rehearsal(domains, pqsec):
     root = domains("classical")
@@ -13,3 +15,43 @@ def test_a_plan_and_its_rehearsal(domains, pqsec):
     assert value["deadlines"][0]["date"] == "2026-09-11"
     pqsec(f"-k {root} migrate plan --stack connext").refused(2, "connext")
     pqsec("-k missing migrate plan").refused(3, "missing")
+
+
+def test_a_rehearsal_that_fails_ends_with_1(domains, pqsec):
+    root = domains("classical")
+    topics = "".join(f" --publish rt/some/very/long/topic/name/number{n:06d}" for n in range(3650))
+    pqsec(f"-k {root} issue /large{topics}").done()
+    found = pqsec(f"-k {root} migrate plan --stack cyclonedds --rehearse")
+    assert found.code == 1
+    assert "  pq: 3 reissued, 1 pair authenticated each other\n" in found.out
+    assert "    not: /large, /talker: final: a sample larger than 266240 bytes\n" in found.out
+
+
+def test_the_stacks_of_a_domain_file_and_its_steps(pqsec, tmp_path):
+    (tmp_path / "names.txt").write_text("/talker\n/listener\n")
+    (tmp_path / "domain.yaml").write_text(DOMAIN)
+    pqsec("-k k apply --yes --no-passphrase").done()
+    (tmp_path / "steps").mkdir()
+    pqsec("-k k migrate plan domain.yaml --steps steps").refused(3, "names.txt")
+    told = pqsec("-k k migrate plan domain.yaml --steps .").done().out
+    assert "   needs    Fast DDS 3.1: use another version" in told
+    assert "OpenDDS" not in told
+    assert told.endswith(
+        "\n\npqsec apply 1-transition.yaml\npqsec apply 2-transition.yaml\npqsec apply 3-pq.yaml\n"
+    )
+    pqsec("-k k migrate plan domain.yaml --steps .").refused(3, "1-transition.yaml exists")
+    told = pqsec("-k k plan 1-transition.yaml")
+    assert told.code == 1
+    assert told.out == (
+        "change the profile  (from classical to transition: new CAs, and new certificates for 2"
+        " participants)\n1 change; 0 participants are up to date\n"
+    )
+    pqsec("-k k apply 1-transition.yaml").refused(2, "no terminal to ask")
+    done = pqsec("-k k apply 1-transition.yaml --yes --no-passphrase").done()
+    assert done.out == "change the profile: done\n"
+    assert "restart all participants" in done.err
+    pqsec("-k k apply 2-transition.yaml --check").done()
+    pqsec("-k k apply 3-pq.yaml --yes").refused(2, "passphrase")
+    done = pqsec("-k k apply 3-pq.yaml --yes --no-passphrase --json").done()
+    assert [each["action"] for each in done.json["steps"]] == ["change-profile"]
+    assert pqsec("-k k check").code == 0

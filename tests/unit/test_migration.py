@@ -5,12 +5,16 @@ import os
 
 import pytest
 
+from pqsec_pki import domain
 from pqsec_pki.algorithms import PROFILES, profile_named
-from pqsec_pki.errors import KeystoreError
-from pqsec_pki.migration import DEADLINES, plan_migration, rehearse
+from pqsec_pki.errors import FileError, InvalidDocumentError, KeystoreError, UsageError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.migration import DEADLINES, plan_migration, rehearse, step_files
+from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.rehearsal import SAMPLE
-from pqsec_pki.selfcheck import stack_named
-from tests.unit.keystores import NOW, made
+from pqsec_pki.selfcheck import PQSEC, stack_named
+from tests.unit.keystores import DAY, NOW, made
 
 PQ = profile_named("pq")
 CYCLONE, LIMITED = stack_named("cyclonedds"), stack_named("fastdds-3.1")
@@ -132,3 +136,132 @@ def test_dates_are_in_order_and_have_sources():
     days = [each.day for each in DEADLINES]
     assert days == sorted(days)
     assert all(each.source for each in DEADLINES)
+
+
+def with_large_permissions(root):
+    """Two participants, and one whose permissions fill a message with classical keys."""
+    keystore = made(root, "classical")
+    # 254 kB: it fits into a token with ECDSA, and not with ML-DSA beside it.
+    topics = [f"rt/some/very/long/topic/name/number{number:06d}" for number in range(3650)]
+    spec = ParticipantSpec(
+        name="/large", domains=keystore.domains, publish=topics, validity=90 * DAY
+    )
+    issue(keystore, keystore.unlock(None), [spec], now=NOW)
+    return keystore
+
+
+def test_a_rehearsal_finds_a_pair_that_cannot_meet_any_more(tmp_path):
+    keystore = with_large_permissions(tmp_path / "k")
+    pair = [Side(keystore, name, PQSEC) for name in ("/large", "/talker")]
+    assert failure(*pair, 0, NOW) is None  # before, they can
+    found = rehearse(keystore, PQ, now=NOW)
+    assert not found.ok
+    assert [(each.profile, each.succeeded) for each in found.steps] == [
+        ("transition", 1),
+        ("pq", 1),
+    ]
+    for step in found.steps:
+        assert [each.split(": ")[0] for each in step.failures] == [
+            "/large, /listener",
+            "/large, /talker",
+        ]
+        assert all("a sample larger than 266240 bytes" in each for each in step.failures)
+
+
+DOMAIN = """\
+# robots of the lab
+name: Test
+profile: classical   # for now
+validity: 90d
+stacks: [cyclonedds, fastdds-3.1]
+roles:
+  any: {publish: [x]}
+participants:
+  - {list: names.txt, role: any}
+"""
+
+
+def test_each_step_has_a_file_with_which_apply_makes_it(tmp_path):
+    (tmp_path / "names.txt").write_text("/talker\n/listener\n")
+    file = tmp_path / "domain.yaml"
+    file.write_text(DOMAIN)
+    root = tmp_path / "k"
+    domain.apply(domain.read_domain(file), root, passphrase=None, now=NOW)
+    keystore = Keystore.open(root)
+    plan = plan_migration(keystore, PQ, (CYCLONE,), now=NOW)
+    files = step_files(plan, keystore, file, tmp_path, now=NOW)
+    assert [each.name for each in files] == ["1-transition.yaml", "2-transition.yaml", "3-pq.yaml"]
+    for each in files:
+        (tmp_path / each.name).write_bytes(each.document)
+    first = files[0].document.decode()
+    assert first.startswith("# 1. change the keystore from profile classical to transition (stop")
+    assert (
+        "\n# robots of the lab\nprofile: transition\nmigrate_from: classical\nname: Test\n" in first
+    )
+
+    def apply(each):
+        desired = domain.read_domain(tmp_path / each.name)
+        done = domain.apply(desired, root, passphrase=None, now=NOW)
+        again = domain.plan(desired, Keystore.open(root), now=NOW)
+        assert again.in_order
+        return [(step.action, step.name) for step in done.steps]
+
+    with pytest.raises(KeystoreError, match=r"has profile pq, but .* has profile classical"):
+        apply(files[2])
+    # The plugin is work on robots: its file finds nothing to do in the keystore.
+    assert [apply(each) for each in files] == [
+        [("change-profile", "")],
+        [],
+        [("change-profile", "")],
+    ]
+    assert Keystore.open(root).profile == PQ
+    assert rehearse(Keystore.open(root), profile_named("cnsa2"), now=NOW).ok
+
+
+def test_without_a_domain_file_the_steps_are_made_of_the_keystore(keystores, tmp_path):
+    keystore = keystores["transition"]
+    plan = plan_migration(keystore, PQ, (CYCLONE,), now=NOW)
+    files = step_files(plan, keystore, None, tmp_path, now=NOW)
+    assert [each.name for each in files] == ["1-transition.yaml", "2-pq.yaml"]
+    for each in files:
+        desired = domain.desired_in(each.document, tmp_path / each.name)
+        assert set(desired.members) == {"/talker", "/listener"}
+        found = domain.plan(desired, keystore, now=NOW)
+        assert [step.action for step in found.steps] == ["change-profile"] * (
+            desired.profile == "pq"
+        )
+
+
+def test_a_file_that_cannot_be_changed_is_refused(tmp_path, keystores):
+    keystore = keystores["classical"]
+    plan = plan_migration(keystore, PQ, (CYCLONE,), now=NOW)
+    file = tmp_path / "domain.yaml"
+    for text in (
+        "{profile: classical, participants: []}",
+        'participants: []\n"profile": classical',
+    ):
+        file.write_text(text)
+        with pytest.raises(UsageError, match=r"domain\.yaml"):
+            step_files(plan, keystore, file, tmp_path, now=NOW)
+    (tmp_path / "names.txt").write_text("/talker\n")
+    file.write_text("participants: [{list: names.txt, publish: [x]}]")
+    with pytest.raises(FileError, match=r"names\.txt"):
+        step_files(plan, keystore, file, tmp_path / "elsewhere", now=NOW)
+
+
+def test_a_participant_that_is_not_reissued_stays_blocked(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/talker", "/robot"))
+    (keystore.root / "enclaves/robot/key.pem").unlink()
+    data = b"profile: transition\nmigrate_from: classical\nparticipants: []\n"
+    desired = domain.desired_in(data, tmp_path / "domain.yaml")
+    found = domain.plan(desired, keystore, now=NOW)
+    assert [each.name for each in found.blocked] == ["/robot"]
+    assert "it needs a new request" in found.blocked[0].why
+
+
+def test_the_profile_to_change_from_is_another_one(tmp_path):
+    for text in ("migrate_from: pq", "{migrate_from: pq, profile: pq}"):
+        with pytest.raises(InvalidDocumentError, match="needs a `profile`"):
+            domain.desired_in(text.encode(), tmp_path / "domain.yaml")
+    with pytest.raises(InvalidDocumentError, match="'vortex' is not a stack; known: cyclonedds"):
+        domain.desired_in(b"stacks: [cyclonedds, vortex]", tmp_path / "domain.yaml")

@@ -76,7 +76,7 @@ MAY_IMPORT["cbom"] = {
 }
 MAY_IMPORT["migration"] = {
     *("selfcheck", "lifecycle", "vendors", "keystore", "credentials", "documents"),
-    "algorithms",
+    *("algorithms", "domain"),
 }
 MAY_IMPORT["benchmark"] = {"handshake", "documents", "smime", "certificates", "algorithms"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

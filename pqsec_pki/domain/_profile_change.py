@@ -1,0 +1,59 @@
+"""Changes the profile of a keystore, if the domain file says from which profile.
+
+All CAs and participants are replaced, so a plan with this change has no other step.
+"""
+
+from datetime import datetime
+
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.domain.desired import Desired
+from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.lifecycle import Rollover, RolloverPlan, apply_rollover, plan_rollover
+
+
+def is_wanted(desired: Desired, keystore: Keystore) -> bool:
+    """Whether the file has another profile, and says to change from the keystore's profile."""
+    names = desired.profile, desired.migrate_from
+    return None not in names and desired.migrate_from == keystore.profile.name
+
+
+def plan_profile_change(desired: Desired, keystore: Keystore, *, now: datetime) -> Plan:
+    """The plan, with this one step. Errors as of `plan_rollover`."""
+    rollover = _rollover(desired, keystore, now)
+    count = len(rollover.keeping) + len(rollover.rekeyed)
+    why = (
+        f"from {desired.migrate_from} to {desired.profile}: new CAs, and new certificates for"
+        f" {count} participants"
+    )
+    blocked = (
+        Blocked(name, f"is not reissued: {reason}", "issue it again")
+        for name, reason in rollover.left_out.items()
+    )
+    step = Step(StepAction.CHANGE_PROFILE, "", why)
+    return Plan((step,), tuple(blocked), (), 0, rollover.head)
+
+
+def change_profile(
+    desired: Desired, keystore: Keystore, plan: Plan, *, passphrase: bytes | None, now: datetime
+) -> Keystore:
+    """Execute such a plan; returns the keystore with its new profile.
+
+    `passphrase` encrypts the keys of the new CAs. KeystoreError if the keystore was changed since
+    the plan was made; other errors as of `apply_rollover`.
+    """
+    with keystore.hold():
+        if keystore.head != plan.head:
+            raise KeystoreError(
+                "another command changed the keystore since the plan was made",
+                hint="run the command again",
+            )
+        rollover = _rollover(desired, keystore, now)
+        return apply_rollover(keystore, rollover, passphrase=passphrase, now=now).keystore
+
+
+def _rollover(desired: Desired, keystore: Keystore, now: datetime) -> RolloverPlan:
+    profile = profile_named(desired.profile or "")
+    terms = Rollover(profile=profile, validity=desired.ca_validity)
+    return plan_rollover(keystore, terms, now=now)
