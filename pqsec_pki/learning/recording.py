@@ -14,6 +14,8 @@ from pqsec_pki.learning.seen import NotProposed, SeenParticipant, UnreadLine
 
 MAX_RECORDING = 64 << 20
 """Bytes of one file: the lines about 1,500 nodes. A trace of one small node has 150 kB."""
+MAX_LINE = 2048
+"""Characters: Cyclone DDS cuts longer lines (log.c), and names of ROS 2 have 255 at most."""
 MAX_ENDPOINTS = 500_000
 """Different ones of all files: 10,000 nodes of fifty each."""
 MAX_NAME = 64
@@ -90,6 +92,9 @@ def _added(
 ) -> Iterator[UnreadLine]:
     for number, line in enumerate(lines, start=1):
         if not line:
+            continue
+        if len(line) > MAX_LINE:
+            yield UnreadLine(path, number, f"longer than {MAX_LINE} characters")
             continue
         try:
             reader.add(line)

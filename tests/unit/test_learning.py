@@ -201,7 +201,8 @@ BROKEN = {
     "partition without an end": (LINE.replace("partition={}", 'partition={"a'), "cannot be read"),
     "domain": (LINE.replace("[0]", "[231]"), "not a domain"),
     "no domain": (LINE.replace("[0]", "[]"), "not a domain"),
-    "long domain": (LINE.replace("[0]", f"[{'9' * 5000}]"), "not a domain"),
+    "long domain": (LINE.replace("[0]", f"[{'9' * 500}]"), "not a domain"),
+    "long line": (LINE.replace("Square", 2048 * "a"), "longer than 2048 characters"),
     "other text": ("hello", "not a line of a Cyclone DDS trace"),
 }
 
