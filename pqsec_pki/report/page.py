@@ -7,6 +7,7 @@ name can neither be markup nor hide or reorder what is beside it.
 
 import base64
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -60,6 +61,7 @@ def html_of(report: Report, changes: Changes | None = None) -> str:
         matrix=matrix_of(report.rights) if report.rights else [],
         picture=picture_of(report.rights) if report.rights else None,
         number_of=_numbers(report.rights),
+        repeated=_repeated(report.rights),
         robots=_robots_alike(report.robots or ()),
         months=_months(report.endings or (), report.at),
         exposures=_by_use(report.exposures or ()),
@@ -69,6 +71,12 @@ def html_of(report: Report, changes: Changes | None = None) -> str:
         most_names=MOST_NAMES,
         most_rows=MOST_ROWS,
     )
+
+
+def _repeated(rights: RightsSection | None) -> set[str]:
+    """Labels of several groups: their members have other rights, for example on other domains."""
+    count = Counter(each.label for each in (rights.groups if rights else ()))
+    return {label for label, times in count.items() if times > 1}
 
 
 def _numbers(rights: RightsSection | None) -> Callable[[ParticipantGroup | RightsRow], int]:

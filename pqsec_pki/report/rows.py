@@ -62,13 +62,13 @@ def _rights(report: Report) -> Iterator[_Row]:
     if report.rights is None:
         return
     places = {
-        (row.domains, topic, action, holder.group.label): holder.place
+        (row.domains, topic, action, holder.group.members[0]): holder.place
         for row in report.rights.rows
         for action, holders in (("publish", row.publishers), ("subscribe", row.subscribers))
         for holder in holders
         for topic in row.topics
     }
-    groups = {name: each.label for each in report.rights.groups for name in each.members}
+    groups = {name: each.members[0] for each in report.rights.groups for name in each.members}
     for right in report.rights.every:
         key = (right.domains, right.topic, right.action, groups[right.participant])
         yield (

@@ -292,6 +292,7 @@ def _rights(rights: RightsSection) -> dict[str, object]:
     def holder(each: Holder) -> dict[str, object]:
         return {
             "group": each.group.label,
+            "first_member": each.group.members[0],  # several groups may have one label
             "extent": each.extent,
             "members": each.members,
             "reason": each.reason,

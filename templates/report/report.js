@@ -26,7 +26,7 @@
     const all = picture.getBoundingClientRect();
     if (!all.width || getComputedStyle(lines).display === "none") return;
     for (const side of ["width", "height"]) lines.setAttribute(side, all[side]);
-    const marker = drawing("marker", { id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7, orient: "auto" }, lines);
+    const marker = drawing("marker", { id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 8, markerHeight: 8, markerUnits: "userSpaceOnUse", orient: "auto" }, lines);
     drawing("path", { d: "M0 0L8 4L0 8z" }, marker);
     const side = (id) => new Map(every(".box", byId(id)).map((each) => [each.dataset.number, each.getBoundingClientRect()]));
     const [senders, receivers] = [side("senders"), side("receivers")];

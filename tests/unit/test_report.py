@@ -440,6 +440,23 @@ def test_the_picture_has_every_right_that_is_not_given_to_every_node(tmp_path):
     assert picture.flows[0] is to_all
 
 
+def test_groups_with_one_label_are_told_apart_by_a_member(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=())
+    specs = [spec(f"/r{n}", [f"rt/r{n}/x"], [], ("0", "0-1")[n % 2]) for n in range(4)]
+    issue(keystore, keystore.unlock(None), specs, now=NOW)
+    report = report_of(keystore, now=NOW)
+    assert [each.label for each in report.rights.groups] == ["/{name}", "/{name}"]
+    text = html_of(report)
+    rows = {
+        row[1]: row[-1] for row in read_csv(csv_of(report)) if row[:3:2] == ["right", "publish"]
+    }
+    assert {name: place.split("/")[1] for name, place in rows.items() if place} == {
+        "/r0": "r0", "/r1": "r1", "/r2": "r0", "/r3": "r1",
+    }  # fmt: skip
+    for first in ("/r0", "/r1"):
+        assert f'<bdi>/{{name}}</bdi> <span class="small">as <bdi>{first}</bdi></span>' in text
+
+
 def test_parameters_that_another_participant_may_set_are_in_the_picture(tmp_path, report):
     row = replace(report.rights.rows[0], topics=("rq/r1/set_parametersRequest",))
     assert not is_routine(replace(row, publishers=row.publishers, subscribers=row.publishers))
