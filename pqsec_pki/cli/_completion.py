@@ -105,7 +105,7 @@ def _topics(context: click.Context) -> Iterator[str]:
 
     keystore, now = _keystore(context), _settings.now()
     one = context.params.get("participant")
-    for name in [one] if one else keystore.names()[:MAX_DOCUMENTS]:
+    for name in (keystore.named([one]) if one else keystore.names())[:MAX_DOCUMENTS]:
         with suppress(PqsecError):
             permissions = own_permissions(keystore, name, now, None).value
             yield from topics_named([DocumentOwner(name=name, subject="", permissions=permissions)])

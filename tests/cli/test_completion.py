@@ -98,6 +98,9 @@ def test_ros_topics_are_offered_by_their_names(offered, domain):
 def test_only_topics_of_the_participant_that_is_named_are_offered(offered, domain):
     assert offered("-k k explain --participant /camera --publish ") == ["rt/image"]
     assert offered("-k k explain --participant /nobody --publish ") == []
+    assert offered("-k k explain --participant '/cam*' --publish ") == offered(
+        "-k k explain --participant /camera --publish "
+    )
 
 
 def test_rows_of_tables_are_offered(offered):
