@@ -33,8 +33,8 @@ def test_without_a_keystore_the_proposal_is_printed_or_written(pqsec, tmp_path):
     pqsec("permissions learn -o l.yaml", KITCHEN).refused(3, "l.yaml exists")
 
 
-def test_it_is_compared_with_a_keystore_until_all_is_granted(pqsec, domains):
-    root = domains("classical")
+def test_it_is_compared_with_a_keystore_until_all_is_granted(pqsec, keystore):
+    root = keystore("classical")
     line = f"-k {root} permissions learn"
     first = pqsec(line, KITCHEN)
     assert first.code == 1

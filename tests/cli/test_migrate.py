@@ -17,8 +17,8 @@ def test_a_plan_and_its_rehearsal(domains, pqsec):
     pqsec("-k missing migrate plan").refused(3, "missing")
 
 
-def test_a_rehearsal_that_fails_ends_with_1(domains, pqsec):
-    root = domains("classical")
+def test_a_rehearsal_that_fails_ends_with_1(keystore, pqsec):
+    root = keystore("classical")
     topics = "".join(f" --publish rt/some/very/long/topic/name/number{n:06d}" for n in range(3650))
     pqsec(f"-k {root} issue /large{topics}").done()
     found = pqsec(f"-k {root} migrate plan --stack cyclonedds --rehearse")
