@@ -50,7 +50,7 @@ CHANGING = {
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "explain-error", "profiles"),
-    *("sign-request export", "sign-request import", "algorithms"),
+    *("sign-request export", "sign-request import", "algorithms", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),
     *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),
