@@ -589,6 +589,11 @@ def test_a_topic_that_no_rule_names_is_told_with_what_may_be_meant(pqsec, apart,
     assert pqsec("-k k who-may --topic rt/chatter").done().err == ""
 
 
+def test_a_topic_that_nobody_may_use_has_its_row_beside_others(pqsec, apart):
+    found = pqsec("-k k who-may --json --topic rt/chatter --topic rt/nothing").done().json["topics"]
+    assert {row["topic"] for row in found} == {"rt/chatter", "rt/nothing"}
+
+
 def test_nothing_is_a_slip_where_one_of_several_may_use_all_topics(pqsec, apart):
     pqsec("-k k issue /arm --domain 0 --publish '*'").done()
     said = pqsec("-k k who-may --json --topic rt/chater")

@@ -58,6 +58,8 @@ def test_partitions_must_meet_too():
     assert alone(asked, heard("rt/chatter", partitions=("floor2", "roof*"))) == ["rt/chatter"]
     for name in ("floor1", "floor*", "*", "f[kl]oor?"):
         assert alone(asked, heard("rt/chatter", partitions=("floor2", name))) == []
+    pattern = right("rt/chatter", partitions=("*1",))
+    assert alone(pattern, heard("rt/chatter", partitions=("floor?",))) == []
 
 
 def test_what_governance_or_a_default_opens_to_everyone_has_the_other_side():

@@ -42,6 +42,9 @@ PUBLISH, SUBSCRIBE, RELAY, JOIN = Action
 ALL_NAMES = ("spec", "cyclonedds", "fastdds", "opendds")
 
 
+RULES = (PermissionRule(allow=True, domains=HERE, publish=(Criteria(topics=("a",)),)),)
+
+
 def criteria(*topics, partitions=(), tags=()):
     return (Criteria(topics=topics, partitions=partitions, data_tags=tags),)
 
@@ -461,6 +464,11 @@ CASES = {
         {"governed": governance(topics("a", read=False))},
         "",
     ),
+    "a topic rule that is open to readers": (
+        [allow(*criteria("b"))],
+        {"governed": governance(topics("a", read=False)), "action": SUBSCRIBE},
+        "spec cyclonedds fastdds opendds",
+    ),
     "a topic that is a pattern": (
         [allow(*criteria("*"))],
         {"topic": "o*", "governed": governance(), "action": SUBSCRIBE},
@@ -552,6 +560,15 @@ def test_whose_grant_it_is(named):
         if decide(governance(), permissions, asked, each).allowed
     ]
     assert found == SUBJECTS[named].split()
+
+
+def test_a_peer_joins_where_join_access_control_is_off_or_its_grant_says_so():
+    for join, rules, allowed in ((True, (), False), (False, (), True), (True, RULES, True)):
+        for each in INTERPRETATIONS:
+            governed = governance(join=join)
+            asked = {"action": JOIN, "by": Viewpoint.PEER, "interpretation": each}
+            found = ask(*rules, governed=governed, **asked)
+            assert found.allowed == allowed, (each.name, join, rules)
 
 
 def test_a_subject_that_ends_in_a_separator_is_whole_for_every_stack():
@@ -686,6 +703,10 @@ def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
             "above 230",
         ),
         ((governance(domains=DomainSet(parts=(DomainRange(first=3, last=1),))), grant()), "empty"),
+        (
+            (governance(domains=DomainSet(parts=(0, DomainRange(first=3, last=1)))), grant()),
+            "empty",
+        ),
         ((governance(topics("")), grant()), "empty topic"),
     ],
 )
@@ -694,6 +715,11 @@ def test_cyclone_dds_reads_nothing_of_some_documents(documents, words):
     decision = decide(governed, Permissions(grants=(of_robot,)), question(), CYCLONEDDS)
     assert words in decision.reason
     assert decision.decided_by is None
+
+
+def test_cyclone_dds_reads_a_range_of_one_domain():
+    one = governance(domains=DomainSet(parts=(DomainRange(first=0, last=0),)))
+    assert ask(allow(*criteria("a")), governed=one, interpretation=CYCLONEDDS).allowed
 
 
 # Patterns.

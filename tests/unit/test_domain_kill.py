@@ -21,8 +21,8 @@ from tests.unit.killing import at_once, check_no_halves, check_whole, copies, dr
 pytestmark = pytest.mark.slow
 
 BEFORE = NOW - 60 * DAY
-NOT_MET = {StepAction.CREATE_CAS, StepAction.RENEW_CRL}
-"""Of the actions, at the start below."""
+NOT_MET = {StepAction.CREATE_CAS, StepAction.RENEW_CRL, StepAction.CHANGE_PROFILE}
+"""Of the actions, at the start below. A change of the profile is a rollover: test_rotate_kill."""
 EVERY = 13
 """Of how many calls one is killed: what they belong to has its own sweeps."""
 APPLY = "pqsec_pki.domain.applying"
@@ -44,7 +44,9 @@ def start(scene):
     revoke(keystore, keystore.unlock(None), ["/r4"], now=BEFORE)
     (scene.file_of("/r1", "cert.pem")).unlink()
     shutil.copyfile(scene.file_of("/r2", "cert.pem"), scene.file_of("/r3", "cert.pem"))
-    scene.change("name: Lab", "name: Lab\ngovernance: authenticated\nprune: true")
+    scene.change(
+        "name: Lab", "name: Lab\ngovernance: authenticated\nprune: true\ngroups: {both: [/r2, /r3]}"
+    )
     scene.change("rt/cmd", "rt/order")
     scene.change("1..4", "2..3")
     scene.change("name: /monitor", "name: /new")

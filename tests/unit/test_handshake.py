@@ -16,8 +16,10 @@ from pqsec_pki.handshake import (
     DataHolder,
     Discovered,
     Final,
+    GenericMessage,
     Identity,
     KeyMaterial,
+    MessageClass,
     PeerRequirements,
     Reply,
     Request,
@@ -42,6 +44,8 @@ ENTITY = b"\0\0\1\xc1"
 ECDH = KEY_AGREEMENTS.named("ecdh-p256")
 MODP = KEY_AGREEMENTS.named("dh-modp-2048-256")
 HYBRID = KEY_AGREEMENTS.named("x25519mlkem768")
+_VOLATILE_WRITER = b"\xff\x02\x02\xc3"
+"""The entity ID of ParticipantVolatileMessageSecureWriter (DDS-Security 1.1, 7.3.7.1)."""
 EVERYTHING = PeerRequirements(agreements=tuple(KEY_AGREEMENTS))
 OPTIONAL = {"dh1", "dh2", "hash_c1", "hash_c2"}
 KINDS = ("ecdsa-p256", "rsa-2048", "ml-dsa-65", "mldsa65+p256", ("ecdsa-p256", "ml-dsa-65"))
@@ -200,6 +204,32 @@ def test_what_is_no_first_message_confirms_nobody(meeting):
         with pytest.raises(VerificationError, match="a first protected message of"):
             confirmed(meeting.bob.guid, other, sender.protect_submessage(good[:size]))
     assert confirmed(meeting.bob.guid, other, sender.protect_submessage(good)) == keys
+
+
+@pytest.mark.parametrize(
+    ("class_id", "count"),
+    [
+        (MessageClass.HANDSHAKE, 1),
+        (MessageClass.PARTICIPANT_CRYPTO_TOKENS, 0),
+        (MessageClass.PARTICIPANT_CRYPTO_TOKENS, 2),
+    ],
+)
+def test_a_first_message_with_anything_else_than_one_key_confirms_nobody(meeting, class_id, count):
+    one, other = meeting.run()
+    keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+    good = token_message(meeting.alice.guid, meeting.bob.guid, keys)
+    sample = GenericMessage(
+        source=meeting.alice.guid[:12] + _VOLATILE_WRITER,
+        sequence=1,
+        destination_participant=meeting.bob.guid,
+        class_id=class_id,
+        tokens=(keys.to_holder(),) * count,
+    ).encode()
+    head = bytearray(good[:24])
+    head[2:4] = (20 + len(sample)).to_bytes(2, "little")  # octetsToNextHeader
+    sealed = Sender(key_exchange_material(one)).protect_submessage(bytes(head) + sample)
+    with pytest.raises(VerificationError, match="with one token"):
+        confirmed(meeting.bob.guid, other, sealed)
 
 
 def test_each_learns_who_the_other_is_and_what_it_may(meeting):

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -152,6 +153,23 @@ def test_only_one_agent_at_a_time_comes_or_goes(tmp_path, monkeypatch):
         pass
     with listening.lock(lock):
         pass
+
+
+def test_an_agent_that_goes_in_the_middle_of_its_answer_is_told(place):
+    place.prepare()
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(place.socket))
+        listener.listen()
+
+        def answer():
+            link, _ = listener.accept()
+            with link:
+                link.recv(1000)
+                link.send(b"\x09\0\0\0\0")  # one octet of nine
+
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(answer)
+            assert agent_status(place) is None
 
 
 def test_an_agent_takes_the_place_of_one_that_was_killed(place):

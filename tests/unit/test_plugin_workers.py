@@ -149,6 +149,15 @@ def test_where_no_further_worker_can_be_started_hosts_share_the_one_there_is(pla
     assert "no further worker can be started: Too many open files" in agent.stderr.read()
 
 
+def test_who_goes_without_a_greeting_is_forgotten(place, agent):
+    with host(place):
+        until(lambda: sockets(agent.pid) == 1 + 2)  # its own, and a worker's channel
+        with socket.socket(socket.AF_UNIX) as link:
+            link.connect(str(place.socket))
+            until(lambda: sockets(agent.pid) == 1 + 2 + 1)
+        until(lambda: sockets(agent.pid) == 1 + 2)
+
+
 @pytest.mark.usefixtures("agent")
 def test_the_agent_has_no_key_and_nothing_of_a_host_open(place):
     with host(place):

@@ -15,13 +15,14 @@ from pqsec_pki.credentials import (
     Credentials,
     TrustAnchors,
     certificates_in,
+    distinct,
     identity_problems,
     verify_documents,
 )
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import KeystoreError, MalformedError, VerificationError
 from pqsec_pki.keystore import enclave_files
-from pqsec_pki.problems import Code
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import Require, Signer, sign
 from tests.unit.keystores import made
 
@@ -202,3 +203,9 @@ def test_documents_of_cas_that_cannot_be_trusted_are_refused_though_their_signat
     with pytest.raises(VerificationError) as refusal:
         verified(replace(own, identity_cas=(own.permissions_ca,)))
     assert [each.code for each in refusal.value.problems] == [Code.ONE_KEY_TWO_ROLES]
+
+
+def test_a_problem_that_two_steps_found_is_told_once_with_its_file():
+    placed = Problem("it has ended", Code.EXPIRED, subject="cert.pem")
+    bare, other = Problem("it has ended", Code.EXPIRED), Problem("unknown", Code.EXPIRED)
+    assert distinct([bare, placed, placed, other]) == [placed, other]
