@@ -22,8 +22,10 @@ from pqsec_pki.learning.seen import Endpoint, SeenParticipant
 IS_LINE = re.compile(r"\s*\d+\.\d{6} \[(\d*)\] .{10}: ?(.*)", re.ASCII)
 """Groups: the domain, which some lines do not have, and the message."""
 _GUID = r"(?P<guid>[0-9a-f]+:[0-9a-f]+:[0-9a-f]+):(?P<entity>[0-9a-f]+)\b"
-_ABOUT_PARTICIPANT = re.compile(rf"(?:PARTICIPANT|SPDP ST0) {_GUID}.* QOS=\{{(?P<qos>.*)\}}")
-_ABOUT_ENDPOINT = re.compile(rf"(?:WRITER|READER|SEDP ST0) {_GUID}.* ?QOS=\{{(?P<qos>.*)\}}")
+_QOS = r"(?>.*?QOS=\{)(?P<qos>.*)\}"
+"""Atomic: in a crafted line, each further `QOS={` would else be another way to read all of it."""
+_ABOUT_PARTICIPANT = re.compile(rf"(?:PARTICIPANT|SPDP ST0) {_GUID}{_QOS}")
+_ABOUT_ENDPOINT = re.compile(rf"(?:WRITER|READER|SEDP ST0) {_GUID}{_QOS}")
 _KINDS = (
     (re.compile(r"PARTICIPANT .*QOS=|SPDP ST0 .* NEW"), _ABOUT_PARTICIPANT),
     (re.compile(r"(?:WRITER|READER) \S+ QOS=|SEDP ST0 .*(?: NEW|QOS=)"), _ABOUT_ENDPOINT),
@@ -39,7 +41,7 @@ _ACTIONS = {
 """Kind of entity -> action (RTPS 2.5, table 9.1). Others are built in, or topics."""
 _OF_THE_PROCESS = ("__BUILT-IN PARTITION__",)
 """Of readers of Cyclone DDS's own topics, which are not on the network."""
-_USER_DATA = re.compile(r"user_data=\d+<([^>]*)>")
+_USER_DATA = re.compile(r"user_data=\d+<")
 _OCTETS = re.compile(r'"([^"]*)"|(\d{1,3})')
 _ENCLAVE = re.compile(r"(?:\A|;)enclave=([^;]*);")
 _ENTITY_NAME = re.compile(r'\bentity_name="([^"]*)"')
@@ -124,7 +126,8 @@ def _endpoint(domain: int, action: Action, qos: str) -> Endpoint:
 
 def _enclave(qos: str) -> str:
     data = _USER_DATA.search(qos)
-    text = "".join(_characters(data[1])) if data else ""
+    octets, end, _ = qos[data.end() :].partition(">") if data else ("", "", "")
+    text = "".join(_characters(octets)) if end else ""
     found = _ENCLAVE.search(text)
     if "enclave=" in text and found is None:
         raise MalformedError("its enclave is cut: Cyclone DDS writes 100 bytes of user data")

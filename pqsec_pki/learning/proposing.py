@@ -95,12 +95,16 @@ def _rule(nodes: Sequence[str], points: Sequence[Endpoint]) -> dict[str, object]
     plain = [each for each in points if not each.partitions]
     left = ros.Endpoints(_topics(plain, Action.PUBLISH), _topics(plain, Action.SUBSCRIBE))
     items = []
+    used: tuple[set[str], set[str]] = set(), set()
+    # Which of several nodes uses a topic is known only for names below a node's own.
+    below = {nodes[0]: left} if len(nodes) == 1 else _below(nodes, left)
     for node in nodes:
-        # Which of several nodes uses a topic is known only for names below a node's own.
-        own = left if len(nodes) == 1 else _below(node, left)
+        own = _without(below[node], used)
         item, rest = node_as_yaml(node, own)
         items.append(item)
-        left = _without(left, own, rest)
+        for gone, all_, kept in zip(used, own, rest, strict=True):
+            gone.update({*all_}.difference(kept))
+    left = _without(left, used)
     rule: dict[str, object] = {"nodes": items} if items else {}
     for action, topics in ((Action.PUBLISH, left.publish), (Action.SUBSCRIBE, left.subscribe)):
         by_partitions: dict[tuple[str, ...], list[str]] = {}
@@ -123,17 +127,22 @@ def _topics(points: Iterable[Endpoint], action: Action) -> tuple[str, ...]:
     return tuple(each.topic for each in points if each.action is action)
 
 
-def _below(node: str, topics: ros.Endpoints) -> ros.Endpoints:
-    def own(names: Iterable[str]) -> tuple[str, ...]:
-        return tuple(each for each in names if each[2:].startswith(f"{node}/"))
+def _below(nodes: Sequence[str], topics: ros.Endpoints) -> dict[str, ros.Endpoints]:
+    """For each node, the topics below its name; each topic is looked at once."""
+    found: dict[str, tuple[list[str], list[str]]] = {node: ([], []) for node in nodes}
+    for way, names in enumerate(topics):
+        for name in names:
+            parts = name[2:].split("/")
+            for end in range(1, len(parts)):
+                if own := found.get("/".join(parts[:end])):
+                    own[way].append(name)
+    return {node: ros.Endpoints(tuple(pub), tuple(sub)) for node, (pub, sub) in found.items()}
 
-    return ros.Endpoints(publish=own(topics.publish), subscribe=own(topics.subscribe))
 
-
-def _without(topics: ros.Endpoints, used: ros.Endpoints, rest: ros.Endpoints) -> ros.Endpoints:
-    """`topics` without those of `used` that are not in `rest`."""
-    gone = [{*all_} - {*kept} for all_, kept in zip(used, rest, strict=True)]
+def _without(topics: ros.Endpoints, used: tuple[set[str], set[str]]) -> ros.Endpoints:
     return ros.Endpoints(
-        publish=tuple(each for each in topics.publish if each not in gone[0]),
-        subscribe=tuple(each for each in topics.subscribe if each not in gone[1]),
+        *(
+            tuple(each for each in names if each not in gone)
+            for names, gone in zip(topics, used, strict=True)
+        )
     )

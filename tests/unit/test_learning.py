@@ -16,6 +16,7 @@ from pqsec_pki.learning import (
     compare,
     document_of,
     propose,
+    proposing,
     read_recordings,
 )
 from pqsec_pki.learning import recording as reading
@@ -285,3 +286,33 @@ def test_names_that_were_not_seen_or_cannot_be_issued(tmp_path):
         "its name has more than N characters: name it with --name",
     ]
     assert recorded(tmp_path, long, names={f"/{'a' * 64}": "/a"}).participants[0].name == "/a"
+
+
+def test_crafted_lines_take_no_more_time_than_others(tmp_path):
+    # Each is a line of 0.5 MB; with ways to read it that grow with its square, they took minutes.
+    head = "1795417423.769100 [0] dq.builtin: "
+    crafted = [
+        f"{head}SPDP ST0 1:2:3:1c1 NEW{' QOS={' * 80_000}",
+        f"{head}SEDP ST0 1:2:3:103 NEW{' QOS={' * 80_000}",
+        f"{head}SPDP ST0 1:2:3:1c1 NEW QOS={{{'user_data=1<' * 40_000}}}",
+    ]
+    found = recorded(tmp_path, "\n".join(crafted), names={})
+    assert [each.line for each in found.unread] == [1, 2]
+
+
+def test_thousands_of_nodes_in_one_participant_take_no_more_time_than_others():
+    nodes = tuple(f"/n{number}" for number in range(10_000))  # squared, a minute
+    points = [Endpoint(0, Action.SUBSCRIBE, f"rq{each}/get_parametersRequest") for each in nodes]
+    assert len(proposing._rule(nodes, points)["nodes"]) == len(nodes)
+
+
+def test_topics_below_two_nodes_are_given_to_the_first_of_them():
+    points = [
+        Endpoint(0, Action.PUBLISH, topic) for topic in ("rt/a/b/x", "rt/a/y", "rt/ab/q", "rt/a")
+    ]
+    first = proposal_of(*points, nodes=("/a", "/a/b")).text
+    assert "node: /a\n        publish:\n          - /a/b/x\n          - /a/y\n" in first
+    assert "    publish:\n      - rt/a\n      - rt/ab/q\n" in first
+    second = proposal_of(*points, nodes=("/a/b", "/a")).text
+    assert "node: /a/b\n        publish:\n          - /a/b/x\n" in second
+    assert "node: /a\n        publish:\n          - /a/y\n" in second
