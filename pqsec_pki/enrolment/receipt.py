@@ -62,7 +62,8 @@ def receipt_of(
                 for file, data in sorted(installed.items())
                 if file in PUBLIC_FILES
             },
-            installed_at=installed_at.astimezone(UTC).replace(microsecond=0),
+            # The robot's clock may have been ahead then.
+            installed_at=min(installed_at, now).astimezone(UTC).replace(microsecond=0),
             made_at=now.astimezone(UTC),
             pqsec=__version__,
         )

@@ -114,6 +114,9 @@ class _Records:
         if receipt.made_at > now + MAX_AHEAD:
             words = f"made at {made_at}, which is in the future: check the robot's clock"
             yield Problem(words, Code.NOT_YET_VALID)
+        if receipt.installed_at > receipt.made_at:
+            words = f"made at {made_at}, before it was installed: no pqsec makes such a receipt"
+            yield Problem(words, Code.NOT_YET_VALID)
         newest = self.newest.get(receipt.participant)
         if newest and receipt.made_at <= newest and not older:
             words = f"made at {made_at}; one of {newest:%Y-%m-%d %H:%M:%S} UTC is recorded"

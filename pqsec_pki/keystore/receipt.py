@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, Self
 
 from pqsec_pki.certificates import Certificate
@@ -141,6 +141,6 @@ def _matching(pattern: re.Pattern[str], value: object) -> str:
 
 def _time(value: object) -> datetime:
     found = datetime.fromisoformat(_text(value))
-    if found.tzinfo is None:
-        raise ValueError("a time without a time zone")
+    if found.utcoffset() != timedelta(0):  # it is shown, and compared, as UTC
+        raise ValueError("a time that is not in UTC")
     return found

@@ -6,12 +6,13 @@ from datetime import timedelta
 
 import pytest
 
+from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import Governance
 from pqsec_pki.enrolment import Bundle, import_receipts, install, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
-from pqsec_pki.enrolment.receipt import receipt_of
+from pqsec_pki.enrolment.receipt import read_receipts, receipt_of
 from pqsec_pki.errors import KeystoreError, MalformedError, VerificationError
 from pqsec_pki.keystore import InstallState, Keystore, audit, robot_states, status
 from pqsec_pki.lifecycle import (
@@ -23,6 +24,7 @@ from pqsec_pki.lifecycle import (
     sign_governance,
 )
 from pqsec_pki.problems import Code
+from pqsec_pki.smime import Signer, sign
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of
 from tests.unit.keystores import enter, made, rotate
 from tests.unit.killing import NOW
@@ -284,3 +286,32 @@ def test_a_damaged_line_and_a_missing_file_are_told(keystore, robot):
     with pytest.raises(KeystoreError, match="the receipt of /fleet/robot1 is damaged"):
         state(keystore)
     assert done
+
+
+def test_a_receipt_installed_after_it_was_made_is_refused(keystore, robot):
+    current = CredentialStore(robot).current
+    data = receipt_of(current.enclaves, {}, installed_at=LATER, now=LATER)
+    [signed] = read_receipts(data)
+    late = replace(signed.receipt, installed_at=LATER + 3000 * DAY)
+    enclave = current.enclaves[ROBOT]
+    first, second = (
+        Signer(signed.certificate, load_private_key(enclave[key]))
+        for key in ("key.pem", "alt.key.pem")
+    )
+    statement = sign(
+        late.to_json(), first, countersigner=second, embed_certificate=False, now=LATER
+    )
+    members = {**Archive.unpack(data, "receipt").files, f"enclaves{ROBOT}/receipt.p7s": statement}
+    (robot / "installed.receipt").write_bytes(Archive("receipt", {}, members).pack())
+    error = refused(keystore, robot, Code.NOT_YET_VALID)
+    assert "before it was installed" in str(error)
+
+
+def test_a_robot_whose_clock_was_ahead_at_its_installation_makes_a_receipt_that_counts(
+    keystore, robot
+):
+    current = CredentialStore(robot).current
+    data = receipt_of(current.enclaves, {}, installed_at=LATER + 3000 * DAY, now=LATER)
+    (robot / "installed.receipt").write_bytes(data)
+    [done] = receive(keystore, robot)
+    assert done.receipt.installed_at == LATER

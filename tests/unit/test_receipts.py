@@ -312,6 +312,10 @@ def test_signed_text_that_is_not_exactly_a_receipt_is_refused(enclave):
         *(text(bundle=each) for each in (0, -1, True, "7", 1 << 63, 1.5)),
         *(text(made_at=each) for each in ("2026-11-21", "2026-11-21T12:00:00", "now", 7)),
         text(installed_at="2026-11-21T12:00:00"),
+        # Not in UTC, as which they would be shown
+        text(made_at="2026-11-21T12:00:00+05:00"),
+        text(installed_at="9999-12-31T23:59:00-23:00"),
+        text(installed_at="0001-01-01T00:00:00+23:59"),
         *(text(files=each) for each in ([], {"key.pem": "0" * 64}, {"../cert.pem": "0" * 64})),
         *(text(files={"cert.pem": each}) for each in ("0" * 63, "A" * 64, 7, "0" * 64 + "\n")),
         text().replace(b'"bundle": 7', b'"bundle": NaN'),
