@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pqsec_pki._files import read
 from pqsec_pki.access import is_known
@@ -14,6 +14,9 @@ from pqsec_pki.keystore import Keystore, Line
 from pqsec_pki.report.history import events_of
 from pqsec_pki.report.signature import MAX_REPORT
 from pqsec_pki.report.values import FORMAT, FindingsSection, LedgerEvent, Report, Right
+
+Kind = TypeVar("Kind", dict[str, Any], list[Any])
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +27,16 @@ class EarlierReport:
     at: str
     head: str
     lines: int
-    participants: dict[str, str]
-    """Name -> serial number and state."""
+    participants: dict[str, str] | None
+    """Name -> serial number and state; None if that report could not tell."""
     rights: frozenset[Right] | None
-    """None if that report could not tell."""
+    """None likewise."""
     topics: frozenset[str]
     """The topics and patterns that a rule named."""
     findings: dict[tuple[str, str, str], str] | None
     """(rule, path, message) -> severity; None likewise."""
-    authorities: frozenset[tuple[str, str]]
-    """(name, fingerprint)."""
+    authorities: frozenset[tuple[str, str]] | None
+    """(name, fingerprint); None likewise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,30 +89,52 @@ def read_earlier(path: Path) -> EarlierReport:
 def _earlier(path: str, found: dict[str, Any]) -> EarlierReport:
     if found["format"] != "pqsec-report" or found["format_version"] != FORMAT:
         raise ValueError("another format")
-    evidence, rights, findings = found["evidence"], found["rights"], found["findings"]
+    evidence, rights, findings = (
+        _none_or(dict, found[each]) for each in ("evidence", "rights", "findings")
+    )
+    participants, authorities = (
+        _none_or(list, found[each]) for each in ("participants", "authorities")
+    )
     return EarlierReport(
         path=path,
         at=_text(found["at"]),
         head=_text(evidence["head"]) if evidence else "",
-        lines=int(evidence["lines"]) if evidence else 0,
-        participants={
+        lines=_count(evidence["lines"]) if evidence else 0,
+        participants=None
+        if participants is None
+        else {
             _text(each["name"]): _state(_text(each["serial"]), _text(each["state"]))
-            for each in found["participants"] or ()
+            for each in participants
         },
-        rights=rights and frozenset(Right(*map(_text, each)) for each in rights["every"]),
+        rights=None
+        if rights is None
+        else frozenset(Right(*map(_text, each)) for each in rights["every"]),
         topics=frozenset(map(_text, rights["topics"])) if rights else frozenset(),
-        findings=findings
-        and {
+        findings=None
+        if findings is None
+        else {
             (_text(group["rule"]), _text(each["path"]), _text(each["message"])): _text(
                 group["severity"]
             )
             for group in findings["groups"]
             for each in group["places"]
         },
-        authorities=frozenset(
-            (_text(each["name"]), _text(each["fingerprint"])) for each in found["authorities"] or ()
-        ),
+        authorities=None
+        if authorities is None
+        else frozenset((_text(each["name"]), _text(each["fingerprint"])) for each in authorities),
     )
+
+
+def _none_or(kind: type[Kind], value: object) -> Kind | None:
+    if not (value is None or isinstance(value, kind)):
+        raise TypeError(f"not a {kind.__name__}")
+    return value
+
+
+def _count(value: object) -> int:
+    if type(value) is not int or value < 0:  # a bool is an int
+        raise TypeError("not a number of lines")
+    return value
 
 
 def _text(value: object) -> str:
@@ -130,12 +155,17 @@ def changes_since(earlier: EarlierReport, report: Report, keystore: Keystore) ->
     except PqsecError as error:
         broken = str(error)
     broken = broken or _ledger_problem(earlier, lines)
-    there = {each.name: _state(each.serial, each.state.value) for each in report.participants or ()}
-    before = earlier.participants
+    participants = None
+    if report.participants is not None:
+        participants = {e.name: _state(e.serial, e.state.value) for e in report.participants}
     rights = None if report.rights is None else frozenset(report.rights.every)
     topics = frozenset(report.rights.topics) if report.rights else frozenset()
     findings = None if report.findings is None else _findings(report.findings)
-    authorities = frozenset((each.name, each.fingerprint) for each in report.authorities or ())
+    authorities = None
+    if report.authorities is not None:
+        authorities = frozenset((each.name, each.fingerprint) for each in report.authorities)
+    there, before = _both(participants, earlier.participants, {})
+    new, old = _both(authorities, earlier.authorities, frozenset())
     return Changes(
         since=earlier.at,
         ledger=broken,
@@ -152,21 +182,25 @@ def changes_since(earlier: EarlierReport, report: Report, keystore: Keystore) ->
         new_findings=tuple(_words(findings, earlier.findings)),
         resolved=tuple(_words(earlier.findings, findings)),
         authorities=tuple(
-            [f"new: {name}, {digest}" for name, digest in sorted(authorities - earlier.authorities)]
-            + [
-                f"no longer: {name}, {digest}"
-                for name, digest in sorted(earlier.authorities - authorities)
-            ]
+            [f"new: {name}, {digest}" for name, digest in sorted(new - old)]
+            + [f"no longer: {name}, {digest}" for name, digest in sorted(old - new)]
         ),
         unknown=tuple(
             what
             for what, values in (
+                ("participants", (participants, earlier.participants)),
+                ("CAs and revocation list", (authorities, earlier.authorities)),
                 ("rights", (rights, earlier.rights)),
                 ("findings", (findings, earlier.findings)),
             )
             if None in values
         ),
     )
+
+
+def _both(one: Value | None, other: Value | None, empty: Value) -> tuple[Value, Value]:
+    """Both values, to compare them; `empty` for both if one report lacks its own."""
+    return (empty, empty) if one is None or other is None else (one, other)
 
 
 def _ledger_problem(earlier: EarlierReport, lines: list[Line]) -> str:

@@ -4,18 +4,20 @@ import csv
 import io
 from collections.abc import Iterator
 
+from pqsec_pki.errors import shown
 from pqsec_pki.report.comparing import Changes
 from pqsec_pki.report.values import Report
 
 HEADER = ("section", "subject", "item", "value", "domains", "until", "source")
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 """Spreadsheets take a cell that begins so for a formula, and would run it."""
 
 
 def csv_of(report: Report, changes: Changes | None = None) -> str:
     """The report as RFC 4180 text with a header row. Times are ISO 8601, in UTC.
 
-    A cell that a spreadsheet would run has an apostrophe before it.
+    A cell that a spreadsheet would run has an apostrophe before it. Control and other invisible
+    characters are escaped: a terminal would obey some.
     """
     text = io.StringIO()
     writer = csv.writer(text)
@@ -26,7 +28,8 @@ def csv_of(report: Report, changes: Changes | None = None) -> str:
 
 
 def _plain(cell: str) -> str:
-    return f"'{cell}" if cell.startswith(_FORMULA) else cell
+    text = f"'{cell}" if cell.startswith(_FORMULA) else cell
+    return text if text.isprintable() else shown(text, len(text))
 
 
 _Row = tuple[str, str, str, str, str, str, str]
@@ -106,6 +109,9 @@ def _changed(changes: Changes | None) -> Iterator[_Row]:
         return
     if changes.ledger:
         yield "change", "ledger", "", changes.ledger, "", "", changes.since
+    for what in changes.unknown:
+        words = "not known: one of the two reports lacks them"
+        yield "change", what, "", words, "", "", changes.since
     for what, rights in (("granted", changes.granted), ("removed", changes.removed)):
         for each in rights:
             yield (

@@ -39,12 +39,19 @@ def refuse_changed(document: bytes, signature: Path) -> Path | None:
     """The path of the report that `document` in the file `signature` is about.
 
     None if `document` is not such a statement; whether it was signed is not checked here.
-    VerificationError if the report was changed, MissingError if it is not beside the signature.
+    VerificationError if the report was changed, or if `signature` is not named after it: who looks
+    at june.html must not be told that may.html is genuine. MissingError if it is not there.
     """
     found = _STATEMENT.fullmatch(document)
     if not found:
         return None
-    report = signature.with_name(found[2].decode(errors="surrogateescape"))
+    name = found[2].decode(errors="surrogateescape")
+    if signature.name != f"{name}.p7s":
+        words = f"{signature} is the signature of {name}, and is not named after it"
+        raise VerificationError(
+            Problem(words, Code.WRONG_SUBJECT), hint="give both files their names again"
+        )
+    report = signature.parent / name
     data = read(report, limit=MAX_REPORT)
     if hashlib.sha512(data).hexdigest() != found[1].decode():
         words = f"{report} was changed after signing"

@@ -104,7 +104,16 @@ def test_a_changed_report_and_a_signature_by_another_ca_are_refused(pqsec, keyst
     pqsec("-k k verify june.html.p7s").refused(1, "june.html was changed after signing")
     (tmp_path / "july.html").rename(page)
     (tmp_path / "july.html.p7s").rename(tmp_path / "june.html.p7s")
-    pqsec("-k other verify june.html.p7s").refused(3, "july.html: no such file")
+    pqsec("-k other verify june.html.p7s").refused(1, "the signature of july.html")
+
+
+def test_a_signature_is_not_taken_for_that_of_another_report(pqsec, keystore, tmp_path):
+    keystore("classical")
+    pqsec("-k k report --sign -o may.html").done()
+    (tmp_path / "june.html").write_text("forged")
+    (tmp_path / "june.html.p7s").write_bytes((tmp_path / "may.html.p7s").read_bytes())
+    pqsec("-k k verify june.html.p7s").refused(1, "june.html.p7s is the signature of may.html")
+    pqsec("-k k verify may.html.p7s").done()
 
 
 def test_a_report_is_not_signed_by_what_verify_would_refuse(pqsec, keystore, locked, tmp_path):

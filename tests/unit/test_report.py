@@ -327,6 +327,37 @@ def test_another_file_is_refused(tmp_path, text):
         read_earlier(path)
 
 
+def test_values_of_another_kind_in_an_earlier_report_are_refused(earlier):
+    value = json.loads(earlier.read_text())
+    parts = ("participants", "rights", "findings", "authorities", "evidence")
+    cases = [{part: bad} for part in parts for bad in (0, False, "", 7)]
+    cases += [{part: []} for part in ("rights", "findings", "evidence")]
+    cases += [{"participants": {}}, {"authorities": {}}]
+    for lines in (-1, True, 1.5, float("inf"), "3"):
+        cases.append({"evidence": {**value["evidence"], "lines": lines}})
+    for case in cases:
+        earlier.write_text(json.dumps({**value, **case}))
+        with pytest.raises(MalformedError, match="not a report"):
+            read_earlier(earlier)
+
+
+def test_what_one_report_could_not_read_is_no_change_but_not_known(keystore, report, earlier):
+    parts = ("participants", "rights", "findings", "authorities")
+    value = json.loads(earlier.read_text())
+    whole = read_earlier(earlier)
+    earlier.write_text(json.dumps({**value, **dict.fromkeys(parts)}))
+    lacking = replace(report, **dict.fromkeys(parts))
+    for changes in (
+        changes_since(read_earlier(earlier), report, keystore),
+        changes_since(whole, lacking, keystore),
+    ):
+        assert changes.count == 0
+        assert changes.unknown == ("participants", "CAs and revocation list", "rights", "findings")
+        assert "Changes of participants are not known" in html_of(report, changes)
+        rows = [row for row in read_csv(csv_of(report, changes)) if row[0] == "change"]
+        assert [row[1] for row in rows] == list(changes.unknown)
+
+
 # The page
 
 
@@ -578,3 +609,10 @@ def test_the_csv_has_every_right_with_its_rule(report):
 def test_no_cell_of_the_csv_is_a_formula(report):
     for row in read_csv(csv_of(hostile(report))):
         assert not [cell for cell in row if cell.startswith(("=", "+", "-", "@"))]
+
+
+def test_no_cell_of_the_csv_has_what_a_terminal_obeys_or_utf8_lacks(report):
+    text = csv_of(hostile(report))
+    assert "\\u001b[31m" in text
+    assert all(each.isprintable() or each in "\r\n" for each in text)
+    text.encode()
