@@ -100,7 +100,8 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     keystore = _settings.open_keystore()
     given = names or (_names_in(robot) if robot else ())
     wanted = _outdated(keystore, given) if outdated else admitted(keystore, given)
-    together = [wanted] if output or not outdated else [[name] for name in wanted]
+    alone = not wanted or (outdated and not output)
+    together = [[name] for name in wanted] if alone else [wanted]
     paths = [output or bundle_path(folder or Path(), regular_name(each[0])) for each in together]
     now, recipient = _settings.now(), _bundles.recipient(seal_for)
     numbers = BundleNumbers.of(keystore)
