@@ -46,7 +46,7 @@ def written(assets: Assets, subject: str, timestamp: datetime | None) -> str:
     document["serialNumber"] = uuid5(NAMESPACE_URL, content).urn
     if timestamp is not None:
         document["metadata"]["timestamp"] = timestamp.isoformat()
-    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    return json.dumps(document, indent=2, sort_keys=True) + "\n"
 
 
 def _as_json(bom: Bom) -> dict[str, Any]:

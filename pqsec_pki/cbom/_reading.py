@@ -158,8 +158,8 @@ class _Reader:
             if path.is_relative_to(root):
                 inner = path.relative_to(root)
                 shown = Path(path.name) if inner == Path() else inner
-                return _text(path if len(self._paths) > 1 else shown)
-        return _text(path)
+                return text_of(path if len(self._paths) > 1 else shown)
+        return text_of(path)
 
 
 def _binary_certificates(files: Iterable[File]) -> Iterator[tuple[Path, Certificate]]:
@@ -171,6 +171,6 @@ def _binary_certificates(files: Iterable[File]) -> Iterator[tuple[Path, Certific
                 continue
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
     """The path as text that UTF-8 can write, whatever bytes are in it."""
     return os.fsencode(path).decode("utf-8", "backslashreplace")

@@ -46,7 +46,9 @@ def bill_of(paths: Iterable[Path], *, now: datetime, timestamp: datetime | None 
         ) from error
     named = tuple(paths)
     assets, unread = _reading.read_assets(named, now)
-    subject = ", ".join(dict.fromkeys(path.resolve().name or "/" for path in named))
+    subject = ", ".join(
+        dict.fromkeys(_reading.text_of(Path(path.resolve().name or "/")) for path in named)
+    )
     return Bill(
         document=_document.written(assets, subject, timestamp),
         counts=assets.counts,

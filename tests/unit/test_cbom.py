@@ -285,3 +285,15 @@ def test_names_of_files_that_are_no_text(keystores, tmp_path):
     [certificate] = [ref for ref in components if ref.startswith("certificate:")]
     [place] = components[certificate]["evidence"]["occurrences"]
     assert place["location"] == "<b>\\xff\x1b.pem"
+
+
+def test_the_name_of_the_folder_may_be_no_text_and_nothing_in_a_bill_commands_a_terminal(
+    keystores, tmp_path
+):
+    folder = tmp_path / b"k\xff\xc2\x9b31m".decode("utf-8", "surrogateescape")
+    folder.mkdir()
+    source = keystores["classical"].root / "public/identity_ca.cert.pem"
+    (folder / "ca.pem").write_bytes(source.read_bytes())
+    document = bill_of([folder], now=NOW).document
+    assert document.isascii()
+    assert json.loads(document)["metadata"]["component"]["name"] == "k\\xff\x9b31m"
