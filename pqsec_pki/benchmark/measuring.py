@@ -72,35 +72,35 @@ def measured_rounds(
     """
     found: list[Round] = []
     with suppress(KeyboardInterrupt):
-        between = MeasuredParticipants.of(suite, now)
+        participants = MeasuredParticipants.of(suite, now)
         for _ in range(warm_up):
-            _handshake(between, suite, now)
+            _handshake(participants, suite, now)
             each(1)
-        memory, messages = _memory(between, suite, now)
+        memory, messages = _memory(participants, suite, now)
         for _ in range(rounds):
-            found.append(_undisturbed(between, suite, now))
+            found.append(_undisturbed(participants, suite, now))
             each(1)
     if not found:
         return None
     return MeasuredSuite(suite, tuple(found), _sizes(messages), memory)
 
 
-def _undisturbed(between: MeasuredParticipants, suite: HandshakeSuite, now: datetime) -> Round:
+def _undisturbed(participants: MeasuredParticipants, suite: HandshakeSuite, now: datetime) -> Round:
     """Python's garbage collector does not run in a round, as in timeit."""
     gc.collect()
     gc.disable()
     try:
-        taken, _ = _handshake(between, suite, now)
+        taken, _ = _handshake(participants, suite, now)
     finally:
         gc.enable()
     return taken
 
 
 def _handshake(
-    between: MeasuredParticipants, suite: HandshakeSuite, now: datetime
+    participants: MeasuredParticipants, suite: HandshakeSuite, now: datetime
 ) -> tuple[Round, tuple[bytes, ...]]:
     """The time of each operation, and the three tokens."""
-    one, other = between.initiator, between.responder
+    one, other = participants.initiator, participants.responder
     policy = PeerRequirements(
         agreements=(suite.agreement,), require_alternative=suite.alternative is not None
     )
@@ -136,13 +136,13 @@ def _ended(awaiting: ReplySent, final: bytes) -> Done:
 
 
 def _memory(
-    between: MeasuredParticipants, suite: HandshakeSuite, now: datetime
+    participants: MeasuredParticipants, suite: HandshakeSuite, now: datetime
 ) -> tuple[int, tuple[bytes, ...]]:
     """The most that Python holds in a handshake, in bytes, and the three tokens."""
     tracemalloc.start()
     try:
         before, _ = tracemalloc.get_traced_memory()
-        _, messages = _handshake(between, suite, now)
+        _, messages = _handshake(participants, suite, now)
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

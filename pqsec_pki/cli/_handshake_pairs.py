@@ -127,8 +127,9 @@ def _with_progress(items: Iterable[Item], count: int, label: str) -> Iterator[It
 
 def _json(account: _Totals) -> Iterator[str]:
     found = account.check_pairs
-    people = [_participant_json(found, name) for name in found.names]
-    yield f'{{"version": {_printing.JSON_VERSION}, "participants": {json.dumps(people, indent=2)},'
+    participants = [_participant_json(found, name) for name in found.names]
+    listed = json.dumps(participants, indent=2)
+    yield f'{{"version": {_printing.JSON_VERSION}, "participants": {listed},'
     yield '"pairs": ['
     comma = ""
     for outcome in account.outcomes():

@@ -21,10 +21,12 @@ class Command(click.Command):
         exit_codes: Mapping[int, str],
         **settings: Any,
     ) -> None:
-        """`examples`: what a command line does -> the command line. `exit_codes`: all but 2."""
+        """`examples`: what a command line does -> the command line. `exit_codes`: 2 may be left
+        out, if it is the usual one.
+        """
         super().__init__(*args, **settings)
         self.examples = dict(examples)
-        self.exit_codes = dict(sorted({**exit_codes, 2: USAGE}.items()))
+        self.exit_codes = dict(sorted({2: USAGE, **exit_codes}.items()))
 
     def get_help_option_names(self, ctx: click.Context) -> list[str]:
         """The same for every command, wherever it is in the tree."""

@@ -8,7 +8,7 @@ import click
 
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
-from pqsec_pki.keystore import Keystore, Line, audit, regular_name
+from pqsec_pki.keystore import PERMITTED, Keystore, Line, audit, regular_name
 
 _SHA256 = 64
 """Hexadecimal digits."""
@@ -110,17 +110,18 @@ def _verify(keystore: Keystore, head: str | None) -> None:
     _printing.emit(value, [f"the ledger is complete: {count} lines, head {newest}"])
 
 
-_JSON_ONLY = {"keys", "statement"}
+_JSON_ONLY = {"keys", "mark", "statement"}
 """Details that only --json shows."""
 
 
 def _row(line: Line) -> tuple[str, ...]:
     entry = line.entry
-    details_shown = {
-        key: _short(v) for key, v in entry.details.items() if v and key not in _JSON_ONLY
-    }
-    details = ", ".join(f"{key} {value}" for key, value in details_shown.items())
-    what = f"{entry.kind} ({details})" if details else entry.kind
+    details = [
+        f"{key} {_short(v)}" for key, v in entry.details.items() if v and key not in _JSON_ONLY
+    ]
+    if entry.details.get("mark", "").startswith(PERMITTED):
+        details.append("by permit")
+    what = f"{entry.kind} ({', '.join(details)})" if details else entry.kind
     last = entry.serial or entry.sha256[:16]
     return (str(line.number), entry.at[:16], entry.operator or "-", what, entry.name or "-", last)
 

@@ -1,6 +1,6 @@
 """pqsec migrate: plan and rehearse the change to a post-quantum profile."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -10,10 +10,10 @@ from pqsec_pki import _files
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.domain import read_domain
-from pqsec_pki.keystore import Keystore
 from pqsec_pki.migration import (
     MigrationPlan,
     Rehearsal,
+    StepFile,
     plan_migration,
     rehearse,
     step_files,
@@ -76,14 +76,16 @@ def migrate() -> None:
     metavar="DIR",
     help="Write to DIR a domain file for each step, with which `pqsec apply` makes it.",
 )
+@click.option("--force", is_flag=True, help="Replace existing files in DIR.")
 @_settings.command_options
-def plan(
+def plan(  # noqa: PLR0913 -- one for each option, by name
     file: Path | None,
     target: str,
     stacks: tuple[str, ...],
     folder: Path | None,
     *,
     rehearsing: bool,
+    force: bool,
 ) -> None:
     """Show the steps to a post-quantum profile, and rehearse them on a copy.
 
@@ -98,7 +100,8 @@ def plan(
     rows = tuple(stack_named(each) for each in stacks or told or _STOCK)
     found = plan_migration(keystore, profile, rows, now=now)
     rehearsal = rehearse(keystore, profile, now=now) if rehearsing else None
-    paths = _write_steps(found, keystore, file, folder, now) if folder else []
+    files = step_files(found, keystore, file, folder, now=now) if folder else ()
+    paths = _write_steps(files, folder, force=force) if folder else []
     value: dict[str, object] = {
         "from": found.before,
         "to": found.target,
@@ -120,16 +123,17 @@ def plan(
         click.get_current_context().exit(1)
 
 
-def _write_steps(
-    plan: MigrationPlan, keystore: Keystore, file: Path | None, folder: Path, now: datetime
-) -> list[Path]:
-    """Write the domain file of each step; returns the paths."""
-    files = step_files(plan, keystore, file, folder, now=now)
-    for each in files:
-        _files.refuse_existing(folder / each.name)
-    for each in files:
-        _files.write(folder / each.name, each.document)
-    return [folder / each.name for each in files]
+def _write_steps(files: Sequence[StepFile], folder: Path, *, force: bool) -> list[Path]:
+    """Write the domain file of each step, or none; returns the paths."""
+    paths = [folder / each.name for each in files]
+    if not force:
+        for path in paths:
+            _files.refuse_existing(path)
+    with _files.disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for path, each in zip(paths, files, strict=True):
+        _files.write(path, each.document, force=force)
+    return paths
 
 
 def _plan_lines(plan: MigrationPlan, now: datetime) -> Iterator[str]:

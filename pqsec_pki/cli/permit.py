@@ -37,7 +37,7 @@ from pqsec_pki.policy import DocumentDifference
     exit_codes={
         0: "the new permissions are signed, or there was nothing to change",
         1: "not changed: a signature is not valid",
-        2: "not changed: a rule denies what you add, or still allows what you remove",
+        2: "wrong command line; or a rule denies what you add, or still allows what you remove",
         3: "not changed: a participant, the keystore or the passphrase is missing or wrong",
     },
 )

@@ -16,7 +16,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.documents import validate
 from pqsec_pki.errors import PqsecError, VerificationError, located
-from pqsec_pki.report import refuse_changed
+from pqsec_pki.report import refuse_changed, signature_path
 from pqsec_pki.smime import Require, Verified
 
 
@@ -88,6 +88,9 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
         if _settings.settings().json:
             problems = [str(each) for each in error.problems]
             _printing.emit({"ok": False, "file": str(file), "problems": problems}, [])
+        beside = signature_path(file)
+        if is_there(beside):
+            error.hint = f"the signature is in another file: `pqsec verify {beside}`"
         raise
     _print_signatures(report or file, verified, anchors, is_report=report is not None)
 

@@ -215,7 +215,9 @@ def _joined(parts: Iterable[Endpoints]) -> Endpoints:
 
 def _checked(name: str) -> str:
     if reason := fault(name):
+        full = f"/{name}"
+        example = "/chatter" if fault(full) else full
         raise UsageError(
-            f"{name!r} is not a full ROS 2 name: {reason}", hint="write a full name, as /chatter"
+            f"{name!r} is not a full ROS 2 name: {reason}", hint=f"write a full name, as {example}"
         )
     return name

@@ -12,7 +12,7 @@ from pqsec_pki.access import DocumentOwner
 from pqsec_pki.documents import Criteria
 from pqsec_pki.report.values import ParticipantGroup
 
-HOLE = "{name}"
+PLACEHOLDER = "{name}"
 """What stands in a label for the part in which names differ."""
 
 
@@ -53,8 +53,8 @@ def grouped(members: Sequence[DocumentOwner]) -> Grouping:
     for names in (part for each in alike.values() for part in _parted(each)):
         first, last = _varying(names)
         parts = names[0].split("/")
-        hole = [*parts[:first], HOLE, *parts[last + 1 :]] if len(names) > 1 else parts
-        group = ParticipantGroup(label="/".join(hole), members=tuple(names))
+        label = [*parts[:first], PLACEHOLDER, *parts[last + 1 :]] if len(names) > 1 else parts
+        group = ParticipantGroup(label="/".join(label), members=tuple(names))
         group_of |= dict.fromkeys(names, len(groups))
         for name in names if len(names) > 1 else ():
             own[len(groups), "/".join(name.split("/")[first : last + 1])].append(name)
@@ -71,7 +71,7 @@ def _shape(member: DocumentOwner) -> object:
 
     def plain(topics: Iterable[str]) -> tuple[str, ...]:
         return tuple(
-            "/".join(HOLE if part in parts else part for part in topic.split("/"))
+            "/".join(PLACEHOLDER if part in parts else part for part in topic.split("/"))
             for topic in topics
         )
 
@@ -132,7 +132,7 @@ def _replaced(parts: list[str], unit: list[str]) -> str:
     made, place = [], 0
     while place < len(parts):
         if parts[place : place + len(unit)] == unit:
-            made.append(HOLE)
+            made.append(PLACEHOLDER)
             place += len(unit)
         else:
             made.append(parts[place])

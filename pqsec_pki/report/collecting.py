@@ -12,23 +12,17 @@ from pqsec_pki import __version__
 from pqsec_pki.access import SPEC
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, State, Status, audit, robot_states
+from pqsec_pki.keystore import Keystore, Line, Status, audit, robot_states
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
-from pqsec_pki.policy import Fleet, fleet_in
+from pqsec_pki.policy import fleet_in
 from pqsec_pki.report.dates import KINDS, endings_of
 from pqsec_pki.report.history import events_of
-from pqsec_pki.report.quantum import (
-    algorithm_of,
-    exposed_agreements,
-    exposed_signatures,
-    exposed_traffic,
-)
+from pqsec_pki.report.quantum import algorithm_of, exposures_of
 from pqsec_pki.report.rights import rights_of
 from pqsec_pki.report.values import (
     AuthorityRow,
     Evidence,
-    Exposure,
     FindingGroup,
     FindingPlace,
     FindingsSection,
@@ -85,7 +79,7 @@ def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report
         ),
         endings=_of(status, lambda found: endings_of(found, fleet)),
         exposures=made.part(
-            QUANTUM, lambda: _exposures(keystore, authorities, checked, status, fleet)
+            QUANTUM, lambda: exposures_of(keystore, authorities, checked, status, fleet)
         ),
         findings=_of(checked, made.findings),
         events=_of(lines, events_of),
@@ -199,32 +193,6 @@ def _authorities(
     )
 
 
-def _exposures(
-    keystore: Keystore,
-    authorities: Mapping[str, Certificate] | None,
-    checked: LintReport | None,
-    status: Status | None,
-    fleet: Fleet | None,
-) -> tuple[Exposure, ...]:
-    profiles = {
-        each.name: each.profile or ""
-        for each in (status.participants if status else ())
-        if each.state not in {State.REVOKED, State.GONE}
-    }
-    enclaves = checked.inventory.enclaves if checked else ()
-    participants = {
-        each.name: certificate
-        for each in enclaves
-        if each.name in profiles and (certificate := each.certificate())
-    }
-    roles = {KINDS[kind]: each for kind, each in (authorities or {}).items()}
-    return (
-        *exposed_signatures(roles, participants, profiles),
-        *exposed_agreements(keystore.profile),
-        *(exposed_traffic(fleet.governance, keystore.profile) if fleet else ()),
-    )
-
-
 def _sizes(inventory: Inventory) -> tuple[HandshakeSize, ...]:
     """The largest message of each participant, the largest first."""
     alike: dict[tuple[int, int, int], list[str]] = defaultdict(list)
@@ -242,7 +210,7 @@ def _sizes(inventory: Inventory) -> tuple[HandshakeSize, ...]:
 
 
 def _robots(keystore: Keystore, status: Status) -> tuple[RobotRow, ...]:
-    people = sorted(status.participants, key=lambda each: each.name)
+    participants = sorted(status.participants, key=lambda each: each.name)
     return tuple(
         RobotRow(
             name=each.name,
@@ -252,7 +220,7 @@ def _robots(keystore: Keystore, status: Status) -> tuple[RobotRow, ...]:
             changed=each.changed,
             installed_at=each.installed_at,
         )
-        for each in robot_states(keystore, people).values()
+        for each in robot_states(keystore, participants).values()
     )
 
 

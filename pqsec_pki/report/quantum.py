@@ -8,13 +8,48 @@ from pqsec_pki.algorithms import STOCK_AGREEMENT, KeyAgreement, Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Governance, ProtectionKind
 from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import Keystore, State, Status
+from pqsec_pki.lint import LintReport
+from pqsec_pki.policy import Fleet
+from pqsec_pki.report.dates import KINDS
 from pqsec_pki.report.values import Exposure, Strength
 
 _ENCRYPTED = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
 _NO_KEY = "a key that pqsec does not know"
 
 
-def exposed_signatures(
+def exposures_of(
+    keystore: Keystore,
+    authorities: Mapping[str, Certificate] | None,
+    checked: LintReport | None,
+    status: Status | None,
+    fleet: Fleet | None,
+) -> tuple[Exposure, ...]:
+    """Of CAs and participants that are in use, of key agreements, and of the topics' traffic.
+
+    `authorities` are the CAs' certificates by their kinds. What could not be read is None, and
+    left out.
+    """
+    profiles = {
+        each.name: each.profile or ""
+        for each in (status.participants if status else ())
+        if each.state not in {State.REVOKED, State.GONE}
+    }
+    enclaves = checked.inventory.enclaves if checked else ()
+    participants = {
+        each.name: certificate
+        for each in enclaves
+        if each.name in profiles and (certificate := each.certificate())
+    }
+    roles = {KINDS[kind]: each for kind, each in (authorities or {}).items()}
+    return (
+        *_exposed_signatures(roles, participants, profiles),
+        *_exposed_agreements(keystore.profile),
+        *(_exposed_traffic(fleet.governance, keystore.profile) if fleet else ()),
+    )
+
+
+def _exposed_signatures(
     authorities: Mapping[str, Certificate],
     participants: Mapping[str, Certificate],
     profiles: Mapping[str, str],
@@ -32,7 +67,7 @@ def exposed_signatures(
         yield _signature(use, participants[names[0]], profile, tuple(names))
 
 
-def exposed_agreements(profile: Profile) -> Iterator[Exposure]:
+def _exposed_agreements(profile: Profile) -> Iterator[Exposure]:
     """Of the key agreements that participants of the profile use."""
     peers = "key agreement of pqsec's plugin"
     yield _agreement(peers, profile.key_agreement, profile)
@@ -40,7 +75,7 @@ def exposed_agreements(profile: Profile) -> Iterator[Exposure]:
         yield _agreement("key agreement of stock stacks", STOCK_AGREEMENT, profile)
 
 
-def exposed_traffic(governance: Governance, profile: Profile) -> Iterator[Exposure]:
+def _exposed_traffic(governance: Governance, profile: Profile) -> Iterator[Exposure]:
     """Of topics, by their protection: traffic that somebody records today."""
     for rule in governance.domain_rules:
         for topics in rule.topic_rules:

@@ -9,8 +9,10 @@ def test_a_plan_and_its_rehearsal(domains, pqsec):
     assert result.out.startswith("from profile classical to pq: 3 steps\n\n1. change the keystore")
     assert "  2027-01-01  new acquisitions" in result.out
     assert "  pq: 2 reissued, 1 pair authenticated each other\n" in result.out
-    value = pqsec(f"-k {root} migrate plan --to cnsa2 --stack cyclonedds --json").done().json
-    assert set(value) == {"from", "to", "steps", "deadlines"}
+    told = pqsec(f"-k {root} migrate plan --to cnsa2 --stack cyclonedds --steps new/steps --json")
+    value = told.done().json
+    assert set(value) == {"from", "to", "steps", "deadlines", "files"}
+    assert pqsec(f"-k {root} apply {value['files'][0]} --check").code == 1
     assert [each["level"] for each in value["steps"]] == [0, 0, 5]
     assert value["deadlines"][0]["date"] == "2026-09-11"
     pqsec(f"-k {root} migrate plan --stack connext").refused(2, "connext")
@@ -31,7 +33,6 @@ def test_the_stacks_of_a_domain_file_and_its_steps(pqsec, tmp_path):
     (tmp_path / "names.txt").write_text("/talker\n/listener\n")
     (tmp_path / "domain.yaml").write_text(DOMAIN)
     pqsec("-k k apply --yes --no-passphrase").done()
-    (tmp_path / "steps").mkdir()
     pqsec("-k k migrate plan domain.yaml --steps steps").refused(3, "names.txt")
     told = pqsec("-k k migrate plan domain.yaml --steps .").done().out
     assert "   needs    Fast DDS 3.1: use another version" in told
@@ -40,6 +41,8 @@ def test_the_stacks_of_a_domain_file_and_its_steps(pqsec, tmp_path):
         "\n\npqsec apply 1-transition.yaml\npqsec apply 2-transition.yaml\npqsec apply 3-pq.yaml\n"
     )
     pqsec("-k k migrate plan domain.yaml --steps .").refused(3, "1-transition.yaml exists")
+    (tmp_path / "1-transition.yaml").write_text("edited")
+    pqsec("-k k migrate plan domain.yaml --steps . --force").done()
     told = pqsec("-k k plan 1-transition.yaml")
     assert told.code == 1
     assert told.out == (

@@ -102,6 +102,7 @@ def test_a_changed_report_and_a_signature_by_another_ca_are_refused(pqsec, keyst
     pqsec("-k k verify june.html.p7s").refused(3, "june.html: no such file")
     page.write_bytes((tmp_path / "kept.html").read_bytes().replace(b"talker", b"walker", 1))
     pqsec("-k k verify june.html.p7s").refused(1, "june.html was changed after signing")
+    pqsec("-k k verify june.html").refused(1, hint="`pqsec verify june.html.p7s`")
     (tmp_path / "july.html").rename(page)
     (tmp_path / "july.html.p7s").rename(tmp_path / "june.html.p7s")
     pqsec("-k other verify june.html.p7s").refused(1, "the signature of july.html")
