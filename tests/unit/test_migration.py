@@ -132,6 +132,15 @@ def test_a_rehearsal_needs_a_pair(tmp_path):
         rehearse(keystore, PQ, now=NOW)
 
 
+def test_a_rehearsal_in_which_no_pair_may_meet_has_proved_nothing(tmp_path):
+    apart = {"/one": "0", "/two": "1"}
+    keystore = made(tmp_path / "k", "hybrid", domains="0-1", names=apart)
+    found = rehearse(keystore, PQ, now=NOW)
+    assert [each.reissued for each in found.steps] == [2]
+    assert not any(each.succeeded or each.failures for each in found.steps)
+    assert not found.ok
+
+
 def test_dates_are_in_order_and_have_sources():
     days = [each.day for each in DEADLINES]
     assert days == sorted(days)
