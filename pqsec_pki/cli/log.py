@@ -117,9 +117,9 @@ _JSON_ONLY = {"keys", "mark", "statement"}
 def _row(line: Line) -> tuple[str, ...]:
     entry = line.entry
     details = [
-        f"{key} {_short(str(v))}" for key, v in entry.details.items() if v and key not in _JSON_ONLY
+        f"{key} {_short(v)}" for key, v in entry.details.items() if v and key not in _JSON_ONLY
     ]
-    if str(entry.details.get("mark")).startswith(PERMITTED):
+    if entry.details.get("mark", "").startswith(PERMITTED):
         details.append("by permit")
     what = f"{entry.kind} ({', '.join(details)})" if details else entry.kind
     last = entry.serial or entry.sha256[:16]

@@ -128,7 +128,7 @@ def _details(text: str) -> dict[str, str]:
     """The details of a line; {"unreadable": text} if they are damaged."""
     with suppress(ValueError, RecursionError):
         read = json.loads(text)
-        if isinstance(read, dict):
+        if isinstance(read, dict) and all(isinstance(each, str) for each in read.values()):
             return read
     return {"unreadable": text}
 

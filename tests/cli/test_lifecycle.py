@@ -188,8 +188,10 @@ def test_log_verify_answers_by_its_exit_code(pqsec, k):
     with closing(sqlite3.connect(k / "private/ledger.sqlite3")) as database:
         database.execute("DROP TRIGGER ledger_stays")
         database.execute("UPDATE ledger SET operator = 'nobody' WHERE number = 2")
+        database.execute("UPDATE ledger SET details = '{\"mark\":5}' WHERE number = 5")
         database.commit()
-    pqsec("-k k log --verify").refused(1, "line 2 was altered")
+    pqsec("-k k log --verify").refused(1, "line 2 was altered", problems=2)
+    assert '(unreadable {"mark":5})' in pqsec("-k k log").done().out
     bad = pqsec("-k k log --verify --json")
     assert (bad.code, json.loads(bad.out)["ok"]) == (1, False)
 
