@@ -75,8 +75,8 @@ def remove_plugins(folder: Path) -> list[Path]:
 
     Returns the removed files. Other files stay. FileError if removing is not allowed.
     """
+    removed = files_of_plugins(folder)
     with disk_errors(folder):
-        removed = files_of_plugins(folder)
         for path in removed:
             path.unlink()
         for each in ((folder / OPENDDS_LINK).parent, folder):
@@ -86,8 +86,9 @@ def remove_plugins(folder: Path) -> list[Path]:
 
 
 def files_of_plugins(folder: Path) -> list[Path]:
-    """All files of pqsec's plugin in `folder`."""
-    return list(_files_in(folder))
+    """All files of pqsec's plugin in `folder`. FileError if it cannot be read."""
+    with disk_errors(folder):
+        return list(_files_in(folder))
 
 
 def _files_in(folder: Path) -> Iterator[Path]:

@@ -24,6 +24,7 @@ STACKS = {"export": "cyclonedds", "try": "ros2"}
 COMPANY = {
     "apply": "--yes --no-passphrase",
     "apply --passphrase-file": "--yes",
+    "bench": "--profile classical --rounds 1 --warm-up 0",
     "bundle": "--plain-key",
     "bundle --robot": "--plain-key --force",
     "bundle --seal-for": "",

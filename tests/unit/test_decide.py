@@ -579,6 +579,13 @@ def test_a_subject_that_ends_in_a_separator_is_whole_for_every_stack():
         ).allowed
 
 
+def test_empty_pieces_of_a_grants_subject_do_not_count_for_cyclone_dds():
+    """Of other pieces it takes at most twenty."""
+    named = "CN=/robot" + "," * 30
+    permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
+    assert decide(governance(), permissions, question(), CYCLONEDDS).allowed
+
+
 def test_an_empty_piece_of_a_subject_is_in_no_grant_for_cyclone_dds():
     permissions = Permissions(grants=(grant(allow(*criteria("a")), subject="CN=/robot,="),))
     asked = question(subject="CN=/robot//")
