@@ -95,8 +95,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
         raise UsageError("no participant named: give names, or --robot FILE")
     if folder and (output or not outdated):
         raise UsageError("--bundles is for --outdated, and excludes -o")
-    if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
-        raise UsageError("--plain-key excludes --seal-for and --no-keys")
+    _refuse_keys(seal_for, named=bool(names or robot), plain_key=plain_key, no_keys=no_keys)
     keystore = _settings.open_keystore()
     given = names or (_names_in(robot) if robot else ())
     wanted = _outdated(keystore, given) if outdated else admitted(keystore, given)
@@ -127,6 +126,17 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
         _printing.emit({"bundles": values}, lines or ["every robot runs what it should"])
     else:
         _printing.emit(values[0], lines)
+
+
+def _refuse_keys(seal_for: Path | None, *, named: bool, plain_key: bool, no_keys: bool) -> None:
+    """UsageError for options about private keys that exclude each other."""
+    if seal_for and not named:
+        raise UsageError(
+            "--seal-for encrypts for one robot, and --outdated is for all of them",
+            hint="give the names of that robot, such as '/robot1/*'",
+        )
+    if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
+        raise UsageError("--plain-key excludes --seal-for and --no-keys")
 
 
 def _value(made: Bundle, path: Path, *, sealed: bool) -> dict[str, object]:

@@ -175,6 +175,15 @@ def test_keys_made_here_travel_sealed_or_because_you_said_so(pqsec, keystore, tm
     assert stat.S_IMODE((tmp_path / "public").stat().st_mode) == 0o644
 
 
+def test_keys_of_all_robots_are_not_sealed_for_one(pqsec, keystore, tmp_path):
+    keystore("classical")
+    pqsec("bundle-key --dir r").done()
+    line = "-k k bundle --outdated --seal-for r/bundle.pub.pem"
+    pqsec(f"{line} --bundles out").refused(2, "one robot", hint="names")
+    assert not (tmp_path / "out").exists()
+    pqsec(f"{line} /talker --bundles out").done()
+
+
 def test_a_bundle_that_its_robot_would_refuse_is_not_written(pqsec, keystore, tmp_path):
     keystore()
     pqsec("-k k revoke /talker --yes").done()
