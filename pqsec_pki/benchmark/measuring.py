@@ -86,8 +86,7 @@ def measured_rounds(
 
 
 def _undisturbed(participants: MeasuredParticipants, suite: HandshakeSuite, now: datetime) -> Round:
-    """Python's garbage collector does not run in a round, as in timeit."""
-    gc.collect()
+    """Python's garbage collector runs between rounds only."""
     gc.disable()
     try:
         taken, _ = _handshake(participants, suite, now)
