@@ -2,7 +2,8 @@
  *
  * usage: neighbours DOMAIN SECONDS [PROPERTY VALUE]...
  *
- * It ends once the other is lost, or after SECONDS; with 3 if it cannot be made. */
+ * It ends once the other is lost, or after SECONDS; with 3 if it cannot be made. With a + behind
+ * SECONDS it stays when the other is lost. */
 
 #include <dds/dds.h>
 #include <stdio.h>
@@ -18,6 +19,7 @@ static int is_own(dds_entity_t participant, const dds_guid_t *key)
 int main(int words, char **word)
 {
   dds_time_t end = dds_time() + DDS_SECS(words > 2 ? atoi(word[2]) : 0);
+  int stays = words > 2 && strchr(word[2], '+') != NULL;
   dds_qos_t *qos = dds_create_qos();
   for (int at = 3; at + 1 < words; at += 2)
     dds_qset_prop(qos, word[at], word[at + 1]);
@@ -27,7 +29,7 @@ int main(int words, char **word)
       dds_create_reader(participant, DDS_BUILTIN_TOPIC_DCPSPARTICIPANT, NULL, NULL);
   if (participant < 0 || reader < 0)
     return 3;
-  for (int lost = 0; !lost && dds_time() < end; dds_sleepfor(DDS_MSECS(20))) {
+  for (int lost = 0; (!lost || stays) && dds_time() < end; dds_sleepfor(DDS_MSECS(20))) {
     void *samples[1] = {NULL};
     dds_sample_info_t info[1];
     int count = dds_take(reader, samples, info, 1, 1);

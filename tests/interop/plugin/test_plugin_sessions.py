@@ -104,13 +104,13 @@ def neighbours(requires, tmp_path):
 
 @pytest.fixture
 def living(neighbours, shim, plugins, tmp_path):
-    """living(enclave) is such a host, half a minute long."""
+    """living(enclave) is such a host, half a minute long, whomever it loses."""
     program = neighbours
     (tmp_path / "xml").mkdir()
     stage = Stage(None, shim, plugins, tmp_path / "xml")
 
     def host(enclave):
-        return hosted([program, str(DOMAIN), "30"], stage.environment(enclave))
+        return hosted([program, str(DOMAIN), "30+"], stage.environment(enclave))
 
     return host
 
