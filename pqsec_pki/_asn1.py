@@ -135,6 +135,24 @@ def elements(der: bytes, count: int, what: str) -> list[bytes]:
     return found
 
 
+def leading(data: bytes, count: int, what: str) -> list[bytes]:
+    """The first `count` values of `data`, each with its header, and the octets after them.
+
+    As `elements`, this uses only the lengths. MalformedError, naming `what`, if there are fewer.
+    """
+    found, at = [], 0
+    try:
+        for _ in range(count):
+            _, end = _extent(data, at)
+            found.append(data[at:end])
+            at = end
+    except IndexError:
+        at = len(data) + 1
+    if at > len(data):
+        raise MalformedError(f"not a DER {what}: it ends too soon")
+    return [*found, data[at:]]
+
+
 def content(der: bytes) -> bytes:
     """The content of the value `der`, without its header."""
     start, end = _extent(der, 0)

@@ -30,6 +30,10 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"did you mean {' or '.join(repr(shown(each)) for each in near)}?" if near else ""
 
 
+class ForeignAlgorithmWarning(UserWarning):
+    """An algorithm of another installed package is in use."""
+
+
 class PqsecError(Exception):
     """The work could not be done.
 
@@ -88,6 +92,10 @@ class UsageError(PqsecError):
 
 class UnknownAlgorithmError(UsageError):
     """No table has a row with that name, identifier or key type."""
+
+
+class ForeignPackageError(PqsecError):
+    """Another installed package offers an algorithm that cannot be used."""
 
 
 class MalformedError(PqsecError):

@@ -113,6 +113,8 @@ class Code(StrEnum):
     C24 = "C24"
     C25 = "C25"
     C26 = "C26"
+    C27 = "C27"
+    C28 = "C28"
 
     # Compared with what was installed before
     OLDER = "older"

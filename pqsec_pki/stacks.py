@@ -69,3 +69,12 @@ FAST_DDS_LIMIT = MessageLimit(
 
 def _text(version: tuple[int, int, int]) -> str:
     return ".".join(map(str, version))
+
+
+FRAME = 1480
+"""Bytes of a UDP datagram in one Ethernet frame; a larger one is fragmented by IP."""
+FRAME_MEMORY = 2304
+"""Bytes that Linux accounts for a frame while its datagram is incomplete: assumed, and it explains
+how many datagrams of 14 and 30 kB were delivered in a run."""
+IPFRAG_HIGH_THRESH = 4 << 20
+"""Bytes of incomplete datagrams that Linux holds for 30 s (net.ipv4.ipfrag_high_thresh)."""

@@ -19,7 +19,7 @@ def standard_partitions(
     9.4.1.3.2.3.2.4: a deny_rule must match one of them, and by default matches all. Both sides
     are expressions: see `_expressions`.
     """
-    if not rule.allow and not criteria.partitions:
+    if not criteria.partitions and not (rule.allow and context.question.partitions):
         return True
     patterns, compare = criteria.partitions or _DEFAULT, within if rule.allow else meets
     among = (
@@ -75,6 +75,8 @@ def standard_tags(context: EvaluationContext, criteria: Criteria, rule: Permissi
 
     9.4.1.3.2.3.2.5: a deny_rule must list one of them, and by default sets no condition.
     """
+    if not context.question.data_tags:
+        return rule.allow or not criteria.data_tags
     tags = set(context.question.data_tags)
     if rule.allow:
         return tags <= set(criteria.data_tags)

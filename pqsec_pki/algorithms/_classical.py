@@ -1,11 +1,11 @@
-"""ECDSA, RSA and Ed25519: the algorithms of today's stacks, and components of composites."""
+"""ECDSA, RSA and EdDSA: the algorithms of today's stacks, and components of composites."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
+from cryptography.hazmat.primitives.asymmetric import ec, ed448, ed25519, padding, rsa
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     NoEncryption,
@@ -42,10 +42,13 @@ _ECDSA_MARKED = {
     for identifier, hash_ in _identifiers(ECDSA_WITH, null=False).items()
 }
 _RSA_HASH = _identifiers(RSA_WITH, null=True)
-_LONGEST_SALT, _ANY_SALT, _HASH_SALT = (
+_LONGEST_SALT, _ANY_SALT = (
     padding.PSS(padding.MGF1(hashes.SHA256()), salt)
-    for salt in (padding.PSS.MAX_LENGTH, padding.PSS.AUTO, hashes.SHA256.digest_size)
+    for salt in (padding.PSS.MAX_LENGTH, padding.PSS.AUTO)
 )
+_HASH_SALT = {
+    name: padding.PSS(padding.MGF1(hash_), hash_.digest_size) for name, hash_ in _HASHES.items()
+}
 _RSA_ENCRYPTION = encode(algorithm("1.2.840.113549.1.1.1", null=True))
 
 
@@ -171,34 +174,39 @@ class RsaPss(Rsa):
     """RSASSA-PSS with a salt as long as the hash: only a component of a composite."""
 
     def sign(self, handle: Any, data: bytes) -> bytes:
-        signature: bytes = handle.sign(data, _HASH_SALT, _HASHES["sha256"])
+        name = self.digest.name
+        signature: bytes = handle.sign(data, _HASH_SALT[name], _HASHES[name])
         return signature
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
         del identifier
-        handle.verify(signature, data, _HASH_SALT, _HASHES["sha256"])
+        name = self.digest.name
+        handle.verify(signature, data, _HASH_SALT[name], _HASHES[name])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ed25519(SignatureAlgorithm):
-    """Ed25519 (RFC 8032): a component of a composite. No DDS stack accepts it alone."""
+class EdDsa(SignatureAlgorithm):
+    """EdDSA (RFC 8032): a component of a composite. No DDS stack accepts it alone."""
+
+    public: type[ed25519.Ed25519PublicKey | ed448.Ed448PublicKey] = field(repr=False)
+    private: type[ed25519.Ed25519PrivateKey | ed448.Ed448PrivateKey] = field(repr=False)
 
     def matches(self, handle: Any) -> bool:
-        return isinstance(handle, ed25519.Ed25519PublicKey)
+        return isinstance(handle, self.public)
 
     def raw_public(self, handle: Any) -> bytes:
         data: bytes = handle.public_bytes_raw()
         return data
 
     def load_raw_public(self, data: bytes) -> Any:
-        return ed25519.Ed25519PublicKey.from_public_bytes(data)
+        return self.public.from_public_bytes(data)
 
     def raw_private(self, handle: Any) -> bytes:
         data: bytes = handle.private_bytes_raw()
         return data
 
     def load_raw_private(self, data: bytes) -> Any:
-        return ed25519.Ed25519PrivateKey.from_private_bytes(data)
+        return self.private.from_private_bytes(data)
 
     def sign(self, handle: Any, data: bytes) -> bytes:
         signature: bytes = handle.sign(data)
@@ -209,4 +217,4 @@ class Ed25519(SignatureAlgorithm):
         handle.verify(signature, data)
 
     def generate_handle(self) -> Any:
-        return ed25519.Ed25519PrivateKey.generate()
+        return self.private.generate()

@@ -14,11 +14,9 @@ from pqsec_pki._asn1 import (
     algorithm,
     bits,
     encode,
-    whole_bytes,
 )
 from pqsec_pki.algorithms._ml_dsa import MLDSA, SEED_SIZE
 from pqsec_pki.algorithms._row import SignatureAlgorithm
-from pqsec_pki.errors import MalformedError
 
 _PREFIX = b"CompositeAlgorithmSignatures2025"
 _MAX_CONTEXT = 255
@@ -65,15 +63,6 @@ class Composite(SignatureAlgorithm):
             self.ml_dsa.load_raw_private(data[:SEED_SIZE]),
             self.traditional.load_raw_private(data[SEED_SIZE:]),
         )
-
-    def load_spki(self, info: SubjectPublicKeyInfo) -> Any:
-        """The handle of a composite SubjectPublicKeyInfo; MalformedError if it is not one."""
-        if info.algorithm.parameters is not None:
-            raise MalformedError("composite keys have no parameters")
-        try:
-            return self.load_raw_public(whole_bytes(info.subject_public_key, "the public key"))
-        except ValueError as error:
-            raise MalformedError(f"not a {self.name} public key: {error}") from error
 
     def sign(self, handle: Any, data: bytes, context: bytes = b"") -> bytes:
         message = self._message(data, context)

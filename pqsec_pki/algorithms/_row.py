@@ -15,10 +15,10 @@ from cryptography.hazmat.primitives.serialization import (
     PublicFormat,
 )
 
-from pqsec_pki._asn1 import Oid, encode
+from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, encode, whole_bytes
 from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.algorithms.digest import Digest
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError
 
 _BROKEN = {
     encode(Oid(oid)): digest
@@ -105,6 +105,15 @@ class SignatureAlgorithm(ABC):
     @abstractmethod
     def load_raw_private(self, data: bytes) -> Any:
         """The inverse of raw_private; ValueError if `data` is not such a key."""
+
+    def load_spki(self, info: SubjectPublicKeyInfo) -> Any:
+        """The handle of a SubjectPublicKeyInfo with `key_oid`; MalformedError if it is not one."""
+        if info.algorithm.parameters is not None:
+            raise MalformedError(f"{self.name} keys have no parameters")
+        try:
+            return self.load_raw_public(whole_bytes(info.subject_public_key, "the public key"))
+        except ValueError as error:
+            raise MalformedError(f"not a {self.name} public key: {error}") from error
 
     @abstractmethod
     def sign(self, handle: Any, data: bytes) -> bytes:

@@ -1,11 +1,12 @@
 """A table of rows that are found by name."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
-from pqsec_pki.errors import UnknownAlgorithmError
+from pqsec_pki.errors import ForeignAlgorithmWarning, ForeignPackageError, UnknownAlgorithmError
 
 
 class Family(StrEnum):
@@ -48,17 +49,38 @@ RowT = TypeVar("RowT", bound=AlgorithmRow)
 
 
 class AlgorithmTable(Generic[RowT]):
-    """Rows in the given order; each name and alias belongs to one row."""
+    """Rows in the given order; each name and alias belongs to one row.
 
-    def __init__(self, kind: str, rows: Sequence[RowT]) -> None:
+    Experimental rows, and those of other packages, are found by name; whoever goes through the
+    table does not meet them.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        rows: Sequence[RowT],
+        experimental: Sequence[RowT] = (),
+        foreign: tuple[str, type[Any]] | None = None,
+    ) -> None:
+        """`foreign` is the entry point group of other packages' rows, and their class."""
         self._kind = kind
+        self._foreign = foreign
+        self.added: dict[str, tuple[RowT, str]] = {}
+        """The loaded rows of other packages by name, and the package with its version."""
         self._rows = tuple(rows)
-        self._by_name = {name: row for row in rows for name in (row.name, *row.aliases)}
-        if len(self._by_name) != sum(1 + len(row.aliases) for row in rows):
+        self.experimental = tuple(experimental)
+        every = (*rows, *experimental)
+        self._by_name = {name: row for row in every for name in (row.name, *row.aliases)}
+        if len(self._by_name) != sum(1 + len(row.aliases) for row in every):
             raise AssertionError(f"two rows of {kind} share a name")
 
     def __iter__(self) -> Iterator[RowT]:
         return iter(self._rows)
+
+    def every(self) -> Iterator[RowT]:
+        """All rows: also the experimental ones, and those of other packages that are loaded."""
+        yield from (*self._rows, *self.experimental)
+        yield from (row for row, _ in self.added.values())
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -68,17 +90,60 @@ class AlgorithmTable(Generic[RowT]):
 
         UnknownAlgorithmError, with the known names, if there is none.
         """
+        wanted = name.lower().removeprefix("id-")
+        if row := self._by_name.get(wanted) or self._of_another_package(wanted):
+            return row
+        known = ", ".join(row.name for row in self)
+        raise UnknownAlgorithmError(f"no {self._kind} named {name!r}", hint=f"known: {known}")
+
+    def load_foreign(self) -> list[ForeignPackageError]:
+        """Load the rows of all other packages into `added`; the errors of those that cannot be."""
+        from pqsec_pki.algorithms import _foreign  # noqa: PLC0415 -- few ask for such rows
+
+        errors = []
+        group, _ = self._foreign or ("", None)
         try:
-            return self._by_name[name.lower().removeprefix("id-")]
-        except KeyError:
-            known = ", ".join(row.name for row in self)
-            raise UnknownAlgorithmError(
-                f"no {self._kind} named {name!r}", hint=f"known: {known}"
-            ) from None
+            entries = _foreign.offered(group)
+        except ForeignPackageError as error:
+            return [error]
+        for name in dict.fromkeys(entry.name.lower() for entry in entries):
+            try:
+                self._of_another_package(name)
+            except ForeignPackageError as error:
+                errors.append(error)
+        return errors
+
+    def _of_another_package(self, name: str) -> RowT | None:
+        """The row of an installed package; None if none offers it."""
+        if name in self.added:
+            return self.added[name][0]
+        if not self._foreign:
+            return None
+        from pqsec_pki.algorithms import _foreign  # noqa: PLC0415 -- few ask for such rows
+
+        group, row_type = self._foreign
+        entries = _foreign.offered(group, name)
+        if not entries:
+            return None
+        packages = [_foreign.package_of(entry) for entry in entries]
+        if len(packages) > 1:
+            raise ForeignPackageError(
+                f"several packages offer the {self._kind} {name!r}: {', '.join(packages)}",
+                hint="uninstall all but one of them",
+            )
+        row: RowT = _foreign.load(entries[0], row_type, self.every())
+        self.added[name] = row, packages[0]
+        warnings.warn(
+            f"the {self._kind} {name} is code of the package {packages[0]}, not of pqsec:"
+            " pqsec has not checked that it is secure",
+            ForeignAlgorithmWarning,
+            stacklevel=3,
+        )
+        return row
 
     def on_wire(self, wire_name: str) -> RowT:
         """The row with that `wire_name`; UnknownAlgorithmError if there is none."""
-        for row in self:
+        for row in self.every():
             if row.wire_name == wire_name:
                 return row
         raise UnknownAlgorithmError(f"no {self._kind} called {wire_name!r} on the wire")

@@ -12,6 +12,7 @@ from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement, KeyPair
 from pqsec_pki.algorithms._diffie_hellman import ECDH, MODP, X25519
 from pqsec_pki.algorithms._ml_kem import MLKEM
 from pqsec_pki.algorithms._table import AlgorithmTable, Family, Registered
+from pqsec_pki.algorithms._xwing import x_wing
 
 __all__ = ["KEY_AGREEMENTS", "MODP_DER", "MODP_RAW", "KeyAgreement", "KeyPair"]
 
@@ -159,4 +160,6 @@ KEY_AGREEMENTS = AlgorithmTable[KeyAgreement](
         P256_ML_KEM_768,
         P384_ML_KEM_1024,
     ],
+    experimental=[x_wing(ML_KEM_768, _X25519)],
+    foreign=("pqsec.key_agreements", KeyAgreement),
 )

@@ -40,8 +40,8 @@ def load_public_key(spki: bytes) -> PublicKey:
     # Before the library reads it: for a Diffie-Hellman key it tests the primes, which takes
     # half a minute for hostile 8192 bits.
     oid = _known_oid(spki)
-    row = _ROWS_BY_OID.get(oid)
-    if isinstance(row, Composite):
+    row = _row_by_oid(oid)
+    if row and not isinstance(row, MLDSA):
         return PublicKey(row, spki, row.load_spki(_info(spki)))
     try:
         handle = load_der_public_key(spki)
@@ -59,7 +59,15 @@ def _known_oid(spki: bytes) -> str:
     if oid := _KNOWN_OIDS.get(der):
         return oid
     other = _info(spki).algorithm.algorithm.dotted_string
+    if _row_by_oid(other):
+        return other
     raise UnknownAlgorithmError(f"keys of algorithm {other} are not known here")
+
+
+def _row_by_oid(oid: str) -> SignatureAlgorithm | None:
+    """The row whose keys have `oid`. A key loads no other package: a peer may have sent it."""
+    added = (row for row, _ in SIGNATURES.added.values() if row.key_oid == oid)
+    return _ROWS_BY_OID.get(oid) or next(added, None)
 
 
 def _info(spki: bytes) -> SubjectPublicKeyInfo:
@@ -124,7 +132,7 @@ def _load_pkcs8(der: bytes) -> PrivateKey:
     except MalformedError:
         # The decoder's own message could quote bytes of the key.
         raise MalformedError("not a PKCS#8 private key") from None
-    row = _ROWS_BY_OID.get(info.algorithm.algorithm.dotted_string)
+    row = _row_by_oid(info.algorithm.algorithm.dotted_string)
     if row is None:
         return _load_by_library(der, info.algorithm.algorithm.dotted_string)
     if info.algorithm.parameters is not None:

@@ -5,12 +5,14 @@ line, the self-check and the tests follow the table.
 """
 
 import hashlib
+import re
 from collections.abc import Callable
+from typing import Any
 
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric import ec, ed448, ed25519
 
 from pqsec_pki._asn1 import algorithm, encode
-from pqsec_pki.algorithms._classical import ECDSA_WITH, RSA_WITH, Ecdsa, Ed25519, Rsa, RsaPss
+from pqsec_pki.algorithms._classical import ECDSA_WITH, RSA_WITH, Ecdsa, EdDsa, Rsa, RsaPss
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA
 from pqsec_pki.algorithms._row import SignatureAlgorithm
@@ -33,43 +35,49 @@ FAST_ONLY = "Fast DDS, OpenDDS"
 NOWHERE = "no stock stack today"
 
 
-def _ecdsa(bits: int, curve: ec.EllipticCurve, oid: str, digest: Digest, runs_in: str) -> Ecdsa:
+def _ecdsa(curve: ec.EllipticCurve, oid: str, digest: Digest, group: str, runs_in: str) -> Ecdsa:
+    """ECDSA on `curve`, whose name in CycloneDX's registry is `group`."""
+    bits = curve.key_size
+    short = group.rpartition("/")[2].lower().replace("p-", "p")
+    integer = bits // 8 + 1  # bytes of a positive INTEGER of that many bits
+    content = 2 * (2 + integer)
     return Ecdsa(
-        name=f"ecdsa-p{bits}",
-        aliases=(f"p{bits}", f"ec-p{bits}"),
+        name=f"ecdsa-{short}",
+        aliases=(short, f"ec-{short}"),
         family=Family.CLASSICAL,
         level=0,
         registered=Registered(
             oid=ECDSA_WITH[digest.name],
             family="ECDSA",
             parameter_set=str(bits),
-            curve=f"nist/P-{bits}",
-            classical_level=bits // 2,
+            curve=group,
+            classical_level=min(bits // 2, 256),
         ),
-        standard="FIPS 186-5",
+        standard="FIPS 186-5" if group.startswith("nist") else "RFC 5639",
         runs_in=runs_in,
         # DDS-Security 1.1 names P-256 only; for P-384 this is 1.2's word.
-        wire_name="ECDSA-SHA256" if bits == 256 else f"ECDSA+P{bits}+SHA{bits}",  # noqa: PLR2004 -- the curve's size
-        token_name="EC-prime256v1" if bits == 256 else f"EC-secp{bits}r1",  # noqa: PLR2004 -- no password
+        wire_name="ECDSA-SHA256" if short == "p256" else f"ECDSA+{short.upper()}+SHA{bits}",
+        token_name=f"EC-{'prime256v1' if short == 'p256' else curve.name}",
         key_oid="1.2.840.10045.2.1",
         identifier=encode(algorithm(ECDSA_WITH[digest.name])),
         digest=digest,
         cms_digests=_SHA2,
-        public_key_size=1 + bits // 4,
-        signature_size=8 + bits // 4,
+        public_key_size=1 + 2 * ((bits + 7) // 8),
+        signature_size=content + (2 if content < 128 else 3),  # noqa: PLR2004 -- DER: a long length
         curve=curve,
         curve_oid=oid,
     )
 
 
-def _rsa(bits: int, kind: type[Rsa] = Rsa) -> Rsa:
+def _rsa(bits: int, kind: type[Rsa] = Rsa, digest: Digest = SHA256) -> Rsa:
+    half = "-pss" if kind is RsaPss else "" if digest is SHA256 else f"-{digest.name}"
     return kind(
-        name=f"rsa-{bits}",
-        aliases=(f"rsa{bits}",),
+        name=f"rsa-{bits}{half}",
+        aliases=(f"rsa{bits}{half}",),
         family=Family.CLASSICAL,
         level=0,
         registered=Registered(
-            oid=RSA_WITH["sha256"] if kind is Rsa else "1.2.840.113549.1.1.10",
+            oid=RSA_WITH[digest.name] if kind is Rsa else "1.2.840.113549.1.1.10",
             family="RSASSA-PKCS1" if kind is Rsa else "RSASSA-PSS",
             parameter_set=str(bits),
             classical_level=112 if bits == 2048 else 128,  # noqa: PLR2004 -- the rows of SP 800-57
@@ -80,8 +88,8 @@ def _rsa(bits: int, kind: type[Rsa] = Rsa) -> Rsa:
         wire_name="RSASSA-PSS-SHA256",
         token_name=f"RSA-{bits}",
         key_oid="1.2.840.113549.1.1.1",
-        identifier=encode(algorithm(RSA_WITH["sha256"], null=True)),
-        digest=SHA256,
+        identifier=encode(algorithm(RSA_WITH[digest.name], null=True)),
+        digest=digest,
         cms_digests=_SHA2,
         public_key_size=bits // 8 + 14,
         signature_size=bits // 8,
@@ -123,33 +131,16 @@ _DIGESTS_87 = frozenset({SHA512, SHA3_512, SHAKE256})
 _DIGESTS_65 = _DIGESTS_87 | {SHA384, SHA3_384}
 _DIGESTS_44 = _DIGESTS_65 | {SHA256, SHA3_256, SHAKE128}
 
-ECDSA_P256 = _ecdsa(256, ec.SECP256R1(), "1.2.840.10045.3.1.7", SHA256, EVERYWHERE)
-ECDSA_P384 = _ecdsa(384, ec.SECP384R1(), "1.3.132.0.34", SHA384, FAST_ONLY)
+ECDSA_P256 = _ecdsa(ec.SECP256R1(), "1.2.840.10045.3.1.7", SHA256, "nist/P-256", EVERYWHERE)
+ECDSA_P384 = _ecdsa(ec.SECP384R1(), "1.3.132.0.34", SHA384, "nist/P-384", FAST_ONLY)
 RSA_2048, RSA_3072, RSA_4096 = _rsa(2048), _rsa(3072), _rsa(4096)
 ML_DSA_44 = _ml_dsa(44, 2, 1312, 2420, _DIGESTS_44)
 ML_DSA_65 = _ml_dsa(65, 3, 1952, 3309, _DIGESTS_65)
 ML_DSA_87 = _ml_dsa(87, 5, 2592, 4627, _DIGESTS_87)
-_ED25519 = Ed25519(
-    name="ed25519",
-    family=Family.CLASSICAL,
-    level=0,
-    registered=Registered(
-        oid="1.3.101.112", family="EdDSA", curve="other/Ed25519", classical_level=128
-    ),
-    standard="RFC 8032",
-    runs_in=NOWHERE,
-    wire_name="Ed25519",
-    token_name="Ed25519",  # noqa: S106 -- no password
-    key_oid="1.3.101.112",
-    identifier=encode(algorithm("1.3.101.112")),
-    digest=SHA512,
-    cms_digests=frozenset({SHA512}),
-    public_key_size=32,
-    signature_size=64,
-)
 _PREHASHES: dict[Digest, Callable[[bytes], bytes]] = {
     SHA256: lambda data: hashlib.sha256(data).digest(),
     SHA512: lambda data: hashlib.sha512(data).digest(),
+    SHAKE256: lambda data: hashlib.shake_256(data).digest(64),
 }
 
 
@@ -157,7 +148,8 @@ def _composite(
     arc: int, draft_name: str, short: str, ml_dsa: MLDSA, traditional: SignatureAlgorithm
 ) -> Composite:
     oid = f"1.3.6.1.5.5.7.6.{arc}"
-    prehash = SHA256 if draft_name.endswith("SHA256") else SHA512
+    end = draft_name.rpartition("-")[2]
+    prehash = {"SHA256": SHA256, "SHA512": SHA512, "SHAKE256": SHAKE256}[end]
     return Composite(
         name=draft_name.lower(),
         aliases=(short,),
@@ -177,19 +169,76 @@ def _composite(
         ml_dsa=ml_dsa,
         traditional=traditional,
         prehash=_PREHASHES[prehash],
-        label=b"COMPSIG-" + draft_name.encode(),
+        label=b"COMPSIG-" + re.sub(r"brainpoolP(\d+)r1", r"BP\1", draft_name).encode(),
     )
 
 
-_RSA_3072_PSS = _rsa(3072, RsaPss)
+def _eddsa(name: str, oid: str, level: int, sizes: tuple[int, int], *kinds: type[Any]) -> EdDsa:
+    public, private = kinds
+    return EdDsa(
+        name=name.lower(),
+        family=Family.CLASSICAL,
+        level=0,
+        registered=Registered(
+            oid=oid, family="EdDSA", curve=f"other/{name}", classical_level=level
+        ),
+        standard="RFC 8032",
+        runs_in=NOWHERE,
+        wire_name=name,
+        token_name=name,
+        key_oid=oid,
+        identifier=encode(algorithm(oid)),
+        digest=SHA512,
+        cms_digests=frozenset({SHA512}),
+        public_key_size=sizes[0],
+        signature_size=sizes[1],
+        public=public,
+        private=private,
+    )
+
+
+# Halves of composites only: no stack takes them alone.
+_ED25519 = _eddsa(
+    "Ed25519",
+    "1.3.101.112",
+    128,
+    (32, 64),
+    ed25519.Ed25519PublicKey,
+    ed25519.Ed25519PrivateKey,
+)
+_ED448 = _eddsa("Ed448", "1.3.101.113", 224, (57, 114), ed448.Ed448PublicKey, ed448.Ed448PrivateKey)
+_P521 = _ecdsa(ec.SECP521R1(), "1.3.132.0.35", SHA512, "nist/P-521", NOWHERE)
+_BP256, _BP384 = (
+    _ecdsa(curve, f"1.3.36.3.3.2.8.1.1.{arc}", digest, f"brainpool/{curve.name}", NOWHERE)
+    for curve, arc, digest in (
+        (ec.BrainpoolP256R1(), 7, SHA256),
+        (ec.BrainpoolP384R1(), 11, SHA384),
+    )
+)
+_RSA_2048_PSS, _RSA_3072_PSS = _rsa(2048, RsaPss), _rsa(3072, RsaPss)
+_RSA_4096_PSS, _RSA_4096_SHA384 = _rsa(4096, RsaPss, SHA384), _rsa(4096, Rsa, SHA384)
+
 COMPOSITES = (
+    _composite(37, "MLDSA44-RSA2048-PSS-SHA256", "mldsa44+rsa2048", ML_DSA_44, _RSA_2048_PSS),
+    _composite(38, "MLDSA44-RSA2048-PKCS15-SHA256", "mldsa44+rsa2048-v15", ML_DSA_44, RSA_2048),
     _composite(39, "MLDSA44-Ed25519-SHA512", "mldsa44+ed25519", ML_DSA_44, _ED25519),
     _composite(40, "MLDSA44-ECDSA-P256-SHA256", "mldsa44+p256", ML_DSA_44, ECDSA_P256),
     _composite(41, "MLDSA65-RSA3072-PSS-SHA512", "mldsa65+rsa3072", ML_DSA_65, _RSA_3072_PSS),
+    _composite(42, "MLDSA65-RSA3072-PKCS15-SHA512", "mldsa65+rsa3072-v15", ML_DSA_65, RSA_3072),
+    _composite(43, "MLDSA65-RSA4096-PSS-SHA512", "mldsa65+rsa4096", ML_DSA_65, _RSA_4096_PSS),
+    _composite(
+        44, "MLDSA65-RSA4096-PKCS15-SHA512", "mldsa65+rsa4096-v15", ML_DSA_65, _RSA_4096_SHA384
+    ),
     _composite(45, "MLDSA65-ECDSA-P256-SHA512", "mldsa65+p256", ML_DSA_65, ECDSA_P256),
     _composite(46, "MLDSA65-ECDSA-P384-SHA512", "mldsa65+p384", ML_DSA_65, ECDSA_P384),
+    _composite(47, "MLDSA65-ECDSA-brainpoolP256r1-SHA512", "mldsa65+bp256", ML_DSA_65, _BP256),
     _composite(48, "MLDSA65-Ed25519-SHA512", "mldsa65+ed25519", ML_DSA_65, _ED25519),
     _composite(49, "MLDSA87-ECDSA-P384-SHA512", "mldsa87+p384", ML_DSA_87, ECDSA_P384),
+    _composite(50, "MLDSA87-ECDSA-brainpoolP384r1-SHA512", "mldsa87+bp384", ML_DSA_87, _BP384),
+    _composite(51, "MLDSA87-Ed448-SHAKE256", "mldsa87+ed448", ML_DSA_87, _ED448),
+    _composite(52, "MLDSA87-RSA3072-PSS-SHA512", "mldsa87+rsa3072", ML_DSA_87, _RSA_3072_PSS),
+    _composite(53, "MLDSA87-RSA4096-PSS-SHA512", "mldsa87+rsa4096", ML_DSA_87, _RSA_4096_PSS),
+    _composite(54, "MLDSA87-ECDSA-P521-SHA512", "mldsa87+p521", ML_DSA_87, _P521),
 )
 
 SIGNATURES = AlgorithmTable[SignatureAlgorithm](
@@ -205,4 +254,5 @@ SIGNATURES = AlgorithmTable[SignatureAlgorithm](
         ML_DSA_87,
         *COMPOSITES,
     ],
+    foreign=("pqsec.signatures", SignatureAlgorithm),
 )

@@ -25,7 +25,7 @@ from pqsec_pki.handshake import (
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HANDSHAKE, MESSAGE
 
-_CLASSES: Mapping[str, type[Request | Reply | Final]] = {
+CLASSES: Mapping[str, type[Request | Reply | Final]] = {
     "request": Request,
     "reply": Reply,
     "final": Final,
@@ -45,7 +45,7 @@ def change_fields(message: str, context: AttackContext) -> Iterator[Attempt]:
 
 def drop_fields(context: AttackContext) -> Iterator[Attempt]:
     """Remove a required field. Removing an optional one does no harm."""
-    for message, kind in _CLASSES.items():
+    for message, kind in CLASSES.items():
         optional = {field.name for field in fields(kind) if field.default is None}
         for name, _ in context.token(message).binary_properties:
             if name not in optional:
@@ -184,7 +184,7 @@ ATTACKS = (
         checks=(Code.C4,),
         also=(
             *(Code.C6, Code.C8, Code.C9, Code.C11, Code.C12, Code.C14, Code.C15, Code.C16),
-            *(Code.C17, Code.C18, Code.C20, Code.C22, *TRANSCRIPT, *DOCUMENT),
+            *(Code.C17, Code.C18, Code.C20, Code.C22, Code.C28, *TRANSCRIPT, *DOCUMENT),
         ),
         because="later checks also miss a value that they use, but not one that is only repeated",
         act=drop_fields,

@@ -12,6 +12,7 @@ from pqsec_pki.attacks import (
     _misdelivery,
     _replays,
     _tampering,
+    _versions,
 )
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UnknownAlgorithmError
@@ -24,6 +25,7 @@ ATTACKS: tuple[Attack, ...] = (
     *_impostors.ATTACKS,
     *_insiders.ATTACKS,
     *_between.ATTACKS,
+    *_versions.ATTACKS,
 )
 
 

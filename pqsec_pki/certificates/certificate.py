@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from typing import Self, TypeVar
+from weakref import WeakValueDictionary
 
 from cryptography import x509
 
@@ -85,19 +86,31 @@ class Certificate:
         )
 
     @classmethod
+    def shared(cls, der: bytes) -> "Certificate":
+        """As `from_der`, but the same value for the same DER while one of them is in use.
+
+        For files, which several questions about a keystore read: each certificate is parsed once,
+        and its signature verified once. What a peer sends is parsed each time, with `from_der`.
+        """
+        found = _IN_USE.get(der)
+        if found is None:
+            found = _IN_USE[der] = cls.from_der(der)
+        return found
+
+    @classmethod
     def from_pem(cls, data: bytes) -> Self:
         """The first certificate in PEM `data`; MalformedError if there is none."""
         return cls.from_der(first_pem(data, {"CERTIFICATE"}, "certificate", limit=MAX_CERTIFICATE))
 
     @classmethod
-    def all_from_pem(cls, data: bytes) -> tuple[Self, ...]:
-        """All certificates in PEM `data`; `from_pem` returns the first.
+    def all_from_pem(cls, data: bytes) -> tuple["Certificate", ...]:
+        """All certificates in PEM `data`, a file, `shared`; `from_pem` returns the first.
 
         MalformedError if there is none, or one of them is broken.
         """
-        first = cls.from_pem(data)
+        first = first_pem(data, {"CERTIFICATE"}, "certificate", limit=MAX_CERTIFICATE)
         found = [der for label, der in unpem(data, "certificate") if label == "CERTIFICATE"]
-        return (first, *map(cls.from_der, found[1:]))
+        return tuple(map(cls.shared, (first, *found[1:])))
 
     @cached_property
     def pem(self) -> bytes:
@@ -152,10 +165,15 @@ class Certificate:
         identifier = decode(AlgorithmIdentifier, self.identifier, "AlgorithmIdentifier")
         return identifier.algorithm.dotted_string
 
-    @property
+    @cached_property
     def subject_name(self) -> str:
         """The subject as in permissions documents: RFC 2253, with OpenSSL's names of attributes."""
         return name_text(self.subject)
+
+    @cached_property
+    def issuer_name(self) -> str:
+        """The issuer, likewise."""
+        return name_text(self.issuer)
 
     @property
     def subject_text(self) -> str:
@@ -206,6 +224,10 @@ class Certificate:
     def is_self_issued(self) -> bool:
         """Whether subject and issuer are the same name (RFC 5280 3.2)."""
         return self.subject_der == self.issuer_der
+
+
+_IN_USE: WeakValueDictionary[bytes, Certificate] = WeakValueDictionary()
+"""DER -> the certificate, of those that `shared` made."""
 
 
 def _library_view(der: bytes) -> x509.Certificate:

@@ -13,7 +13,6 @@ from functools import lru_cache
 from cryptography import x509
 
 from pqsec_pki.algorithms import broken_digest
-from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code, Problem
@@ -108,7 +107,7 @@ def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> 
     who = _Holder(leaf)
     # 6.1.3 (a)(4): the issuer's name, byte for byte
     if leaf.issuer_der != authority.subject_der:
-        issuer, expected = name_text(leaf.issuer), authority.subject_name
+        issuer, expected = leaf.issuer_name, authority.subject_name
         yield Problem(f"{who} was issued by {issuer}, not by {expected}", Code.WRONG_ISSUER)
     # 6.1.3 (a)(1): the signature
     elif not authority.signed(leaf):

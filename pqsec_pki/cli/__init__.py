@@ -22,7 +22,7 @@ from pqsec_pki.cli._completion import VARIABLE
 from pqsec_pki.cli._help import Group
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._settings import command_options
-from pqsec_pki.errors import FileError, PqsecError, meant, shown
+from pqsec_pki.errors import FileError, ForeignAlgorithmWarning, PqsecError, meant, shown
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -92,6 +92,10 @@ COMMANDS = {
     "diff": ("diff", "Show the rights that a policy change grants and removes."),
     "inspect": ("inspect", "Describe a certificate, key, request or document."),
     "bench": ("bench", "Measure the time, message sizes and memory of the handshake."),
+    "estimate": (
+        "estimate",
+        "Predict what the handshakes of a fleet cost, and how long they take.",
+    ),
     "profiles": ("algorithms", "List the profiles: algorithms that are used together."),
     "algorithms": ("algorithms", "List the algorithms, their sizes and which stacks run them."),
 }
@@ -107,7 +111,7 @@ GROUPS = {
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (
         "check report verify verify-handshake explain who-may diff cbom migrate inspect bench"
-        " profiles algorithms"
+        " estimate profiles algorithms"
     ),
     "Use with a DDS stack": "export try explain-error plugin agent",
 }
@@ -184,6 +188,10 @@ def main() -> None:
     os.umask(os.umask(0o077) & 0o077)
     if not sys.warnoptions:  # cryptography warns about unusual files: for developers only
         warnings.simplefilter("ignore")
+        warnings.simplefilter("always", ForeignAlgorithmWarning)
+        warnings.showwarning = lambda message, *_: click.echo(
+            f"pqsec: warning: {message}", err=True
+        )
     if isinstance(
         sys.stdout, io.TextIOWrapper
     ):  # a path may have characters that the terminal cannot show

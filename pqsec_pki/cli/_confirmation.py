@@ -16,7 +16,7 @@ def confirm(show: Callable[[], None], question: str, *, what: str, hint: str) ->
     """
     if _settings.settings().json:
         raise UsageError("--json does not ask for confirmation", hint=hint)
+    show()
     if not sys.stdin.isatty():
         raise UsageError(f"{what}, and no terminal to ask", hint=hint)
-    show()
     click.confirm(question, abort=True, err=True)

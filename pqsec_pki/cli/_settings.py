@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -121,6 +122,19 @@ class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
         if not found:
             self.fail(f"{value!r} is not a duration: write 10y, 26w, 90d or 12h", param, ctx)
         return int(found[1]) * _UNITS[found[2]]
+
+
+class FiniteRange(click.FloatRange):
+    """A number in a range. NaN, which no comparison excludes, is not in it."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """The number. Raises click's error for anything else."""
+        found = float(super().convert(value, param, ctx))
+        if not isfinite(found):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return found
 
 
 class When(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only

@@ -69,10 +69,14 @@ def algorithms() -> None:
     """List the algorithms, their sizes and which stacks run them.
 
     LEVEL is the NIST security category; 0 is broken by a quantum computer. Sizes are
-    maxima in bytes.
+    maxima in bytes. Experimental algorithms, and those of other packages,
+    are in no profile, and are used only if named.
     """
-    signatures = [_signature(row) for row in SIGNATURES]
-    agreements = [_agreement(row) for row in KEY_AGREEMENTS]
+    errors = (*SIGNATURES.load_foreign(), *KEY_AGREEMENTS.load_foreign())
+    for error in dict.fromkeys(map(str, errors)):
+        _printing.note(error)
+    signatures = [_signature(row) for row in SIGNATURES.every()]
+    agreements = [_agreement(row) for row in KEY_AGREEMENTS.every()]
     _printing.emit(
         {"signatures": signatures, "key_agreements": agreements},
         [
@@ -108,16 +112,21 @@ def _agreement(row: KeyAgreement) -> dict[str, object]:
 
 
 def _named(row: SignatureAlgorithm | KeyAgreement) -> dict[str, object]:
+    added = SIGNATURES.added.get(row.name) or KEY_AGREEMENTS.added.get(row.name)
     return {
         "name": row.name,
         "aliases": list(row.aliases),
         "family": row.family.value,
         "level": row.level,
+        "experimental": row in SIGNATURES.experimental or row in KEY_AGREEMENTS.experimental,
+        "package": added[1] if added else None,
     }
 
 
 def _cells(row: Mapping[str, object], *sizes: str) -> tuple[str, ...]:
     runs_in = str(row.get("identities_run_in") or row.get("runs_in"))
     numbers = [str(row[size]) for size in sizes]
-    names = (str(row["name"]), str(row["family"]), str(row["level"]))
+    origin = "experimental" if row["experimental"] else row["package"]
+    name = f"{row['name']} ({origin})" if origin else str(row["name"])
+    names = (name, str(row["family"]), str(row["level"]))
     return (*names, *numbers, runs_in, str(row["standard"]))

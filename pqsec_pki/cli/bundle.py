@@ -1,5 +1,6 @@
 """pqsec bundle: write what one robot needs from a keystore into one file."""
 
+import posixpath
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -53,7 +54,7 @@ from pqsec_pki.keystore import (
     "-o",
     "--output",
     type=_settings.FILE,
-    help="Write to this file. [default: named after the first NAME]",
+    help="Write to this file. [default: named after what all NAMEs begin with, or the first]",
 )
 @click.option(
     "--outdated",
@@ -101,7 +102,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     wanted = _outdated(keystore, given) if outdated else admitted(keystore, given)
     alone = not wanted or (outdated and not output)
     together = [[name] for name in wanted] if alone else [wanted]
-    paths = [output or bundle_path(folder or Path(), regular_name(each[0])) for each in together]
+    paths = [output or bundle_path(folder or Path(), _common(each)) for each in together]
     now, recipient = _settings.now(), _bundles.recipient(seal_for)
     numbers = BundleNumbers.of(keystore)
     bundles = [
@@ -126,6 +127,13 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
         _printing.emit({"bundles": values}, lines or ["every robot runs what it should"])
     else:
         _printing.emit(values[0], lines)
+
+
+def _common(names: Sequence[str]) -> str:
+    """/robot1 for /robot1/arm and /robot1/base; the first name if they begin with nothing alike."""
+    regular = [regular_name(each) for each in names]
+    common = posixpath.commonpath(regular)
+    return common if common != "/" else regular[0]
 
 
 def _refuse_keys(seal_for: Path | None, *, named: bool, plain_key: bool, no_keys: bool) -> None:

@@ -39,12 +39,12 @@ from pqsec_pki.policy import (
 
 @_help.command(
     examples={
-        "Ask about a ROS 2 topic": "pqsec explain --participant /talker --ros-publish /chatter",
+        "Ask about a ROS 2 topic": "pqsec explain /talker --ros-publish /chatter",
         "Ask about a DDS topic on one domain, as Fast DDS decides": (
-            "pqsec explain --participant /listener --subscribe rt/chatter --domain 0 --as fastdds"
+            "pqsec explain /listener --subscribe rt/chatter --domain 0 --as fastdds"
         ),
         "Ask whether all of a robot's nodes may publish a ROS 2 topic": (
-            "pqsec explain --participant '/fleet/*' --ros-publish /chatter"
+            "pqsec explain '/fleet/*' --ros-publish /chatter"
         ),
         "Ask about files, without a keystore": (
             "pqsec explain --governance governance.yaml --permissions talker.yaml --join"
@@ -56,10 +56,11 @@ from pqsec_pki.policy import (
         3: "a file, the keystore or the participant cannot be read",
     },
 )
+@click.argument("name", required=False, metavar="[NAME]", shell_complete=_completion.participants)
 @click.option(
     "--participant",
     metavar="NAME",
-    help="Ask about this participant of the keystore, or those of '/robot1/*' or @hall1.",
+    help="The same as NAME.",
     shell_complete=_completion.participants,
 )
 @click.option(
@@ -102,7 +103,7 @@ from pqsec_pki.policy import (
     " stacks that differ]",
 )
 @_settings.command_options
-def explain(stack: str | None, **asked: Any) -> int:
+def explain(name: str | None, stack: str | None, **asked: Any) -> int:
     """Show whether a participant may do something, and which rule decides.
 
     Name a participant of the keystore, or the files of one, and one right. Documents of a
@@ -110,6 +111,9 @@ def explain(stack: str | None, **asked: Any) -> int:
     does: all must be allowed on one domain. NAME may be a pattern ('/robot1/*') or a group
     (@hall1): all must have the right.
     """
+    if name is not None and asked["participant"] is not None:
+        raise UsageError("NAME and --participant exclude each other: they mean the same")
+    asked["participant"] = asked["participant"] if name is None else name
     right = _explain_asked.right_asked(asked)
     asked_of = Question(
         subject="",
@@ -199,14 +203,14 @@ def _policy_input(asked: dict[str, Any], now: datetime) -> PolicyInput:
     name, files = asked["participant"], ("governance", "permissions")
     if name and any(asked[each] for each in (*files, "subject", "permissions_ca")):
         raise UsageError(
-            "--participant excludes --governance, --permissions, --subject and --permissions-ca"
+            "NAME excludes --governance, --permissions, --subject and --permissions-ca"
         )
     if name:
         return policy_input_of(_settings.open_keystore(), name, now)
     if not all(asked[each] for each in files):
         raise UsageError(
             "no participant named",
-            hint="use --participant NAME, or --governance FILE and --permissions FILE",
+            hint="give its NAME, or --governance FILE and --permissions FILE",
         )
     return _policy_input_in_files(asked, now)
 

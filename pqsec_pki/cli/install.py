@@ -73,8 +73,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     it to the machine with the CAs, for `pqsec receipt import`. To make it again, install the
     same bundle again.
     """
-    if only and not yes:
-        _ask(removed_alone(bundle, folder))
+    removed = removed_alone(bundle, folder) if only and not yes else None
+    if removed:
+        _ask(removed)
     done = install_bundle(
         bundle,
         folder,
@@ -83,6 +84,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         trust_first=trust_first,
         older=older,
         alone=only,
+        agreed=removed,
     )
     value = {
         "installed": done.names,
@@ -98,14 +100,13 @@ def install(  # noqa: PLR0913 -- one for each option, by name
 
 
 def _ask(removed: Sequence[str]) -> None:
-    """Ask if anything is removed: keys that were generated on the robot are nowhere else."""
-    if removed:
-        confirm(
-            lambda: _printing.emit(None, [f"remove: {name}" for name in removed]),
-            "Remove these and their keys?",
-            what=f"{_printing.few(removed)} would be removed, with the keys",
-            hint="--yes removes them; without --only they stay",
-        )
+    """Ask: keys that were generated on the robot are nowhere else."""
+    confirm(
+        lambda: _printing.emit(None, [f"remove: {name}" for name in removed]),
+        "Remove these and their keys?",
+        what=f"{_printing.few(removed)} would be removed, with the keys",
+        hint="--yes removes them; without --only they stay",
+    )
 
 
 @_help.command(

@@ -7,9 +7,8 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.algorithms import PROFILES, profile_named
-from pqsec_pki.cli import _completion, _help, _printing, _settings
-from pqsec_pki.domain import read_domain
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.cli import _help, _migration_options, _printing, _settings
 from pqsec_pki.migration import (
     MigrationPlan,
     Rehearsal,
@@ -18,10 +17,6 @@ from pqsec_pki.migration import (
     rehearse,
     step_files,
 )
-from pqsec_pki.selfcheck import STACKS, stack_named
-
-_TARGETS = [each.name for each in PROFILES]
-_STOCK = [each.name for each in STACKS if each.is_stock]
 
 
 @_help.group()
@@ -47,22 +42,10 @@ def migrate() -> None:
     },
 )
 @click.argument("file", type=_settings.FILE, required=False, metavar="[FILE]")
-@click.option(
-    "--to",
-    "target",
-    type=click.Choice(_TARGETS),
-    default="pq",
-    show_default=True,
-    help="Plan the change to this profile.",
+@_migration_options.target(
+    "--to", default="pq", show_default=True, help="Plan the change to this profile."
 )
-@click.option(
-    "--stack",
-    "stacks",
-    multiple=True,
-    type=click.Choice(_STOCK),
-    help="Plan for robots with this stack. Repeatable. [default: those of FILE, or all]",
-    shell_complete=_completion.among(_STOCK),
-)
+@_migration_options.stacks
 @click.option(
     "--rehearse",
     "rehearsing",
@@ -96,21 +79,12 @@ def plan(  # noqa: PLR0913 -- one for each option, by name
     """
     keystore, now = _settings.open_keystore(), _settings.now()
     profile = profile_named(target)
-    told = read_domain(file).stacks if file else ()
-    rows = tuple(stack_named(each) for each in stacks or told or _STOCK)
+    rows = _migration_options.chosen(stacks, file)
     found = plan_migration(keystore, profile, rows, now=now)
     rehearsal = rehearse(keystore, profile, now=now) if rehearsing else None
     files = step_files(found, keystore, file, folder, now=now) if folder else ()
     paths = _write_steps(files, folder, force=force) if folder else []
-    value: dict[str, object] = {
-        "from": found.before,
-        "to": found.target,
-        "steps": found.steps,
-        "deadlines": [
-            {"date": each.day.isoformat(), "what": each.what, "source": each.source}
-            for each in found.deadlines
-        ],
-    }
+    value = found.to_json()
     lines = [*_plan_lines(found, now)]
     if folder:
         value["files"] = paths

@@ -8,10 +8,11 @@ from shlex import join
 
 import click
 
+from pqsec_pki import migration
 from pqsec_pki._files import read, refuse_existing, write
-from pqsec_pki.algorithms import load_private_key
+from pqsec_pki.algorithms import load_private_key, profile_named
 from pqsec_pki.certificates import verify_authority
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
 from pqsec_pki.credentials import only_certificate
 from pqsec_pki.errors import KeystoreError, UsageError, located
 from pqsec_pki.keystore import Keystore
@@ -35,6 +36,9 @@ from pqsec_pki.smime import Signer, sign
         "Keep the data, to compare the next report with": "pqsec report --format json -o june.json",
         "Show what changed since an earlier one": "pqsec report --compare may.json -o june.html",
         "Sign it; `pqsec verify june.html.p7s` checks it": "pqsec report --sign -o june.html",
+        "Add the steps to profile pq for robots with Cyclone DDS": (
+            "pqsec report --migrate-to pq --stack cyclonedds -o report.html"
+        ),
     },
     exit_codes={
         0: "the report is written",
@@ -62,6 +66,16 @@ from pqsec_pki.smime import Signer, sign
     metavar="OLD.json",
     help="Show what changed since this earlier report, which is JSON.",
 )
+@_migration_options.target(
+    "--migrate-to", help="Add the steps to this profile, as `pqsec migrate plan` shows them."
+)
+@_migration_options.stacks
+@click.option(
+    "--domain-file",
+    type=_settings.FILE,
+    metavar="FILE",
+    help="Plan for the stacks that this domain.yaml names.",
+)
 @click.option(
     "--sign",
     "is_signed",
@@ -84,6 +98,9 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     signer: tuple[Path, Path] | None,
     passphrase_file: Path | None,
     *,
+    target: str | None,
+    stacks: tuple[str, ...],
+    domain_file: Path | None,
     is_signed: bool,
     force: bool,
 ) -> None:
@@ -97,15 +114,21 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     is_signed = is_signed or signer is not None
     if is_signed and output is None:
         raise UsageError("a signature is written beside the report", hint="name it: -o FILE")
+    form = "json" if _settings.settings().json else form
+    if output is None and form == "html" and sys.stdout.isatty():
+        raise UsageError(
+            "a page is for a browser, not for a terminal", hint="write it: -o report.html"
+        )
     for path in (output, signature_path(output) if is_signed else None) if output else ():
         if path and not force:
             refuse_existing(path)
     before = read_earlier(earlier) if earlier else None
     keystore = _settings.open_keystore()
+    planning = _planning(keystore, target, stacks, domain_file)
     signing = _signing(keystore, signer, passphrase_file) if is_signed else None
-    found = report_of(keystore, now=_settings.now(), command=join(["pqsec", *sys.argv[1:]]))
+    command = join(["pqsec", *sys.argv[1:]])
+    found = report_of(keystore, now=_settings.now(), command=command, migration=planning)
     changes = changes_since(before, found, keystore) if before else None
-    form = "json" if _settings.settings().json else form
     text = _text(form, found, changes)
     if output:
         data = text.encode()
@@ -122,6 +145,22 @@ def report(  # noqa: PLR0913 -- one for each option, by name
             "the report is incomplete: a part could not be read or is not valid",
             hint="the report begins with what it lacks; `pqsec check` has the reasons",
         )
+
+
+def _planning(
+    keystore: Keystore, target: str | None, stacks: tuple[str, ...], domain_file: Path | None
+) -> Callable[[], migration.MigrationPlan] | None:
+    """What plans the migration to `target`."""
+    if target is None:
+        if stacks or domain_file:
+            raise UsageError(
+                "--stack and --domain-file are for a migration",
+                hint="name the profile to change to: --migrate-to",
+            )
+        return None
+    rows = _migration_options.chosen(stacks, domain_file)
+    profile = profile_named(target)
+    return lambda: migration.plan_migration(keystore, profile, rows, now=_settings.now())
 
 
 def _signing(

@@ -70,7 +70,7 @@ _PAIR = 2
 )
 @click.option(
     "--timeout",
-    type=click.FloatRange(0.5, 600),
+    type=_settings.FiniteRange(0.5, 600),
     default=TIMEOUT,
     show_default=True,
     metavar="SECONDS",

@@ -43,7 +43,7 @@ def only_list(data: bytes, where: str) -> RevocationList:
 @lru_cache(maxsize=64)
 def _certificate(der: bytes) -> Certificate:
     """A certificate, cached: all participants of a domain have the same CAs."""
-    return Certificate.from_der(der)
+    return Certificate.shared(der)
 
 
 @lru_cache(maxsize=8)

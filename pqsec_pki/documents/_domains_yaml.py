@@ -20,6 +20,12 @@ def domains(item: Item) -> DomainSet:
     return build(item, DomainSet, parts=parts)
 
 
+def domains_read_alike(item: Item) -> DomainSet:
+    """Likewise, in a form that every stack reads alike: what a keystore has as its default."""
+    found = domains(item)
+    return build(item, lambda: DomainSet.of(*found.parts))
+
+
 def _parts(item: Item) -> tuple[int | DomainRange, ...]:
     if isinstance(item, YamlMapping):
         return (_long(item),)

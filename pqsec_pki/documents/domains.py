@@ -68,6 +68,15 @@ class DomainSet:
         return cls.of(*(_part(part) for part in text.split(",")))
 
     @property
+    def is_read_alike(self) -> bool:
+        """Whether every stack reads all of it alike: `of` takes it, and `parse` its text."""
+        try:
+            self.of(*self.parts)
+        except UsageError:
+            return False
+        return True
+
+    @property
     def noun(self) -> str:
         """`domain` for one, else `domains`."""
         return "domain" if len(self.parts) == 1 and isinstance(self.parts[0], int) else "domains"

@@ -4,7 +4,7 @@ Functions that parse YAML safely, that read a value and report errors with its l
 read and write whole parts: domains, a governance, the rules of a grant.
 """
 
-from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml
+from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml, domains_read_alike
 from pqsec_pki.documents._node_words import node_as_yaml
 from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, rules_as_yaml
 from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, dump, refused
@@ -40,6 +40,7 @@ __all__ = [  # defined in other modules, for other rooms
     "chosen",
     "domains",
     "domains_as_yaml",
+    "domains_read_alike",
     "dump",
     "duration",
     "each",

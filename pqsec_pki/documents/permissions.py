@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Self
+from weakref import WeakValueDictionary
 
 from pqsec_pki.documents import _reading, _render, _schema
 from pqsec_pki.documents.domains import DomainSet
@@ -116,7 +117,7 @@ class Grant:
         return grant
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, weakref_slot=True)
 class Permissions:
     """A permissions document (DDS-Security 1.1, 9.4.1.3)."""
 
@@ -134,14 +135,18 @@ class Permissions:
         )
 
     @classmethod
-    def from_xml(cls, xml: bytes) -> Self:
+    def from_xml(cls, xml: bytes) -> "Permissions":
         """The permissions in the XML document.
 
         InvalidDocumentError if it is not XML, or breaks its schema, or has
-        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits.
+        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits. The same XML
+        gives the same value while one is in use: several questions about a fleet read it once.
         """
-        [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
-        return cls(grants=tuple(map(_grant, grants)))
+        found = _IN_USE.get(xml)
+        if found is None:
+            [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
+            found = _IN_USE[xml] = cls(grants=tuple(map(_grant, grants)))
+        return found
 
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
@@ -149,6 +154,10 @@ class Permissions:
         UsageError for a time after the year 2261 and for a character that XML does not allow.
         """
         return _render.render(_schema.Kind.PERMISSIONS, grants=self.grants)
+
+
+_IN_USE: WeakValueDictionary[bytes, Permissions] = WeakValueDictionary()
+"""XML -> the permissions, of those that `from_xml` made."""
 
 
 def _whole_seconds(time: datetime) -> datetime:

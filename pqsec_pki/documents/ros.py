@@ -39,6 +39,16 @@ _ACTION_TOPICS = ("feedback", "status")
 
 _WORDS = (("rt", "", ""), ("rq", "Request", "request of "), ("rr", "Reply", "reply of "))
 """Prefix and ending of a DDS topic, and the words before its ROS 2 name."""
+_CLIENT_SIDE = {("request of ", each) for each in _ACTION_SERVICES}
+_SERVER_SIDE = {("reply of ", each) for each in _ACTION_SERVICES} | {
+    ("", each) for each in _ACTION_TOPICS
+}
+_ACTION_SIDES = (
+    ("action ", _CLIENT_SIDE | _SERVER_SIDE),
+    ("requests of action ", _CLIENT_SIDE),
+    ("replies, feedback and status of action ", _SERVER_SIDE),
+)
+"""The words before an action's name, and its topics: the words before each, and its last part."""
 _OF_EVERY_NODE = {DISCOVERY, "rt/clock", *(f"rt{each}" for each in _NODE_TOPICS)}
 _OF_A_NODE = re.compile(
     rf"/(?:{'|'.join((*_NODE_SERVICES, *_LIFECYCLE_SERVICES))})(?:Request|Reply)\Z"
@@ -178,11 +188,27 @@ def node_minimum(node_name: str) -> Endpoints:
 
 def said(topic: str) -> str:
     """A DDS topic in the words of ROS 2, such as `request of /reset`; as it is if it has none."""
-    kind, slash, name = topic.partition("/")
-    for prefix, ending, words in _WORDS:
-        if slash and kind == prefix and name.endswith(ending):
-            return f"{words}/{name.removesuffix(ending)}"
-    return topic
+    return "".join(_in_words(topic)) or topic
+
+
+def action_sides(topics: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """The actions of which `topics` has all that a client, a server or both publish.
+
+    Gives the words for each, such as `requests of action /dock`, and its topics. It undoes
+    `action_client` and `action_server`, for any name in place of the action's.
+    """
+    found: dict[str, dict[tuple[str, str], str]] = {}
+    for each in topics:
+        words, name = _in_words(each)
+        action, inside, part = name.rpartition("/_action/")
+        if inside:
+            found.setdefault(action, {})[words, part] = each
+    sides = {}
+    for action, parts in found.items():
+        for words, side in _ACTION_SIDES:
+            if side <= parts.keys():
+                sides[f"{words}{action}"] = tuple(parts.pop(each) for each in sorted(side))
+    return sides
 
 
 def is_of_every_node(topic: str) -> bool:
@@ -193,6 +219,15 @@ def is_of_every_node(topic: str) -> bool:
 def doubled_slash(topic: str) -> bool:
     """Whether a DDS topic has the prefix of ROS 2 and `//`, which no ROS 2 topic has."""
     return topic.startswith(("rt/", "rq/", "rr/")) and "//" in topic
+
+
+def _in_words(topic: str) -> tuple[str, str]:
+    """The words before the ROS 2 name of a DDS topic, and the name; both empty if it has none."""
+    kind, slash, name = topic.partition("/")
+    for prefix, ending, words in _WORDS:
+        if slash and kind == prefix and name.endswith(ending):
+            return words, f"/{name.removesuffix(ending)}"
+    return "", ""
 
 
 def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:

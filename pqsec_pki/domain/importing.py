@@ -137,8 +137,13 @@ class _Writer:
     @cached_property
     def domains(self) -> DomainSet:
         of_all = [each.domains for each in self.participants if each.domains]
-        rules = self.governance.domain_rules if self.governance else ()
-        return _most_common(of_all) or (rules[0].domains if rules else DomainSet.of(0))
+        of_rules = (
+            [each.domains for each in self.governance.domain_rules[:1]] if self.governance else []
+        )
+        for found in (of_all, of_rules):
+            if common := _most_common(each for each in found if each.is_read_alike):
+                return common
+        return DomainSet.of(0)
 
     @cached_property
     def validity(self) -> timedelta | None:

@@ -38,7 +38,7 @@ from pqsec_pki.documents.parts_yaml import (
     boolean,
     build,
     chosen,
-    domains,
+    domains_read_alike,
     duration,
     each,
     fields,
@@ -101,14 +101,14 @@ _KEPT = (
 
 
 def _domain(item: Item) -> dict[str, Any]:
-    default_domains = peeked(item, "domains", domains, DomainSet.of(0))
+    default_domains = peeked(item, "domains", domains_read_alike, DomainSet.of(0))
     # None if the roles have mistakes: then only the mistakes are reported, not missing roles.
     unknown: dict[str, Role] | None = None if "roles" in table(item).entries else {}
     roles = peeked(item, "roles", roles_in, unknown)
     readers: Readers = {
         "name": _ca_name,
         "profile": partial(chosen, names=[profile.name for profile in PROFILES]),
-        "domains": domains,
+        "domains": domains_read_alike,
         "ca_validity": validity_in,
         "validity": validity_in,
         "renew_before": duration,

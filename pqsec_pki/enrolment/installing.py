@@ -55,21 +55,26 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     trust_first: bool = False,
     older: bool = False,
     alone: bool = False,
+    agreed: Collection[str] | None = None,
 ) -> Installed:
     """Install the bundle in file `path` into the robot's folder `root`.
 
     Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here.
     On a first installation `trust_first` trusts the CAs in the bundle. `older` accepts
     documents older than those installed before. Other installed participants stay, with the
-    bundle's revocation list, unless `alone`.
+    bundle's revocation list, unless `alone`. `agreed` are the participants that `alone` may
+    remove, as `removed_alone` told them; None for any.
 
     The files are verified, and written again from the verified values. VerificationError lists
-    everything that is wrong with the bundle. After an error nothing has changed.
+    everything that is wrong with the bundle; KeystoreError if `alone` would remove more than was
+    `agreed`. After an error nothing has changed.
     """
     data = read(path, limit=MAX_FILE)
     with changing(root) as store, located(path):
         bundle = Bundle.from_bytes(_opened(data, root))
         before = store.current
+        if alone and agreed is not None:
+            _refuse_unasked(before, bundle, agreed)
         state = _trust_state(store, before, needed=not (pins and older))
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         found = _verified(bundle, trusted, now)
@@ -101,8 +106,22 @@ def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
     data = read(path, limit=MAX_FILE)
     with changing(root) as store, located(path):
         names = Bundle.from_bytes(_opened(data, root)).names
-        installed = store.current.enclaves if store.current else {}
-        return tuple(sorted(installed.keys() - set(names)))
+        return _besides(store.current, names)
+
+
+def _besides(before: InstalledSet | None, names: Collection[str]) -> tuple[str, ...]:
+    """The installed participants, sorted, apart from `names`."""
+    return tuple(sorted((before.enclaves if before else {}).keys() - set(names)))
+
+
+def _refuse_unasked(before: InstalledSet | None, bundle: Bundle, agreed: Collection[str]) -> None:
+    """KeystoreError if others would be removed: they were installed since the question."""
+    others = [each for each in _besides(before, bundle.names) if each not in agreed]
+    if others:
+        raise KeystoreError(
+            f"installed in the meantime: {', '.join(others)}, which would be removed too",
+            hint="run the command again",
+        )
 
 
 def rollback(root: Path, *, now: datetime, older: bool = False) -> InstalledSet:

@@ -11,6 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.handshake._cdr import ByteOrder
     from pqsec_pki.handshake._checks import check
+    from pqsec_pki.handshake.compact import CREDENTIALS_DICTIONARY, WireVersion, check_carried
     from pqsec_pki.handshake.confirming import confirmation, confirmed, token_message
     from pqsec_pki.handshake.dialect import Dialect
     from pqsec_pki.handshake.guid import (
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
     from pqsec_pki.handshake.wire import (
         GUID_SIZE,
+        MAX_SAMPLE,
         MAX_TOKEN,
         DataHolder,
         GenericMessage,
@@ -62,8 +64,10 @@ else:
 
 __all__ = [
     "CHALLENGE_SIZE",
+    "CREDENTIALS_DICTIONARY",
     "GUID_SIZE",
     "HASH_SIZE",
+    "MAX_SAMPLE",
     "MAX_TOKEN",
     "AuthRequest",
     "ByteOrder",
@@ -89,10 +93,12 @@ __all__ = [
     "Terms",
     "Transcript",
     "TransformationKind",
+    "WireVersion",
     "adjusted_guid",
     "begin",
     "belongs_to",
     "check",
+    "check_carried",
     "confirmation",
     "confirmed",
     "initiates",

@@ -6,12 +6,14 @@ Values keep the octets as received, because the hashes cover these.
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 from pqsec_pki.errors import VerificationError, shown
+from pqsec_pki.handshake import compact
+from pqsec_pki.handshake.compact import WireVersion
 from pqsec_pki.handshake.wire import BinaryProperty, DataHolder, encode_properties
 from pqsec_pki.problems import Code, Problem
 
@@ -52,10 +54,18 @@ class Introduction:
     """A big-endian parameter list that has the GUID."""
     signature_algorithm: bytes
     key_agreement: bytes
+    version: WireVersion = WireVersion.FIRST
+    """The version of the message that it is in."""
 
     @property
     def properties(self) -> tuple[BinaryProperty, ...]:
         return tuple(zip(self.NAMES, _INTRODUCED(self), strict=True))
+
+    @classmethod
+    def of(cls, found: Mapping[str, bytes], version: WireVersion) -> Self:
+        """That of a message with the binary properties `found`, which has all of NAMES."""
+        certificate, permissions, data, signature, agreement = (found[name] for name in cls.NAMES)
+        return cls(certificate, permissions, data, signature, agreement, version)
 
     @property
     def signature_algorithm_name(self) -> str:
@@ -71,10 +81,24 @@ class Introduction:
 
     def digest(self) -> bytes:
         """hash_c1 of a Request, hash_c2 of a Reply: 32 bytes."""
-        return hashlib.sha256(encode_properties(self.properties)).digest()
+        covered = (*self.properties, *self.version.mark)
+        return hashlib.sha256(encode_properties(covered)).digest()
+
+    def in_second_version(self) -> Self:
+        """The same, as a message of the second version has it.
+
+        MalformedError if the permissions are not a signed document that it can carry.
+        """
+        return replace(
+            self,
+            permissions=compact.canonical(self.permissions),
+            signature_algorithm=self.signature_algorithm.removesuffix(b"\0"),
+            key_agreement=self.key_agreement.removesuffix(b"\0"),
+            version=WireVersion.SECOND,
+        )
 
 
-_INTRODUCED = attrgetter(*(each.name for each in fields(Introduction)))
+_INTRODUCED = attrgetter(*(each.name for each in fields(Introduction) if each.name != "version"))
 
 
 def _picked(*names: str) -> Callable[[object], tuple[BinaryProperty, ...]]:
@@ -127,6 +151,11 @@ class _Message:
 
     CLASS_ID: ClassVar[str]
 
+    @property
+    def version(self) -> WireVersion:
+        """The version in which it is written."""
+        return WireVersion.FIRST
+
     def without_optional(self) -> Self:
         """The message with only the required properties."""
         return replace(self, **{each.name: None for each in fields(self) if each.default is None})
@@ -139,24 +168,37 @@ class _Message:
                 items += value.properties
             elif value is not None:
                 items.append((name, value))
+        if self.version is WireVersion.SECOND:
+            return DataHolder(self.CLASS_ID, (), compact.compacted(self.CLASS_ID, dict(items)))
         return DataHolder(self.CLASS_ID, (), tuple(items))
 
     @classmethod
-    def from_holder(cls, holder: DataHolder) -> Self:
-        """The message in `holder`; VerificationError lists everything that is wrong."""
+    def from_holder(
+        cls, holder: DataHolder, versions: Collection[WireVersion] = tuple(WireVersion)
+    ) -> Self:
+        """The message in `holder`; VerificationError lists everything that is wrong.
+
+        One of another version than `versions` is refused before anything in it is expanded.
+        """
         found = dict(holder.binary_properties)
+        version = WireVersion.FIRST if cls is AuthRequest else compact.version_of(found)
+        compact.check_version(version, versions)
+        first = version is WireVersion.FIRST
+        due = _DUE[cls] if first else compact.names(cls.CLASS_ID)
         problems = [
             *_class_problems(holder, cls.CLASS_ID),
-            *_missing_problems(found, _DUE[cls]),
+            *_missing_problems(found, due),
             *_double_problems(holder, found),
-            *_size_problems(found),
-            *_unknown_problems(found),
+            *(_unknown_problems(found) if first else _other_problems(found, due)),
         ]
+        if not first and not problems:
+            found = compact.expanded(cls.CLASS_ID, found)
+        problems += _size_problems(found)
         if problems:
             raise VerificationError(*problems)
         values: dict[str, Any] = {name: found.get(name) for name in _NAMES[cls]}
         if "introduction" in values:
-            values["introduction"] = Introduction(*[found[name] for name in Introduction.NAMES])
+            values["introduction"] = Introduction.of(found, version)
         return cls(**values)
 
 
@@ -171,6 +213,11 @@ class Request(_Message):
     dh1: bytes
     challenge1: bytes
 
+    @property
+    def version(self) -> WireVersion:
+        """That of its introduction."""
+        return self.introduction.version
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply(_Message):
@@ -180,12 +227,18 @@ class Reply(_Message):
 
     introduction: Introduction
     dh2: bytes
-    challenge1: bytes
+    challenge1: bytes | None
+    """None in the second version, which repeats nothing."""
     challenge2: bytes
     dh1: bytes | None = None
     hash_c2: bytes | None = None
     hash_c1: bytes | None = None
     signature: bytes
+
+    @property
+    def version(self) -> WireVersion:
+        """That of its introduction."""
+        return self.introduction.version
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,13 +247,19 @@ class Final(_Message):
 
     CLASS_ID: ClassVar[str] = AUTHENTICATION + "+Final"
 
-    challenge1: bytes
-    challenge2: bytes
+    challenge1: bytes | None
+    """None in the second version, as is all else but the signature."""
+    challenge2: bytes | None
     dh1: bytes | None = None
     dh2: bytes | None = None
     hash_c2: bytes | None = None
     hash_c1: bytes | None = None
     signature: bytes
+
+    @property
+    def version(self) -> WireVersion:
+        """The second if it repeats nothing."""
+        return WireVersion.SECOND if self.challenge1 is None else WireVersion.FIRST
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,3 +324,8 @@ def _unknown_problems(found: dict[str, bytes]) -> Iterator[Problem]:
     for name in found:
         if name.startswith(_OWN_PREFIX) and name not in Introduction.NAMES:
             yield Problem(f"'{shown(name)}' is not covered by every stack's hash", Code.C7)
+
+
+def _other_problems(found: dict[str, bytes], due: Iterable[str]) -> list[Problem]:
+    others = [name for name in found if name not in due]
+    return [Problem(f"'{shown(name)}' is not in this version", Code.C7) for name in others]

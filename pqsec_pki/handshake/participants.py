@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
+from itertools import chain
 from typing import Self
 from weakref import WeakValueDictionary
 
@@ -16,6 +17,7 @@ from pqsec_pki.certificates import (
     verify_not_revoked,
 )
 from pqsec_pki.errors import PqsecError, VerificationError, shown
+from pqsec_pki.handshake.compact import WireVersion
 from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
@@ -56,8 +58,19 @@ class PeerRequirements:
 
     agreements: tuple[KeyAgreement, ...]
     """Key agreements that a Request may ask for; any other counts as a downgrade."""
+    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+    """The versions of messages that a peer may send; we send the first, and answer in its own."""
     require_alternative: bool = False
     """Whether the peer needs an alternative key, and an alternative signature by its CA."""
+
+    def versions_with(self, agreement: KeyAgreement) -> tuple[WireVersion, ...]:
+        """The versions for a Request with `agreement`: that of 1.1 is for stock stacks too."""
+        return self.versions if agreement.binds_transcript else (WireVersion.FIRST,)
+
+    @property
+    def readable(self) -> frozenset[WireVersion]:
+        """The versions for Requests with any of the agreements."""
+        return frozenset(chain.from_iterable(map(self.versions_with, self.agreements)))
 
     def agreement(self, name: str) -> KeyAgreement:
         """The key agreement with the c.kagree_algo `name`; VerificationError if not allowed."""

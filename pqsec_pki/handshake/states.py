@@ -22,6 +22,7 @@ from typing import Self
 from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake._checks import check
+from pqsec_pki.handshake.compact import WireVersion, check_version
 from pqsec_pki.handshake.messages import Final, Introduction, Reply, Request, Transcript
 from pqsec_pki.handshake.participants import RemotePeer, Terms
 from pqsec_pki.problems import Code, Problem
@@ -53,6 +54,7 @@ class RequestSent:
 
         Steps of DDS-Security 1.1, 9.3.3, table 52, process_handshake.
         """
+        check_version(reply.version, (self.request.version,))
         transcript = self._transcript(reply)
         # c.id and c.pdata, then repeated values
         others = self._problems(reply, transcript)
@@ -64,7 +66,7 @@ class RequestSent:
         with check(Code.C22):
             secret = self.key_pair.decapsulate(reply.dh2)
         signature = self.terms.own.key.sign_handshake(transcript.final_octets())
-        final = self.terms.dialect.written(Final(signature=signature, **transcript.values()))
+        final = self.terms.dialect.written(_final(transcript, signature, self.request.version))
         return final, _done(peer, self.key_pair.agreement, transcript, secret, signed)
 
     def _transcript(self, reply: Reply) -> Transcript:
@@ -94,6 +96,8 @@ class ReplySent:
     """The replier, waiting for a Final."""
 
     transcript: Transcript
+    version: WireVersion = WireVersion.FIRST
+    """The version of the messages."""
     peer_key: PublicKey = field(repr=False)
     """The public key for the signature of the Final."""
     _outcome: Done = field(repr=False)
@@ -119,7 +123,8 @@ class ReplySent:
 
         Steps of DDS-Security 1.1, 9.3.3, table 52, process_handshake.
         """
-        # the challenges are required; other repeated values must be correct if present
+        check_version(final.version, (self.version,))
+        # in the first version the challenges are required; other repeated values must be correct
         if problems := self.transcript.differences(final):
             raise VerificationError(*problems)
         # the signature
@@ -135,7 +140,8 @@ _own_digest = lru_cache(maxsize=16)(Introduction.digest)
 def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
     """The Request, and the state that waits for its Reply."""
     # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS requires it; all accept it.
-    introduction = terms.own.introduction(agreement, nul=terms.dialect.ends_names_in_nul)
+    version = terms.policy.versions_with(agreement)[0]
+    introduction = _introduced(terms, agreement, version, nul=terms.dialect.ends_names_in_nul)
     hash_c1 = _own_digest(introduction)
     pair = agreement.generate()
     request = Request(
@@ -156,6 +162,7 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     """
     # Not in the specification: c.kagree_algo must be one that the policy allows.
     agreement = terms.policy.agreement(request.introduction.key_agreement_name)
+    check_version(request.version, terms.policy.versions_with(agreement))
     # c.id and c.pdata, then repeated values
     hash_c1 = request.introduction.digest()
     others = _request_problems(request, hash_c1, terms)
@@ -164,7 +171,8 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     with check(Code.C17):
         dh2, secret = agreement.encapsulate(request.dh1)
     # Fast DDS refuses names with NUL as initiator, OpenDDS refuses them without.
-    introduction = terms.own.introduction(agreement, nul=terms.dialect.answers_with_nul(request))
+    nul = terms.dialect.answers_with_nul(request)
+    introduction = _introduced(terms, agreement, request.version, nul=nul)
     transcript = Transcript(
         hash_c1=hash_c1,
         hash_c2=_own_digest(introduction),
@@ -178,7 +186,23 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     reply = Reply(introduction=introduction, signature=signature, **transcript.values())
     reply = terms.dialect.written(reply)
     outcome = _done(peer, agreement, transcript, secret, signed)
-    return reply, ReplySent(transcript=transcript, peer_key=key, _outcome=outcome)
+    return reply, ReplySent(
+        transcript=transcript, version=request.version, peer_key=key, _outcome=outcome
+    )
+
+
+def _introduced(
+    terms: Terms, agreement: KeyAgreement, version: WireVersion, *, nul: bool
+) -> Introduction:
+    """Our introduction in that version."""
+    introduction = terms.own.introduction(agreement, nul=nul)
+    return introduction if version is WireVersion.FIRST else introduction.in_second_version()
+
+
+def _final(transcript: Transcript, signature: bytes, version: WireVersion) -> Final:
+    if version is WireVersion.FIRST:
+        return Final(signature=signature, **transcript.values())
+    return Final(challenge1=None, challenge2=None, signature=signature)
 
 
 def _request_problems(request: Request, hash_c1: bytes, terms: Terms) -> Iterator[Problem | str]:

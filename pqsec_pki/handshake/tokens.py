@@ -7,7 +7,12 @@ from typing import ClassVar, Self
 from pqsec_pki.algorithms import SIGNATURES, Family, KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown
+from pqsec_pki.handshake.compact import WireVersion
 from pqsec_pki.handshake.wire import DataHolder
+
+_FIRST = (WireVersion.FIRST,)
+_ALONE = f"{WireVersion.FIRST}"
+"""What a sender announces by not announcing any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +54,7 @@ class IdentityToken(_Token):
         "dds.ca.sn",
         "dds.ca.algo",
         "pqsec.kagree_algo",
+        "pqsec.versions",
     )
 
     subject: str | None = None
@@ -57,6 +63,8 @@ class IdentityToken(_Token):
     ca_algorithm: str | None = None
     agreements: str | None = None
     """Names for c.kagree_algo that a Request may have, separated by commas."""
+    versions: str | None = None
+    """Versions that a Request may have, separated by commas; None: the first."""
 
     @classmethod
     def of(cls, certificate: Certificate, ca: Certificate) -> Self:
@@ -70,15 +78,32 @@ class IdentityToken(_Token):
 
     @classmethod
     def announced(
-        cls, certificate: Certificate, ca: Certificate, agreements: Iterable[KeyAgreement]
+        cls,
+        certificate: Certificate,
+        ca: Certificate,
+        agreements: Iterable[KeyAgreement],
+        versions: Iterable[WireVersion] = _FIRST,
     ) -> Self:
-        """The token that we send if we accept Requests for `agreements`.
+        """The token that we send if we accept Requests for `agreements`, in those `versions`.
 
         Without dds.ca.sn: OpenDDS 3.33 and 3.34 compare it with their own spelling, and no
         other stack uses it.
         """
         names = ",".join(each.wire_name for each in agreements)
-        return replace(cls.of(certificate, ca), ca_subject=None, agreements=names)
+        numbers = ",".join(f"{each}" for each in versions)
+        return replace(
+            cls.of(certificate, ca),
+            ca_subject=None,
+            agreements=names,
+            versions=None if numbers == _ALONE else numbers,
+        )
+
+    def reads(self, version: WireVersion) -> bool:
+        """Whether the sender announces that it accepts Requests of `version`.
+
+        As `knows`: a forger can have us use another version that we allow, or none.
+        """
+        return f"{version}" in (self.versions or _ALONE).split(",")
 
     def knows(self, agreement: KeyAgreement) -> bool:
         """Whether the sender announces that it accepts a Request for `agreement`.

@@ -13,7 +13,8 @@ _NOT_SETTINGS = (ValueError, KeyError, TypeError, AttributeError, RecursionError
 
 
 def settings_file(profile: Profile, domains: DomainSet) -> bytes:
-    """The content of pqsec.json."""
+    """The content of pqsec.json; UsageError for domains that `read_settings` would refuse."""
+    domains = DomainSet.of(*domains.parts)
     settings = {"format": FORMAT, "algorithms": profile.to_names(), "domains": str(domains)}
     return json.dumps(settings, indent=2).encode() + b"\n"
 

@@ -57,9 +57,11 @@ class Keystore:
     ) -> Self:
         """Create two CAs and a signed default governance in the folder `root`.
 
-        ExistsError if a keystore is there already: CA keys are never overwritten.
+        ExistsError if a keystore is there already: CA keys are never overwritten. UsageError for
+        domains that stacks read differently.
         """
         cls.refuse_occupied(root)
+        settings = _settings.settings_file(profile, domains)
         authorities = Authorities.create(profile, name, now=now, validity=validity)
         governance = Governance.protected(domains).to_xml()
         signed = authorities.sign(governance, now=now)
@@ -71,8 +73,7 @@ class Keystore:
             enclaves = transaction.folder(layout.ENCLAVES, private=False)
             enclaves.public(layout.GOVERNANCE_XML, governance)
             enclaves.public(layout.GOVERNANCE, signed)
-            settings = transaction.folder(".", private=False)
-            settings.public(layout.SETTINGS, _settings.settings_file(profile, domains))
+            transaction.folder(".", private=False).public(layout.SETTINGS, settings)
             transaction.record(
                 *authorities.entries(now), document_entry("governance", "", signed, now)
             )

@@ -56,7 +56,9 @@ def refuse_unknown(root: Path, name: str) -> None:
         )
     suggestion = ""
     with suppress(FileError):  # the name is missing whatever the other folders are
-        suggestion = meant(name, layout.names_in(root))
+        known = list(layout.names_in(root))
+        longer = [each for each in known if each.endswith("/" + name.lstrip("/"))]
+        suggestion = meant(name, known) if len(longer) != 1 else f"did you mean {longer[0]!r}?"
     hint = f"issue it with `pqsec issue {name}`; `pqsec ca show` lists the participants"
     raise KeystoreError(
         f"there is no participant {name} in {root}",

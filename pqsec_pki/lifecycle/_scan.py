@@ -74,7 +74,9 @@ class KeystoreScan:
             self._authority("permissions-ca", self.anchors.countersigner)
         with self._reported(f"{layout.ENCLAVES}/{layout.GOVERNANCE}") as path:
             governance = Governance.from_xml(self._document("governance", "", path))
-            self.domains = governance.domain_rules[0].domains
+            domains = governance.domain_rules[0].domains
+            if domains.is_read_alike:  # else the default stays: PQS231 is about this governance
+                self.domains = domains
         names = self.keystore.names()
         for name in names:
             self._participant(name)

@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
-from pqsec_pki.certificates import Certificate, name_text
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.lint._keys import key_kind, key_of
@@ -82,7 +82,7 @@ def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
         return signer.key_identifier == certificate.subject_key_identifier
     if signer.serial_number != certificate.serial_number:
         return False
-    return signer.issuer == name_text(certificate.issuer)
+    return signer.issuer == certificate.issuer_name
 
 
 def broken_digests(file: File) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from pqsec_pki.access import Alone
-from pqsec_pki.algorithms import pem, unpem
+from pqsec_pki.algorithms import unpem
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -53,7 +53,7 @@ class CertificateFile(Content):
             if label not in {"CERTIFICATE", "X509 CERTIFICATE", "TRUSTED CERTIFICATE"}:
                 continue
             try:
-                good.append(Certificate.from_pem(pem("CERTIFICATE", der)))
+                good.append(Certificate.shared(der))
             except PqsecError as error:
                 bad.append(str(error))
         return tuple(good), tuple(bad)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import FileError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
@@ -17,6 +18,7 @@ from pqsec_pki.lifecycle import (
     issue,
     plan_rollover,
 )
+from pqsec_pki.migration._remover import make_writable
 
 SAMPLES = ("/a", "/b")
 """The participants of a sample keystore. `a` and `b` make either side initiate in turn."""
@@ -75,8 +77,21 @@ def generations(
     yield current
     for number, profile in enumerate(profiles, 1):
         root = folder / f"generation{number}"
-        shutil.copytree(current.keystore.root, root, symlinks=True)
+        _copy(current.keystore.root, root)
         keystore = Keystore.open(root, to_change=True)
         plan = plan_rollover(keystore, Rollover(profile=profile), now=now)
         current = Generation(apply_rollover(keystore, plan, now=now).keystore, plan)
         yield current
+
+
+def _copy(root: Path, to: Path) -> None:
+    """The copy can be changed, even if `root` cannot.
+
+    FileError if anything in `root` cannot be copied, such as a named pipe.
+    """
+    try:
+        shutil.copytree(root, to, symlinks=True)
+    except shutil.Error as error:
+        where, _, why = error.args[0][0]
+        raise FileError(f"cannot be copied for a rehearsal ({why})", where=where) from None
+    make_writable(to)

@@ -1,14 +1,13 @@
 """Plans a migration from what sample participants can do in each profile and stack."""
 
-import tempfile
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
-from pathlib import Path
 
 from pqsec_pki.algorithms import Family, Profile, profile_named
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Rollover, RolloverPlan, plan_rollover
+from pqsec_pki.migration._throwaway import throwaway_folder
 from pqsec_pki.migration.generations import SAMPLES, Generation, generations, sample
 from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.steps import MigrationPlan, MigrationStep, StackNeeds
@@ -39,9 +38,9 @@ def plan_migration(
     """
     path = path_of(keystore.profile, target)
     steps: list[MigrationStep] = []
-    with tempfile.TemporaryDirectory(prefix="pqsec-migrate-") as folder:
-        first = sample(Path(folder) / "generation0", keystore.profile, now)
-        made = tuple(generations(first, path, Path(folder), now))
+    with throwaway_folder() as folder:
+        first = sample(folder / "generation0", keystore.profile, now)
+        made = tuple(generations(first, path, folder, now))
         finder = _StepFinder(stacks, now, has_plugin=keystore.profile.runs_in_stock is False)
         for old, new in pairwise(made):
             rollover = plan_rollover(keystore, Rollover(profile=new.profile), now=now)

@@ -1,16 +1,15 @@
 """Rehearses a migration on a copy of the keystore: every rollover, and handshakes between them."""
 
-import tempfile
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import combinations, pairwise
-from pathlib import Path
 
 from pqsec_pki._files import exists
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.credentials import ENCLAVES, KEY
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.migration._throwaway import throwaway_folder
 from pqsec_pki.migration.generations import Generation, generations
 from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.planning import path_of
@@ -57,7 +56,8 @@ class Rehearsal:
 def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal:
     """Take a copy of the keystore through the profiles to `target`.
 
-    The copy is in a folder that only its owner can read, and is removed. KeystoreError if fewer
+    The copy is in a folder that only its owner can read, and is removed, also if the process is
+    killed. KeystoreError if fewer
     than two participants have their keys here; other errors of a rollover.
     """
     enclaves = keystore.root / ENCLAVES
@@ -70,8 +70,8 @@ def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal
     chosen = tuple(names[:: -(-len(names) // SAMPLE)])
     path = path_of(keystore.profile, target)
     steps = []
-    with tempfile.TemporaryDirectory(prefix="pqsec-migrate-") as folder:
-        for old, new in pairwise(generations(keystore, path, Path(folder), now)):
+    with throwaway_folder() as folder:
+        for old, new in pairwise(generations(keystore, path, folder, now)):
             steps.append(_rehearsed(old, new, chosen, now))
     return Rehearsal(participants=len(names), sample=chosen, steps=tuple(steps))
 

@@ -40,19 +40,27 @@ class MigrationStep:
     level: int
     """NIST category of traffic after the step; 0 if it can be recorded and decrypted later."""
 
-    def lines(self, number: int) -> Iterator[str]:
-        """The step in words: its title, and a line for each fact."""
-        how = "stop the domain, change all robots, start it" if self.at_once else "robot by robot"
-        yield f"{number}. {self.title} ({how})"
-        yield from (f"   run      {each}" for each in self.commands)
-        yield from (f"   needs    {each.stack}: {each.needs}" for each in self.stacks)
-        yield f"   mixed    {self.mixed}"
-        yield from (f"   skipped  {each}" for each in self.if_skipped)
+    @property
+    def how(self) -> str:
+        """In which order robots change."""
+        return "stop the domain, change all robots, start it" if self.at_once else "robot by robot"
+
+    def facts(self) -> Iterator[tuple[str, str]]:
+        """The step in words: (kind, text) of each fact."""
+        yield from (("run", each) for each in self.commands)
+        yield from (("needs", f"{each.stack}: {each.needs}") for each in self.stacks)
+        yield "mixed", self.mixed
+        yield from (("skipped", each) for each in self.if_skipped)
         if self.reissued:
             plural = "" if self.reissued == 1 else "s"
-            yield f"   reissues {self.reissued} participant{plural}"
-        yield from (f"   not      {name}: {why}" for name, why in self.left_out.items())
-        yield f"   level    {self.level} of traffic after the step (NIST category; 0: none)"
+            yield "reissues", f"{self.reissued} participant{plural}"
+        yield from (("not", f"{name}: {why}") for name, why in self.left_out.items())
+        yield "level", f"{self.level} of traffic after the step (NIST category; 0: none)"
+
+    def lines(self, number: int) -> Iterator[str]:
+        """The step as text: its title, and a line for each fact."""
+        yield f"{number}. {self.title} ({self.how})"
+        yield from (f"   {kind:8} {text}" for kind, text in self.facts())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,3 +71,15 @@ class MigrationPlan:
     target: str
     steps: tuple[MigrationStep, ...]
     deadlines: tuple[Deadline, ...] = DEADLINES
+
+    def to_json(self) -> dict[str, object]:
+        """The plan for programs."""
+        return {
+            "from": self.before,
+            "to": self.target,
+            "steps": self.steps,
+            "deadlines": [
+                {"date": each.day.isoformat(), "what": each.what, "source": each.source}
+                for each in self.deadlines
+            ],
+        }

@@ -11,6 +11,7 @@ from enum import IntEnum
 
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake import (
     AuthRequest,
@@ -19,6 +20,7 @@ from pqsec_pki.handshake import (
     Done,
     Final,
     IdentityToken,
+    PeerRequirements,
     RemotePeer,
     Reply,
     Request,
@@ -37,6 +39,7 @@ from pqsec_pki.plugin.octets import Pairs
 from pqsec_pki.plugin.peer_table import Handshake, PeerTable
 from pqsec_pki.plugin.pending import PendingReplies
 from pqsec_pki.plugin.revocation_watch import RevocationWatch
+from pqsec_pki.plugin.trust import PROPERTIES
 
 NO_TOKEN = DataHolder("")
 """TOKEN_NIL. Cyclone DDS reads the length of the class id, so there must be one."""
@@ -64,7 +67,7 @@ class Authentication:
     def __init__(
         self, clock: Clock, note: Callable[[str], None], lists: NewestLists, answers: PendingReplies
     ) -> None:
-        self._now = clock
+        self._now, self._note = clock, note
         self._handles = Handles()
         self._peers = PeerTable(self._handles, answers, note)
         self._revocation_watch = RevocationWatch(self._handles, self._peers, lists, clock, note)
@@ -78,7 +81,11 @@ class Authentication:
         """The handle, the adjusted GUID, the second (of Unix time) when the identity expires, and
         whether the caller must call find_revoked."""
         del domain
-        local = Local.load(Properties(properties, folder), candidate, self._now())
+        found = Properties(properties, folder)
+        local = Local.load(found, candidate, self._now())
+        if found.optional(PROPERTIES[PERMISSIONS]):
+            permissions = found.source(PROPERTIES[PERMISSIONS])
+            local = local.with_versions_for(permissions, self._note)
         local = self._revocation_watch.admitted(local)
         end = end_of(local.certificate, local.anchors.issuer_of(local.certificate))
         return (
@@ -93,7 +100,8 @@ class Authentication:
         """The IdentityToken that discovery announces."""
         local = self._handles.get(identity, Local)
         ca, agreements = local.anchors.identity_ca, local.policy.agreements
-        token = IdentityToken.announced(local.certificate, ca, agreements)
+        versions = local.policy.versions
+        token = IdentityToken.announced(local.certificate, ca, agreements, versions)
         return ValidationResult.OK, token.to_holder()
 
     def set_permissions_credential_and_token(
@@ -144,7 +152,9 @@ class Authentication:
         local, remote, peer_state = self._peers.met(identity, peer)
         _check_known(peer_state.said, local.agreement)
         discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
-        request, state = begin(local.terms(discovered, peer_state.announced, data), local.agreement)
+        terms = local.terms(discovered, peer_state.announced, data)
+        terms = replace(terms, policy=_read_by(peer_state.said, local.agreement, terms.policy))
+        request, state = begin(terms, local.agreement)
         handle = self._peers.asked(local, identity, peer, state)
         return ValidationResult.PENDING_HANDSHAKE_MESSAGE, handle, request.to_holder()
 
@@ -153,7 +163,7 @@ class Authentication:
     ) -> tuple[ValidationResult, int, DataHolder]:
         """The handshake's handle, and the Reply."""
         local, remote, peer_state = self._peers.met(identity, peer)
-        request, now = Request.from_holder(token), self._now()
+        request, now = Request.from_holder(token, local.policy.readable), self._now()
         certificate = RemotePeer.read(request.introduction).certificate
         self._peers.refuse_early(identity, certificate, now)
         discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
@@ -170,17 +180,18 @@ class Authentication:
         handshake = self._handles.get(handle, Handshake)
         is_final = token.class_id == Final.CLASS_ID
         if handshake.answer and (is_final or handshake.asked is None):
-            done = handshake.answer.receive(Final.from_holder(token))
+            final = Final.from_holder(token, (handshake.answer.version,))
+            done = handshake.answer.receive(final)
             self._peers.finished(handshake, done)
             return ValidationResult.OK, NO_TOKEN
         if handshake.asked is None:
             raise LateError("the handshake is over: the message came late, or twice")
-        reply = Reply.from_holder(token)
+        reply = Reply.from_holder(token, (handshake.asked.request.version,))
         if reply.dh1 in handshake.earlier:
             raise LateError("a Reply to a Request that was given up for a later one: it came late")
-        final, done = self._finish(handshake.local, handshake.asked, reply)
+        last, done = self._finish(handshake.local, handshake.asked, reply)
         self._peers.finished(handshake, done)
-        return ValidationResult.OK_FINAL_MESSAGE, final.to_holder()
+        return ValidationResult.OK_FINAL_MESSAGE, last.to_holder()
 
     def get_shared_secret(
         self, handle: int
@@ -281,6 +292,25 @@ def _check_known(said: IdentityToken, agreement: KeyAgreement) -> None:
             " request: it may be a stock stack",
             hint='for peers with stock stacks put peers = "stock" in pqsec.toml',
         )
+
+
+def _read_by(
+    said: IdentityToken, agreement: KeyAgreement, policy: PeerRequirements
+) -> PeerRequirements:
+    """`policy` with the versions that the peer announces; VerificationError if there is none.
+
+    Versions are announced for agreements that bind the transcript; others have the first always.
+    """
+    if not agreement.binds_transcript:
+        return policy
+    allowed = policy.versions
+    versions = tuple(each for each in allowed if said.reads(each))
+    if not versions:
+        raise VerificationError(
+            f"the peer does not say that it reads version {allowed[0]} of the messages",
+            hint="put wire_versions = [2, 1] in pqsec.toml, or update the peer",
+        )
+    return replace(policy, versions=versions)
 
 
 def end_of(*certificates: Certificate) -> int:

@@ -1,5 +1,6 @@
 """A local participant: the result of validate_local_identity."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Self
@@ -13,14 +14,16 @@ from pqsec_pki.credentials import (
     TrustAnchors,
     key_problems,
 )
-from pqsec_pki.errors import located
+from pqsec_pki.errors import FileError, PqsecError, UsageError, located
 from pqsec_pki.handshake import (
     Discovered,
     Identity,
     Introduction,
     PeerRequirements,
     Terms,
+    WireVersion,
     adjusted_guid,
+    check_carried,
 )
 from pqsec_pki.plugin import credentials, trust
 from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
@@ -94,6 +97,29 @@ class Local:
             agreement=trusted.settings.agreements[0],
             policy=policy,
         )
+
+    def with_versions_for(self, permissions: Source, note: Callable[[str], None]) -> Self:
+        """The same, without the second version if that cannot carry our own documents.
+
+        Cyclone DDS announces the versions before it sets the permissions, so these are read here;
+        access control reports a file that cannot be read. UsageError if there is no other version.
+        """
+        policy = self.policy
+        if WireVersion.SECOND not in policy.readable:
+            return self
+        try:
+            check_carried(self.certificate.pem, permissions.read())
+        except FileError:
+            return self
+        except PqsecError as error:
+            rest = tuple(each for each in policy.versions if each is not WireVersion.SECOND)
+            words = f"version 2 of the messages cannot carry {permissions.where}: {error}"
+            if not rest:
+                hint = "put wire_versions = [2, 1] in pqsec.toml, or leave it out"
+                raise UsageError(words, hint=hint) from error
+            note(f"{words}; version 1 is used")
+            return replace(self, policy=replace(policy, versions=rest))
+        return self
 
     @property
     def revoked(self) -> RevocationList | None:

@@ -13,7 +13,7 @@
     signature   the signed statement beside a report
     rows        the report as CSV
 
-Nothing is decided here: the rooms `policy`, `lint` and `keystore` are asked.
+Nothing is decided here: the rooms `policy`, `lint`, `keystore` and `migration` are asked.
 """
 
 from typing import TYPE_CHECKING

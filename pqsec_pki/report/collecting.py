@@ -15,6 +15,7 @@ from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import Keystore, Line, Status, audit, robot_states
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
+from pqsec_pki.migration import MigrationPlan
 from pqsec_pki.policy import fleet_in
 from pqsec_pki.report.dates import KINDS, endings_of
 from pqsec_pki.report.history import events_of
@@ -39,6 +40,7 @@ Value = TypeVar("Value")
 RIGHTS = "Who may command what"
 ENDINGS = "What ends when"
 QUANTUM = "What a quantum computer breaks"
+MIGRATION = "Migration"
 FINDINGS = "What is wrong or risky"
 EVENTS = "What was issued, renewed and revoked"
 SIZES = "How large the handshakes are"
@@ -47,9 +49,16 @@ EVIDENCE = "Evidence"
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
-def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report:
+def report_of(
+    keystore: Keystore,
+    *,
+    now: datetime,
+    command: str = "",
+    migration: Callable[[], MigrationPlan] | None = None,
+) -> Report:
     """The report of the keystore at `now`. `command` is the command line that made it.
 
+    `migration` makes the plan that the report is to show; without it, it shows none.
     It needs no private key. Nothing is raised for a part that cannot be read or is not valid:
     the report has a gap for it.
     """
@@ -81,6 +90,7 @@ def report_of(keystore: Keystore, *, now: datetime, command: str = "") -> Report
         exposures=made.part(
             QUANTUM, lambda: exposures_of(keystore, authorities, checked, status, fleet)
         ),
+        migration=_of(migration, lambda plan: made.part(MIGRATION, plan)),
         findings=_of(checked, made.findings),
         events=_of(lines, events_of),
         sizes=_of(checked, lambda found: _sizes(found.inventory)),

@@ -17,11 +17,24 @@ MOST_FLOWS = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PictureTopic:
+    """A topic of the picture, or those of one side of an action as one."""
+
+    label: str
+    rows: tuple[RightsRow, ...]
+
+    @property
+    def is_pattern(self) -> bool:
+        """Whether it is, or has, a pattern."""
+        return any(each.is_pattern for each in self.rows)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PictureFlow:
     """Topics that the same participants may publish, and the same may subscribe to."""
 
     domains: str
-    rows: tuple[RightsRow, ...]
+    topics: tuple[PictureTopic, ...]
     publishers: tuple[Holder, ...]
     subscribers: tuple[Holder, ...]
 
@@ -73,7 +86,7 @@ def picture_of(rights: RightsSection) -> Picture:
     flows = [
         PictureFlow(
             domains=rows[0].domains,
-            rows=tuple(rows),
+            topics=tuple(_folded(rows)),
             publishers=rows[0].publishers,
             subscribers=rows[0].subscribers,
         )
@@ -87,6 +100,16 @@ def picture_of(rights: RightsSection) -> Picture:
         flows=tuple(shown),
         more=len(flows) - len(shown),
     )
+
+
+def _folded(rows: Sequence[RightsRow]) -> Iterable[PictureTopic]:
+    """The topics, in order; those of an action where the first of them is."""
+    sides = ros.action_sides(each.label for each in rows)
+    label_of = {topic: label for label, topics in sides.items() for topic in topics}
+    together: dict[str, list[RightsRow]] = defaultdict(list)
+    for row in rows:
+        together[label_of.get(row.label, row.label)].append(row)
+    return (PictureTopic(label=label, rows=tuple(alike)) for label, alike in together.items())
 
 
 def _parts(holders: Sequence[Holder]) -> tuple[object, ...]:

@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterator
 
 from pqsec_pki.errors import shown
+from pqsec_pki.migration import MigrationPlan
 from pqsec_pki.report.comparing import Changes
 from pqsec_pki.report.values import Report
 
@@ -49,6 +50,7 @@ def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
         )
     yield from _rights(report)
     yield from _keys(report)
+    yield from _migration(report.migration)
     for group in report.findings.groups if report.findings else ():
         for place in group.places:
             yield "finding", group.rule, group.severity.value, place.message, "", "", str(place)
@@ -102,6 +104,17 @@ def _keys(report: Report) -> Iterator[_Row]:
         yield "evidence", "ledger", lines, report.evidence.head, "", "", ""
         for problem in report.evidence.audit:
             yield "evidence", "ledger", "not intact", problem, "", "", ""
+
+
+def _migration(plan: MigrationPlan | None) -> Iterator[_Row]:
+    if plan is None:
+        return
+    yield "migration", plan.before, "to", plan.target, "", "", ""
+    for number, step in enumerate(plan.steps, 1):
+        for kind, text in (("step", step.title), ("how", step.how), *step.facts()):
+            yield "migration", f"step {number}", kind, text, "", "", ""
+    for each in plan.deadlines:
+        yield "migration", "date", "", each.what, "", each.day.isoformat(), each.source
 
 
 def _changed(changes: Changes | None) -> Iterator[_Row]:

@@ -6,6 +6,7 @@ from enum import StrEnum
 
 from pqsec_pki.keystore import InstallState, State
 from pqsec_pki.lint import Severity
+from pqsec_pki.migration import MigrationPlan
 
 FORMAT = 1
 """Of the JSON, which --compare reads."""
@@ -256,6 +257,8 @@ class Report:
     rights: RightsSection | None
     endings: tuple[Ending, ...] | None
     exposures: tuple[Exposure, ...] | None
+    migration: MigrationPlan | None
+    """None without a gap if nobody asked for it."""
     findings: FindingsSection | None
     events: tuple[LedgerEvent, ...] | None
     sizes: tuple[HandshakeSize, ...] | None
@@ -280,6 +283,7 @@ class Report:
             "rights": self.rights and _rights(self.rights),
             "endings": self.endings,
             "exposures": self.exposures,
+            "migration": self.migration,
             "findings": self.findings,
             "events": self.events,
             "handshake_sizes": self.sizes,

@@ -3,7 +3,7 @@
 import os
 import shlex
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.handshake import Identity, Terms, adjusted_guid, initiates
+from pqsec_pki.handshake import Identity, Terms, WireVersion, adjusted_guid, initiates
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
@@ -43,6 +43,8 @@ class HandshakeSetup:
     now: datetime
     agreement: KeyAgreement | None = None
     """None: the profile's, or the one that the stacks ask for."""
+    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+    """The versions of messages that pqsec sends and accepts, the first one preferred."""
     _read: dict[str, Credentials] = field(default_factory=dict, compare=False, repr=False)
     _documents: dict[str, ParticipantDocuments] = field(
         default_factory=dict, compare=False, repr=False
@@ -221,6 +223,8 @@ class HandshakeCheck:
             revocation_list=participant.revocation_list,
         )
         demands = policy(own, peer, self.setup.profile, self.setup.agreement)
+        if not (own.is_stock or peer.is_stock):
+            demands = replace(demands, versions=self.setup.versions)
         return SessionSide(
             participant=participant,
             stack=own,

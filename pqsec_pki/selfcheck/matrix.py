@@ -15,6 +15,7 @@ from typing import Any
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, KeyAgreement, Profile
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, VerificationError
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
@@ -82,7 +83,9 @@ class Suite:
         }
 
 
-def suites(now: datetime, rounds: int) -> Iterator[Suite]:
+def suites(
+    now: datetime, rounds: int, versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+) -> Iterator[Suite]:
     """Measure each profile with each key agreement, over `rounds` handshakes.
 
     FileError if no temporary folder can be created; VerificationError if a handshake fails.
@@ -91,7 +94,9 @@ def suites(now: datetime, rounds: int) -> Iterator[Suite]:
         with _temporary_folder() as folder:
             keystore = _keystore(folder / "keystore", profile, now)
             for agreement in KEY_AGREEMENTS:
-                setup = HandshakeSetup(keystore=keystore, domain=0, now=now, agreement=agreement)
+                setup = HandshakeSetup(
+                    keystore=keystore, domain=0, now=now, agreement=agreement, versions=versions
+                )
                 yield _measured([_met(setup) for _ in range(rounds)], profile, agreement)
 
 

@@ -5,6 +5,7 @@ only. Signed attributes are re-encoded by the verifier, so nothing signed is los
 """
 
 import re
+from functools import lru_cache
 
 from pqsec_pki.errors import MalformedError
 
@@ -13,6 +14,10 @@ MAX_DEPTH = 24
 MAX_CHILDREN = 4096
 MAX_SIZE = 1 << 20
 """Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
+_CERTIFICATE_DEPTH = 4
+"""ContentInfo, [0], SignedData, [0] certificates, Certificate (RFC 5652 3, 5.1)."""
+_MAX_CERTIFICATE = 64 << 10
+"""Bytes; larger ones are not remembered."""
 _CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
 _SEQUENCE, _SET, _OCTET_STRING = 0x30, 0x31, 0x04
 _NOT_CONSTRUCTED = {_SEQUENCE & ~_CONSTRUCTED, _SET & ~_CONSTRUCTED}
@@ -37,6 +42,21 @@ def to_der(data: bytes) -> bytes:
     return der
 
 
+def limit_values(data: bytes, most: int) -> None:
+    """MalformedError if `data` has more than `most` values; no more headers than that are read.
+
+    Conversion costs a Python call for each value, and a value can have two octets.
+    """
+    at = 0
+    for _ in range(most):
+        if at >= len(data):
+            return
+        tag, length, at = _header(data, at, len(data))
+        at += 0 if tag & _CONSTRUCTED else length or 0
+    if at < len(data):
+        raise MalformedError(f"the CMS structure has more than {most} values")
+
+
 def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]:
     """(DER of the value at `start`, offset of its end)."""
     if depth > MAX_DEPTH:
@@ -51,6 +71,8 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
         if tag in _CONTENT and not _CONTENT[tag][1].fullmatch(data, start, stop):
             raise MalformedError(f"a broken {_CONTENT[tag][0]}")
         return _value(tag, data[start:stop]), stop
+    if depth == _CERTIFICATE_DEPTH and tag == _SEQUENCE and length and length < _MAX_CERTIFICATE:
+        return _remembered(data[start : start + length]), start + length
     children, stop = _children(
         data, start, end if length is None else start + length, depth, length
     )
@@ -61,6 +83,13 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
     if tag == _SET:
         children.sort()
     return _value(tag, b"".join(children)), stop
+
+
+@lru_cache(maxsize=16)
+def _remembered(content: bytes) -> bytes:
+    """DER of a sequence at that depth: all signatures by a CA contain the CA's certificate."""
+    children, _ = _children(content, 0, len(content), _CERTIFICATE_DEPTH, len(content))
+    return _value(_SEQUENCE, b"".join(children))
 
 
 def _children(

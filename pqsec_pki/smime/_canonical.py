@@ -31,6 +31,17 @@ def file_of(
     `certificate` is the signer's, which is embedded if given. UnknownAlgorithmError if the
     digest is not supported.
     """
+    return joined(content, info, cms_of(info, counters, certificate))
+
+
+def joined(content: bytes, info: SignerInfo, der: bytes) -> bytes:
+    """The file of the CMS structure `der`, whose signature is `info`, over `content`."""
+    digest = digest_of(info.digest_algorithm.algorithm.dotted_string)
+    return _mime.join(content, der, digest.micalg)
+
+
+def cms_of(info: SignerInfo, counters: Iterable[SignerInfo], certificate: TLV | None) -> bytes:
+    """The CMS structure (DER) of that file; the parameters are those of `file_of`."""
     signer = _bare(info)
     if countersigned := {encode(_bare(each)) for each in counters}:
         signer.unsigned_attributes = [attribute(COUNTERSIGNATURE, *countersigned)]
@@ -42,9 +53,7 @@ def file_of(
         crls=None,
         signer_infos=SetOf([signer]),
     )
-    der = encode(ContentInfo(content_type=Oid(_cms.SIGNED_DATA), content=data))
-    digest = digest_of(signer.digest_algorithm.algorithm.dotted_string)
-    return _mime.join(content, der, digest.micalg)
+    return encode(ContentInfo(content_type=Oid(_cms.SIGNED_DATA), content=data))
 
 
 def _bare(info: SignerInfo) -> SignerInfo:

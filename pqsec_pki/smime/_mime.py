@@ -104,6 +104,8 @@ def content_of(document: bytes) -> bytes:
 
     A lone CR ends a line too, as in XML 1.0 2.11, because readers differ in how they treat it.
     """
+    if b"\r" not in document:  # so with documents that pqsec wrote, and any that peers send
+        return TEXT_HEADER + document.replace(b"\n", b"\r\n")
     return TEXT_HEADER + re.sub(rb"\r\n?|\n", b"\r\n", document)
 
 

@@ -15,12 +15,17 @@ from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.smime import _canonical, _mime, _reading, _signer_info
+from pqsec_pki.smime import _ber, _canonical, _cms, _mime, _reading, _signer_info
 from pqsec_pki.smime._signer_info import DATA, Signer
 from pqsec_pki.smime.signed_file import SignedFile
 
 MAX_COUNTERSIGNATURES = 16
 """pqsec writes one. Each one takes a verification, and no signature covers their number."""
+MAX_CARRIED = 32 << 10
+"""Bytes of a CMS structure for `joined`, whose input nobody has verified. One with two signatures
+by the largest keys has 10 kB."""
+MAX_CARRIED_VALUES = 512
+"""ASN.1 values in it, because each costs about a microsecond. One with two signatures has 80."""
 _CLASSICAL = {Family.CLASSICAL, Family.HYBRID}
 _PQ = {Family.PQ, Family.HYBRID}
 
@@ -157,6 +162,38 @@ def is_canonical(message: bytes | SignedFile) -> bool:
     except PqsecError:
         return False
     return canonical == file.message
+
+
+def parts_of(message: bytes | SignedFile) -> tuple[bytes, bytes]:
+    """The CMS structure (canonical DER, no certificate embedded) and the document (LF line ends).
+
+    `joined` makes a file of them. Nothing is verified. MalformedError if S/MIME `message` cannot
+    be divided like this, since its signed part has other headers or line ends than pqsec writes.
+    """
+    file = SignedFile.of(message)
+    info, document = _signer(file.cms), file.reading.document.replace(b"\r\n", b"\n")
+    if b"\r" in document or file.reading.content != _mime.content_of(document):
+        raise MalformedError(
+            "the signed part is not in pqsec's canonical form",
+            hint="sign the document again with `pqsec`",
+        )
+    return _canonical.cms_of(info, _counters(info), None), document
+
+
+def joined(cms: bytes, document: bytes) -> bytes:
+    """The canonical S/MIME file of the parts of `parts_of`; nothing is verified.
+
+    Different parts make different files. MalformedError if the parts are not in canonical form,
+    or the CMS structure is larger than MAX_CARRIED or has more than MAX_CARRIED_VALUES.
+    """
+    if len(cms) > MAX_CARRIED:
+        raise MalformedError(f"a CMS structure larger than {MAX_CARRIED} bytes is not carried")
+    _ber.limit_values(cms, MAX_CARRIED_VALUES)
+    info = _signer(_cms.parse(cms))
+    unclear = b"\r" in document or b"\0" in document
+    if unclear or _canonical.cms_of(info, _counters(info), None) != cms:
+        raise MalformedError("the parts of the signed document are not in canonical form")
+    return _canonical.joined(_mime.content_of(document), info, cms)
 
 
 def _signer(data: SignedData) -> SignerInfo:

@@ -30,7 +30,7 @@ ADAPTER, RECORD = "pqsec-fastdds-{}.so", "pqsec-fastdds-{}.json"
 """Files of an adapter, named by the build ID of the library that it is for."""
 FASTDDS_SOURCES = SOURCES.with_name("fastdds")
 
-_SHIM = ("wire.c", "frames.c", "link.c", "agent.c")
+_SHIM = ("wire.c", "frames.c", "link.c", "agent.c", "watch.c")
 _ADAPTER = ("agent.cpp", "sessions.cpp", "authentication.cpp", "access_control.cpp")
 _FLAGS = (
     *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),

@@ -88,16 +88,17 @@ def _compiler(stack: OpenDds, standard: str, compilers: Compilers) -> list[str]:
 
 def _standard(stack: OpenDds, folder: Path, compilers: Compilers) -> str:
     """The first that the headers compile with; CompileError, with the last one's words, if none."""
-    for standard in _STANDARDS:
+
+    def probe(standard: str) -> str:
         command = _compiler(stack, standard, compilers)
-        try:
-            compilers.run([*command, "-fsyntax-only", "-x", "c++", _PROBED], folder)
-        except CompileError:
-            if standard == _STANDARDS[-1]:
-                raise
-        else:
-            return standard
-    raise AssertionError  # pragma: no cover -- the last one returns or raises
+        compilers.run([*command, "-fsyntax-only", "-x", "c++", _PROBED], folder)
+        return standard
+
+    *others, last = _STANDARDS
+    for each in others:
+        with suppress(CompileError):
+            return probe(each)
+    return probe(last)
 
 
 def install_opendds(

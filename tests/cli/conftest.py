@@ -66,11 +66,14 @@ class Result:
         return self
 
     def refused(
-        self, code: int, *words: str, hint: str | None = None, problems: int = 1
+        self, code: int, *words: str, hint: str | None = None, problems: int = 1, shows: str = ""
     ) -> "Result":
-        """This, which must be a refusal in the house's form that holds all the words."""
+        """This, which must be a refusal in the house's form that holds all the words.
+
+        It `shows` that on stdout; by default nothing.
+        """
         assert self.code == code, self
-        assert self.out == ""
+        assert shows in self.out if shows else self.out == ""
         assert len(self.errors) == problems, self.err
         assert not [word for word in words if word not in "\n".join(self.errors)], self.err
         last = self.err.splitlines()[-1]

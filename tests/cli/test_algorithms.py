@@ -68,6 +68,14 @@ def test_algorithms_that_no_stock_stack_runs_are_told_as_such(pqsec):
         assert f"  {each.get('identities_run_in') or each['runs_in']}  " in line
 
 
+def test_an_experimental_algorithm_is_told_as_such(pqsec):
+    values = pqsec("algorithms --json").done().json
+    rows = values["signatures"] + values["key_agreements"]
+    assert [each["name"] for each in rows if each["experimental"]] == ["xwing"]
+    assert "xwing (experimental)  " in pqsec("algorithms").done().out
+    assert "xwing" not in pqsec("profiles").out
+
+
 @pytest.mark.parametrize("line", ["profiles", "algorithms"])
 def test_nothing_is_told_of_a_plugin(pqsec, line):
     assert "plugin" not in pqsec(line).out + pqsec(f"{line} --json").out

@@ -35,6 +35,7 @@ COMPANY = {
     "ca rotate": "--apply --yes --no-passphrase",
     "ca rotate --passphrase-file": "--apply --yes",
     "demo": "--profile classical",
+    "estimate": "",
     "explain": "--participant /talker --publish rt/chatter",
     "explain --governance": "--permissions k/enclaves/talker/permissions.xml --publish t",
     "explain --permissions": "--governance k/enclaves/governance.xml --publish t",
@@ -274,7 +275,9 @@ def found_in(result, *, unchanged: bool) -> Iterator[str]:
     if result.code in {2, 3}:
         # A check and a report tell what they found, and that it is not all.
         incomplete = "; incomplete: " in result.out or " is incomplete: " in result.err
-        if result.out and not incomplete:
+        # A command that cannot ask has shown what it would do.
+        cannot_ask = ", and no terminal to ask" in result.err
+        if result.out and not (incomplete or cannot_ask):
             yield f"a result beside an error: {result.out[:80]}"
         if "pqsec: error: " not in result.err and not incomplete:
             yield "no error is told"

@@ -334,7 +334,7 @@ def test_a_robot_of_two_participants_keeps_both(pqsec, asked, tmp_path):
     enclaves = tmp_path / "r/current/enclaves/fleet"
     assert sorted(each.name for each in enclaves.iterdir()) == ["arm", "robot1"]
     line = "install fleet+robot1.bundle --dir r --only"
-    pqsec(line).refused(2, "/fleet/arm would be removed", hint="--yes")
+    pqsec(line).refused(2, "/fleet/arm would be removed", hint="--yes", shows="remove: /fleet/arm")
     assert sorted(each.name for each in enclaves.iterdir()) == ["arm", "robot1"]
     pqsec(f"{line} --yes").done()
     assert [each.name for each in enclaves.iterdir()] == ["robot1"]

@@ -31,6 +31,7 @@ READING = {
     "check": ["k"],
     "report": ["", "--format csv"],
     "cbom": ["", "k"],
+    "estimate": [""],
     "migrate plan": ["", "--rehearse"],
     "verify": ["k/enclaves/governance.p7s"],
     "verify-handshake": ["/talker /listener", "--all"],

@@ -154,7 +154,7 @@ def test_the_order_of_the_names_does_not_change_who_initiates(pqsec, keystore):
     assert one["why"].startswith(f"{one['initiator']} initiates: its GUID is smaller")
 
 
-@pytest.mark.parametrize("kem", [row.name for row in KEY_AGREEMENTS])
+@pytest.mark.parametrize("kem", [*(row.name for row in KEY_AGREEMENTS), "xwing"])
 def test_any_key_agreement_can_be_tried(pqsec, keystore, kem):
     keystore("transition")
     row = KEY_AGREEMENTS.named(kem)

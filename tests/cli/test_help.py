@@ -336,6 +336,7 @@ def test_what_is_documented_as_no_ends_with_1(run_in, damaged):
 FAILS = {
     "agent log": "",
     "bundle-key": "--dir credentials",
+    "estimate": "--participants 5 --costs nowhere.json",
     "demo": "robots",
     "governance new": "-o names.txt",
     "governance schema": "-o names.txt",

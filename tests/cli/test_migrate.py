@@ -49,7 +49,9 @@ def test_the_stacks_of_a_domain_file_and_its_steps(pqsec, tmp_path):
         "change the profile  (from classical to transition: new CAs, and new certificates for 2"
         " participants)\n1 change; 0 participants are up to date\n"
     )
-    pqsec("-k k apply 1-transition.yaml").refused(2, "no terminal to ask")
+    pqsec("-k k apply 1-transition.yaml").refused(
+        2, "no terminal to ask", shows="change the profile"
+    )
     done = pqsec("-k k apply 1-transition.yaml --yes --no-passphrase").done()
     assert done.out == "change the profile: done\n"
     assert "restart all participants" in done.err

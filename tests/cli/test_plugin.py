@@ -83,7 +83,9 @@ def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
         ("cyclonedds", True),
         ("fastdds", False),
     ]
-    pqsec(f"plugin uninstall --dir {folder}").refused(2, "8 files would be removed", hint="--yes")
+    pqsec(f"plugin uninstall --dir {folder}").refused(
+        2, "8 files would be removed", hint="--yes", shows="libpqsec_dds.so"
+    )
     removed = pqsec(f"plugin uninstall --yes --dir {folder} --json").done().json["removed"]
     assert len(removed) == 8
     assert not folder.exists()

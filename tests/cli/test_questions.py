@@ -349,6 +349,8 @@ def test_signed_files_are_unverified_unless_a_ca_is_named(pqsec, keystore):
         (f"{FILES} --publish a --subject nobody", "--subject: 'nobody' is not a subject name"),
         (f"{FILES} --ros-publish chatter", "not a full ROS 2 name"),
         (f"{FILES} --publish a --participant /x", "excludes --governance"),
+        (f"{FILES} /x --publish a", "excludes --governance"),
+        ("explain /x --participant /x --publish a", "they mean the same"),
         ("explain --governance g.xml --publish a", "no participant named"),
         ("explain --publish a", "no participant named"),
         ("explain --participant /x --publish a", "no keystore"),

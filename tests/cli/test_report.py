@@ -1,14 +1,29 @@
 """pqsec report: the file that it writes, and its exit codes."""
 
 import json
+import os
+import pty
 import shutil
 import subprocess
+import sys
 
 import pytest
 
 from tests.cli.conftest import NAMES
+from tests.unit.test_migration import DOMAIN
 
 CHROMIUM = shutil.which("chromium")
+
+
+def test_a_page_is_not_written_to_a_terminal(keystore, tmp_path):
+    keystore("classical")
+    screen, terminal = pty.openpty()
+    line = [sys.executable, "-m", "pqsec_pki", "-k", tmp_path / "k", "report"]
+    done = subprocess.run(line, stdout=terminal, stderr=subprocess.PIPE, check=False)
+    os.close(terminal)
+    os.close(screen)
+    assert done.returncode == 2
+    assert b"-o report.html" in done.stderr
 
 
 def test_the_page_is_written_for_its_owner_alone_and_never_over_another_file(
@@ -45,6 +60,22 @@ def test_json_is_the_same_with_the_common_option(pqsec, keystore):
     )
     different = {key for key in one if one[key] != other[key]}
     assert different <= {"at", "command"}
+
+
+def test_the_steps_to_another_profile_are_those_of_migrate_plan(pqsec, keystore, tmp_path):
+    keystore("classical")
+    told = "--stack cyclonedds --json"
+    plan = pqsec(f"-k k migrate plan --to cnsa2 {told}").done().json
+    found = pqsec(f"-k k report --migrate-to cnsa2 {told}").done().json["migration"]
+    assert found == plan
+    (tmp_path / "names.txt").write_text("/talker\n/listener\n")
+    (tmp_path / "domain.yaml").write_text(DOMAIN)
+    line = "-k k report --migrate-to transition --domain-file domain.yaml --json"
+    [step] = pqsec(line).done().json["migration"]["steps"]
+    assert [each["stack"] for each in step["stacks"]] == ["Cyclone DDS", "Fast DDS 3.1"]
+    pqsec("-k k report --stack cyclonedds").refused(2, "for a migration", hint="--migrate-to")
+    pqsec("-k k report --domain-file domain.yaml").refused(2, "for a migration")
+    pqsec("-k k report --migrate-to pq --domain-file none.yaml").refused(3, "none.yaml")
 
 
 def test_changes_since_an_earlier_report(pqsec, keystore):

@@ -15,6 +15,7 @@ import pytest
         ("fastdds /talker /listener --topic ''", "the topic is empty", "omit --topic"),
         ("connext /talker /listener", "'connext' is not one of", "--help"),
         ("fastdds /talker /listener --timeout 0", "--timeout", "--help"),
+        ("fastdds /talker /listener --timeout nan", "'nan' is not a finite number", "--help"),
         ("fastdds /talker /listener --domain 231", "--domain", "--help"),
         ("fastdds /talker /listener --domain 9", "domain 9", "--topic"),
     ],

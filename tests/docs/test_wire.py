@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES
+from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, profile_named
 from pqsec_pki.algorithms._agreement import Hybrid
 from pqsec_pki.algorithms._composite import _PREFIX as COMPOSITE_PREFIX
 from pqsec_pki.algorithms._composite import Composite
@@ -31,6 +31,7 @@ from pqsec_pki.handshake import (
     Transcript,
     TransformationKind,
     adjusted_guid,
+    compact,
     key_exchange_material,
     participant_data,
 )
@@ -45,9 +46,11 @@ from pqsec_pki.handshake.wire import (
     MAX_TOKENS,
     encode_properties,
 )
+from pqsec_pki.selfcheck import HandshakeSetup, matrix
 from pqsec_pki.selfcheck.matrix import DATAGRAM, FRAGMENT, suites
 from pqsec_pki.selfcheck.run import AROUND_TOKEN
 from pqsec_pki.selfcheck.session import _STATELESS_WRITER as STATELESS_WRITER
+from pqsec_pki.smime.document import MAX_CARRIED, MAX_CARRIED_VALUES
 from tests.docs.tables import Document, missing, number
 from tests.vectors.handshake import make_pq
 
@@ -56,6 +59,9 @@ PAPER = Document("explanation/paper.md")
 CHECKS = Document("../tests/docs/checks.md")
 IN_CYCLONE = (612, 676)
 """Octets of the sample of a Request or Reply beyond pqsec's token, with Cyclone DDS's c.pdata."""
+MOST_RATIO = 1.12
+"""The target for the second version."""
+SMALL_FRAGMENT = 1300
 AFEW = 40
 """Octets by which a message varies: ECDSA signatures in it, in PEM, and serial numbers."""
 
@@ -169,6 +175,26 @@ def names_of(message):
     return found
 
 
+@pytest.mark.parametrize("message", [Request, Reply, Final])
+def test_the_binary_properties_of_the_second_version(message):
+    rows = WIRE.table("Message", "Binary properties of the second version, in order")
+    (row,) = (each for each in rows if message.__name__ in each.values())
+    names = row["Binary properties of the second version, in order"].split(", ")
+    assert tuple(names) == compact.names(message.CLASS_ID)
+
+
+def test_the_dictionary_and_the_mark_of_the_second_version():
+    text = WIRE.section("5.1 The second version")
+    (dictionary,) = re.findall(r"(?s)```xml\n(.*?)```", text)
+    assert dictionary.encode() == compact.CREDENTIALS_DICTIONARY
+    marks = re.findall("`(ver)`(?: is|:| =) `([0-9]+)`", text)
+    assert [(name, bytes.fromhex(value)) for name, value in marks] == [
+        *compact.WireVersion.SECOND.mark,
+        *compact.WireVersion.SECOND.mark,
+    ]
+    assert compact.WireVersion.FIRST.mark == ()
+
+
 @pytest.mark.parametrize("message", [Request, Reply, Final, AuthRequest])
 def test_the_binary_properties_of_a_message(message):
     rows = [
@@ -235,7 +261,7 @@ def test_composites():
     for row, composite in zip(found, COMPOSITES, strict=True):
         assert row["c.dsign_algo"] == composite.wire_name == composite.token_name
         assert row["OID"] == composite.key_oid
-        assert row["Prehash"].lower() == composite.digest.name
+        assert row["Prehash"].lower() == composite.digest.name.replace("_", "")
         assert keys[row["ML-DSA"]] is composite.ml_dsa
         other = keys.get(row["Other"])
         assert (other.name if other else row["Other"].lower()) == composite.traditional.name
@@ -246,7 +272,8 @@ def test_the_labels_of_a_composite():
     label, prefix = re.findall('"(.*?)"', WIRE.block("7.2 Composite"))
     assert prefix.encode() == COMPOSITE_PREFIX
     for row in COMPOSITES:
-        assert row.label == label.encode() + row.wire_name.encode()
+        name = re.sub("brainpoolP(256|384)r1", r"BP\1", row.wire_name)
+        assert row.label == label.encode() + name.encode()
 
 
 def test_pairs():
@@ -405,6 +432,9 @@ def test_limits():
         "a token": MAX_TOKEN,
         "a sample": MAX_SAMPLE,
         "a certificate": MAX_CERTIFICATE,
+        "id of the second version, inflated": compact.MAX_CREDENTIALS,
+        "the CMS structure in id": MAX_CARRIED,
+        "ASN.1 values in that structure": MAX_CARRIED_VALUES,
         "properties in one list": MAX_PROPERTIES,
         "tokens in one message": MAX_TOKENS,
         "a submessage to be protected": MAX_SUBMESSAGE,
@@ -434,6 +464,52 @@ def test_sizes_are_those_that_are_measured(now):
     assert f"A sample is {AROUND_TOKEN} octets longer" in WIRE.text
     longer = "their samples are {} to {} octets longer".format(*IN_CYCLONE)
     assert longer in " ".join(WIRE.text.split())
+
+
+def irreducible(profile):
+    """Octets of public keys, ciphertext and signatures of Request, Reply and Final."""
+    keys = [key for key in (profile.participant_key, profile.alternative_key) if key]
+    own = sum(key.signature_size for key in keys)
+    credentials = sum(key.public_key_size for key in keys)
+    for authority in (profile.identity_key, profile.permissions_key):
+        both = (authority, profile.alternative_key)
+        credentials += sum(key.signature_size for key in both if key)
+    agreement = profile.key_agreement
+    reply = credentials + agreement.ciphertext_size + own
+    return credentials + agreement.public_size, reply, own
+
+
+def measured_tokens(now, folder, profile):
+    """Octets of the three tokens of the second version, with the profile's key agreement."""
+    keystore = matrix._keystore(folder / profile.name, profile, now)
+    versions = (compact.WireVersion.SECOND,)
+    setup = HandshakeSetup(keystore=keystore, domain=0, now=now, versions=versions)
+    return list(matrix._met(setup).token_bytes.values())
+
+
+def small_fragments(sizes):
+    return ", ".join(str(-(-(int(size) + AROUND_TOKEN) // SMALL_FRAGMENT)) for size in sizes)
+
+
+def test_sizes_of_the_second_version_and_their_ratio(now, tmp_path):
+    firsts = {
+        (row["Profile"], row["c.kagree_algo"]): row for row in WIRE.table("Profile", "c.dsign_algo")
+    }
+    rows = WIRE.table("Profile", "Request 2")
+    assert [row["Profile"] for row in rows] == ["transition", "hybrid", "pq", "cnsa2"]
+    for row in rows:
+        profile = profile_named(row["Profile"])
+        sizes = [int(row[name]) for name in ("Request 2", "Reply 2", "Final 2")]
+        measured = measured_tokens(now, tmp_path, profile)
+        assert measured == pytest.approx(sizes, abs=2 * AFEW)
+        least = irreducible(profile)
+        assert all(size <= MOST_RATIO * due for size, due in zip(measured, least, strict=True))
+        ratios = [f"{size / due:.2f}" for size, due in zip(sizes, least, strict=True)]
+        assert [row[name] for name in ("Ratio", "Ratio 1", "Ratio 2")] == ratios
+        first = firsts[profile.name, profile.key_agreement.wire_name]
+        before = [first[name] for name in ("Request", "Reply", "Final")]
+        assert row["Small fragments, before"] == small_fragments(before)
+        assert row["After"] == small_fragments(sizes)
 
 
 # The text

@@ -1,10 +1,13 @@
 """Whatever a peer may send: tokens, messages, protected data, public values, ciphertexts."""
 
+import zlib
 from functools import cache, partial
 
-from pqsec_pki.algorithms import KEY_AGREEMENTS
+from pqsec_pki.algorithms import KEY_AGREEMENTS, pem
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import (
+    CREDENTIALS_DICTIONARY,
     AuthRequest,
     ByteOrder,
     DataHolder,
@@ -18,14 +21,16 @@ from pqsec_pki.handshake import (
     Request,
     Sender,
     TransformationKind,
+    compact,
     participant_data,
     participant_guid,
     reply_to,
     unprotect_payload,
     unprotect_submessage,
 )
+from pqsec_pki.smime import parts_of
 from tests.fuzz import mutation
-from tests.fuzz.people import NOW, enrolled, meet
+from tests.fuzz.people import NOW, enrolled, meet, meet_in_second
 
 SUITES = {
     "ecdsa-p256": "ecdh-p256",
@@ -75,6 +80,48 @@ def take_reply(data):
 def take_final(data):
     message = Final.from_holder(DataHolder.decode(data))
     return meeting_of(message.challenge1).awaiting.receive(message)
+
+
+# The second version of these messages, which repeat no challenge
+
+
+@cache
+def second():
+    return meet_in_second(PAIR, KEY_AGREEMENTS.named("x25519mlkem768"))
+
+
+def second_token(name):
+    return [getattr(second(), name).to_holder().encode()]
+
+
+def take_second_request(data):
+    return reply_to(second().of_bob, Request.from_holder(DataHolder.decode(data)), now=NOW)
+
+
+def take_second_reply(data):
+    return second().waiting.receive(Reply.from_holder(DataHolder.decode(data)), now=NOW)
+
+
+def take_second_final(data):
+    return second().awaiting.receive(Final.from_holder(DataHolder.decode(data)))
+
+
+def credentials():
+    """What `id` has, before it is compressed."""
+    introduction = second().request.introduction
+    der = Certificate.from_pem(introduction.certificate).der
+    return [b"".join((der, *parts_of(introduction.permissions)))]
+
+
+def take_credentials(data):
+    """Inflated, whatever they are; what is taken is canonical, and makes them again."""
+    compressor = zlib.compressobj(1, wbits=-15, zdict=CREDENTIALS_DICTIONARY)
+    deflated = compressor.compress(data) + compressor.flush()
+    certificate, permissions = compact._inflated(deflated)
+    cms, document = parts_of(permissions)
+    assert data.endswith(cms + document)
+    assert pem("CERTIFICATE", data[: -len(cms + document)]) == certificate
+    return permissions
 
 
 # Bytes of the wire
@@ -200,6 +247,10 @@ TARGETS = {
     "request": (take_request, partial(tokens, "request"), mutation.token),
     "reply": (take_reply, partial(tokens, "reply"), mutation.token),
     "final": (take_final, partial(tokens, "final"), mutation.token),
+    "second-request": (take_second_request, partial(second_token, "request"), mutation.token),
+    "second-reply": (take_second_reply, partial(second_token, "reply"), mutation.token),
+    "second-final": (take_second_final, partial(second_token, "final"), mutation.token),
+    "credentials": (take_credentials, credentials),
     "participant-data": (
         participant_guid,
         lambda: [participant_data(bytes(range(16)))],

@@ -4,7 +4,7 @@ Alice begins and Bob replies. Carol and Dave are other people with the same keys
 they say fits as well as anything a stranger could say.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 
@@ -22,10 +22,12 @@ from pqsec_pki.handshake import (
     Request,
     RequestSent,
     Terms,
+    WireVersion,
     adjusted_guid,
     begin,
     reply_to,
 )
+from pqsec_pki.smime import Signer, sign
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -85,13 +87,31 @@ class Meeting:
     """Alice's."""
 
 
+@cache
+def signed(name):
+    """The signed permissions of CN=`name`: the second version carries no others."""
+    ca = authority("ecdsa-p256")
+    document = f"<dds><permissions>of {name}</permissions></dds>\n".encode()
+    return sign(document, Signer(ca.certificate, ca.key), now=NOW)
+
+
 def meet(kind, agreement, *, alice="alice", bob="bob", optional=True):
     """Two people of one kind of key meet; without what is `optional` if that is False."""
-    one, other = enrolled(kind, alice), enrolled(kind, bob)
+    return shaken(enrolled(kind, alice), enrolled(kind, bob), agreement, optional=optional)
+
+
+def meet_in_second(kind, agreement):
+    """Alice and Bob meet, with messages of the second version."""
+    own = [replace(enrolled(kind, name), permissions=signed(name)) for name in ("alice", "bob")]
+    return shaken(*own, agreement, version=WireVersion.SECOND)
+
+
+def shaken(one, other, agreement, *, optional=True, version=WireVersion.FIRST):
+    """The handshake of two identities."""
     of_alice, of_bob = (
         Terms(
             own=own,
-            policy=EVERYTHING,
+            policy=replace(EVERYTHING, versions=(version,)),
             discovered=Discovered(guid=peer.guid),
             dialect=Dialect(sends_optional=optional),
         )

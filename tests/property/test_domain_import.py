@@ -3,8 +3,10 @@
 import tempfile
 from dataclasses import replace
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +15,7 @@ from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
+    DomainRange,
     DomainSet,
     Grant,
     PermissionRule,
@@ -24,6 +27,7 @@ from pqsec_pki.domain._name_patterns import patterns_of
 from pqsec_pki.domain._shared_rules import FoundParticipant
 from pqsec_pki.domain._sources import ImportSource
 from pqsec_pki.domain.importing import imported
+from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
@@ -199,6 +203,29 @@ def test_a_plan_of_what_was_imported_has_no_change(how, rules, governance, permi
         copy = Path(folder, "copy")  # applied elsewhere, it says the same again
         apply(read_domain(file), copy, passphrase=None, now=NOW)
         assert text_of(copy).partition(b"\n")[2] == text.partition(b"\n")[2]
+
+
+@pytest.mark.parametrize(
+    "foreign", [DomainRange(first=0), DomainRange(first=0, last=231), DomainRange(first=9, last=0)]
+)
+def test_domains_that_stacks_read_differently_are_no_default_of_a_keystore(tmp_path, foreign):
+    domains = DomainSet(parts=(foreign,))
+    create = partial(
+        *(Keystore.create, tmp_path / "k", profile_named("classical")),
+        name="Lab",
+        validity=4000 * DAY,
+        passphrase=None,
+        now=NOW,
+    )
+    with pytest.raises(UsageError):
+        create(domains=domains)
+    assert not (tmp_path / "k").exists()
+    keystore = create(domains=ZERO)
+    issued(keystore, {"/arm": "policy"}, (PermissionRule(allow=False, domains=domains),))
+    text = text_of(keystore.root)
+    (tmp_path / "domain.yaml").write_bytes(text)
+    apply(read_domain(tmp_path / "domain.yaml"), tmp_path / "copy", passphrase=None, now=NOW)
+    assert text_of(tmp_path / "copy").partition(b"\n")[2] == text.partition(b"\n")[2]
 
 
 def test_a_governance_signed_by_hand_is_imported(tmp_path):

@@ -18,6 +18,7 @@ from pqsec_pki.documents import Governance, Permissions, read_tree, sros2, valid
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.inspection import describe
 from pqsec_pki.lint import check
+from tests.longer import some
 
 MAX_SECONDS = 20
 MAX_MEMORY = 2 << 30
@@ -171,14 +172,19 @@ def outcome(reader, data):
     return None
 
 
+def those_for(reader):
+    """The names of the documents that it meets."""
+    return some(list(ALL), list(READERS).index(reader))
+
+
 def meet_all(reader):
     """In a process of its own: a line for each document."""
     import resource  # noqa: PLC0415 -- there
 
     outcome(reader, DOCUMENT.encode())  # what is loaded once
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
-    for name, make in ALL.items():
-        data = make()
+    for name in those_for(reader):
+        data = ALL[name]()
         start = time.process_time()
         said = outcome(reader, data)
         print(json.dumps([name, said, time.process_time() - start]), flush=True)
@@ -205,11 +211,11 @@ def met(reader, folder):
 @pytest.mark.parametrize("reader", READERS)
 def test_every_reader_ends_soon_and_with_an_error_of_ours(reader, tmp_path_factory):
     results = met(reader, tmp_path_factory.mktemp(reader))
-    assert set(results) == set(ALL)
+    assert list(results) == those_for(reader)
     assert {name: said for name, (said, _) in results.items() if isinstance(said, list)} == {}
     slow = {name: seconds for name, (_, seconds) in results.items() if seconds > MAX_SECONDS}
     assert slow == {}
-    for name in REFUSED if reader not in TOLERANT else ():
+    for name in REFUSED.keys() & results if reader not in TOLERANT else ():
         said, _ = results[name]
         assert said, f"{name} was read"
         assert len(said) < 20_000

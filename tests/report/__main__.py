@@ -15,7 +15,9 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue, revoke
+from pqsec_pki.migration import plan_migration
 from pqsec_pki.report import Report, html_of, report_of
+from pqsec_pki.selfcheck import STACKS
 from tests.unit.test_report import hostile
 
 YEAR = timedelta(days=365)
@@ -69,7 +71,13 @@ def report_of_fleet(root: Path, profile: str, robots: int, now: datetime) -> Rep
     authorities = keystore.unlock(None)
     issue(keystore, authorities, list(fleet(robots)), now=now)
     revoke(keystore, authorities, ["/tools/joystick"], now=now)
-    return report_of(keystore, now=now, command="pqsec report")
+    stacks = tuple(each for each in STACKS if each.is_stock)
+    return report_of(
+        keystore,
+        now=now,
+        command="pqsec report --migrate-to pq",
+        migration=lambda: plan_migration(keystore, profile_named("pq"), stacks, now=now),
+    )
 
 
 def fleet(robots: int) -> Iterator[ParticipantSpec]:

@@ -10,7 +10,7 @@ from cryptography.x509.oid import NameOID
 
 from pqsec_pki.algorithms import PROFILES, load_private_key, private_key_pem, profile_named
 from pqsec_pki.certificates import Authority, Certificate, revocation_list, verify_chain
-from pqsec_pki.documents import DomainSet, Permissions
+from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 from pqsec_pki.errors import (
     ExistsError,
     KeystoreError,
@@ -28,6 +28,7 @@ from pqsec_pki.lifecycle import (
     plan_rollover,
     renew,
     revoke,
+    sign_governance,
 )
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import verify_handshake
@@ -73,6 +74,16 @@ def test_no_file_that_was_there_is_changed(sros2):
     }
     assert done.participants == ["/fleet/robot1", "/talker"]
     assert done.refused == {}
+
+
+def test_a_governance_for_domains_that_stacks_read_differently_is_adopted(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    endless = DomainSet(parts=(DomainRange(first=0),))
+    sign_governance(keystore, keystore.unlock(None), Governance.protected(endless), now=NOW)
+    (keystore.root / "pqsec.json").unlink()
+    (keystore.root / "private/ledger.sqlite3").unlink()
+    adopt(keystore.root, now=NOW)
+    assert Keystore.open(keystore.root).domains == DomainSet.of(0)
 
 
 @pytest.mark.parametrize("mode", [0o700, 0o775])

@@ -40,7 +40,7 @@ from tests.unit.version_1 import in_version_1
 
 NOW = datetime(2026, 11, 21, 12, 30, 15, tzinfo=UTC)
 DAY, YEAR = timedelta(days=1), timedelta(days=365)
-ROWS = [row for row in SIGNATURES if row.name not in {"rsa-3072", "rsa-4096"}]
+ROWS = [row for row in SIGNATURES if "3072" not in row.name and "4096" not in row.name]
 ALTERNATIVES = ("2.5.29.72", "2.5.29.73", "2.5.29.74")
 
 each_row = pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)

@@ -277,6 +277,8 @@ SHAPE_FAULTS = [
 OTHER_FAULTS = [
     ("\nvalidity: 999999y", "domain.yaml: line 2: validity: certificates end in 2261"),
     (f"renew_before: 999999y\n{HEAD}- {{name: /a, role: r}}", "line 4: /a would be due when"),
+    ("domains: {min: 5}", "line 1: domains: domains 5- has no end"),
+    ("domains: {id: 231}", "line 1: domains: domain 231 is above 230"),
     ("prune: yes", "line 1: prune: 'yes' is not true or false"),
     ("roles:\n  r:\n    publish: rt/$", "line 3: r: a $ without a name after it; write $$"),
     (f"{HEAD}- {{name: /a, role: s}}", "line 3: role: 's' is not allowed"),

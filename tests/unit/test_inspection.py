@@ -33,12 +33,11 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.inspection import Description, Fact, describe
 from pqsec_pki.smime import Signer, sign
+from tests.some_keys import some_key as key
 from tests.unit.test_requests import crl, request, with_alternative
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)
-
-key = cache(lambda name: SIGNATURES.named(name).generate())
 
 
 @cache

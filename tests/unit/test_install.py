@@ -19,6 +19,7 @@ from pqsec_pki.enrolment import (
     install,
     make_sealing_key,
     read_receipts,
+    removed_alone,
     request,
     rollback,
     seal,
@@ -497,6 +498,18 @@ def pins_in_files(files):
 def test_what_else_is_installed_goes_if_that_is_said(pair):
     put(pair, "1")
     put(pair, "2", alone=True)
+    assert list(enclaves(pair)) == ["/hand"]
+
+
+def test_only_what_was_asked_about_goes(pair, place):
+    asked = removed_alone(place / "2.bundle", pair)
+    assert asked == ()
+    put(pair, "1")  # by another process, between the question and the installation
+    before = snapshot(pair)
+    with pytest.raises(KeystoreError, match="in the meantime: /head, which would be removed"):
+        put(pair, "2", alone=True, agreed=asked)
+    assert snapshot(pair) == before
+    put(pair, "2", alone=True, agreed=removed_alone(place / "2.bundle", pair))
     assert list(enclaves(pair)) == ["/hand"]
 
 

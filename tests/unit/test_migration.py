@@ -2,6 +2,12 @@
 
 import hashlib
 import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -11,11 +17,13 @@ from pqsec_pki.errors import FileError, InvalidDocumentError, KeystoreError, Usa
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.migration import DEADLINES, plan_migration, rehearse, step_files
+from pqsec_pki.migration._remover import remove
 from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.rehearsal import SAMPLE
 from pqsec_pki.selfcheck import PQSEC, stack_named
 from tests.unit.keystores import DAY, NOW, made
 
+NOBODY = 65534
 PQ = profile_named("pq")
 CYCLONE, LIMITED = stack_named("cyclonedds"), stack_named("fastdds-3.1")
 
@@ -113,6 +121,57 @@ def test_a_rehearsal_runs_old_with_new_and_changes_nothing(keystores, tmp_path, 
         assert (step.reissued, step.succeeded, step.failures) == (2, 1, ())
         assert (step.old_with_new, step.old_with_new_refused) == (0, 2)
         assert "was issued by" in step.reason
+
+
+def test_a_rehearsal_that_is_killed_leaves_no_key(keystores, tmp_path):
+    """The kill comes when there is a copy of a key of the keystore."""
+    root = keystores["hybrid"].root
+    name = min(path.parent.name for path in root.glob("enclaves/*/key.pem"))
+    words = ["-k", root, "migrate", "plan", "--rehearse"]
+    rehearsing = subprocess.Popen(
+        [sys.executable, "-m", "pqsec_pki", *map(str, words)],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        stdout=subprocess.DEVNULL,
+    )
+    while not list(tmp_path.glob(f"*/generation1/enclaves/{name}/key.pem")):
+        assert rehearsing.poll() is None
+        time.sleep(0.002)
+    rehearsing.kill()
+    rehearsing.wait()
+    while list(tmp_path.rglob("*.pem")):
+        time.sleep(0.01)
+
+
+def test_a_copy_of_a_keystore_that_nobody_may_change_is_removed():
+    """By a user whom modes bind, which they do not do root."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place, "copy")
+        private = folder / "generation1/private"
+        private.mkdir(parents=True)
+        (private / "identity_ca.key.pem").touch()
+        (folder / "link").symlink_to("/")
+        for each in (private, private.parent, folder):
+            each.chmod(0o500)
+        if os.geteuid() == 0:
+            for each in (Path(place), folder, *folder.rglob("*")):
+                os.lchown(each, NOBODY, NOBODY)
+        child = os.fork()
+        if not child:
+            with suppress(BaseException):
+                if os.geteuid() == 0:
+                    os.setuid(NOBODY)
+                remove(folder)
+            os._exit(0)
+        os.waitpid(child, 0)
+        assert not folder.exists()
+
+
+def test_a_keystore_that_nobody_may_change_is_rehearsed(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    for each in (keystore.root, *keystore.root.rglob("*")):
+        if each.is_dir() and not each.is_symlink():
+            each.chmod(0o555)
+    assert rehearse(keystore, PQ, now=NOW).ok
 
 
 def test_a_large_fleet_is_sampled(tmp_path):
@@ -274,3 +333,10 @@ def test_the_profile_to_change_from_is_another_one(tmp_path):
             domain.desired_in(text.encode(), tmp_path / "domain.yaml")
     with pytest.raises(InvalidDocumentError, match="'vortex' is not a stack; known: cyclonedds"):
         domain.desired_in(b"stacks: [cyclonedds, vortex]", tmp_path / "domain.yaml")
+
+
+def test_a_keystore_that_cannot_be_copied_is_not_rehearsed(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    os.mkfifo(keystore.root / "private" / "pipe")
+    with pytest.raises(FileError, match="cannot be copied for a rehearsal"):
+        rehearse(keystore, PQ, now=NOW)

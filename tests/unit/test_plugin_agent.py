@@ -455,3 +455,28 @@ def test_a_log_that_has_grown_loses_its_older_half(place):
     assert len(kept) < MAX_LOG < len(old)
     assert b"".join(lines[:-1]) == old[-len(kept) + len(lines[-1]) :]
     assert b"listening at" in lines[-1]
+
+
+def test_an_agent_loads_little_before_its_first_answer():
+    """The first participant waits for it. Its worker loads lxml with the first document."""
+    rooms = "access algorithms certificates credentials documents handshake plugin smime"
+    costly = "argparse ast asyncio concurrent http json logging multiprocessing ssl subprocess"
+    code = (
+        "import sys; before = set(sys.modules); import pqsec_pki.plugin.__main__\n"
+        "new = set(sys.modules) - before\n"
+        "print(*sorted({each.partition('.')[0] for each in new} - sys.stdlib_module_names))\n"
+        "print(*sorted(each[10:] for each in new if each.count('.') == 1 and each[:10] =="
+        " 'pqsec_pki.' and hasattr(sys.modules[each], '__path__')))\n"
+        f"print(*sorted(new & set({costly!r}.split())))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    outside, ours, others = done.stdout.splitlines()
+    visible = {each for each in outside.split() if not each.startswith("_")}
+    assert visible <= {"bcrypt", "cryptography", "pqsec_pki"}
+    assert (ours, others) == (rooms, "ast")

@@ -1,6 +1,7 @@
 """What the agent does for identities, peers and permissions, without a socket or a shim."""
 
 import os
+import shutil
 from dataclasses import replace
 from itertools import product
 
@@ -9,7 +10,7 @@ import pytest
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, Family, profile_named
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.documents import Criteria, DomainSet, Grant, PermissionRule, Permissions
-from pqsec_pki.handshake import DataHolder, participant_data
+from pqsec_pki.handshake import DataHolder, compact, participant_data
 from pqsec_pki.plugin import handles
 from pqsec_pki.plugin.authentication import (
     CREDENTIAL,
@@ -64,6 +65,13 @@ def test_an_identity_asks_for_the_key_agreement_of_its_profile(folders, profile)
         ("key_agreements = ['kyber768']", "kyber768"),
         ("key_agreement = ['mlkem768']", "key_agreement is not a setting"),
         ("peers: stock", "not TOML"),
+        ("wire_versions = 2", "a setting has no such value"),
+        ("wire_versions = [3]", "a setting has no such value"),
+        ("wire_versions = []", "a setting has no such value"),
+        ("wire_versions = [true, 2]", "a setting has no such value"),
+        ("wire_versions = [2.0]", "a setting has no such value"),
+        ("peers = []", "a setting has no such value"),
+        ("[peers]", "a setting has no such value"),
         ("peers = 'stock'", "accepts no ml-dsa-65 key"),
     ],
 )
@@ -314,6 +322,89 @@ def test_a_peer_that_may_be_a_stock_stack_is_sent_no_request_that_it_may_not_kno
     said = shim.call("get_identity_token", identity)[1]
     assert requested(said)
     assert wanted.wire_name in dict(said.properties)["pqsec.kagree_algo"].split(",")
+
+
+@pytest.fixture
+def enclave(folders, tmp_path):
+    """A function: an enclave of `folders` with that pqsec.toml."""
+
+    def made_with(profile, text, number=0):
+        folder = tmp_path / f"{profile}{number}"
+        shutil.copytree(folders[profile][number], folder)
+        (folder / "pqsec.toml").write_text(text)
+        return folder
+
+    return made_with
+
+
+def test_two_who_allow_only_the_second_version_meet_with_an_agreement_that_has_only_the_first(
+    enclave,
+):
+    shim = Shim("authentication", NOW)
+    ours, theirs = (enclave("classical", "wire_versions = [2]", each) for each in (0, 1))
+    (identity, _), (other, guid) = shim.identity(ours), shim.identity(theirs)
+    said = shim.call("get_identity_token", other)[1]
+    assert dict(said.properties)["pqsec.versions"] == "2"
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, said, guid)
+    _, _, request = shim.call("begin_handshake_request", identity, peer, b"data")
+    assert "c.id" in dict(request.binary_properties)
+
+
+def in_other_form(folder):
+    """Another header in the signed part, as other signers write it."""
+    file = folder / "permissions.p7s"
+    plain, other = b"Content-Type: text/plain\n", b"Content-Type: text/plain; charset=us-ascii\n"
+    assert plain in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(plain, other))
+
+
+def test_a_version_that_cannot_carry_our_own_documents_is_neither_announced_nor_used(enclave):
+    """Else each Request would fail after discovery had promised that it would not."""
+    folder = enclave("pq", "wire_versions = [2, 1]")
+    shim = Shim("authentication", NOW)
+    announced = []
+    for spoil in (lambda _: None, in_other_form):
+        spoil(folder)
+        identity, _ = shim.identity(folder)
+        said = shim.call("get_identity_token", identity)[1]
+        announced.append(dict(said.properties).get("pqsec.versions"))
+        assert len(shim.log) == (spoil is in_other_form)
+    assert announced == ["2,1", None]
+    assert "version 2 of the messages cannot carry" in shim.log[0]
+    assert "permissions.p7s" in shim.log[0]
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, said, new_guid())
+    _, _, request = shim.call("begin_handshake_request", identity, peer, b"data")
+    assert "c.id" in dict(request.binary_properties)
+
+
+def test_documents_that_the_only_configured_version_cannot_carry_are_refused(enclave):
+    folder = enclave("pq", "wire_versions = [2]")
+    in_other_form(folder)
+    with pytest.raises(RefusedError, match="version 2 of the messages cannot carry"):
+        Shim("authentication", NOW).identity(folder)
+    (folder / "permissions.p7s").unlink()  # which access control reports
+    assert Shim("authentication", NOW).identity(folder)
+    classical = enclave("classical", "wire_versions = [2]")
+    in_other_form(classical)
+    assert Shim("authentication", NOW).identity(classical)  # the first version, always
+
+
+def test_messages_of_a_version_that_is_not_configured_are_not_expanded(folders):
+    """Neither a Request nor a Reply that nobody has verified."""
+    shim = Shim("authentication", NOW)
+    identity, _ = shim.identity(folders["pq"][0])
+    _, peer, _ = shim.call("validate_remote_identity", NO_TOKEN, identity, IDENTITY, new_guid())
+
+    def second(kind):
+        names = compact.names(f"DDS:Auth:PKI-DH:1.0+{kind}")
+        pairs = tuple((each, b"2" if each == "ver" else b"") for each in names)
+        return DataHolder(f"DDS:Auth:PKI-DH:1.0+{kind}", (), pairs)
+
+    with pytest.raises(RefusedError, match="a message of version 2; allowed here: 1"):
+        shim.call("begin_handshake_reply", second("Req"), peer, identity, b"")
+    _, handshake, _ = shim.call("begin_handshake_request", identity, peer, b"")
+    with pytest.raises(RefusedError, match="a message of version 2; allowed here: 1"):
+        shim.call("process_handshake", second("Reply"), handshake)
 
 
 def test_the_identity_token_has_no_name_of_a_ca_that_opendds_would_spell_otherwise(folders):

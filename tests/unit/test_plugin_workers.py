@@ -115,8 +115,11 @@ def runs(process):
 
 
 def sockets(process):
-    found = [each.readlink() for each in Path(f"/proc/{process}/fd").iterdir()]
-    return len([each for each in found if str(each).startswith("socket:")])
+    found = []
+    for each in Path(f"/proc/{process}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed since it was listed
+            found.append(str(each.readlink()))
+    return len([each for each in found if each.startswith("socket:")])
 
 
 def connections(place):

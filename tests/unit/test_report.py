@@ -22,15 +22,17 @@ from pqsec_pki.credentials import anchors
 from pqsec_pki.documents import DomainSet, Governance, ros
 from pqsec_pki.enrolment import import_receipts, install
 from pqsec_pki.enrolment.credential_store import CredentialStore
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import KeystoreError, MalformedError
 from pqsec_pki.keystore import InstallState, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, revoke, sign_governance
 from pqsec_pki.lint import Severity
+from pqsec_pki.migration import MigrationPlan, MigrationStep, StackNeeds, plan_migration
 from pqsec_pki.policy import fleet_in, who_may_use
 from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
 from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
 from pqsec_pki.report.rows import HEADER
 from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Strength
+from pqsec_pki.selfcheck import stack_named
 from pqsec_pki.smime import _reading
 from tests.unit.enrolling import ROBOT, answered, asked_of
 from tests.unit.keystores import DAY, NOW, made
@@ -198,6 +200,46 @@ def test_what_a_quantum_computer_breaks_follows_the_profile(tmp_path, profile, e
     [people] = [each for each in report.exposures if each.use.startswith("participants'")]
     assert people.names == ("/a",)
     assert not report.gaps
+
+
+@pytest.fixture(scope="module")
+def migrating(root):
+    """The report with the plan of a migration, and the plan."""
+    keystore = Keystore.open(root)
+    stacks = (stack_named("cyclonedds"), stack_named("opendds"))
+    plan = plan_migration(keystore, profile_named("cnsa2"), stacks, now=NOW)
+    return report_of(keystore, now=NOW, migration=lambda: plan), plan
+
+
+def test_the_page_and_the_csv_have_the_whole_plan_of_a_migration(migrating, report):
+    found, plan = migrating
+    page, rows = Page(html_of(found)), read_csv(csv_of(found))
+    rows = [row for row in rows if row[0] == "migration"]
+    assert len(plan.steps) == 2
+    for number, step in enumerate(plan.steps, 1):
+        assert f"{number}. {step.title}" in page.text
+        texts = [step.how, step.mixed, *step.commands, *step.if_skipped]
+        texts += [text for each in step.stacks for text in (each.stack, each.needs)]
+        assert [text for text in texts if text not in page.text] == []
+        alike = [(row[2], row[3]) for row in rows if row[1] == f"step {number}"]
+        assert alike == [("step", step.title), ("how", step.how), *step.facts()]
+    for each in plan.deadlines:
+        assert each.source in page.text
+        assert ["migration", "date", "", each.what, "", str(each.day), each.source] in rows
+    told = json.loads(as_json({"expected": plan.to_json(), **found.to_json()}))
+    assert told["migration"] == told["expected"]
+    assert "Migration" not in Page(html_of(report)).text
+    assert report.migration is None
+
+
+def test_a_migration_that_cannot_be_planned_is_a_gap(root):
+    def plan():
+        raise KeystoreError("the CA cannot be changed")
+
+    found = report_of(Keystore.open(root), now=NOW, migration=plan)
+    assert found.gaps == (Gap("Migration", "the CA cannot be changed"),)
+    assert found.migration is None
+    assert "Migration: the CA cannot be changed" in Page(html_of(found)).text
 
 
 def test_the_same_keystore_and_time_give_the_same_bytes(root, report):
@@ -458,17 +500,38 @@ def test_the_picture_has_every_right_that_is_not_given_to_every_node(tmp_path):
     issue(keystore, keystore.unlock(None), specs, now=NOW)
     rights = report_of(keystore, now=NOW).rights
     picture, table = picture_of(rights), {each.label for each in rights.rows}
-    drawn = {row.label for flow in picture.flows for row in flow.rows}
+    flows = [(flow, row) for flow in picture.flows for each in flow.topics for row in each.rows]
+    drawn = {row.label for _, row in flows}
     assert drawn == {row.label for row, _ in matrix_of(rights)}
     assert {"rt/all", "rt/{name}/odom", "rq/boss_setRequest", "rr/boss_setReply"} <= drawn
     assert {"rt/parameter_events", "rt/rosout"} & drawn == set()
     assert table - drawn >= {"ros_discovery_info", "rq/boss/set_parametersRequest"}
-    by_label = {row.label: flow for flow in picture.flows for row in flow.rows}
+    by_label = {row.label: flow for flow, row in flows}
     to_all = by_label["rt/all"]
     assert [each.group.label for each in to_all.publishers] == ["/boss"]
     assert [each.group.label for each in to_all.subscribers] == ["/{name}"]
     assert not by_label["rt/{name}/odom"].subscribers
     assert picture.flows[0] is to_all
+
+
+def test_the_picture_has_an_action_as_one_topic_in_each_direction(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=())
+    client, server = ros.action_client("/dock"), ros.action_server("/dock")
+    specs = [
+        spec("/boss", [*client.publish, "rt/all"], client.subscribe),
+        spec("/arm", server.publish, [*server.subscribe, "rt/all"]),
+    ]
+    issue(keystore, keystore.unlock(None), specs, now=NOW)
+    report = report_of(keystore, now=NOW)
+    flows = {
+        tuple(each.label for each in flow.topics): [each.group.label for each in flow.publishers]
+        for flow in picture_of(report.rights).flows
+    }
+    assert flows == {
+        ("requests of action /dock", "rt/all"): ["/boss"],
+        ("replies, feedback and status of action /dock",): ["/arm"],
+    }
+    assert "requests of action /dock 3 topics" in " ".join(Page(html_of(report)).text.split())
 
 
 def test_groups_with_one_label_are_told_apart_by_a_member(tmp_path):
@@ -537,8 +600,21 @@ def hostile(value, names=HOSTILE):
         fix=names[2],
         places=5 * (place,),
     )
+    step = MigrationStep(
+        title=names[0],
+        before=names[1],
+        after=names[2],
+        commands=names,
+        at_once=True,
+        stacks=tuple(StackNeeds(stack=name, needs=name) for name in names),
+        mixed=names[3],
+        if_skipped=names,
+        left_out=dict.fromkeys(names, names[0]),
+        level=0,
+    )
     return replace(
         value,
+        migration=MigrationPlan(before=names[0], target=names[1], steps=(step,)),
         keystore=names[0],
         command=names[1],
         rights=replace(

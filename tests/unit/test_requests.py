@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 from datetime import UTC, datetime, timedelta
-from functools import cache
+from functools import cache, partial
 
 import pytest
 from cryptography import x509
@@ -33,13 +33,13 @@ from pqsec_pki.certificates import (
     common_name,
 )
 from pqsec_pki.errors import MalformedError, VerificationError
+from tests.some_keys import some_key as key
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)
 ALT_KEY, ALT_ALGORITHM, ALT_VALUE = "2.5.29.72", "2.5.29.73", "2.5.29.74"
 
-key = cache(lambda name: SIGNATURES.named(name).generate())
-other_key = cache(lambda name: SIGNATURES.named(name).generate())
+other_key = partial(key, owner="bob")
 
 
 @cache

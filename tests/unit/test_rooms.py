@@ -41,7 +41,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "certificates": {"algorithms"},
     "smime": {"algorithms", "certificates"},
     "access": {"documents"},
-    "handshake": {"algorithms", "certificates"},
+    "handshake": {"algorithms", "certificates", "smime"},
     "credentials": {"algorithms", "certificates", "smime", "documents", "access"},
     "keystore": {"algorithms", "certificates", "smime", "documents", "credentials"},
     "lifecycle": {
@@ -64,7 +64,7 @@ MAY_IMPORT["lint"] = {
 }
 MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle"}
 MAY_IMPORT["policy"] = {"keystore", "access"} | MAY_IMPORT["keystore"]
-MAY_IMPORT["report"] = MAY_IMPORT["policy"] | {"policy", "lint"}
+MAY_IMPORT["report"] = MAY_IMPORT["policy"] | {"policy", "lint", "migration"}
 MAY_IMPORT["learning"] = {"policy", "access", "keystore", "documents"}
 MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
@@ -79,6 +79,7 @@ MAY_IMPORT["migration"] = {
     *("algorithms", "domain"),
 }
 MAY_IMPORT["benchmark"] = {"handshake", "documents", "smime", "certificates", "algorithms"}
+MAY_IMPORT["estimation"] = {"handshake", "keystore", "credentials", "algorithms"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.

@@ -28,6 +28,29 @@ def test_a_service_is_a_request_topic_and_a_reply_topic():
     assert ros.service_client("/add") == (("rq/addRequest",), ("rr/addReply",))
 
 
+def test_the_topics_of_an_action_are_told_as_one():
+    client, server = ros.action_client("/fibonacci"), ros.action_server("/fibonacci")
+    others = ("rt/chatter", "rq/fibonacci/_action/otherRequest", "/fibonacci/_action/status")
+    replies = "replies, feedback and status of action /fibonacci"
+    requested = ros.action_sides([*others, *client.publish])
+    assert {words: set(each) for words, each in requested.items()} == {
+        "requests of action /fibonacci": set(client.publish)
+    }
+    assert {words: set(each) for words, each in ros.action_sides(server.publish).items()} == {
+        replies: set(server.publish)
+    }
+    both = [*client.publish, *client.subscribe]
+    assert {words: set(each) for words, each in ros.action_sides(both).items()} == {
+        "action /fibonacci": set(both)
+    }
+    # What is not whole is not told as an action: a right to a part of it must be seen.
+    assert ros.action_sides(client.publish[1:]) == {}
+    partly = ros.action_sides([*client.publish[1:], *server.publish])
+    assert list(partly) == [replies]
+    template = [each.replace("/fibonacci", "/{name}/*") for each in client.publish]
+    assert list(ros.action_sides(template)) == ["requests of action /{name}/*"]
+
+
 def test_an_action_is_three_services_and_two_topics():
     server, client = ros.action_server("/fibonacci"), ros.action_client("/fibonacci")
     assert set(server.publish) == FIBONACCI_REPLIES | FIBONACCI_TOPICS

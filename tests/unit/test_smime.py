@@ -45,7 +45,7 @@ from pqsec_pki.smime.document import MAX_COUNTERSIGNATURES
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 YEAR = timedelta(days=365)
 DOCUMENT = Governance.protected(DomainSet.of(0)).to_xml()
-ROWS = [row for row in SIGNATURES if row.name not in {"rsa-3072", "rsa-4096"}]
+ROWS = [row for row in SIGNATURES if "3072" not in row.name and "4096" not in row.name]
 DATA, SIGNED_DATA = "1.2.840.113549.1.7.1", "1.2.840.113549.1.7.2"
 CONTENT_TYPE, MESSAGE_DIGEST, SIGNING_TIME, PROTECTION = (
     "1.2.840.113549.1.9.3",

@@ -33,7 +33,7 @@ pytestmark = [
 ]
 ECDH = KEY_AGREEMENTS.named("ecdh-p256")
 HYBRID = KEY_AGREEMENTS.named("x25519mlkem768")
-KINDS = [row.name for row in SIGNATURES]
+KINDS = [row.name for row in SIGNATURES if not ("rsa" in row.name and row.parts)]
 PAIRS = ["ecdsa-p256 and ml-dsa-65", "rsa-2048 and ml-dsa-44", "ecdsa-p384 and ml-dsa-87"]
 """Certificates with an alternative key; profile transition has the first."""
 

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zlib
 from base64 import b64decode, b64encode
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -26,6 +27,7 @@ from pqsec_pki.handshake import (
     Reply,
     Request,
     Terms,
+    WireVersion,
     begin,
     initiates,
     key_exchange_material,
@@ -80,7 +82,11 @@ class Vector:
             guid=self[f"{side}_guid"],
             permissions=introduction.permissions,
         )
-        policy = PeerRequirements(agreements=(self.agreement,), require_alternative=self.is_dual)
+        policy = PeerRequirements(
+            agreements=(self.agreement,),
+            versions=(introduction.version,),
+            require_alternative=self.is_dual,
+        )
         return Terms(own=own, policy=policy, discovered=Discovered(guid=self[f"{peer}_guid"]))
 
     @cached_property
@@ -89,7 +95,7 @@ class Vector:
         request = self.message("request")
         pair = key_pair(self.agreement, self.data["initiator_ephemeral"])
         _, waiting = begin(self.terms("initiator", "replier"), self.agreement)
-        return replace(waiting, request=request, hash_c1=request.hash_c1, key_pair=pair)
+        return replace(waiting, request=request, hash_c1=self["hash_c1"], key_pair=pair)
 
     @cached_property
     def reply_sent(self):
@@ -125,6 +131,8 @@ def key_pair(row, kept):
 
 
 VECTORS = [Vector(data) for data in json.loads(FILE.read_text())]
+SECOND = [Vector(data) for data in json.loads(FILE.with_name("second.json").read_text())]
+second = pytest.mark.parametrize("vector", SECOND, ids=str)
 every = pytest.mark.parametrize("vector", VECTORS, ids=str)
 every_message = pytest.mark.parametrize("which", MESSAGES)
 
@@ -257,4 +265,62 @@ def test_a_handshake_held_today_passes_the_checker(vector):
     made = make_pq.vector(*make_pq.SUITES[VECTORS.index(vector)])
     check_pq.check(made)
     assert list(made) == list(vector.data)
+    assert made["name"] == vector.data["name"]
+
+
+# The second version
+
+
+@second
+def test_the_second_version_is_read_and_ends_as_recorded(vector):
+    for which in MESSAGES:
+        assert vector.message(which).version is WireVersion.SECOND
+    request, reply = vector.message("request"), vector.message("reply")
+    assert request.introduction.digest() == vector["hash_c1"]
+    assert reply.introduction.digest() == vector["hash_c2"]
+    done = vector.finish(reply)
+    assert done.shared_secret == vector["shared_secret"]
+    assert vector.reply_sent.receive(vector.message("final")).peer.guid == vector["initiator_guid"]
+
+
+@second
+def test_an_altered_message_of_the_second_version_is_refused(vector):
+    for which, take in (("request", vector.answer), ("reply", vector.finish)):
+        for name, holder in altered(vector.holder(which)):
+            if (which, name) not in (("request", "dh1"), ("request", "ch1")):
+                with pytest.raises(VerificationError):
+                    refused_or_differs(vector, which, take, MESSAGES[which].from_holder(holder))
+    for _, holder in altered(vector.holder("final")):
+        with pytest.raises(VerificationError):
+            vector.reply_sent.receive(Final.from_holder(holder))
+
+
+def refused_or_differs(vector, which, take, message):
+    """A Request with other permissions gets an answer, to another hash than the initiator's."""
+    take(message)
+    if which == "request" and message.introduction.digest() != vector["hash_c1"]:
+        raise VerificationError("answered, and the initiator will refuse the signature")
+
+
+@second
+def test_the_checker_agrees_on_the_second_version_and_refuses_what_is_altered(vector):
+    check_pq.check(vector.data)
+    for name in check_pq.recomputed(vector.data):
+        with pytest.raises(check_pq.WrongError, match=name):
+            check_pq.check(vector.data | {name: "00"})
+    for which in MESSAGES:
+        octets = b64decode(vector.data[which])
+        for at in range(5, len(octets), len(octets) // 7):
+            spoilt = vector.data | {which: b64encode(flipped(octets, at)).decode()}
+            with pytest.raises(
+                (check_pq.WrongError, InvalidSignature, ValueError, struct.error, zlib.error)
+            ):
+                check_pq.check(spoilt)
+
+
+@second
+def test_a_handshake_of_the_second_version_held_today_passes_the_checker(vector):
+    suite = make_pq.SECOND_SUITES[SECOND.index(vector)]
+    made = make_pq.vector(*suite, WireVersion.SECOND)
+    check_pq.check(made)
     assert made["name"] == vector.data["name"]

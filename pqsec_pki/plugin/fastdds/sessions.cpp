@@ -14,17 +14,12 @@ std::mutex all_mutex;
 std::vector<Sessions*> all;
 thread_local const void* being_made = nullptr;
 
-int64_t seconds_of(clockid_t clock) {
-  timespec now;
-  clock_gettime(clock, &now);
-  return now.tv_sec;
-}
-
 void note(const char* why) { fprintf(stderr, "pqsec: a peer is disconnected: %s\n", why); }
 
 }  // namespace
 
 Sessions::~Sessions() {
+  agent::watch_end(&watch_);
   const std::lock_guard<std::mutex> guard(all_mutex);
   all.erase(std::remove(all.begin(), all.end(), this), all.end());
 }
@@ -64,7 +59,7 @@ Sessions* Sessions::of(const void* discovery) {
 
 std::vector<agent::guid> Sessions::expired() {
   std::vector<agent::guid> found;
-  const int64_t now = seconds_of(CLOCK_REALTIME);
+  const int64_t now = time(nullptr);
   const std::lock_guard<std::mutex> guard(mutex_);
   for (const auto* each : peers_)
     if (each->end <= now) {
@@ -77,21 +72,34 @@ std::vector<agent::guid> Sessions::expired() {
 
 std::vector<agent::guid> Sessions::revoked() {
   std::vector<agent::guid> found;
-  const int64_t now = seconds_of(CLOCK_MONOTONIC);
-  if (!has_list_ || now < looked_ + LOOK_SECONDS) return found;
-  looked_ = now;
+  const std::lock_guard<std::mutex> guard(mutex_);
+  for (const auto* each : peers_)
+    if (revoked_.count(each->number) != 0) {
+      note("it was revoked");
+      found.push_back(each->guid);
+    }
+  revoked_.clear();
+  return found;
+}
+
+void Sessions::has_list() {
+  agent::watch_look(&watch_, [](const void* sessions) {
+    try {
+      static_cast<Sessions*>(const_cast<void*>(sessions))->find_revoked();
+    } catch (...) {
+      // Without memory, the rest is asked for at the next look.
+    }
+  });
+}
+
+void Sessions::find_revoked() {
   for (int i = 0; i < MOST_AT_ONCE; i++) {
     SecurityException exception{std::string()};
     handle_t number = 0;
-    if (link_.ask(exception, "find_revoked", ">h", &number) < 0 || number == 0) break;
+    if (link_.ask(exception, "find_revoked", ">h", &number) < 0 || number == 0) return;
     const std::lock_guard<std::mutex> guard(mutex_);
-    for (const auto* each : peers_)
-      if (each->number == number) {
-        note("it was revoked");
-        found.push_back(each->guid);
-      }
+    revoked_.insert(number);
   }
-  return found;
 }
 
 }  // namespace pqsec

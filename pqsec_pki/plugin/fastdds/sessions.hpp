@@ -3,6 +3,8 @@
 // Fast DDS 2.9 and 3.1 have no listener for revocation and expiry. But whenever a participant
 // announces itself again, its thread of events comes by here, where it also drops peers that it has
 // not heard of for too long. It drops in the same way whom the agent finds revoked, or who expired.
+// A thread of our own asks the agent: a participant whose thread of events waited for a busy agent
+// would not announce itself, and its peers would drop it.
 
 #ifndef PQSEC_SESSIONS_HPP
 #define PQSEC_SESSIONS_HPP
@@ -14,9 +16,15 @@
 #include "agent.hpp"
 
 #pragma GCC visibility push(hidden)
+namespace agent {
+extern "C" {
+#include "watch.h"
+}
+}  // namespace agent
+
 namespace pqsec {
 
-constexpr int64_t FOR_EVER = INT64_MAX, LOOK_SECONDS = 5;
+constexpr int64_t FOR_EVER = INT64_MAX;
 
 // A participant, ours or a peer.
 struct Identity : Numbered {
@@ -35,7 +43,7 @@ struct Identity : Numbered {
 // The peers of one participant.
 class Sessions {
  public:
-  explicit Sessions(const Link& link) : link_(link) {}
+  explicit Sessions(const Link& link) : link_(link) { agent::watch_init(&watch_, this); }
   ~Sessions();
   Sessions(const Sessions&) = delete;
   Sessions& operator=(const Sessions&) = delete;
@@ -44,7 +52,7 @@ class Sessions {
   void remove(const Identity* peer);
   void lasts_until(handle_t peer, int64_t when);
   // The agent is to be asked who is revoked.
-  void has_list() { has_list_ = true; }
+  void has_list();
   // This participant is the one whose object of discovery is being made in this thread, if any is.
   void is_being_made();
 
@@ -61,13 +69,14 @@ class Sessions {
  private:
   std::vector<agent::guid> expired();
   std::vector<agent::guid> revoked();
+  void find_revoked();
 
   const Link& link_;
   std::mutex mutex_;
   std::set<const Identity*> peers_;
+  std::set<handle_t> revoked_;  // those that the agent found, until they are dropped
   const void* discovery_ = nullptr;
-  std::atomic<bool> has_list_{false};
-  int64_t looked_ = 0;
+  agent::watch watch_;
 };
 
 }  // namespace pqsec

@@ -69,6 +69,7 @@ struct Participant {
     properties.emplace_back(auth + "identity_ca", uri + "identity_ca.cert.pem");
     properties.emplace_back(auth + "identity_certificate", uri + "cert.pem");
     properties.emplace_back(auth + "private_key", uri + "key.pem");
+    properties.emplace_back(auth + "identity_crl", uri + "crl.pem");
     properties.emplace_back(access + "permissions_ca", uri + "permissions_ca.cert.pem");
     properties.emplace_back(access + "governance", uri + "governance.p7s");
     properties.emplace_back(access + "permissions", uri + "permissions.p7s");

@@ -30,6 +30,16 @@ def test_it_meets_the_plugin_in_cyclone_dds_whoever_begins(ours_in_fastdds, shim
         both.agree(both.shake_hands())
 
 
+def test_messages_of_the_second_version_pass_between_the_stacks(
+    ours_in_fastdds, shim, labs, settings
+):
+    lab = labs("transition")
+    alice, bob = (settings(each, "wire_versions = [2]\n") for each in (lab.alice, lab.bob))
+    for first, second in ((ours_in_fastdds, shim.folder), (shim.folder, ours_in_fastdds)):
+        with couple((first, alice), (second, bob)) as both:
+            both.agree(both.shake_hands())
+
+
 @pytest.fixture
 def beside_fastdds(ours_in_fastdds, fastdds, labs):
     """beside_fastdds(profile, "alice") is alice with our plugin, and bob with Fast DDS's own."""

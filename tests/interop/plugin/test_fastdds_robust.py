@@ -18,12 +18,13 @@ from threading import Thread
 import pytest
 
 from pqsec_pki.errors import PqsecError
+from pqsec_pki.lifecycle import renew_list
 from pqsec_pki.plugin import AgentFolder
 from pqsec_pki.plugin.building import SOURCES
 from pqsec_pki.plugin.connection import AgentContext, Connection
 from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES
 from tests.fuzz.mutation import blindly
-from tests.interop.conftest import TOPIC
+from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
 from tests.longer import LONG
 from tests.unit.plugin_wire import framed
 
@@ -49,7 +50,7 @@ def sanitized(fastdds_here, compiler, tmp_path_factory) -> list[str]:
     """The program with all of the adapter in it."""
     folder = tmp_path_factory.mktemp("sanitized")
     python = f'-DPQSEC_PYTHON="{sys.executable}"'
-    shim = [SOURCES / f"{name}.c" for name in ("wire", "frames", "link", "agent")]
+    shim = [SOURCES / f"{name}.c" for name in ("wire", "frames", "link", "agent", "watch")]
     compiled(compiler, "-std=c11", "-g", *SANITIZERS, python, "-c", *shim, where=folder)
     objects = sorted(folder.glob("*.o"))
     sources = [PROGRAM, *sorted(FASTDDS_SOURCES.glob("*.cpp"))]
@@ -71,10 +72,17 @@ def installed(requires, fastdds_here, adapter, tmp_path_factory) -> list[str]:
     return [valgrind, *options, str(folder / "program")]
 
 
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, now) -> Lab:
+    """With a revocation list, so the adapter has a thread."""
+    made = Lab.create(tmp_path_factory.mktemp("listed") / "lab", LAB_PROFILES["pq"], now)
+    renew_list(made.keystore, made.authorities, now=now)
+    return made
+
+
 @pytest.fixture
-def every_function(shim, labs, tmp_path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def every_function(shim, lab, tmp_path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """every_function(program, "agent") runs it; with "none", no agent can be trusted."""
-    lab = labs("pq")
     (tmp_path / "pqsec").mkdir()
     (tmp_path / "pqsec").chmod(0o755)
 
@@ -129,8 +137,7 @@ class Answer(socketserver.BaseRequestHandler):
                     self.request.sendall(self.server.answer(frame))
 
 
-def test_the_answers_of_a_mad_agent_do_no_harm(sanitized, labs, now):
-    lab = labs("pq")
+def test_the_answers_of_a_mad_agent_do_no_harm(sanitized, lab, now):
     with TemporaryDirectory(prefix="pqsec-run-") as runtime:
         place = AgentFolder.of({"XDG_RUNTIME_DIR": runtime})
         with Mad(place, now) as server:

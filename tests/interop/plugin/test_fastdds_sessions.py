@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -16,12 +17,14 @@ import pytest
 
 from pqsec_pki.certificates import Reason
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list, revoke
+from pqsec_pki.plugin import AgentFolder, agent_status
 from pqsec_pki.trial import (
     MACHINE,
     Act,
     Installation,
     MissingStackError,
     Trial,
+    TrialPlugin,
     credentialed,
     find,
     plugin,
@@ -126,35 +129,39 @@ def lasting(there) -> Iterator[Callable[[str], list[str]]]:
 
 
 @pytest.fixture(scope="module")
-def session(there, lasting, tmp_path_factory):
-    """session(where, sending, change, until) is what a receiver heard of a sender until then."""
+def plugins(there) -> Iterator[dict[str, TrialPlugin]]:
     with ExitStack() as stack:
-        plugins = {where: stack.enter_context(plugin(fastdds=there(where))) for where in ROOTS}
+        yield {where: stack.enter_context(plugin(fastdds=there(where))) for where in ROOTS}
 
-        def run(where, sending, how, during):
-            now = datetime.now(UTC)
-            folder = tmp_path_factory.mktemp("session")
-            lab = Lab.create(folder / "lab", LAB_PROFILES["pq"], now)
-            renew_list(lab.keystore, lab.authorities, now=now)
-            if how == "expired":
-                spec = ParticipantSpec(
-                    name=SENDER, publish=(TOPIC,), domains=DOMAINS, validity=LIFETIME
-                )
-                issue(lab.keystore, lab.authorities, [spec], now=now, force=True)
-            (lab.keystore.root / f"enclaves{SENDER}" / "crl.pem").unlink()  # it knows nothing
-            commands = []
-            for name, act, place in ((SENDER, Act.SEND, sending), (RECEIVER, Act.RECEIVE, where)):
-                trial = Trial(
-                    installation=there(place), keystore=lab.keystore, timeout=PATIENCE,
-                    plugin=plugins[place], now=now,
-                )  # fmt: skip
-                text = unique_text() if act is Act.SEND else ""
-                role = credentialed(trial, name, act, folder, text)
-                words = [*lasting(place), act.value, "5", TOPIC, text, str(2 * PATIENCE)]
-                commands.append((words, role.environment))
-            return alone(lambda network: _watch(commands, lambda heard: during(lab, heard)))
 
-        yield run
+@pytest.fixture(scope="module")
+def session(there, plugins, lasting, tmp_path_factory):
+    """session(where, sending, change, until) is what a receiver heard of a sender until then."""
+
+    def run(where, sending, how, during):
+        now = datetime.now(UTC)
+        folder = tmp_path_factory.mktemp("session")
+        lab = Lab.create(folder / "lab", LAB_PROFILES["pq"], now)
+        renew_list(lab.keystore, lab.authorities, now=now)
+        if how == "expired":
+            spec = ParticipantSpec(
+                name=SENDER, publish=(TOPIC,), domains=DOMAINS, validity=LIFETIME
+            )
+            issue(lab.keystore, lab.authorities, [spec], now=now, force=True)
+        (lab.keystore.root / f"enclaves{SENDER}" / "crl.pem").unlink()  # it knows nothing
+        commands = []
+        for name, act, place in ((SENDER, Act.SEND, sending), (RECEIVER, Act.RECEIVE, where)):
+            trial = Trial(
+                installation=there(place), keystore=lab.keystore, timeout=PATIENCE,
+                plugin=plugins[place], now=now,
+            )  # fmt: skip
+            text = unique_text() if act is Act.SEND else ""
+            role = credentialed(trial, name, act, folder, text)
+            words = [*lasting(place), act.value, "5", TOPIC, text, str(2 * PATIENCE)]
+            commands.append((words, role.environment))
+        return alone(lambda network: _watch(commands, lambda heard: during(lab, heard)))
+
+    return run
 
 
 def _watch(commands, during):
@@ -222,4 +229,28 @@ def test_peers_of_two_versions_stay_connected(session, receiving):
         ends.append(wait(lambda: heard.is_quiet, LEASE))
 
     heard = session(receiving, sending, "", during)
+    assert ends == [False], "".join(heard.lines)
+
+
+@pytest.mark.skipif(not LONG, reason="in .ci/long: it takes longer than Fast DDS waits for a peer")
+@pytest.mark.parametrize("where", ROOTS)
+def test_a_participant_announces_itself_also_while_the_agent_does_not_answer(
+    session, plugins, monkeypatch, where
+):
+    """Who waits for the list of the revoked is not the thread that announces."""
+    monkeypatch.setenv("PQSEC_AGENT_TIMEOUT", "120000")
+    ends = []
+
+    def during(lab, heard):
+        workers = agent_status(AgentFolder.of(plugins[where].environment)).workers
+        assert workers
+        for each in workers:
+            os.kill(each, signal.SIGSTOP)
+        try:
+            ends.append(wait(lambda: heard.is_quiet, 2 * LEASE))
+        finally:
+            for each in workers:
+                os.kill(each, signal.SIGCONT)
+
+    heard = session(where, where, "", during)
     assert ends == [False], "".join(heard.lines)

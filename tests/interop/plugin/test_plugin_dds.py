@@ -49,6 +49,16 @@ def test_data_flows_between_two_and_a_stranger_gets_nothing(stage, labs, profile
     assert went.outcomes[2].joined
 
 
+@pytest.mark.parametrize("profile", ["transition", "cnsa2"])
+def test_data_flows_after_messages_of_the_second_version_alone(stage, labs, settings, profile):
+    lab = labs(profile)
+    sides = (settings(each, "wire_versions = [2]\n") for each in (lab.alice, lab.bob))
+    went = stage.run_peers(
+        *(act(each) for act, each in zip((stage.sender, stage.receiver), sides, strict=True))
+    )
+    assert met(went), logs(went)
+
+
 @pytest.mark.parametrize("profile", ["transition", "pq"])
 def test_the_same_library_runs_in_a_newer_cyclone(requires, shim, labs, tmp_path, profile):
     """Debian trixie's 0.10.5, in a root file system of its own."""

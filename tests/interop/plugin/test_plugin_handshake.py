@@ -78,6 +78,38 @@ def test_a_peer_may_ask_only_for_what_is_allowed(shim, labs, settings):
         both.agree(both.shake_hands())
 
 
+SECOND_VERSION = "wire_versions = [2, 1]\n"
+
+
+@pytest.mark.parametrize("profile", ["transition", "pq"])
+def test_two_with_the_second_version_use_it_and_meet_one_without(shim, labs, settings, profile):
+    lab, seen = labs(profile), []
+
+    def watched(name, token):
+        seen.append("ver" in dict(token.binary))
+        return token
+
+    ours, theirs = (settings(each, SECOND_VERSION) for each in (lab.alice, lab.bob))
+    for alice, bob, used in (
+        (ours, theirs, True),
+        (ours, lab.bob, False),
+        (lab.alice, theirs, False),
+    ):
+        seen.clear()
+        with couple((shim.folder, alice), (shim.folder, bob)) as both:
+            both.agree(both.shake_hands(watched))
+        assert seen == [used] * 3
+
+
+def test_one_who_allows_the_second_version_only_meets_no_other(shim, labs, settings):
+    lab = labs("pq")
+    only = settings(lab.alice, "wire_versions = [2]\n"), settings(lab.bob, "wire_versions = [2]\n")
+    for sides in ((only[0], lab.bob), (lab.alice, only[1])):
+        refused = pytest.raises(RefusedError, match="version")
+        with couple(*((shim.folder, each) for each in sides)) as both, refused:
+            both.shake_hands()
+
+
 def flipped(token, name):
     binary = [
         (each, value[:-9] + bytes([value[-9] ^ 1]) + value[-8:] if each == name else value)

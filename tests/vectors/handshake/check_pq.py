@@ -1,4 +1,4 @@
-"""Checks pq.json from its raw octets, with nothing of pqsec: python check_pq.py
+"""Checks pq.json and second.json from their octets, with nothing of pqsec: python check_pq.py
 
 For implementers: every step of docs/reference/wire.md in the shortest form, primitives from the
 package `cryptography`. What is left out is said where it is.
@@ -7,8 +7,10 @@ package `cryptography`. What is left out is said where it is.
 import hashlib
 import hmac
 import json
+import re
 import struct
-from base64 import b64decode
+import zlib
+from base64 import b64decode, b64encode
 from pathlib import Path
 
 from cryptography import x509
@@ -26,6 +28,14 @@ ORDER = {
     ),
     "final": ("challenge1", "challenge2", "dh1", "dh2", "hash_c2", "hash_c1", "signature"),
 }
+SECOND = {
+    "request": ("ver", "id", "pd", "alg", "dh1", "ch1"),
+    "reply": ("ver", "id", "pd", "alg", "dh2", "ch2", "sig"),
+    "final": ("ver", "sig"),
+}
+"""The second version of the messages (wire.md, 5.1)."""
+SHORT = {"ch1": "challenge1", "ch2": "challenge2", "sig": "signature", "pd": "c.pdata"}
+WIRE = Path(__file__).parents[3] / "docs" / "reference" / "wire.md"
 SIGNED_REPLY = ("hash_c2", "challenge2", "dh2", "challenge1", "dh1", "hash_c1")
 SIGNED_FINAL = ("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c2")
 CLASSES = {
@@ -59,20 +69,77 @@ def listed(properties, data=b""):
     return data
 
 
-def parsed(which, data):
-    """The binary properties of a token; they must be those that are due, in order."""
+def parsed(which, data, order):
+    """The binary properties of a token; they must be those of `order`, in order."""
     head = octets(b"", CLASSES[which].encode() + b"\0")
     at = len(head) + -len(head) % 4 + 8  # no string properties; then the number of ours
     values = []
-    for _ in ORDER[which] * 2:  # a name and a value
+    for _ in order * 2:  # a name and a value
         at += -at % 4
         (size,) = struct.unpack_from(">I", data, at)
         values.append(data[at + 4 : at + 4 + size])
         at += 4 + size
-    found = dict(zip(ORDER[which], values[1::2], strict=True))
+    found = dict(zip(order, values[1::2], strict=True))
     head += bytes(-len(head) % 4 + 4)
     expect(f"encoding of {which}", listed(found.items(), head), data)
     return found
+
+
+# The second version: what it restores of the first
+
+
+def restored(token):
+    """The binary properties by their names in the first version, as far as they are there."""
+    expect("version", token["ver"], b"2")
+    found = {SHORT.get(name, name): value for name, value in token.items()}
+    if "id" in token:
+        found["c.dsign_algo"], found["c.kagree_algo"] = token["alg"].split(b"\0")
+        whole = zlib.decompressobj(-15, dictionary()).decompress(token["id"])
+        certificate, rest = first_value(whole)
+        cms, document = first_value(rest)
+        found["c.id"] = pem(certificate)
+        found["c.perm"] = smime(cms, document)
+    return found
+
+
+def dictionary():
+    return re.search(r"(?s)```xml\n(.*?)```", WIRE.read_text())[1].encode()
+
+
+def first_value(data):
+    """The first DER value, and what follows it; both certificate and CMS have long lengths."""
+    expect("length of a DER value", data[:2], b"\x30\x82")
+    end = 4 + int.from_bytes(data[2:4])
+    return data[:end], data[end:]
+
+
+def base64_lines(data):
+    text = b64encode(data).decode()
+    return "".join(text[at : at + 64] + "\n" for at in range(0, len(text), 64))
+
+
+def pem(der):
+    label = "CERTIFICATE-----\n"
+    return f"-----BEGIN {label}{base64_lines(der)}-----END {label}".encode()
+
+
+def smime(cms, document):
+    """The canonical signed file. The digest is the first that the CMS structure names."""
+    sha256 = bytes.fromhex("608648016503040201")
+    micalg = "sha-256" if sha256 in cms[:60] else "sha-512"
+    text = document.decode()
+    covered = "Content-Type: text/plain\r\n\r\n" + text.replace("\n", "\r\n")
+    boundary = "----" + hashlib.sha256(covered.encode()).hexdigest()[:32].upper()
+    return (
+        "MIME-Version: 1.0\nContent-Type: multipart/signed; "
+        f'protocol="application/x-pkcs7-signature"; micalg="{micalg}"; boundary="{boundary}"'
+        "\n\nThis is an S/MIME signed message\n\n"
+        f"--{boundary}\nContent-Type: text/plain\n\n{text}\n--{boundary}\n"
+        'Content-Type: application/x-pkcs7-signature; name="smime.p7s"\n'
+        "Content-Transfer-Encoding: base64\n"
+        'Content-Disposition: attachment; filename="smime.p7s"\n\n'
+        f"{base64_lines(cms)}\n--{boundary}--\n\n"
+    ).encode()
 
 
 # Signatures: each by the name in c.dsign_algo, with a certificate's keys
@@ -121,7 +188,7 @@ SIGNATURES = {
 }
 
 
-def admitted(token, vector, side, authority):
+def admitted(token, vector, side, authority, end):
     """The certificate in a Request or Reply, held against authority, GUID and names."""
     certificate = x509.load_pem_x509_certificate(token["c.id"])
     expect("issuer", certificate.issuer, authority.subject)
@@ -133,8 +200,8 @@ def admitted(token, vector, side, authority):
     expect("c.pdata", token["c.pdata"], b"\0\x50\0\x10" + guid + b"\0\1\0\0")
     subject = hashlib.sha256(certificate.subject.public_bytes()).digest()
     expect("GUID", int.from_bytes(guid[:6]), int.from_bytes(subject[:6]) >> 1 | 1 << 47)
-    expect("c.dsign_algo", token["c.dsign_algo"], name.encode() + b"\0")
-    expect("c.kagree_algo", token["c.kagree_algo"], vector["key_agreement"].encode() + b"\0")
+    expect("c.dsign_algo", token["c.dsign_algo"], name.encode() + end)
+    expect("c.kagree_algo", token["c.kagree_algo"], vector["key_agreement"].encode() + end)
     return certificate
 
 
@@ -204,13 +271,13 @@ def sha256(data):
     return hashlib.sha256(data).digest()
 
 
-def transcript(request, reply, final):
+def transcript(request, reply, final, mark):
     """What both sides signed over, by name; what a token repeats must be the same."""
     both = {**request, **reply}
-    both["hash_c1"] = sha256(listed([(name, request[name]) for name in INTRODUCTION]))
-    both["hash_c2"] = sha256(listed([(name, reply[name]) for name in INTRODUCTION]))
+    both["hash_c1"] = sha256(listed([(name, request[name]) for name in INTRODUCTION] + mark))
+    both["hash_c2"] = sha256(listed([(name, reply[name]) for name in INTRODUCTION] + mark))
     for token in (request, reply, final):
-        for name in both.keys() & token.keys() - {*INTRODUCTION, "signature"}:
+        for name in both.keys() & token.keys() - {*INTRODUCTION, "signature", "id", "alg"}:
             expect(f"{name} repeated", token[name], both[name])
     return both
 
@@ -218,11 +285,15 @@ def transcript(request, reply, final):
 def recomputed(vector):
     """Every value of `vector` that follows from its tokens and the ephemeral key."""
     authority = x509.load_pem_x509_certificate(vector["identity_ca"].encode())
-    request, reply, final = (parsed(name, b64decode(vector[name])) for name in ORDER)
-    initiator = admitted(request, vector, "initiator", authority)
-    replier = admitted(reply, vector, "replier", authority)
+    is_second = b"\0\0\0\4ver\0" in b64decode(vector["final"])
+    order = SECOND if is_second else ORDER
+    tokens = [parsed(name, b64decode(vector[name]), order[name]) for name in ORDER]
+    request, reply, final = map(restored, tokens) if is_second else tokens
+    end, mark = (b"", [("ver", b"2")]) if is_second else (b"\0", [])
+    initiator = admitted(request, vector, "initiator", authority, end)
+    replier = admitted(reply, vector, "replier", authority, end)
 
-    both = transcript(request, reply, final)
+    both = transcript(request, reply, final, mark)
     signed_reply = listed([(name, both[name]) for name in SIGNED_REPLY])
     signed_final = listed([(name, both[name]) for name in SIGNED_FINAL])
     verify = SIGNATURES[vector["signature_algorithm"]]
@@ -254,6 +325,7 @@ def check(vector):
 
 
 if __name__ == "__main__":
-    for each in json.loads(Path(__file__).with_name("pq.json").read_text()):
-        check(each)
-        print("ok", each["name"])
+    for file in ("pq.json", "second.json"):
+        for each in json.loads(Path(__file__).with_name(file).read_text()):
+            check(each)
+            print("ok", file, each["name"])

@@ -1,4 +1,4 @@
-"""Makes pq.json again, with this checkout's code: python make_pq.py
+"""Makes pq.json and second.json again, with this checkout's code: python make_pq.py
 
 Every key is new each time, and none is kept but the initiator's ephemeral one. The order
 of vectors and of the names in them stays.
@@ -8,6 +8,7 @@ import hashlib
 import json
 import struct
 from base64 import b64encode
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,11 +20,13 @@ from pqsec_pki.handshake import (
     PeerRequirements,
     Sender,
     Terms,
+    WireVersion,
     adjusted_guid,
     begin,
     key_exchange_material,
     reply_to,
 )
+from pqsec_pki.smime import Signer, sign
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 CENTURY = timedelta(days=36525)
@@ -40,6 +43,8 @@ SUITES = (
     ("ecdsa-p256", None, "x25519mlkem768"),
 )
 """Key, alternative key, key agreement."""
+SECOND_SUITES = (SUITES[1], SUITES[4], SUITES[6], SUITES[7])
+"""Those of second.json."""
 
 # A DATA submessage of the volatile secure writer, without content: what comes first after
 # a handshake is sent like this.
@@ -59,6 +64,17 @@ def permissions(name):
         subscribe=[],
     )
     return Permissions(grants=(grant,)).to_xml()
+
+
+def signed(document, row, alternative):
+    """A document with a signature, and a countersignature if there are two algorithms."""
+    signers = [
+        Authority.create("Permissions CA", each, now=NOW, validity=CENTURY)
+        for each in (row, alternative)
+        if each
+    ]
+    main, *counter = (Signer(each.certificate, each.key) for each in signers)
+    return sign(document, main, countersigner=counter[0] if counter else None, now=NOW)
 
 
 def enrolled(authority, name, key, second):
@@ -104,11 +120,19 @@ def private_half(pair):
     return {name: handle.private_bytes_raw().hex()}
 
 
-def vector(key, alternative, agreement):
-    """One handshake and a protected submessage, as pq.json has it."""
+def vector(key, alternative, agreement, version=WireVersion.FIRST):
+    """One handshake and a protected submessage, as pq.json or second.json has it."""
     row, agreement = SIGNATURES.named(key), KEY_AGREEMENTS.named(agreement)
-    initiator, replier = two_identities(row, alternative and SIGNATURES.named(alternative))
-    policy = PeerRequirements(agreements=(agreement,), require_alternative=alternative is not None)
+    second = alternative and SIGNATURES.named(alternative)
+    initiator, replier = two_identities(row, second)
+    if version is WireVersion.SECOND:
+        initiator, replier = (
+            replace(each, permissions=signed(each.permissions, row, second))
+            for each in (initiator, replier)
+        )
+    policy = PeerRequirements(
+        agreements=(agreement,), versions=(version,), require_alternative=alternative is not None
+    )
     request, waiting = begin(Terms(own=initiator, policy=policy), agreement)
     reply, awaiting = reply_to(Terms(own=replier, policy=policy), request, now=NOW)
     final, done = waiting.receive(reply, now=NOW)
@@ -155,5 +179,9 @@ def derived(transcript, secret, done):
 
 
 if __name__ == "__main__":
-    made = [vector(*suite) for suite in SUITES]
-    Path(__file__).with_name("pq.json").write_text(json.dumps(made, indent=1) + "\n")
+    for file, suites, version in (
+        ("pq.json", SUITES, WireVersion.FIRST),
+        ("second.json", SECOND_SUITES, WireVersion.SECOND),
+    ):
+        made = [vector(*suite, version) for suite in suites]
+        Path(__file__).with_name(file).write_text(json.dumps(made, indent=1) + "\n")

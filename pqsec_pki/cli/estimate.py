@@ -1,0 +1,243 @@
+"""pqsec estimate: predict what the handshakes of a fleet cost."""
+
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+
+import click
+
+from pqsec_pki._files import refuse_existing, write
+from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.errors import UsageError
+from pqsec_pki.estimation import (
+    VALIDITY,
+    Estimate,
+    MessageSizes,
+    Scenario,
+    costs_of,
+    estimated,
+    read_costs,
+    sizes_in,
+    sizes_of,
+    svg_of,
+)
+
+_TIMES = (1, 2, 5, 10, 30, 60)
+
+
+class _Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
+    """2 or 2%, as 0.02."""
+
+    name = "percent"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        if isinstance(value, float):
+            return value
+        try:
+            share = float(str(value).removesuffix("%")) / 100
+        except ValueError:
+            share = -1.0
+        if not 0 <= share <= 0.5:  # noqa: PLR2004 -- beyond, hardly a message of 15 datagrams arrives
+            self.fail(f"{value!r} is not a loss from 0% to 50%", param, ctx)
+        return share
+
+
+@_help.command(
+    examples={
+        "Predict 500 robots on a network that loses 2 % of frames": (
+            "pqsec estimate --participants 500 --profile pq --loss 2% --cores 4"
+        ),
+        "Predict the participants of the keystore, and draw the result": (
+            "pqsec estimate --loss 1% --plot mesh.svg"
+        ),
+        "Predict 40 processes that share a machine of two cores": (
+            "pqsec estimate --participants 40 --hosts 1 --cores 2"
+        ),
+    },
+    exit_codes={
+        0: "the estimate is printed",
+        3: "the keystore or a file cannot be read, or the plot cannot be written",
+    },
+)
+@click.option(
+    "--participants",
+    type=click.IntRange(2, 100_000),
+    help="Predict so many participants.  [default: those of the keystore]",
+)
+@click.option(
+    "--profile",
+    type=click.Choice([each.name for each in PROFILES], case_sensitive=False),
+    help="Predict this profile.  [default: pq, or the keystore's]",
+)
+@click.option(
+    "--loss", type=_Percent(), default="0%", show_default=True, help="Lose this part of frames."
+)
+@click.option(
+    "--fragment",
+    type=click.IntRange(64, 65_000),
+    default=1300,
+    show_default=True,
+    help="Bytes of a sample in one datagram; the default is that of `pqsec export`.",
+)
+@click.option(
+    "--cores",
+    type=click.IntRange(1, 1024),
+    default=4,
+    show_default=True,
+    help="Cores of each host.",
+)
+@click.option(
+    "--hosts",
+    type=click.IntRange(1),
+    help="Share the participants among so many hosts.  [default: each has its own]",
+)
+@click.option(
+    "--start-within",
+    type=_settings.FiniteRange(0, 300),
+    default=0.0,
+    show_default=True,
+    help="Seconds over which the participants start.",
+)
+@click.option(
+    "--ipfrag-high-thresh",
+    "threshold",
+    type=click.IntRange(1, 1 << 40),
+    default=4 << 20,
+    show_default=True,
+    help="Bytes of net.ipv4.ipfrag_high_thresh on each host.",
+)
+@click.option(
+    "--costs",
+    "measured",
+    type=_settings.FILE,
+    metavar="BENCH.json",
+    help="Take processor times from the JSON of `pqsec bench`.",
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the simulation.")
+@click.option(
+    "--plot",
+    type=_settings.FILE,
+    metavar="FILE.svg",
+    help="Draw how many pairs have met over time.",
+)
+@click.option("--force", is_flag=True, help="Replace that file.")
+@_settings.command_options
+def estimate(  # noqa: PLR0913 -- one for each option, by name
+    *,
+    participants: int | None,
+    profile: str | None,
+    loss: float,
+    fragment: int,
+    cores: int,
+    hosts: int | None,
+    start_within: float,
+    threshold: int,
+    measured: Path | None,
+    seed: int,
+    plot: Path | None,
+    force: bool,
+) -> None:
+    """Predict what the handshakes of a fleet cost, and how long they take.
+
+    All participants start, find each other and make a handshake with each other, as in Cyclone
+    DDS. Two models answer, a closed form and a simulation; both are printed. Without
+    --participants, the keystore's participants and the sizes of their own documents count.
+    """
+    if plot and not force:
+        refuse_existing(plot)
+    name, sizes = _fleet(participants, profile)
+    scenario = Scenario(
+        participants=participants or len(sizes),
+        sizes=_mean(sizes),
+        each=sizes if len(set(sizes)) > 1 else (),
+        costs=read_costs(measured, name) if measured else costs_of(name),
+        loss=loss,
+        fragment=fragment,
+        cores=cores,
+        hosts=hosts or 0,
+        start_within=start_within,
+        threshold=threshold,
+    )
+    found = estimated(scenario, seed)
+    if plot:
+        write(plot, svg_of(found).encode(), force=force)
+    _printing.emit({"profile": name, **found.to_json()}, _lines(name, found))
+
+
+def _fleet(participants: int | None, profile: str | None) -> tuple[str, tuple[MessageSizes, ...]]:
+    """The profile, and the sizes of one participant for all, or of each of the keystore."""
+    if participants:
+        chosen = profile_named(profile or "pq")
+        return chosen.name, (sizes_of(chosen),)
+    keystore = _settings.open_keystore()
+    if profile and profile != keystore.profile.name:
+        raise UsageError(
+            f"the keystore has profile {keystore.profile.name}",
+            hint="for another profile, name a number: --participants",
+        )
+    sizes = tuple(sizes_in(keystore))
+    if len(sizes) < 2:  # noqa: PLR2004 -- one meets nobody
+        raise UsageError(
+            f"the keystore has {_printing.counted(len(sizes), 'participant')}, who meet nobody",
+            hint="name a number: --participants",
+        )
+    return keystore.profile.name, sizes
+
+
+def _mean(sizes: tuple[MessageSizes, ...]) -> MessageSizes:
+    number = len(sizes)
+    return MessageSizes(
+        *(
+            round(sum(getattr(each, name) for each in sizes) / number)
+            for name in ("request", "reply", "final")
+        )
+    )
+
+
+def _lines(profile: str, found: Estimate) -> Iterator[str]:
+    scenario, closed, simulation = found.scenario, found.closed, found.simulation
+    sizes = scenario.sizes
+    frames = "/".join(
+        str(sum(scenario.datagrams(each))) for each in (sizes.request, sizes.reply, sizes.final)
+    )
+    busy, count = sum(scenario.seconds), scenario.participants
+    hosts = _printing.counted(scenario.machines, "host")
+    cores = _printing.counted(scenario.cores, "core")
+    who = f"{count} participants of profile {profile} on {hosts} of {cores}"
+    yield f"{who}, {scenario.loss:.3g} of all frames lost"
+    yield ""
+    yield f"handshakes      {scenario.pairs}"
+    yield f"messages        {sizes.request}/{sizes.reply}/{sizes.final} bytes in {frames} frames"
+    megabytes = scenario.bytes / 1e6
+    yield f"bytes           {megabytes:.4g} MB, {megabytes / count:.3g} of each participant"
+    yield f"processor       {busy:.3g} s of all cores of each host"
+    yield f"                {scenario.costs.source}"
+    yield f"reassembly      {scenario.in_reassembly} of {scenario.threshold} bytes in a host"
+    yield ""
+    rows = [
+        (
+            f"full mesh, {label}",
+            _seconds(closed.mesh(share)),
+            _seconds(simulation.mesh(share) if simulation.is_whole else None, "-"),
+        )
+        for label, share in (("median", 0.5), ("95 %", 0.95))
+    ]
+    rows.append(("a pair, median", _seconds(closed.pair(0.5)), _seconds(simulation.pair(0.5))))
+    pairs = simulation.pairs
+    for time in _TIMES:
+        simulated = sum(each > time for each in pairs) / len(pairs)
+        rows.append((f"apart after {time} s", f"{closed.apart(time):.3%}", f"{simulated:.3%}"))
+    yield from _printing.table(("", "closed form", "simulation"), rows)
+    for advice in found.advice:
+        then = f": full mesh in {_seconds(advice.median)}" if advice.median else ""
+        yield f"to do: {advice.change}{then}"
+    for note in found.notes:
+        yield f"note: {note}"
+    yield VALIDITY
+
+
+def _seconds(value: float | None, missing: str = "over 600 s") -> str:
+    return f"{value:.1f} s" if value is not None and isfinite(value) else missing

@@ -1,0 +1,76 @@
+"""Processor time of a handshake and of what a stack does around it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pqsec_pki._files import read
+from pqsec_pki.errors import MalformedError
+
+STACK_MS = 9.0
+"""Of each side for each pair: discovery, permissions, tokens and endpoints, in Cyclone DDS 0.10.2
+and the agent. Fitted to runs of 10 participants (bench/mesh.csv); with 20 it was 19."""
+START_MS = 40.0
+"""Of each participant: its creation in the stack and in the agent. A rough value, not measured."""
+_MOST_MS = 1e6
+"""Of a side of one handshake: ten times what Cyclone DDS waits for all of it."""
+STORED = "stored: one core of an AMD EPYC, 2026-11, medians of 20; other machines: --costs"
+_STORED = {
+    "classical": (0.84, 0.84),
+    "transition": (2.98, 2.52),
+    "hybrid": (2.74, 2.72),
+    "pq": (2.56, 2.04),
+    "cnsa2": (2.82, 2.96),
+}
+"""Profile -> milliseconds of the initiator and of the responder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """Milliseconds of one core."""
+
+    initiator: float
+    responder: float
+    source: str
+    stack: float = STACK_MS
+    """Of each side of a pair, beside the handshake."""
+    start: float = START_MS
+    """Of each participant, once."""
+
+
+def costs_of(profile: str) -> Costs:
+    """The stored costs of a profile, measured on one machine."""
+    return Costs(*_STORED[profile], source=STORED)
+
+
+def read_costs(path: Path, profile: str) -> Costs:
+    """The medians of that profile in the JSON of `pqsec bench`; MalformedError without them."""
+    try:
+        found = json.loads(read(path))
+        suite = next(each for each in found["suites"] if each["profile"] == profile)
+        initiator, responder = (
+            _median(suite["cpu_ms"], side) for side in ("initiator", "responder")
+        )
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        OverflowError,
+        StopIteration,
+        RecursionError,
+    ) as error:
+        raise MalformedError(
+            f"not the JSON of `pqsec bench` with profile {profile}",
+            where=path,
+            hint=f"make it with `pqsec bench --json --profile {profile}`",
+        ) from error
+    return Costs(initiator, responder, source=f"measured: {path}")
+
+
+def _median(times: Mapping[str, Any], side: str) -> float:
+    value = float(times[side]["p50"])
+    if not 0 <= value <= _MOST_MS:
+        raise ValueError(side)
+    return value

@@ -1,0 +1,90 @@
+"""pqsec estimate: its table, its JSON, its plot, and what it refuses."""
+
+import json
+
+from lxml import etree
+
+from pqsec_pki.handshake import MAX_SAMPLE
+
+FLEET = "estimate --participants 20 --profile pq --loss 2%"
+
+
+def test_the_table_has_both_models_and_the_range(pqsec):
+    out = pqsec(FLEET).done().out
+    assert "handshakes      190" in out
+    assert "closed form  simulation" in out
+    assert "valid for" in out
+
+
+def test_the_same_seed_gives_the_same_json(pqsec):
+    one, other, third = (pqsec(f"{FLEET} --json --seed {seed}").done().json for seed in (1, 1, 2))
+    assert one == other
+    assert one["simulation"] != third["simulation"]
+    assert one["closed_form"] == third["closed_form"]
+    assert one["frames"] == {"request": 13, "reply": 16, "final": 5}
+
+
+def test_a_keystore_has_the_sizes_of_its_own_documents(pqsec, tmp_path):
+    store = tmp_path / "k"
+    pqsec(f"ca init -k {store} --no-passphrase --profile classical").done()
+    many = " ".join(f"--publish rt/topic{each}" for each in range(100))
+    pqsec(f"issue -k {store} --publish a /one /two").done()
+    small = pqsec(f"estimate -k {store} --json").done().json
+    pqsec(f"issue -k {store} {many} /three").done()
+    large = pqsec(f"estimate -k {store} --json").done().json
+    assert (small["participants"], small["profile"]) == (2, "classical")
+    assert large["handshakes"] == 3
+    assert large["sample_bytes"]["reply"] > small["sample_bytes"]["reply"] + 1000
+    pqsec(f"estimate -k {store} --profile pq").refused(2, "the keystore has profile classical")
+
+
+def test_costs_are_those_of_bench(pqsec, tmp_path):
+    bench = tmp_path / "bench.json"
+    bench.write_text(pqsec("bench --profile pq --rounds 2 --warm-up 0 --json").done().out)
+    costs = pqsec(f"{FLEET} --costs {bench} --json").done().json["costs"]
+    median = json.loads(bench.read_text())["suites"][0]["cpu_ms"]["initiator"]["p50"]
+    assert costs["initiator"] == median
+    sides = '{"initiator": {"p50": %s}, "responder": {"p50": 1}}'
+    for text in (
+        *("[]", '{"suites": [1]}', "[" * 100_000, '{"suites": []}'),
+        *(
+            f'{{"suites": [{{"profile": "pq", "cpu_ms": {sides % each}}}]}}'
+            for each in ("9" * 400, "1e308", "1e7", "NaN", "-1")
+        ),
+    ):
+        bench.write_text(text)
+        assert "not the JSON of `pqsec bench`" in pqsec(f"{FLEET} --costs {bench}").err
+
+
+def test_the_plot_is_svg_and_stays_without_force(pqsec, tmp_path):
+    plot = tmp_path / "mesh.svg"
+    pqsec(f"{FLEET} --plot {plot}").done()
+    root = etree.fromstring(plot.read_bytes())
+    assert len(root.findall(".//{http://www.w3.org/2000/svg}polyline")) == 2
+    assert "exists" in pqsec(f"{FLEET} --plot {plot}").err
+    pqsec(f"{FLEET} --plot {plot} --force").done()
+
+
+def test_what_makes_no_fleet_is_refused(pqsec, tmp_path):
+    for line, words in (
+        ("estimate --participants 1", "--participants"),
+        ("estimate --participants 5 --loss 51%", "not a loss from 0% to 50%"),
+        ("estimate --participants 5 --loss nan", "not a loss from 0% to 50%"),
+        ("estimate --participants 5 --fragment 0", "--fragment"),
+        ("estimate --participants 5 --start-within nan", "'nan' is not a finite number"),
+        ("estimate --participants 5 --start-within inf", "--start-within"),
+        (f"estimate --participants 5 --ipfrag-high-thresh 1{'0' * 309}", "--ipfrag-high-thresh"),
+    ):
+        pqsec(line).refused(2, words)
+    store = tmp_path / "k"
+    pqsec(f"ca init -k {store} --no-passphrase --profile classical").done()
+    pqsec(f"estimate -k {store}").refused(2, "0 participants, who meet nobody")
+
+
+def test_a_participant_with_messages_that_no_peer_reads_is_named(pqsec, tmp_path):
+    store = tmp_path / "k"
+    pqsec(f"ca init -k {store} --no-passphrase --profile classical").done()
+    pqsec(f"issue -k {store} /one /two").done()
+    permissions = store / "enclaves" / "two" / "permissions.p7s"
+    permissions.write_bytes(permissions.read_bytes() + bytes(MAX_SAMPLE))
+    pqsec(f"estimate -k {store}").refused(3, "message of /two", f"at most {MAX_SAMPLE}")
