@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -37,7 +37,9 @@ def command_pages() -> dict[str, str]:
     """The Markdown of each command's page, and of their index, by the page's path in the site."""
     found = commands()
     pages = {command_path(name): command_page(name, each) for name, each in found.items()}
-    return {f"{COMMANDS}/index.md": _command_index(found)} | pages
+    about = "[The command line](../commands.md) has what is common to all of them."
+    index = command_index(lambda name: Path(command_path(name)).name)
+    return {f"{COMMANDS}/index.md": "\n\n".join(["# Commands", about, *index]) + "\n"} | pages
 
 
 def command_path(name: str) -> str:
@@ -46,7 +48,12 @@ def command_path(name: str) -> str:
 
 
 def command_page(name: str, command: click.Command) -> str:
-    """What `pqsec NAME --help` says, as Markdown."""
+    """What `pqsec NAME --help` says, as a page."""
+    return re.sub(r"(?m)^#(#+ )", r"\1", command_section(name, command)) + "\n"
+
+
+def command_section(name: str, command: click.Command) -> str:
+    """What `pqsec NAME --help` says, as a section of level 2."""
     context = click.Context(command, info_name=f"pqsec {name}")
     usage = " ".join([context.command_path, *command.collect_usage_pieces(context)])
     options = [
@@ -54,28 +61,27 @@ def command_page(name: str, command: click.Command) -> str:
         for parameter in command.get_params(context)
         if isinstance(parameter, click.Option) and (record := parameter.get_help_record(context))
     ]
-    parts = [f"# pqsec {name}", *_paragraphs(command.help or ""), "## Usage", _block(usage)]
-    parts += ["## Options", *(f"`{option}`\n:   {_plain(text)}" for option, text in options)]
+    parts = [f"## pqsec {name}", *_paragraphs(command.help or ""), "### Usage", _block(usage)]
+    parts += ["### Options", "\n".join(f"- `{option}`: {_plain(text)}" for option, text in options)]
     if examples := getattr(command, "examples", None):
         lines = "\n\n".join(f"# {purpose}\n{line}" for purpose, line in examples.items())
-        parts += ["## Examples", _block(lines, "sh")]
+        parts += ["### Examples", _block(lines, "sh")]
     if codes := getattr(command, "exit_codes", None):
         rows = (f"| {code} | {_plain(words)} |" for code, words in codes.items())
-        parts += ["## Exit codes", "\n".join(["| Code | Meaning |", "|---|---|", *rows])]
-    return "\n\n".join(parts) + "\n"
+        parts += ["### Exit codes", "\n".join(["| Code | Meaning |", "|---|---|", *rows])]
+    return "\n\n".join(parts)
 
 
-def _command_index(found: dict[str, click.Command]) -> str:
-    parts = ["# Commands", "[The command line](../commands.md) has what is common to all of them."]
+def command_index(link: Callable[[str], str]) -> Iterator[str]:
+    """A table of commands for each group of `pqsec --help`, each with a link to `link(name)`."""
+    found = commands()
     for heading, names in GROUPS.items():
-        inside = [name for name in found if name.split()[0] in names.split()]
         rows = (
-            f"| [`pqsec {name}`]({Path(command_path(name)).name}) |"
-            f" {_plain(found[name].get_short_help_str(limit=200))} |"
-            for name in inside
+            f"| [`pqsec {name}`]({link(name)}) | {_plain(command.get_short_help_str(limit=200))} |"
+            for name, command in found.items()
+            if name.split()[0] in names.split()
         )
-        parts += [f"## {heading}", "\n".join(["| Command | Purpose |", "|---|---|", *rows])]
-    return "\n\n".join(parts) + "\n"
+        yield from (f"## {heading}", "\n".join(["| Command | Purpose |", "|---|---|", *rows]))
 
 
 def _paragraphs(text: str) -> Iterator[str]:

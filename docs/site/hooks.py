@@ -31,6 +31,8 @@ ADDED = {
 """A document outside docs/ -> its page."""
 ORIGINS = {page: document for document, page in ADDED.items()}
 RULES = f"{generated.RULES}.md"
+ALL_COMMANDS = "reference/all-commands.md"
+"""On code hosts one page; the site has one for each command."""
 _LINK = re.compile(r"\[((?:[^\[\]`]|`[^`]*`)*)\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 _FENCE = re.compile(r"(?ms)^(```.*?^```$)")
 _FETCHED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)=[\"']?(https?:[^\"'> ]*)")
@@ -104,6 +106,9 @@ def _document_of(page: str) -> str:
 def _page_of(document: str, anchor: str | None) -> tuple[str, str | None]:
     """The page that a document became, and the anchor in it."""
     page = ADDED.get(document, document.removeprefix("docs/"))
+    if page == ALL_COMMANDS:
+        name = (anchor or "index").removeprefix("pqsec-")
+        return f"{generated.COMMANDS}/{name}.md", None
     if page == RULES and anchor and (rule := re.match("pqs[0-9]{3}", anchor)):
         return f"{generated.RULES}/{rule[0].upper()}.md", None
     return page, anchor

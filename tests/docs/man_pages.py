@@ -1,5 +1,7 @@
 """Writes docs/man/: each command's manual page, from its help. `python tests/docs/man_pages.py`.
 
+It also writes the generated pages of docs/reference (reference_pages.py): one has all help texts.
+
 The pages are in the repository, so that building a wheel needs no more than hatchling;
 tests/docs/test_man_pages.py compares them with the code.
 """
@@ -17,6 +19,7 @@ if __name__ == "__main__":
 import click  # noqa: E402 -- after the path
 
 from pqsec_pki.cli import COMMANDS, GROUPS, pqsec  # noqa: E402
+from tests.docs import reference_pages  # noqa: E402
 
 FOLDER = ROOT / "docs/man"
 ENVIRONMENT = {
@@ -127,6 +130,7 @@ def main() -> None:
             path.unlink()
     for name, text in found.items():
         (FOLDER / name).write_text(text)
+    reference_pages.main()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""docs/how-to/questions.md: each row of its table of stacks has a question that they answer so."""
+"""docs/reference/decisions.md: each row of its table has a question that the stacks answer so."""
 
 from datetime import UTC, datetime
 
@@ -17,7 +17,7 @@ from tests.docs.tables import Document
 from tests.unit.test_diff import allow, deny, document, grant, topic_rule, with_rule
 
 STACKS = [interpretation.title for interpretation in INTERPRETATIONS if interpretation is not SPEC]
-TABLE = {row[""]: row for row in Document("how-to/questions.md").table("", "Standard", *STACKS)}
+TABLE = {row[""]: row for row in Document("reference/decisions.md").table("", "Standard", *STACKS)}
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 LATER = datetime(2026, 7, 1, tzinfo=UTC)

@@ -28,7 +28,7 @@ def test_the_page_of_a_command_has_all_its_options(name):
     page = PAGES[generated.command_path(name)]
     assert page.startswith(f"# pqsec {name}\n")
     assert f"```text\npqsec {name} " in page
-    told = {word for line in re.findall(r"(?m)^`(-.*)`$", page) for word in line.split(", ")}
+    told = {word for line in re.findall(r"(?m)^- `(-.*?)`: ", page) for word in line.split(", ")}
     shown = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
     for option in shown:
         assert {option.opts[-1]} <= {word.split()[0] for word in told}

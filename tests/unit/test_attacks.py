@@ -6,13 +6,12 @@ import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, profile_named
 from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
-from pqsec_pki.attacks.attack import CERTIFICATE, DOCUMENT, Attack, Attacker
+from pqsec_pki.attacks.attack import Attack, Attacker
 from pqsec_pki.attacks.run import attempted, run_attacks
 from pqsec_pki.attacks.table import ATTACKS, attack_named
 from pqsec_pki.documents import DomainSet, Permissions
@@ -582,19 +581,3 @@ def test_nothing_in_the_keystore_is_changed(setup):
     before = content(setup.keystore.root)
     assert run_attacks(setup, *GUESTS, ATTACKS).ok
     assert content(setup.keystore.root) == before
-
-
-def numbers(codes):
-    """The checks of docs/reference/wire.md that these codes stand for."""
-    groups = dict.fromkeys(CERTIFICATE, 10) | dict.fromkeys(DOCUMENT, 25)
-    found = {groups[code] if code in groups else int(code[1:]) for code in codes}
-    return ", ".join(f"C{number}" for number in sorted(found))
-
-
-def test_the_table_of_the_document_is_the_rows():
-    text = (Path(__file__).parents[2] / "docs/reference/attacks.md").read_text()
-    rows = re.findall(r"(?m)^\| `([a-z-]+)` \| (.*) \| (.*) \| (.*) \| (.*) \|$", text)
-    assert rows == [
-        (row.name, row.attacker, row.title, ", ".join(row.refused_at), numbers(row.checks))
-        for row in ATTACKS
-    ]

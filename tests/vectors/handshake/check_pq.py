@@ -35,7 +35,7 @@ SECOND = {
 }
 """The second version of the messages (wire.md, 5.1)."""
 SHORT = {"ch1": "challenge1", "ch2": "challenge2", "sig": "signature", "pd": "c.pdata"}
-WIRE = Path(__file__).parents[3] / "docs" / "reference" / "wire.md"
+TABLES = Path(__file__).parents[3] / "docs" / "reference" / "wire-tables.md"
 SIGNED_REPLY = ("hash_c2", "challenge2", "dh2", "challenge1", "dh1", "hash_c1")
 SIGNED_FINAL = ("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c2")
 CLASSES = {
@@ -103,7 +103,7 @@ def restored(token):
 
 
 def dictionary():
-    return re.search(r"(?s)```xml\n(.*?)```", WIRE.read_text())[1].encode()
+    return re.search(r"(?s)```xml\n(.*?)```", TABLES.read_text())[1].encode()
 
 
 def first_value(data):

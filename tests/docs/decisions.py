@@ -1,0 +1,176 @@
+"""How the standard and the stacks decide: the rows of docs/reference/decisions.md.
+
+tests/docs/test_questions.py asks each a question on which they differ.
+"""
+
+from collections.abc import Iterator
+
+from pqsec_pki.access import INTERPRETATIONS
+from tests.docs.rows import table
+
+ABOUT = """By the standard (DDS-Security 1.1, 9.4) and by the interpretation of each stack. Cyclone
+DDS and Fast DDS were measured through their own access control; of OpenDDS, the source was read.
+[Querying a policy](../how-to/questions.md) shows the commands that use these interpretations."""
+ROWS = (
+    (
+        "The grant is for",
+        "the whole name, in any spelling and either order",
+        "every name whose parts are all in it: `CN=/robot` may use a grant for `CN=/robot/admin`",
+        "the same parts, last one of the certificate first",
+        "the same parts, first one of the certificate first",
+    ),
+    (
+        "Of several grants",
+        "the first",
+        "the first",
+        "the first in force",
+        "the first",
+    ),
+    (
+        "A grant is in force",
+        "between its times",
+        "between its times, if they are in 1970 to 2262",
+        "as local time",
+        "only for endpoints of topics that governance does not open; joining ignores the times",
+    ),
+    (
+        "A range of domains without an end",
+        "has no end",
+        "is its first domain",
+        "is its first domain",
+        "has no end",
+    ),
+    (
+        "A domain above 230",
+        "is a domain",
+        "the documents are refused",
+        "is a domain",
+        "is a domain",
+    ),
+    (
+        "Joining requires",
+        "an allow rule for the domain, or the default `ALLOW`",
+        "an allow rule for the domain, or the default `ALLOW`",
+        "of the own stack any allow rule, of peers one for the domain; never the default",
+        "of the own stack that something is open; of peers as the standard",
+    ),
+    (
+        "A domain that no governance rule names",
+        "cannot be joined",
+        "cannot be joined",
+        "can be joined, but no topic used",
+        "cannot be joined",
+    ),
+    (
+        "An unclosed bracket",
+        "is a `[`",
+        "covers nothing",
+        "is a `[`",
+        "is read past its end: the result is undefined, here it is no",
+    ),
+    (
+        "The topic itself",
+        "is not checked",
+        "is checked first, for any action and partition: a deny_rule for a partition denies it",
+        "is not checked",
+        "is checked first; denied if publishing and subscribing both are",
+    ),
+    (
+        "Default of a grant",
+        "applies",
+        "applies",
+        "is ignored",
+        "applies",
+    ),
+    (
+        "Criteria of a rule",
+        "are separate",
+        "are separate",
+        "the topic of one and the partition of another match together",
+        "are separate",
+    ),
+    (
+        "A deny rule with partitions",
+        "denies in these",
+        "see above",
+        "denies in all",
+        "denies in these",
+    ),
+    (
+        "A deny rule without partitions",
+        "denies in all",
+        "denies in the default one, but see above",
+        "denies in all",
+        "denies in all",
+    ),
+    (
+        "Partitions of an endpoint",
+        "are expressions, like those of a rule",
+        "are compared literally, including wildcards",
+        "are compared literally, including wildcards",
+        "are compared literally, including wildcards",
+    ),
+    (
+        "An allow rule with partitions, an endpoint without",
+        "no",
+        "no",
+        "no",
+        "yes",
+    ),
+    (
+        "Data tags",
+        "are checked",
+        "are ignored",
+        "are ignored",
+        "are ignored",
+    ),
+    (
+        "Relaying",
+        "is an action",
+        "is never allowed by a rule",
+        "is like subscribing, for peers",
+        "is never allowed by a rule",
+    ),
+    (
+        "`\\*` in a pattern",
+        "is a `*`",
+        "is a `\\` and any text",
+        "is a `\\` and any text",
+        "is a `*`",
+    ),
+    (
+        "`[^a]` in a pattern",
+        "is all but `a`",
+        "is `^` or `a`",
+        "is all but `a`",
+        "is `^` or `a`",
+    ),
+    (
+        "`*ab` and the topic `aab`",
+        "covered",
+        "covered",
+        "covered",
+        "not covered",
+    ),
+    (
+        "`topic_expression` of governance",
+        "covers topics",
+        "covers topics",
+        "covers topics, and is covered by a topic that is a pattern",
+        "covers topics",
+    ),
+    (
+        "A topic with a builtin name, `DCPSTopic`",
+        "is a topic",
+        "is open to all members",
+        "is a topic",
+        "is a topic",
+    ),
+)
+"""Of what, and how it is with each of INTERPRETATIONS."""
+
+
+def parts() -> Iterator[str]:
+    """The title, and what follows it."""
+    heads = ("", "Standard", *(each.title for each in INTERPRETATIONS[1:]))
+    yield from ("# Access decisions: how stacks differ", ABOUT, table(heads, ROWS))

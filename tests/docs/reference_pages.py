@@ -1,0 +1,81 @@
+"""Writes the pages of docs/reference that are made from the code.
+
+Run `python tests/docs/reference_pages.py` after a change of a help text, an attack, an algorithm, a
+limit, a schema or an interpretation. tests/docs/test_reference_pages.py compares them with the
+code. Two scripts write the rest: rules_page.py rules.md, and man_pages.py the manual pages.
+"""
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
+
+from docs.site import generated  # noqa: E402 -- after the path
+from pqsec_pki.attacks import ATTACKS, Attack  # noqa: E402
+from pqsec_pki.attacks.attack import CERTIFICATE, DOCUMENT  # noqa: E402
+from pqsec_pki.problems import Code  # noqa: E402
+from tests.docs import decisions, wire_tables, yaml_keys  # noqa: E402
+from tests.docs.rows import table  # noqa: E402
+
+FOLDER = ROOT / "docs/reference"
+MADE = "Generated from {} by `python tests/docs/reference_pages.py`: do not edit this page."
+
+
+def pages() -> dict[str, str]:
+    """The text of each page by its file name."""
+    return {
+        "all-commands.md": _commands(),
+        "attack-list.md": _attacks(),
+        "decisions.md": _page("tests/docs/decisions.py", *decisions.parts()),
+        "wire-tables.md": _page("the tables of algorithms and limits", *wire_tables.parts()),
+        "yaml-keys.md": _page("the JSON Schemas in `schemas/`", *yaml_keys.parts()),
+    }
+
+
+def _page(source: str, title: str, *parts: str) -> str:
+    return "\n\n".join([title, MADE.format(source), *parts]) + "\n"
+
+
+def _commands() -> str:
+    """All commands, with what `--help` says of each."""
+    names = generated.commands()
+    sections = [generated.command_section(name, command) for name, command in names.items()]
+    index = generated.command_index(lambda name: f"#pqsec-{name.replace(' ', '-')}")
+    about = "[The command line](commands.md) has what is common to all of them."
+    return _page("the help texts", "# All commands", about, *index, *sections)
+
+
+def _attacks() -> str:
+    """The table of attacks: who, what, and which check refuses it."""
+    about = (
+        "What [`verify-handshake --attack`](attacks.md) tries. The steps and checks are described"
+        "\nthere and in [the wire specification](wire.md#9-what-a-receiver-checks)."
+    )
+    heads = ("Name", "Attacker", "What the attacker does", "Refused at", "By check")
+    return _page(
+        "the rows of attacks", "# List of attacks", about, table(heads, map(_row, ATTACKS))
+    )
+
+
+def _row(attack: Attack) -> tuple[str, ...]:
+    steps = ", ".join(attack.refused_at)
+    return (f"`{attack.name}`", attack.attacker, attack.title, steps, _checks(attack.checks))
+
+
+def _checks(codes: tuple[Code, ...]) -> str:
+    """The numbers of wire.md, section 9, that these codes stand for."""
+    groups = dict.fromkeys(CERTIFICATE, 10) | dict.fromkeys(DOCUMENT, 25)
+    found = {groups[code] if code in groups else int(code[1:]) for code in codes}
+    return ", ".join(f"C{number}" for number in sorted(found))
+
+
+def main() -> None:
+    """Write all pages."""
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text)
+
+
+if __name__ == "__main__":
+    main()
