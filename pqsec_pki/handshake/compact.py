@@ -132,12 +132,19 @@ def expanded(class_id: str, found: Mapping[str, bytes]) -> dict[str, bytes]:
     return values
 
 
+@lru_cache(maxsize=16)
 def check_carried(certificate: bytes, permissions: bytes) -> None:
     """MalformedError unless the second version can carry these two, in form and size.
 
-    `certificate` is PEM, and `permissions` the signed document.
+    `certificate` is PEM, and `permissions` the signed document. Cached, because our own are the
+    same for every peer.
     """
-    _inflated(_deflated(certificate, canonical(permissions)))
+    try:
+        _inflated(_deflated(certificate, canonical(permissions)))
+    except MalformedError as error:
+        words = f"version {WireVersion.SECOND:d} of the messages cannot carry our own documents"
+        hint = error.hint or "allow only version 1"
+        raise MalformedError(f"{words}: {error}", hint=hint) from error
 
 
 @lru_cache(maxsize=16)

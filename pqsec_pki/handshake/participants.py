@@ -17,7 +17,7 @@ from pqsec_pki.certificates import (
     verify_not_revoked,
 )
 from pqsec_pki.errors import PqsecError, VerificationError, shown
-from pqsec_pki.handshake.compact import WireVersion
+from pqsec_pki.handshake.compact import WireVersion, check_carried
 from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
@@ -149,7 +149,11 @@ class RemotePeer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
-    """The parameters of our handshakes with one peer."""
+    """The parameters of our handshakes with one peer.
+
+    MalformedError if the policy allows the second version of the messages, and that cannot carry
+    our own certificate and permissions.
+    """
 
     own: Identity
     policy: PeerRequirements
@@ -158,6 +162,10 @@ class Terms:
     """The future_challenge (32 bytes) in our own AuthRequest, if we sent one."""
     dialect: Dialect = OURS
     """How we write and read messages. Dialects of other implementations are for tests."""
+
+    def __post_init__(self) -> None:
+        if WireVersion.SECOND in self.policy.readable:
+            check_carried(self.own.certificate.pem, self.own.permissions)
 
     def challenge(self) -> bytes:
         """Our challenge for one handshake: the announced one, or 32 new random bytes."""

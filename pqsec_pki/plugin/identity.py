@@ -108,16 +108,16 @@ class Local:
         if WireVersion.SECOND not in policy.readable:
             return self
         try:
-            check_carried(self.certificate.pem, permissions.read())
+            with located(permissions.where):
+                check_carried(self.certificate.pem, permissions.read())
         except FileError:
             return self
         except PqsecError as error:
             rest = tuple(each for each in policy.versions if each is not WireVersion.SECOND)
-            words = f"version 2 of the messages cannot carry {permissions.where}: {error}"
             if not rest:
                 hint = "put wire_versions = [2, 1] in pqsec.toml, or leave it out"
-                raise UsageError(words, hint=hint) from error
-            note(f"{words}; version 1 is used")
+                raise UsageError(str(error), hint=hint) from error
+            note(f"{error}; version 1 is used")
             return replace(self, policy=replace(policy, versions=rest))
         return self
 

@@ -17,6 +17,7 @@ from pqsec_pki.handshake import (
     PeerRequirements,
     Reply,
     Request,
+    Terms,
     WireVersion,
     compact,
 )
@@ -315,6 +316,32 @@ def test_a_document_that_only_the_first_version_carries_is_found_before_a_peer_r
                 compact.check_carried(ca.certificate.pem, file)
 
 
+def in_other_form(terms):
+    """`terms` with another header in the signed part of our permissions, as others write it."""
+    header = b"Content-Type: text/plain"
+    assert header in terms.own.permissions
+    changed = terms.own.permissions.replace(header, header + b"; charset=us-ascii")
+    return replace(terms, own=replace(terms.own, permissions=changed))
+
+
+@pytest.mark.parametrize("versions", [(SECOND,), (FIRST, SECOND)])
+def test_own_documents_that_a_version_cannot_carry_are_refused_before_any_message(now, versions):
+    terms = meeting(now).of_alice
+    own = in_other_form(replace(terms, policy=replace(terms.policy, versions=(FIRST,)))).own
+    policy = replace(terms.policy, versions=versions)
+    with pytest.raises(MalformedError, match="version 2 of the messages cannot carry") as refused:
+        Terms(own=own, policy=policy)
+    assert refused.value.hint == "sign the document again with `pqsec`"
+
+
+def test_own_documents_need_a_canonical_form_only_for_the_second_version(now):
+    first = meeting(now, mine=(FIRST,)).of_alice
+    assert in_other_form(first)
+    classical = meeting(now, "ecdsa-p256", ECDH).of_alice
+    assert classical.policy.versions == (SECOND,)
+    assert in_other_form(replace(classical, policy=replace(classical.policy, agreements=(ECDH,))))
+
+
 @pytest.mark.parametrize("value", [b"a", b"a\0b\0"])
 def test_other_than_two_names_are_refused(now, value):
     with pytest.raises(VerificationError, match="names of algorithms, not two"):
@@ -346,10 +373,9 @@ def test_the_parts_of_a_signed_document_make_it_again(now):
 
 
 def test_a_document_that_is_not_signed_cannot_be_sent_in_the_second_version(now):
-    met = meeting(now)
-    met.of_alice = replace(met.of_alice, own=replace(met.of_alice.own, permissions=b"<dds/>"))
+    terms = meeting(now).of_alice
     with pytest.raises(MalformedError, match="not an S/MIME"):
-        met.request()
+        replace(terms, own=replace(terms.own, permissions=b"<dds/>"))
 
 
 def test_discovery_announces_the_versions_only_if_there_is_more_than_the_first(now):
