@@ -133,21 +133,19 @@ def _plain(session: HandshakeSession) -> str | None:
     return f"messages with {session.agreement.wire_name} have one version"
 
 
+_row = partial(Attack, attacker=Attacker.ON_THE_WAY, not_applicable=_plain)
 ATTACKS = (
-    Attack(
+    _row(
         name="convert-version",
-        attacker=Attacker.ON_THE_WAY,
         title="converts messages between the two versions, where both sides accept both",
         refused_at=("final", "authenticated"),
         checks=(Code.C21, Code.C28),
         also=TRANSCRIPT,
         because="the hashes cover the version, and both signatures and the key cover the hashes",
         act=convert,
-        not_applicable=_plain,
     ),
-    Attack(
+    _row(
         name="strip-version",
-        attacker=Attacker.ON_THE_WAY,
         title="removes the version of a message, so that it seems to be of the first",
         refused_at=("reply", "final", "authenticated"),
         checks=(Code.C4,),
@@ -157,15 +155,12 @@ ATTACKS = (
         ),
         because="nothing has its name of the first version, and later checks miss the values",
         act=strip,
-        not_applicable=_plain,
     ),
-    Attack(
+    _row(
         name="spoil-credentials",
-        attacker=Attacker.ON_THE_WAY,
         title="replaces deflated credentials by ones that inflate to 16 MiB, or to nothing valid",
         refused_at=("reply",),
         checks=(Code.C27,),
         act=spoil,
-        not_applicable=_plain,
     ),
 )

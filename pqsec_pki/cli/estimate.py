@@ -13,7 +13,6 @@ from pqsec_pki.errors import UsageError
 from pqsec_pki.estimation import (
     VALIDITY,
     Estimate,
-    MessageSizes,
     Scenario,
     costs_of,
     estimated,
@@ -22,6 +21,7 @@ from pqsec_pki.estimation import (
     sizes_of,
     svg_of,
 )
+from pqsec_pki.handshake import MessageSizes
 
 _TIMES = (1, 2, 5, 10, 30, 60)
 

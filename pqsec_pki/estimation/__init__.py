@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pqsec_pki.estimation.closed_form import ClosedForm
     from pqsec_pki.estimation.costs import Costs, costs_of, read_costs
     from pqsec_pki.estimation.estimate import VALIDITY, Estimate, estimated
-    from pqsec_pki.estimation.messages import MessageSizes, sizes_in, sizes_of
+    from pqsec_pki.estimation.messages import sizes_in, sizes_of
     from pqsec_pki.estimation.plot import svg_of
     from pqsec_pki.estimation.scenario import Scenario, delivered_before_full
     from pqsec_pki.estimation.simulation import MOST_PAIRS, Simulated, simulated
@@ -32,7 +32,6 @@ __all__ = [
     "ClosedForm",
     "Costs",
     "Estimate",
-    "MessageSizes",
     "Scenario",
     "Simulated",
     "costs_of",

@@ -1,23 +1,11 @@
 """Bytes of the three handshake messages, as samples, without running a handshake."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.credentials import CERTIFICATE, PERMISSIONS
 from pqsec_pki.errors import KeystoreError, shown
-from pqsec_pki.handshake import (
-    CHALLENGE_SIZE,
-    GUID_SIZE,
-    HASH_SIZE,
-    MAX_SAMPLE,
-    Final,
-    GenericMessage,
-    Introduction,
-    MessageClass,
-    Reply,
-    Request,
-)
+from pqsec_pki.handshake import MAX_SAMPLE, Introduction, MessageSizes
 from pqsec_pki.keystore import Keystore, enclave_files
 
 PARTICIPANT_DATA = 676
@@ -30,15 +18,6 @@ _TYPICAL = {
     "cnsa2": (10199, 8054),
 }
 """Profile -> bytes of a certificate in PEM, and of signed permissions with two topics (run)."""
-
-
-@dataclass(frozen=True, slots=True)
-class MessageSizes:
-    """Bytes of the samples that one participant sends."""
-
-    request: int
-    reply: int
-    final: int
 
 
 def sizes_of(profile: Profile) -> MessageSizes:
@@ -67,30 +46,12 @@ def sizes_in(keystore: Keystore) -> Iterator[MessageSizes]:
 
 def _sizes(profile: Profile, certificate: int, permissions: int) -> MessageSizes:
     keys = [each for each in (profile.participant_key, profile.alternative_key) if each]
-    signature = bytes(sum(each.signature_size for each in keys))
-    agreement = profile.key_agreement
-    challenge, digest = bytes(CHALLENGE_SIZE), bytes(HASH_SIZE)
-    dh1, dh2 = bytes(agreement.public_size), bytes(agreement.ciphertext_size)
     introduction = Introduction(
         certificate=bytes(certificate),
         permissions=bytes(permissions),
         participant_data=bytes(PARTICIPANT_DATA),
         signature_algorithm="+".join(each.wire_name for each in keys).encode() + b"\0",
-        key_agreement=agreement.wire_name.encode() + b"\0",
+        key_agreement=profile.key_agreement.wire_name.encode() + b"\0",
     )
-    request = Request(introduction=introduction, hash_c1=digest, dh1=dh1, challenge1=challenge)
-    both = {"challenge1": challenge, "challenge2": challenge, "dh1": dh1, "dh2": dh2}
-    both |= {"hash_c1": digest, "hash_c2": digest, "signature": signature}
-    reply, final = Reply(introduction=introduction, **both), Final(**both)
-    return MessageSizes(_sample(request), _sample(reply), _sample(final))
-
-
-def _sample(token: Request | Reply | Final) -> int:
-    message = GenericMessage(
-        source=bytes(GUID_SIZE),
-        sequence=1,
-        destination_participant=bytes(GUID_SIZE),
-        class_id=MessageClass.HANDSHAKE,
-        tokens=(token.to_holder(),),
-    )
-    return len(message.encode())
+    signature = sum(each.signature_size for each in keys)
+    return MessageSizes.of(introduction, profile.key_agreement, signature)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from pqsec_pki.estimation.costs import Costs
-from pqsec_pki.estimation.messages import MessageSizes
+from pqsec_pki.handshake import MessageSizes
 from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH
 
 RESEND = 1.0

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         unprotect_payload,
         unprotect_submessage,
     )
+    from pqsec_pki.handshake.sizes import MessageSizes
     from pqsec_pki.handshake.states import Done, ReplySent, RequestSent, begin, reply_to
     from pqsec_pki.handshake.tokens import IdentityToken, PermissionsToken
     from pqsec_pki.handshake.wire import (
@@ -82,6 +83,7 @@ __all__ = [
     "Introduction",
     "KeyMaterial",
     "MessageClass",
+    "MessageSizes",
     "PeerRequirements",
     "PermissionsToken",
     "RemotePeer",

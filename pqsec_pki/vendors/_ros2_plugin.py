@@ -13,6 +13,7 @@ from pqsec_pki.credentials import ALT_KEY, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.plugin.settings import FILE as SETTINGS
 from pqsec_pki.vendors import _preload, own_plugin
+from pqsec_pki.vendors._datagrams import FRAGMENT, MAX_MESSAGE
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Options
 from pqsec_pki.vendors.own_plugin import FASTRTPS, PATH, folder_in
@@ -31,8 +32,8 @@ EXTRA = (ALT_KEY, PERMISSIONS_ALT_CA, SETTINGS)
 """Files that the plugin reads beside those that ROS 2 knows, if they exist."""
 _URI = "CYCLONEDDS_URI"
 _FRAGMENTS = (
-    "<CycloneDDS><Domain><General><MaxMessageSize>1400B</MaxMessageSize>"
-    "<FragmentSize>1300B</FragmentSize></General></Domain></CycloneDDS>"
+    f"<CycloneDDS><Domain><General><MaxMessageSize>{MAX_MESSAGE}B</MaxMessageSize>"
+    f"<FragmentSize>{FRAGMENT}B</FragmentSize></General></Domain></CycloneDDS>"
 )
 _UNFIT = set(":;$")
 """Characters with a meaning of their own in LD_LIBRARY_PATH (ld.so(8))."""

@@ -6,11 +6,11 @@ from importlib import import_module
 
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lint import Finding, Severity, check
+from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
-from pqsec_pki.vendors import own_plugin
+from pqsec_pki.vendors import _datagrams, own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Export, Options, Version
 from pqsec_pki.vendors.own_plugin import FASTRTPS, OPENDDS, PRELOAD
@@ -158,7 +158,14 @@ def export(
     if refusal and not options.anyway:
         raise refusal
     refused = map(str, refusal.problems) if refusal else ()
-    return replace(made, warnings=(*made.warnings, *refused, *map(_message_of, warnings)))
+    profile = enclave.profile if options.plugin else None
+    sizes = [each.message for each in largest_messages(report.inventory, profile)]
+    datagrams = _datagrams.notes(exporter.stack, enclave, options, max(sizes, default=0))
+    return replace(
+        made,
+        notes=(*made.notes, *datagrams),
+        warnings=(*made.warnings, *refused, *map(_message_of, warnings)),
+    )
 
 
 def _way_out(exporter: Exporter, errors: list[Finding]) -> str:

@@ -271,7 +271,7 @@ EXPECTED = {
         ("^a bomb", "reply", "^credentials larger than 163840 bytes$"),
         ("end", "reply", "^the deflated credentials end too soon, or bytes follow them$"),
         ("^another form", "reply", "^the credentials are not deflated with pqsec's dictionary$"),
-        ("^a certificate", "reply", "CMS|ends too soon"),
+        ("^a certificate", "reply", "CMS|ends too soon|DER"),
     ],
 }
 

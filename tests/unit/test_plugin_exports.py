@@ -1,8 +1,10 @@
 """Exports with pqsec's own plugin: what they name, what they take, and what they refuse."""
 
+import re
 import shlex
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -15,8 +17,9 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.lint import RULES, Finding
 from pqsec_pki.plugin import LIBRARY, NAMES
-from pqsec_pki.stacks import stack_named
-from pqsec_pki.vendors import Options, export, exporter_of
+from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
+from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH, stack_named
+from pqsec_pki.vendors import FASTRTPS, Options, export, exporter_of
 from pqsec_pki.vendors.ros2 import preflight
 from tests.unit.keystores import DAY, NOW
 
@@ -259,6 +262,57 @@ def test_without_the_plugin_ros_2_is_told_of_none(model):
 
 def test_small_handshakes_need_no_fragments(model, folder):
     assert "CYCLONEDDS_URI" not in exported("ros2", model("classical"), folder).files["ros2.sh"]
+
+
+@pytest.mark.parametrize(
+    ("stack", "rmw", "setting"),
+    [
+        ("cyclonedds", None, None),
+        ("ros2", "cyclonedds", None),
+        ("ros2", FASTRTPS, "fastdds.max_message_size"),
+        ("fastdds", None, "fastdds.max_message_size"),
+        ("opendds", None, "SedpMaxMessageSize"),
+    ],
+)
+def test_the_datagrams_of_large_handshakes_are_told(model, stack, rmw, setting):
+    """Never less than what is sent, and the memory for as many peers as it says."""
+    at = PurePosixPath("/robot/enclaves/talker")
+    made = exported(stack, model("pq"), Path("/opt/pqsec"), rmw=rmw, at=at, anyway=True)
+    found = " ".join(made.notes)
+    size = int(re.search(r"up to (\d+) bytes", found)[1])
+    frames = -(-size // FRAME)
+    assert 0 <= size - largest_sent(model("pq")) < 16
+    assert ("the export limits datagrams to 1400 bytes" in found) == (setting is None)
+    assert (f"it is {frames} IP fragments" in found) == (setting is not None)
+    if setting:
+        assert setting in found
+        assert f", of {IPFRAG_HIGH_THRESH // (frames * FRAME_MEMORY)} peers" in found
+
+
+def largest_sent(keystore):
+    """Bytes of the largest message of a handshake with NAME."""
+    other = ParticipantSpec(name="/other", domains=DomainSet.parse("0"), validity=DAY)
+    if other.name not in keystore.names():
+        issue(keystore, keystore.unlock(None), [replace(other, publish=("x",))], now=NOW)
+    party = (HandshakeParty(name=each) for each in (NAME, other.name))
+    report = run_handshake(HandshakeSetup(keystore=keystore, domain=0, now=NOW), *party)
+    assert report.ok
+    return max(len(each.data) for each in report.sent if each.sender == NAME)
+
+
+def test_stock_stacks_are_told_of_their_own_messages(model):
+    """Those of certificates with two keys; the larger ones of pqsec's suites are not sent."""
+    stock, ours = (
+        " ".join(exported("fastdds", model("transition"), plugin, anyway=True, **how).notes)
+        for plugin, how in ((None, {}), (Path("/p"), {"at": PurePosixPath("/r/enclaves/talker")}))
+    )
+    sizes = [int(re.search(r"up to (\d+) bytes", each)[1]) for each in (stock, ours)]
+    assert sizes[0] < sizes[1]
+
+
+@pytest.mark.parametrize("stack", ["cyclonedds", "fastdds", "connext"])
+def test_the_datagrams_of_small_handshakes_are_not_told(model, stack):
+    assert "datagram" not in " ".join(exported(stack, model("classical"), None).notes)
 
 
 @pytest.mark.parametrize("name", ["a:b", "a;b", "$ORIGIN"])

@@ -20,14 +20,10 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import (
-    CHALLENGE_SIZE,
     GUID_SIZE,
-    HASH_SIZE,
     MAX_TOKEN,
-    GenericMessage,
     Introduction,
-    MessageClass,
-    Reply,
+    MessageSizes,
     participant_data,
 )
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
@@ -177,7 +173,7 @@ def over_reassembly_memory(inventory: Inventory) -> Iterator[Violation]:
 def reply_size(
     certificate: Certificate, permissions: bytes, row: SignatureAlgorithm, agreement: KeyAgreement
 ) -> int:
-    """Bytes of the Reply, at most: an ECDSA signature may be a few bytes shorter."""
+    """Bytes of the Reply, at most (`MessageSizes.of`)."""
     return _reply_size(len(certificate.pem), len(permissions), row, agreement)
 
 
@@ -193,29 +189,17 @@ def _reply_size(
         signature_algorithm=row.wire_name.encode() + b"\0",
         key_agreement=agreement.wire_name.encode() + b"\0",
     )
-    reply = Reply(
-        introduction=introduction,
-        dh2=bytes(agreement.ciphertext_size),
-        challenge1=bytes(CHALLENGE_SIZE),
-        challenge2=bytes(CHALLENGE_SIZE),
-        dh1=bytes(agreement.public_size),
-        hash_c2=bytes(HASH_SIZE),
-        hash_c1=bytes(HASH_SIZE),
-        signature=bytes(row.signature_size),
-    )
-    message = GenericMessage(
-        source=bytes(GUID_SIZE),
-        sequence=1,
-        destination_participant=bytes(GUID_SIZE),
-        class_id=MessageClass.HANDSHAKE,
-        tokens=(reply.to_holder(),),
-    )
-    return len(message.encode())
+    return MessageSizes.of(introduction, agreement, row.signature_size).reply
 
 
-def largest_messages(inventory: Inventory) -> Iterator[LargestMessage]:
-    """For each participant, between pqsec peers of its keystore, or for stock stacks."""
-    return _sizes(inventory, inventory.keystore.profile if inventory.keystore else None)
+def largest_messages(
+    inventory: Inventory, profile: Profile | None = None
+) -> Iterator[LargestMessage]:
+    """For each participant, between pqsec peers of `profile`, else of its keystore's; without
+    both, for stock stacks."""
+    if profile is None and inventory.keystore:
+        profile = inventory.keystore.profile
+    return _sizes(inventory, profile)
 
 
 def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[LargestMessage]:
