@@ -32,22 +32,20 @@ def notes(stack: Stack, enclave: StackEnclave, options: Options, size: int) -> I
         return
     if _limits(stack, options):
         yield (
-            f"a handshake message has up to {size} bytes: the export limits datagrams to"
-            f" {MAX_MESSAGE} bytes, for an MTU of 1500. IP does not fragment them, so"
-            " net.ipv4.ipfrag_high_thresh does not matter. For a smaller MTU, lower MaxMessageSize"
-            " and FragmentSize"
+            f"handshake messages have up to {size} bytes; the export limits datagrams to"
+            f" {MAX_MESSAGE} bytes, which IP does not fragment at an MTU of 1500"
         )
         return
     held = frames * FRAME_MEMORY
     yield (
-        f"a handshake message has up to {size} bytes. In one datagram it is {frames} IP fragments"
-        f" at an MTU of 1500, and the loss of one loses the message. Smaller datagrams:"
+        f"handshake messages have up to {size} bytes: in one datagram {frames} IP fragments at an"
+        " MTU of 1500, and the loss of one loses the message. Smaller datagrams:"
         f" {_AVOIDED_BY[stack]}"
     )
     yield (
         f"Linux holds {IPFRAG_HIGH_THRESH} bytes of incomplete datagrams"
-        f" (net.ipv4.ipfrag_high_thresh), of {IPFRAG_HIGH_THRESH // held} peers that start at once."
-        f" Without smaller datagrams, set it to {held} for each peer"
+        f" (net.ipv4.ipfrag_high_thresh): of {IPFRAG_HIGH_THRESH // held} peers that start at once."
+        f" For more peers, set it to {held} for each"
     )
 
 
