@@ -39,6 +39,7 @@ __all__ = [
     "EncryptedPrivateKeyInfo",
     "Extension",
     "IssuerAndSerialNumber",
+    "KeyReference",
     "Oid",
     "OneAsymmetricKey",
     "PBES2Params",
@@ -293,6 +294,12 @@ class ECPrivateKey:
     private_key: bytes
     parameters: Annotated[Oid | None, Explicit(0)]
     public_key: Annotated[BitString | None, Explicit(1)]
+
+
+@sequence
+class KeyReference:
+    description: TLV
+    uri: str
 
 
 @sequence

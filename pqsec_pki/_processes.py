@@ -30,6 +30,8 @@ _MOMENTS = 20
 
 Done = TypeVar("Done")
 Item = TypeVar("Item")
+_alone = False
+"""Whether this process holds something that a fork of it could not use."""
 _watcher: ContextVar[Callable[[int], None] | None] = ContextVar("watcher", default=None)
 
 
@@ -72,6 +74,12 @@ def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]
     if failures:
         raise min(failures, key=lambda failure: failure.number).error
     return done
+
+
+def stay_alone() -> None:
+    """From now on `shared_out` works in this process alone, which holds what no fork can use."""
+    global _alone  # noqa: PLW0603 -- true of the whole process
+    _alone = True
 
 
 @contextmanager
@@ -175,7 +183,7 @@ def _cores() -> int:
     A fork of a process with several threads may hang, because another thread may hold a lock.
     And if SIGCHLD is ignored, which a parent may have set, the process cannot wait for a fork.
     """
-    if signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN or not _has_one_thread():
+    if _alone or signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN or not _has_one_thread():
         return 1
     return len(os.sched_getaffinity(0))
 

@@ -12,7 +12,13 @@ if TYPE_CHECKING:
     from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
     from pqsec_pki.algorithms._pair import pair_private, pair_public
     from pqsec_pki.algorithms._pem import first_pem, pem, unpem
-    from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm, broken_digest
+    from pqsec_pki.algorithms._row import (
+        ExternalKey,
+        PrivateKey,
+        PublicKey,
+        SignatureAlgorithm,
+        broken_digest,
+    )
     from pqsec_pki.algorithms._table import Family, Registered
     from pqsec_pki.algorithms.digest import Digest, digest_of
     from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS, MODP_DER, MODP_RAW
@@ -46,6 +52,7 @@ __all__ = [
     "STOCK_AGREEMENT",
     "STOCK_AGREEMENTS",
     "Digest",
+    "ExternalKey",
     "Family",
     "KeyAgreement",
     "KeyPair",

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.serialization import (
 from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, encode, whole_bytes
 from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.algorithms.digest import Digest
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
 
 _BROKEN = {
     encode(Oid(oid)): digest
@@ -224,3 +224,42 @@ class PrivateKey:
     def sign_handshake(self, data: bytes) -> bytes:
         """A signature over `data` as in handshake messages."""
         return self.algorithm.sign_handshake(self.handle, data)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExternalKey(PrivateKey):
+    """A private key that somebody else holds and does not give away: a token, or a key service.
+
+    The handle is the holder. It has `sign(data)`, which gives a signature as in certificates.
+    """
+
+    uri: str
+    """Where it is."""
+
+    @property
+    def raw(self) -> bytes:
+        """PqsecError: it cannot be had."""
+        raise PqsecError(f"the private key {self.uri} does not leave the place that holds it")
+
+    @property
+    def pkcs8(self) -> bytes:
+        """PqsecError: it cannot be had."""
+        return self.raw
+
+    def sign(self, data: bytes) -> bytes:
+        """A signature over `data`; PqsecError if the signer's is not one by this key."""
+        signature: bytes = self.handle.sign(data)
+        try:
+            self.public_key.verify(signature, data)
+        except VerificationError as error:
+            raise PqsecError(
+                f"the holder of the private key {self.uri} gave another key's signature",
+                hint="its public and its private key object may have got the same name",
+            ) from error
+        return signature
+
+    def sign_handshake(self, data: bytes) -> bytes:
+        """A signature over `data` as in handshake messages; UsageError if that is another kind."""
+        if type(self.algorithm).sign_handshake is not SignatureAlgorithm.sign_handshake:
+            raise UsageError(f"{self.uri} cannot sign handshakes: {self.algorithm.name} needs PSS")
+        return self.sign(data)

@@ -63,8 +63,20 @@ class Authority:
         With `alternative`, it has a second key of that algorithm, and everything it issues
         is signed with both. UsageError if the name or the validity is invalid.
         """
-        key = algorithm.generate()
         second = alternative.generate() if alternative else None
+        return cls.self_signed(name, algorithm.generate(), second, now=now, validity=validity)
+
+    @classmethod
+    def self_signed(
+        cls,
+        name: str,
+        key: PrivateKey,
+        alternative: PrivateKey | None = None,
+        *,
+        now: datetime,
+        validity: timedelta,
+    ) -> Self:
+        """The same with keys that are there already."""
         subject = common_name(name)
         tbs = _tbs(
             subject=subject,
@@ -73,9 +85,9 @@ class Authority:
             window=(now - BACKDATE, end_of(now, validity)),
             extensions=_authority_extensions(key.public_key),
         )
-        if second:
-            _alternative.add_key(tbs, second.public_key)
-        return cls(_sign(tbs, key, second), key, second)
+        if alternative:
+            _alternative.add_key(tbs, alternative.public_key)
+        return cls(_sign(tbs, key, alternative), key, alternative)
 
     def issue(
         self,

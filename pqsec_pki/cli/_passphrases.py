@@ -1,5 +1,6 @@
 """Read passphrases from files or the terminal, and unlock CAs with them."""
 
+import os
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore import Authorities, Keystore
 
 VARIABLE = "PQSEC_PASSPHRASE_FILE"
+PIN_VARIABLE = "PQSEC_PIN_FILE"
 MAX_FILE = 4096
 """Bytes."""
 SHORTEST, FEWEST = 15, 5
@@ -52,7 +54,7 @@ def weak_option(command: _settings.Command) -> _settings.Command:
 
 def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
     """The keystore's CAs, unlocked with the passphrase from the file or the terminal."""
-    return keystore.unlock(of_cas(keystore, passphrase_file))
+    return keystore.unlock(of_cas(keystore, passphrase_file), pin)
 
 
 def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
@@ -67,6 +69,19 @@ def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
             hint=f"use --passphrase-file FILE, or set {VARIABLE}",
         )
     return _asked("CA passphrase")
+
+
+def pin(token: str) -> str:
+    """The PIN of the token with that label: from the file in PQSEC_PIN_FILE, or the terminal."""
+    if file := os.environ.get(PIN_VARIABLE):
+        return _text(_read(Path(file)), Path(file))
+    if not sys.stdin.isatty():
+        raise PassphraseError(
+            f"the token '{token}' needs a PIN, and there is no terminal to ask for it",
+            hint=f"name a file with it in {PIN_VARIABLE}, or in the key's URI:"
+            " ?pin-source=file:/path",
+        )
+    return _asked(f"PIN of token '{token}'").decode()
 
 
 def new(
@@ -116,10 +131,14 @@ def of_key(path: Path | None) -> str | None:
     """The passphrase of a participant's key, as text for a stack; None without a file."""
     if path is None:
         return None
+    return _text(_read(path), path)
+
+
+def _text(secret: bytes, path: Path) -> str:
     try:
-        return _read(path).decode()
+        return secret.decode()
     except UnicodeDecodeError:
-        raise PassphraseError(f"{path}: the passphrase is not UTF-8") from None
+        raise PassphraseError(f"{path}: the first line is not UTF-8") from None
 
 
 def _asked(what: str, *, twice: bool = False) -> bytes:

@@ -8,13 +8,13 @@ import click
 from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
 from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Keystore, Overlap
+from pqsec_pki.keystore import Keystore, Overlap, key_algorithms
 from pqsec_pki.lifecycle import renew_list
 
 
@@ -44,6 +44,11 @@ profile_option = click.option(
         ),
         "Create one with post-quantum keys only, for tests": (
             "pqsec -k my-test ca init --profile pq --no-passphrase"
+        ),
+        "Create one whose CA keys are made in a PKCS#11 token and stay there": (
+            "pqsec -k my-domain ca init --profile classical"
+            " --identity-key-uri 'pkcs11:token=lab;object=identity-ca'"
+            " --permissions-key-uri 'pkcs11:token=lab;object=permissions-ca'"
         ),
     },
     exit_codes={
@@ -85,6 +90,7 @@ profile_option = click.option(
     help="Choose another key agreement.",
     shell_complete=_completion.key_agreements,
 )
+@_key_uris.options
 @click.option("--name", default="", help="Start the names of the CAs with this.")
 @click.option(
     "--validity",
@@ -135,16 +141,20 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     domain_set = DomainSet.parse(domains)
     path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
-    keystore = Keystore.create(
-        path,
-        profile,
-        name=name,
-        domains=domain_set,
-        validity=validity,
-        passphrase=_passphrases.new(passphrase_file, none=no_passphrase),
-        now=_settings.now(),
-    )
-    if no_passphrase:
+    files = [*key_algorithms(profile)]
+    with _key_uris.keys(profile, _key_uris.given(), files) as keys:
+        in_files = len(keys) < len(files)
+        keystore = Keystore.create(
+            path,
+            profile,
+            name=name,
+            domains=domain_set,
+            validity=validity,
+            passphrase=_passphrases.new(passphrase_file, none=no_passphrase) if in_files else None,
+            keys=keys,
+            now=_settings.now(),
+        )
+    if no_passphrase and in_files:
         _printing.note(f"the CA keys in {path / 'private'} are not encrypted: protect that folder")
     _show(keystore)
 
@@ -259,11 +269,13 @@ def _show(keystore: Keystore) -> None:
     if overlap := Overlap.of(keystore):
         cas.append(("trusted too", overlap.other))
     names = keystore.names()
+    uris = _uris(keystore)
     value = {
         "keystore": keystore.root,
         **keystore.profile.to_names(),
         "domains": str(keystore.domains),
         "keys": _keys(keystore),
+        "key_uris": uris,
         "cas": [{"role": role, **_certificate(each)} for role, each in cas],
         "participants": names,
     }
@@ -273,18 +285,30 @@ def _show(keystore: Keystore) -> None:
         lines.append(f"{'':<14} until {each.not_after:%Y-%m-%d}, SHA-256 {each.fingerprint}")
     lines.append(f"{keystore.domains.noun:<14} {keystore.domains}")
     lines.append(f"CA keys        {_keys(keystore)}")
+    lines += [f"{'':<14} {name}: {uri}" for name, uri in uris.items()]
     lines.append(f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}")
     _printing.emit(value, lines)
 
 
 def _keys(keystore: Keystore) -> str:
-    """Whether the CA keys are encrypted, missing, or not readable for this user."""
+    """Whether the CA keys are encrypted, in tokens, missing, or not readable for this user."""
     try:
+        outside = len(keystore.key_uris)
+        if outside == len(key_algorithms(keystore.profile)):
+            return "not in files"
         return "encrypted" if keystore.is_locked else "not encrypted"
     except KeystoreError:
         return "not here"
     except FileError:
         return "not readable from here"
+
+
+def _uris(keystore: Keystore) -> dict[str, str]:
+    """The CA keys that are not in files; none if that cannot be read."""
+    try:
+        return keystore.key_uris
+    except (KeystoreError, FileError):
+        return {}
 
 
 def _described(profile: Profile) -> str:

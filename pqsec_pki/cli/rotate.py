@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
-from pqsec_pki.cli import _help, _overlap, _passphrases, _printing, _rollover, _settings
+from pqsec_pki.cli import _help, _key_uris, _overlap, _passphrases, _printing, _rollover, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, key_algorithms
 from pqsec_pki.lifecycle import (
     CA_VALIDITY,
     OverlapStep,
@@ -19,6 +19,7 @@ from pqsec_pki.lifecycle import (
     Scope,
     apply_rollover,
     plan_rollover,
+    refuse_keys_in_files,
 )
 
 
@@ -74,6 +75,7 @@ from pqsec_pki.lifecycle import (
     is_flag=True,
     help="Overwrite the old CA keys, and do not keep them.",
 )
+@_key_uris.options
 @_passphrases.option
 @_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the new CA keys unencrypted.")
@@ -173,20 +175,32 @@ def _apply(
     confirmed: bool,
 ) -> None:
     terms, kept, passphrase = plan.terms, None, None
+    uris = _key_uris.given()
+    refuse_keys_in_files(keystore, terms, uris)
     if terms.needs_old_cas:
         passphrase = _passphrases.of_cas(keystore, passphrase_file)
-        kept = keystore.unlock(passphrase)
-    if not terms.overlap:  # the keys of an overlap have the passphrase of the old ones
-        passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
-    with keystore.hold():
-        if keystore.head != plan.head:  # another command changed it
-            if confirmed:
-                raise KeystoreError(
-                    "another command changed the keystore since the plan was shown",
-                    hint="run it again, and confirm the new plan",
-                )
-            plan = plan_rollover(keystore, terms, now=_settings.now())
-        done = apply_rollover(keystore, plan, kept=kept, passphrase=passphrase, now=_settings.now())
+        kept = keystore.unlock(passphrase, _passphrases.pin)
+    with _key_uris.keys(terms.profile, uris, terms.new_keys) as keys:
+        # the keys of an overlap have the passphrase of the old ones
+        if not terms.overlap and len(keys) < len(key_algorithms(terms.profile)):
+            passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
+        with keystore.hold():
+            if keystore.head != plan.head:  # another command changed it
+                if confirmed:
+                    raise KeystoreError(
+                        "another command changed the keystore since the plan was shown",
+                        hint="run it again, and confirm the new plan",
+                    )
+                plan = plan_rollover(keystore, terms, now=_settings.now())
+            done = apply_rollover(
+                keystore,
+                plan,
+                kept=kept,
+                passphrase=passphrase,
+                pin=_passphrases.pin,
+                keys=keys,
+                now=_settings.now(),
+            )
     for name, reason in plan.left_out.items():
         _printing.note(f"{name} is not reissued: {reason}")
     if terms.overlap:

@@ -10,7 +10,13 @@ from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import Rollover, RolloverPlan, apply_rollover, plan_rollover
+from pqsec_pki.lifecycle import (
+    Rollover,
+    RolloverPlan,
+    apply_rollover,
+    plan_rollover,
+    refuse_keys_in_files,
+)
 
 
 def is_wanted(desired: Desired, keystore: Keystore) -> bool:
@@ -41,7 +47,7 @@ def change_profile(
     """Execute such a plan; returns the keystore with its new profile.
 
     `passphrase` encrypts the keys of the new CAs. KeystoreError if the keystore was changed since
-    the plan was made; other errors as of `apply_rollover`.
+    the plan was made; other errors as of `refuse_keys_in_files` and `apply_rollover`.
     """
     with keystore.hold():
         if keystore.head != plan.head:
@@ -50,6 +56,7 @@ def change_profile(
                 hint="run the command again",
             )
         rollover = _rollover(desired, keystore, now)
+        refuse_keys_in_files(keystore, rollover.terms)
         return apply_rollover(keystore, rollover, passphrase=passphrase, now=now).keystore
 
 

@@ -15,6 +15,7 @@ from pqsec_pki.algorithms import SIGNATURES, Family, PrivateKey, load_private_ke
 from pqsec_pki.errors import MalformedError, PqsecError
 from pqsec_pki.inspection import _algorithms
 from pqsec_pki.inspection.description import Description, Fact, Value
+from pqsec_pki.tokens import uri_in
 
 T = TypeVar("T")
 
@@ -72,6 +73,12 @@ def describe_traditional_encrypted_key(label: str) -> Description:
     """A PEM block with the encryption in its header lines (RFC 1421), as OpenSSL 0.9 wrote it."""
     form = _TRADITIONAL.get(label, label)
     return _encrypted(form, "OpenSSL's old format, weak against guessing: re-encrypt it as PKCS#8")
+
+
+def describe_reference(data: bytes) -> Description:
+    """A file that refers to a private key in a token; MalformedError if it is damaged."""
+    facts = (Fact.of("key", uri_in(data), key="uri"), Fact("private", value=False, rows=()))
+    return Description("key reference", "Reference to a private key that is not in a file", facts)
 
 
 def shape(kind: type[T], der: bytes) -> T | None:

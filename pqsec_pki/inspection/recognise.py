@@ -19,6 +19,7 @@ from pqsec_pki.inspection import _certificate, _document, _key, _request, _revoc
 from pqsec_pki.inspection._key import shape
 from pqsec_pki.inspection.description import Description
 from pqsec_pki.smime import is_signed
+from pqsec_pki.tokens import is_reference
 
 _BEGIN = re.compile(rb"^-----BEGIN ([A-Z0-9 ]{1,64})-----", re.MULTILINE)
 _HINT = (
@@ -36,6 +37,8 @@ def describe(data: bytes, *, now: datetime) -> Description:
     """
     if is_signed(data):
         return _document.describe_signed(data, now)
+    if is_reference(data):
+        return _key.describe_reference(data)
     if _BEGIN.search(data):
         return _pem(data, now)
     if data.startswith(b"\x30"):

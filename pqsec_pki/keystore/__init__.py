@@ -49,7 +49,13 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
     from pqsec_pki.keystore.auditing import audit
-    from pqsec_pki.keystore.authorities import Authorities, check_pair, load_ca_key
+    from pqsec_pki.keystore.authorities import (
+        Authorities,
+        ca_key_file,
+        check_pair,
+        key_algorithms,
+        load_ca_key,
+    )
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
@@ -122,6 +128,7 @@ __all__ = [
     "Transaction",
     "audit",
     "bundle_number",
+    "ca_key_file",
     "certificate_entry",
     "change",
     "check_pair",
@@ -132,6 +139,7 @@ __all__ = [
     "governance_digest",
     "groups_file",
     "is_several",
+    "key_algorithms",
     "key_hashes",
     "layout",
     "list_entry",

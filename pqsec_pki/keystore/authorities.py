@@ -1,6 +1,6 @@
 """The CAs of a keystore with their private keys, for issuing and signing."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -9,9 +9,11 @@ from typing import Self
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import (
+    ExternalKey,
     PrivateKey,
     Profile,
     PublicKey,
+    SignatureAlgorithm,
     load_private_key,
     private_key_pem,
 )
@@ -21,6 +23,7 @@ from pqsec_pki.errors import (
     KeystoreError,
     MissingError,
     PassphraseError,
+    UsageError,
     located,
 )
 from pqsec_pki.keystore import layout
@@ -29,6 +32,7 @@ from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import Signer, sign
+from pqsec_pki.tokens import Pin, find_key, is_reference, no_pin, reference_to, uri_in
 
 _KEYLESS = (
     "status, log, check, explain, who-may, diff, verify-handshake, bundle and export need no CA key"
@@ -51,27 +55,36 @@ class Authorities:
     embed_certificate: bool
 
     @classmethod
-    def create(cls, profile: Profile, name: str, *, now: datetime, validity: timedelta) -> Self:
-        """Create the profile's CAs, named `name` Identity CA and `name` Permissions CA."""
-        second = profile.alternative_key
-        signing = f"{name} Permissions CA".strip()
-        return cls(
-            identity=Authority.create(
-                f"{name} Identity CA".strip(),
-                profile.identity_key,
-                alternative=second,
-                now=now,
-                validity=validity,
-            ),
-            permissions=Authority.create(
-                signing, profile.permissions_key, now=now, validity=validity
-            ),
-            countersigner=Authority.create(
-                f"{signing} {second.name}",
-                second,
-                now=now,
-                validity=validity,
+    def create(
+        cls,
+        profile: Profile,
+        name: str,
+        *,
+        now: datetime,
+        validity: timedelta,
+        keys: Mapping[str, PrivateKey] | None = None,
+    ) -> Self:
+        """Create the profile's CAs, named `name` Identity CA and `name` Permissions CA.
+
+        `keys` are those that are there already, by the names of their files; UsageError if one of
+        them is not of the profile's algorithm, or two are the same.
+        """
+        wanted, there = key_algorithms(profile), dict(keys or {})
+        _refuse_unfit(wanted, there)
+        found = {key: there.get(key) or row.generate() for key, row in wanted.items()}
+        second, signing = profile.alternative_key, f"{name} Permissions CA".strip()
+
+        def make(name: str, key: str, other: str = "") -> Authority:
+            return Authority.self_signed(
+                name, found[key], found.get(other), now=now, validity=validity
             )
+
+        return cls(
+            identity=make(
+                f"{name} Identity CA".strip(), layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY
+            ),
+            permissions=make(signing, layout.PERMISSIONS_KEY),
+            countersigner=make(f"{signing} {second.name}", layout.PERMISSIONS_ALT_KEY)
             if second
             else None,
             embed_certificate=profile.runs_in_stock,
@@ -118,7 +131,7 @@ class Authorities:
         keys = list(_keys(self))
         # Each encryption takes 600,000 hashes, and releases the interpreter lock.
         with ThreadPoolExecutor() as pool:
-            pems = pool.map(lambda item: private_key_pem(item[1], passphrase), keys)
+            pems = pool.map(lambda item: ca_key_file(item[1], passphrase), keys)
             for (name, _), pem in zip(keys, pems, strict=True):
                 private.private(name, pem)
 
@@ -141,17 +154,18 @@ class Authorities:
             yield certificate_entry(kind, certificate.subject_name, certificate, now)
 
 
-def unlock(root: Path, profile: Profile, passphrase: bytes | None) -> Authorities:
-    """The CAs of the keystore at `root`.
+def unlock(
+    root: Path, profile: Profile, passphrase: bytes | None, pin: Pin | None = None
+) -> Authorities:
+    """The CAs of the keystore at `root`; `pin` gives the PINs of tokens.
 
     KeystoreError if a file is missing or a key does not fit its certificate,
-    PassphraseError if the keys are encrypted and `passphrase` is missing or wrong.
+    PassphraseError if the keys are encrypted and `passphrase` is missing or wrong, or a PIN is.
     """
-    names = [layout.IDENTITY_KEY, layout.PERMISSIONS_KEY]
-    if profile.alternative_key:
-        names += [layout.IDENTITY_ALT_KEY, layout.PERMISSIONS_ALT_KEY]
+    private = root / layout.PRIVATE
+    names = list(key_algorithms(profile))
     with ThreadPoolExecutor() as pool:
-        loaded = pool.map(lambda n: load_ca_key(root / layout.PRIVATE / n, passphrase), names)
+        loaded = pool.map(lambda name: load_ca_key(private / name, passphrase, pin), names)
         keys = dict(zip(names, loaded, strict=True))
     public = root / layout.PUBLIC
     counter_key = keys.get(layout.PERMISSIONS_ALT_KEY)
@@ -191,6 +205,34 @@ def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
         yield layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
 
 
+def key_algorithms(profile: Profile) -> dict[str, SignatureAlgorithm]:
+    """The names of the files of CA keys -> the algorithms of their keys."""
+    found = {
+        layout.IDENTITY_KEY: profile.identity_key,
+        layout.PERMISSIONS_KEY: profile.permissions_key,
+    }
+    if second := profile.alternative_key:
+        found |= {layout.IDENTITY_ALT_KEY: second, layout.PERMISSIONS_ALT_KEY: second}
+    return found
+
+
+def _refuse_unfit(wanted: Mapping[str, SignatureAlgorithm], keys: Mapping[str, PrivateKey]) -> None:
+    for name, key in keys.items():
+        if key.algorithm is not wanted.get(name):
+            raise UsageError(f"{name}: the profile has no {key.algorithm.name} key there")
+    if len({key.public_key.spki for key in keys.values()}) < len(keys):
+        raise UsageError(
+            "two CAs would have the same key (CVE-2023-24010)", hint="name another key for one"
+        )
+
+
+def ca_key_file(key: PrivateKey, passphrase: bytes | None) -> bytes:
+    """The file of a CA's key: encrypted under `passphrase`, or a reference if it is elsewhere."""
+    if isinstance(key, ExternalKey):
+        return reference_to(key.uri)
+    return private_key_pem(key, passphrase)
+
+
 def read_ca_key(path: Path) -> bytes:
     """The file of a CA's private key; KeystoreError if it is missing, FileError if unreadable."""
     try:
@@ -207,14 +249,18 @@ def read_ca_key(path: Path) -> bytes:
         raise
 
 
-def load_ca_key(path: Path, passphrase: bytes | None) -> PrivateKey:
-    """The private key in the file `path`; PassphraseError if `passphrase` is wrong.
+def load_ca_key(path: Path, passphrase: bytes | None, pin: Pin | None = None) -> PrivateKey:
+    """The private key in the file `path`, or in the token that it refers to.
 
-    Errors as of `read_ca_key`.
+    PassphraseError if `passphrase` or the PIN is wrong. Errors as of `read_ca_key` and `find_key`.
     """
+    data = read_ca_key(path)
+    if is_reference(data):
+        with located(path):
+            return find_key(uri_in(data), pin or no_pin)
     try:
         with located(path):
-            return load_private_key(read_ca_key(path), passphrase)
+            return load_private_key(data, passphrase)
     except PassphraseError as error:
         error.hint = "give the CA passphrase: --passphrase-file, or at the prompt"
         raise

@@ -1,6 +1,6 @@
 """A keystore: created once by `ca init`, and opened by every later command."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -10,7 +10,7 @@ from typing import Self
 
 from pqsec_pki import credentials
 from pqsec_pki._files import disk_errors, exists, read
-from pqsec_pki.algorithms import Profile, is_encrypted
+from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance
@@ -20,7 +20,7 @@ from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import Authorities, read_ca_key, unlock
+from pqsec_pki.keystore.authorities import Authorities, key_algorithms, read_ca_key, unlock
 from pqsec_pki.keystore.groups import read_groups
 from pqsec_pki.keystore.participant import (
     enclave_files,
@@ -30,6 +30,7 @@ from pqsec_pki.keystore.participant import (
     refuse_unknown,
 )
 from pqsec_pki.keystore.patterns import GROUP, expanded, is_several
+from pqsec_pki.tokens import Pin, is_reference, uri_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +54,19 @@ class Keystore:
         domains: DomainSet,
         validity: timedelta,
         passphrase: bytes | None,
+        keys: Mapping[str, PrivateKey] | None = None,
         now: datetime,
     ) -> Self:
         """Create two CAs and a signed default governance in the folder `root`.
+
+        `keys` are CA keys that are there already, by the names of their files: see `made_keys`.
 
         ExistsError if a keystore is there already: CA keys are never overwritten. UsageError for
         domains that stacks read differently.
         """
         cls.refuse_occupied(root)
         settings = _settings.settings_file(profile, domains)
-        authorities = Authorities.create(profile, name, now=now, validity=validity)
+        authorities = Authorities.create(profile, name, now=now, validity=validity, keys=keys)
         governance = Governance.protected(domains).to_xml()
         signed = authorities.sign(governance, now=now)
         with _journal.change(root) as transaction:
@@ -206,15 +210,30 @@ class Keystore:
         with self.open_ledger() as ledger:
             return ledger.head
 
-    def unlock(self, passphrase: bytes | None) -> Authorities:
-        """The CAs with their private keys; PassphraseError if `passphrase` is wrong."""
-        return unlock(self.root, self.profile, passphrase)
+    def unlock(self, passphrase: bytes | None, pin: Pin | None = None) -> Authorities:
+        """The CAs with their private keys; PassphraseError if `passphrase` or a PIN is wrong.
+
+        `pin` gives the PIN of a token [default: only files that the keys' URIs name].
+        """
+        return unlock(self.root, self.profile, passphrase, pin)
 
     @property
     def is_locked(self) -> bool:
         """Whether at least one CA key is encrypted; in an adopted keystore it may be only one."""
-        keys = (layout.IDENTITY_KEY, layout.PERMISSIONS_KEY)
-        return any(is_encrypted(read_ca_key(self.root / layout.PRIVATE / each)) for each in keys)
+        return any(map(is_encrypted, self._ca_key_files().values()))
+
+    @property
+    def key_uris(self) -> dict[str, str]:
+        """The URIs of the CA keys that are not in files, by the names of the files.
+
+        Errors as of `read_ca_key`.
+        """
+        files = self._ca_key_files()
+        return {name: uri_in(data) for name, data in files.items() if is_reference(data)}
+
+    def _ca_key_files(self) -> dict[str, bytes]:
+        private = self.root / layout.PRIVATE
+        return {name: read_ca_key(private / name) for name in key_algorithms(self.profile)}
 
     def names(self) -> list[str]:
         """The participants' names, sorted; FileError if a folder cannot be read."""

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
         Rollover,
         RolloverPlan,
         Scope,
+        refuse_keys_in_files,
     )
     from pqsec_pki.lifecycle.rollover_apply import RolloverResult, apply_rollover
     from pqsec_pki.lifecycle.rollover_plan import plan_rollover
@@ -70,6 +71,7 @@ __all__ = [
     "changed_permissions",
     "issue",
     "plan_rollover",
+    "refuse_keys_in_files",
     "renew",
     "renew_list",
     "revocable",

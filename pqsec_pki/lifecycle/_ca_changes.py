@@ -4,9 +4,10 @@ docs/explanation/adr/0010-two-identity-cas-in-one-file.md has the reasons for th
 """
 
 import re
+from collections.abc import Mapping
 from datetime import datetime
 
-from pqsec_pki.algorithms import private_key_pem
+from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import (
@@ -15,6 +16,7 @@ from pqsec_pki.keystore import (
     Overlap,
     Phase,
     Transaction,
+    ca_key_file,
     certificate_entry,
     check_pair,
     layout,
@@ -23,14 +25,18 @@ from pqsec_pki.keystore import (
     trust_file,
 )
 from pqsec_pki.lifecycle.rollover import RolloverPlan
+from pqsec_pki.tokens import Pin
+
+Keys = Mapping[str, PrivateKey] | None
+"""Keys of new CAs that are there already, by the names of their files."""
 
 
-def new_cas(plan: RolloverPlan, now: datetime) -> Authorities:
+def new_cas(plan: RolloverPlan, now: datetime, keys: Keys = None) -> Authorities:
     """Create the CAs of the plan's generation, named by its terms or after the old CA."""
     terms = plan.terms
     name = terms.name if terms.name is not None else _name(plan.issuing, plan.generation)
     try:
-        return Authorities.create(terms.profile, name, now=now, validity=terms.validity)
+        return Authorities.create(terms.profile, name, now=now, validity=terms.validity, keys=keys)
     except UsageError as error:
         if terms.name is None and error.hint is None:
             error.hint = "name the new CAs with --name"
@@ -46,14 +52,17 @@ def _name(old: Certificate, number: int) -> str:
 
 
 def next_identity_ca(
-    keystore: Keystore, certificate: Certificate, passphrase: bytes | None
+    keystore: Keystore,
+    certificate: Certificate,
+    passphrase: bytes | None,
+    pin: Pin | None = None,
 ) -> Authority:
     """The CA with that certificate, which issues next; PassphraseError for a wrong passphrase."""
     private, second = keystore.root / layout.PRIVATE, certificate.alternative_key
     authority = Authority(
         certificate,
-        load_ca_key(private / layout.NEXT_KEY, passphrase),
-        load_ca_key(private / layout.NEXT_ALT_KEY, passphrase) if second else None,
+        load_ca_key(private / layout.NEXT_KEY, passphrase, pin),
+        load_ca_key(private / layout.NEXT_ALT_KEY, passphrase, pin) if second else None,
     )
     check_pair(authority)
     return authority
@@ -62,15 +71,17 @@ def next_identity_ca(
 # The steps of an overlap that reissue no participant
 
 
-def begin_overlap(
+def begin_overlap(  # noqa: PLR0913 -- what a rollover has, by name
     keystore: Keystore,
     plan: RolloverPlan,
     transaction: Transaction,
+    *,
     passphrase: bytes | None,
     now: datetime,
+    keys: Keys = None,
 ) -> Overlap:
     """Stage a CA that all trust beside the old one; UsageError if it has the old CA's name."""
-    new = new_cas(plan, now).identity
+    new = new_cas(plan, now, keys).identity
     certificate = new.certificate
     if certificate.subject_der == plan.issuing.subject_der:
         raise UsageError(  # issuers are found by name
@@ -80,7 +91,7 @@ def begin_overlap(
     private = transaction.folder(layout.PRIVATE, private=True)
     for name, key in ((layout.NEXT_KEY, new.key), (layout.NEXT_ALT_KEY, new.alternative_key)):
         if key:
-            private.private(name, private_key_pem(key, passphrase))
+            private.private(name, ca_key_file(key, passphrase))
     if plan.drop_list:
         _drop_list(keystore, transaction)
     _link_all(keystore, transaction)

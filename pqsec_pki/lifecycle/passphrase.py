@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Authorities, Keystore, Overlap, Phase, change, layout
+from pqsec_pki.keystore import Authorities, Keystore, Overlap, Phase, change, key_algorithms, layout
 
 
 def change_passphrase(
@@ -15,6 +15,11 @@ def change_passphrase(
     key that is a link, because its target would not change, and during an overlap before the
     switch.
     """
+    if len(keystore.key_uris) == len(key_algorithms(keystore.profile)):
+        raise KeystoreError(
+            "no CA key is in a file: there is nothing to encrypt",
+            hint="the tokens have PINs; their own tools change them",
+        )
     with change(keystore.root) as transaction:
         authorities.refuse_outdated(keystore.root)
         overlap = Overlap.of(keystore)

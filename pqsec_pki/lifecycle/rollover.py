@@ -8,7 +8,8 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.keystore import Overlap
+from pqsec_pki.errors import UsageError
+from pqsec_pki.keystore import Keystore, Overlap, key_algorithms, layout
 
 CA_VALIDITY = timedelta(days=3650)
 
@@ -59,6 +60,18 @@ class Rollover:
     def reissues(self) -> bool:
         """Whether participants are reissued: not in every step of an overlap."""
         return self.overlap in {None, OverlapStep.SWITCH}
+
+    @property
+    def new_keys(self) -> tuple[str, ...]:
+        """The names of the files of the CA keys that it makes."""
+        if self.overlap not in {None, OverlapStep.BEGIN}:
+            return ()
+        of_identity = {layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY}
+        return tuple(
+            name
+            for name in key_algorithms(self.profile)
+            if self.scope is Scope.BOTH or (name in of_identity) == (self.scope is Scope.IDENTITY)
+        )
 
     @property
     def needs_old_cas(self) -> bool:
@@ -171,3 +184,17 @@ def _kinds(profile: Profile, first: str) -> str:
 
 def _counted(items: Collection[str], what: str) -> str:
     return f"{len(items)} {what}" if len(items) == 1 else f"{len(items)} {what}s"
+
+
+def refuse_keys_in_files(keystore: Keystore, terms: Rollover, placed: Collection[str] = ()) -> None:
+    """UsageError if a key that is in a token now would be followed by one in a file.
+
+    `placed` are the names of files of new keys for which somebody has said where they are.
+    """
+    names = [each for each in keystore.key_uris if each in terms.new_keys and each not in placed]
+    if names:
+        raise UsageError(
+            f"the new keys would lie in files, and now are in tokens: {', '.join(names)}",
+            hint="name their places: `pqsec ca rotate --identity-key-uri URI`, and so on; `file` in"
+            " place of a URI says that it shall be a file",
+        )

@@ -28,6 +28,7 @@ from pqsec_pki.keystore import (
     trust_entry,
 )
 from pqsec_pki.lifecycle._ca_changes import (
+    Keys,
     begin_overlap,
     cancel_overlap,
     finish_overlap,
@@ -39,6 +40,7 @@ from pqsec_pki.lifecycle._issuer import Issued, Issuer
 from pqsec_pki.lifecycle.renewing import Renewal, Renewer
 from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
 from pqsec_pki.lifecycle.rollover import OverlapStep, RolloverPlan, Scope
+from pqsec_pki.tokens import Pin
 
 _IDENTITY = (
     f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
@@ -74,18 +76,21 @@ class RolloverResult:
     """The overlap that began, continued or ended."""
 
 
-def apply_rollover(
+def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
     keystore: Keystore,
     plan: RolloverPlan,
     *,
     kept: Authorities | None = None,
     passphrase: bytes | None = None,
+    pin: Pin | None = None,
+    keys: Keys = None,
     now: datetime,
 ) -> RolloverResult:
     """Execute the plan, or do nothing.
 
     `kept` are the keystore's CAs, if the plan's terms need them. New keys are encrypted under
-    `passphrase`, which is also that of the key that an overlap has made. KeystoreError if the
+    `passphrase`, which is also that of the key that an overlap has made; `pin` gives the PIN of a
+    token that has it. `keys` are keys of new CAs that are there already. KeystoreError if the
     keystore was changed after the plan was made; VerificationError for documents that the old
     permissions CA did not sign.
     """
@@ -101,13 +106,19 @@ def apply_rollover(
         new, issued, overlap = keystore, [], plan.overlap
         if plan.terms.reissues:
             new = replace(keystore, profile=plan.terms.profile)
-            cas = _authorities(keystore, plan, kept, passphrase, now)
+            if kept and overlap:
+                following = next_identity_ca(keystore, overlap.other, passphrase, pin)
+                cas = replace(kept, identity=following)
+            else:
+                cas = _replaced(plan, kept, new_cas(plan, now, keys))
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
             execution = _Execution(keystore, new, plan, cas, transaction, inspector, lines, now)
             issued = execution.run(passphrase, ledger)
         elif overlap is None:
-            overlap = begin_overlap(keystore, plan, transaction, passphrase, now)
+            overlap = begin_overlap(
+                keystore, plan, transaction, passphrase=passphrase, now=now, keys=keys
+            )
         elif plan.terms.overlap is OverlapStep.FINISH:
             finish_overlap(overlap, transaction, now)
         else:
@@ -115,17 +126,8 @@ def apply_rollover(
     return RolloverResult(plan=plan, keystore=new, issued=issued, overlap=overlap)
 
 
-def _authorities(
-    keystore: Keystore,
-    plan: RolloverPlan,
-    kept: Authorities | None,
-    passphrase: bytes | None,
-    now: datetime,
-) -> Authorities:
-    """The CAs that issue and sign from now on."""
-    if kept and plan.overlap:
-        return replace(kept, identity=next_identity_ca(keystore, plan.overlap.other, passphrase))
-    new = new_cas(plan, now)
+def _replaced(plan: RolloverPlan, kept: Authorities | None, new: Authorities) -> Authorities:
+    """The CAs that issue and sign from now on: of `kept` those that the plan does not replace."""
     if kept and plan.terms.scope is Scope.IDENTITY:
         return replace(kept, identity=new.identity)
     if kept and plan.terms.scope is Scope.PERMISSIONS:

@@ -26,6 +26,8 @@ ENVIRONMENT = {
     "PQSEC_KEYSTORE": "The keystore, if -k does not name one.",
     "ROS_SECURITY_KEYSTORE": "The keystore, if neither -k nor PQSEC_KEYSTORE names one.",
     "PQSEC_PASSPHRASE_FILE": "The file with the CA passphrase, if --passphrase-file names none.",
+    "PQSEC_PIN_FILE": "The file with the PIN of the tokens, for keys whose URIs name no file.",
+    "PQSEC_PKCS11_MODULE": "The library of the tokens.  [default: p11-kit's]",
 }
 EXIT_CODES = {
     0: "done, or yes",

@@ -39,20 +39,22 @@ MAY_IMPORT: dict[str, set[str]] = {
     "algorithms": set(),
     "documents": set(),
     "certificates": {"algorithms"},
+    "tokens": {"algorithms"},
     "smime": {"algorithms", "certificates"},
     "access": {"documents"},
     "handshake": {"algorithms", "certificates", "smime"},
     "credentials": {"algorithms", "certificates", "smime", "documents", "access"},
-    "keystore": {"algorithms", "certificates", "smime", "documents", "credentials"},
+    "keystore": {"algorithms", "certificates", "smime", "documents", "credentials", "tokens"},
     "lifecycle": {
         *("algorithms", "certificates", "smime", "documents", "credentials", "keystore"),
+        "tokens",
     },
     "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
     "domain": {
         *("enrolment", "lifecycle", "keystore", "documents", "access", "certificates"),
         *("algorithms", "policy", "credentials"),
     },
-    "inspection": {"documents", "smime", "certificates", "algorithms"},
+    "inspection": {"documents", "smime", "certificates", "algorithms", "tokens"},
     "plugin": {"handshake", "access", "documents", "smime", "certificates", "algorithms"},
     "selfcheck": {
         *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
@@ -89,6 +91,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cyclonedx": {"cbom"},
     "lxml": {"documents"},
+    "pkcs11": {"tokens"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"documents", "vendors", "report"},
 }

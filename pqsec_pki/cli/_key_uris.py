@@ -1,0 +1,79 @@
+"""Options for CA keys that are in tokens or held by another signer."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from pqsec_pki.cli import _passphrases, _printing, _settings
+from pqsec_pki.errors import UsageError
+
+if TYPE_CHECKING:
+    from pqsec_pki.algorithms import PrivateKey, Profile
+
+IN_FILE = "file"
+"""In place of a URI: the key is in a file."""
+_HELP = {
+    "identity_key_uri": "the identity CA's key",
+    "identity_alt_key_uri": "the identity CA's alternative key",
+    "permissions_key_uri": "the permissions CA's key",
+    "countersigner_key_uri": "the key of the permissions CA's countersigner",
+}
+
+Uris = Mapping[str, str]
+"""The names of files of CA keys -> URIs."""
+
+
+def _remember(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value:
+        context.meta.setdefault(__name__, {})[str(parameter.name)] = value
+
+
+def options(command: _settings.Command) -> _settings.Command:
+    """Add an option for the URI of each CA key; `given` has what they say."""
+    for name, what in reversed(_HELP.items()):
+        add: Callable[[_settings.Command], _settings.Command] = click.option(
+            f"--{name.replace('_', '-')}",
+            metavar="URI",
+            expose_value=False,
+            callback=_remember,
+            help=f"Keep {what} in this place: pkcs11:token=LABEL;object=LABEL",
+        )
+        command = add(command)
+    return command
+
+
+def given() -> Uris:
+    """The URIs on the command line, by the names of the keys' files."""
+    from pqsec_pki.keystore import layout  # noqa: PLC0415 -- not for --help
+
+    files = (
+        *(layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY),
+        *(layout.PERMISSIONS_KEY, layout.PERMISSIONS_ALT_KEY),
+    )
+    found = click.get_current_context().meta.get(__name__, {})
+    return {file: found[name] for name, file in zip(_HELP, files, strict=True) if name in found}
+
+
+@contextmanager
+def keys(
+    profile: "Profile", uris: Uris, wanted: Iterable[str]
+) -> Iterator[dict[str, "PrivateKey"]]:
+    """The keys with the URIs, found or made, for new CAs of `profile` with the files `wanted`.
+
+    UsageError for a key that those CAs do not have; other errors as of `made_keys`.
+    """
+    from pqsec_pki.keystore import key_algorithms  # noqa: PLC0415 -- not for --help
+    from pqsec_pki.tokens import made_keys  # noqa: PLC0415 -- not for --help
+
+    outside = {name: uri for name, uri in uris.items() if uri != IN_FILE}
+    algorithms = {name: key_algorithms(profile)[name] for name in wanted}
+    if surplus := [uri for name, uri in outside.items() if name not in algorithms]:
+        raise UsageError(f"no new CA has such a key here: {', '.join(surplus)}")
+    pairs = {name: (uri, algorithms[name]) for name, uri in outside.items()}
+    with made_keys(pairs, _passphrases.pin) as made:
+        yield {**made.keys}
+    for name in made.keys:
+        place = "was generated" if name in made.generated else "was there already, and is used"
+        _printing.note(f"{outside[name]} {place}")

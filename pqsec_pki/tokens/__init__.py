@@ -1,0 +1,30 @@
+"""Private keys that never lie in a file: in PKCS#11 tokens, or held by another signer.
+
+A key is named by a URI: `pkcs11:token=lab;object=identity` (RFC 7512), or one with the scheme
+that an installed package handles (entry points `pqsec.signers`). In a keystore, a file that
+refers to the key stands where its private key would be (`reference.py`). Only `_pkcs11.py` talks
+to tokens, with python-pkcs11, which is an extra of the package.
+"""
+
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.tokens.keys import find_key, made_keys
+    from pqsec_pki.tokens.pin import Pin, no_pin
+    from pqsec_pki.tokens.reference import is_reference, reference_to, uri_in
+    from pqsec_pki.tokens.uri import KeyUri
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "KeyUri",
+    "Pin",
+    "find_key",
+    "is_reference",
+    "made_keys",
+    "no_pin",
+    "reference_to",
+    "uri_in",
+]

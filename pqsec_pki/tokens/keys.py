@@ -1,0 +1,97 @@
+"""Keys by their URIs: found, or made for new CAs."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from types import ModuleType
+from typing import NamedTuple
+
+from pqsec_pki.algorithms import ExternalKey, SignatureAlgorithm
+from pqsec_pki.errors import PqsecError, UsageError
+from pqsec_pki.tokens import _signers
+from pqsec_pki.tokens.pin import Pin, no_pin
+from pqsec_pki.tokens.uri import SCHEME, KeyUri
+
+
+def find_key(uri: str, pin: Pin = no_pin) -> ExternalKey:
+    """The key with that URI.
+
+    UsageError if it is not a URI of a key, PqsecError if the key is not there or cannot be used,
+    PassphraseError for a wrong PIN.
+    """
+    if not uri.lower().startswith(f"{SCHEME}:"):
+        return _signers.find(uri)
+    parsed = KeyUri.parse(uri)
+    found: ExternalKey | None = _pkcs11().find(parsed, pin)
+    if found is None:
+        raise PqsecError(
+            f"the {parsed.place} has no key {uri}",
+            hint="`pkcs11-tool --list-objects --login` shows what it has",
+        )
+    return found
+
+
+class MadeKeys(NamedTuple):
+    """Keys for new CAs, by the names that the caller gave."""
+
+    keys: dict[str, ExternalKey]
+    generated: frozenset[str]
+    """The names of those that were not there before."""
+
+
+@contextmanager
+def made_keys(
+    wanted: Mapping[str, tuple[str, SignatureAlgorithm]], pin: Pin = no_pin
+) -> Iterator[MadeKeys]:
+    """The keys of new CAs: for each name the key with that URI and of that algorithm.
+
+    A key that its token does not have is generated there; such keys are removed again if the
+    block fails. Errors as of `find_key`; UsageError also for a key of another algorithm.
+    """
+    uris = [uri for uri, _ in wanted.values()]
+    if len({*uris}) < len(uris):
+        raise UsageError(
+            "one key for two CAs: with it, a participant's key could sign permissions",
+            hint="give each key a URI of its own (CVE-2023-24010)",
+        )
+    made: dict[str, KeyUri] = {}
+    try:
+        keys = {name: _found(uri, algorithm, pin) for name, (uri, algorithm) in wanted.items()}
+        for name, (uri, algorithm) in wanted.items():
+            if keys[name] is None:
+                parsed = KeyUri.parse(uri)
+                keys[name] = _pkcs11().generate(parsed, algorithm, pin)
+                made[name] = parsed
+        yield MadeKeys({name: key for name, key in keys.items() if key}, frozenset(made))
+    except BaseException:
+        for each in made.values():
+            with suppress(PqsecError):  # the first error is the one to tell
+                _pkcs11().destroy(each, pin)
+        raise
+
+
+def _found(uri: str, algorithm: SignatureAlgorithm, pin: Pin) -> ExternalKey | None:
+    """The key, if it is there; UsageError if it is of another algorithm."""
+    is_in_token = uri.lower().startswith(f"{SCHEME}:")
+    found: ExternalKey | None = (
+        _pkcs11().find(KeyUri.parse(uri), pin) if is_in_token else _signers.find(uri)
+    )
+    if found and found.algorithm is not algorithm:
+        raise UsageError(
+            f"the key {uri} is {found.algorithm.name}, and {algorithm.name} is needed",
+            hint="name another key; --profile and options such as --identity-key choose the kind",
+        )
+    return found
+
+
+def _pkcs11() -> ModuleType:
+    """The module that uses tokens; PqsecError if its library is not installed."""
+    try:
+        from pqsec_pki.tokens import _pkcs11  # noqa: PLC0415 -- its library is an extra
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in {"pkcs11", "asn1crypto"}:
+            raise
+        raise PqsecError(
+            "keys in tokens need the library python-pkcs11",
+            hint="install pqsec with its extra: pip install 'pqsec[hsm]'",
+        ) from error
+    return _pkcs11
