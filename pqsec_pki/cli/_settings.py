@@ -137,6 +137,26 @@ class FiniteRange(click.FloatRange):
         return found
 
 
+class Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
+    """A loss such as 2 or 2%, as 0.02; at most half."""
+
+    name = "percent"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """The share. Raises click's error for anything else."""
+        if isinstance(value, float):
+            return value
+        try:
+            share = float(str(value).removesuffix("%")) / 100
+        except ValueError:
+            share = -1.0
+        if not 0 <= share <= 0.5:  # noqa: PLR2004 -- beyond, hardly a message of 15 datagrams arrives
+            self.fail(f"{value!r} is not a loss from 0% to 50%", param, ctx)
+        return share
+
+
 class When(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
     """A date, a time (ISO 8601, UTC if it names no zone), or a duration from now or `ago`."""
 

@@ -1,7 +1,7 @@
-"""pqsec bench: measure the handshake of suites."""
+"""pqsec bench: measure the handshake of suites, in memory or in a real stack."""
 
-import sys
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import click
 
@@ -17,7 +17,15 @@ from pqsec_pki.benchmark import (
     percentile,
     suites_of,
 )
-from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli import (
+    _bench_bar,
+    _bench_hosts,
+    _completion,
+    _formats,
+    _help,
+    _printing,
+    _settings,
+)
 from pqsec_pki.errors import UsageError
 
 INTERRUPTED = 130
@@ -27,6 +35,7 @@ _HEADERS = (
     *("bytes", "fragments", "memory kB"),
 )
 _KILO = 1000
+_ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
 
 
 @_help.command(
@@ -36,10 +45,13 @@ _KILO = 1000
             "pqsec bench --signature ml-dsa-65 --kem mlkem768 --kem x25519mlkem768"
         ),
         "Keep all samples, for your own statistics": ("pqsec bench --profile pq --format csv"),
+        "Run 3 hosts of Cyclone DDS on a network that loses 5 % of frames": (
+            "pqsec bench --stack cyclonedds --profile pq --hosts 3 --loss 5%"
+        ),
     },
     exit_codes={
         0: "all suites are measured",
-        3: "the result cannot be printed",
+        3: "the stack or a permission is missing, or the result cannot be printed",
         130: "Ctrl-C ended it; what was measured until then is printed",
     },
 )
@@ -70,25 +82,20 @@ _KILO = 1000
 @click.option(
     "--rounds",
     type=click.IntRange(1, 100_000),
-    default=50,
-    show_default=True,
-    help="Measure this many handshakes of each suite.",
+    help="Measure this many times.  [default: 50 handshakes, 3 runs of hosts]",
 )
 @click.option(
     "--warm-up",
     type=click.IntRange(0, 100_000),
-    default=5,
-    show_default=True,
-    help="Run this many before them, which do not count.",
+    help="Run this many handshakes before, which do not count.  [default: 5]",
 )
 @click.option(
     "--fragment-size",
     "fragment",
     type=click.IntRange(64, 65_000),
-    default=1344,
-    show_default=True,
-    help="Bytes of a sample in one datagram; the default is Cyclone DDS's.",
+    help="Bytes of a sample in one datagram.  [default: 1344, Cyclone DDS's]",
 )
+@_bench_hosts.options
 @_formats.option()
 @_settings.command_options
 def bench(  # noqa: PLR0913 -- one for each option, by name
@@ -97,10 +104,12 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     signatures: tuple[str, ...],
     agreements: tuple[str, ...],
     every: bool,
-    rounds: int,
-    warm_up: int,
-    fragment: int,
+    rounds: int | None,
+    warm_up: int | None,
+    fragment: int | None,
     form: str,
+    stack: str | None,
+    **hosts: Any,
 ) -> int:
     """Measure the time, message sizes and memory of the handshake.
 
@@ -108,7 +117,20 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     run whole handshakes, and each verifies the other as if they had never met. JSON has
     percentiles, all samples and the environment; CSV has one line for each operation of each
     handshake.
+
+    With --stack, participants of a real stack start together, each in a network namespace of its
+    own, until each has met all others; then each sends samples. It needs root, or a user
+    namespace, and the stack with its headers and a C compiler. Options that are given several
+    times are combined. CSV has one line for each measured value.
     """
+    form = _formats.chosen(form)
+    if stack:
+        _refuse_with_stack(signatures or None, agreements or None, every or None, warm_up, fragment)
+        _, complete = _bench_hosts.run(stack, profiles, rounds or _bench_hosts.ROUNDS, form, hosts)
+        return _ended(complete)
+    _bench_hosts.refuse_without_stack(hosts)
+    rounds, warm_up = rounds or _ROUNDS, _WARM_UP if warm_up is None else warm_up
+    fragment = fragment or _FRAGMENT
     if every and (profiles or signatures or agreements):
         raise UsageError("--all measures everything: leave out --profile, --signature and --kem")
     suites = (
@@ -120,7 +142,6 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
             [KEY_AGREEMENTS.named(name) for name in agreements],
         )
     )
-    form = _formats.chosen(form)
     environment = Environment.here(_settings.now())
     found = _measured(suites, rounds, warm_up)
     complete = len(found) == len(suites) and all(len(each.rounds) == rounds for each in found)
@@ -133,6 +154,20 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     rows = (row for each in found for row in each.rows())
     lines = _lines(environment, found, fragment)
     _formats.emit(form, value, lines, columns=CSV_COLUMNS, items=rows)
+    return _ended(complete)
+
+
+def _refuse_with_stack(*given: object) -> None:
+    """UsageError for an option of the handshake in memory."""
+    names = ("--signature", "--kem", "--all", "--warm-up", "--fragment-size")
+    if unfit := [name for name, value in zip(names, given, strict=True) if value is not None]:
+        raise UsageError(
+            f"{unfit[0]} is for handshakes in memory",
+            hint="with --stack choose keys by --profile: hosts need a keystore",
+        )
+
+
+def _ended(complete: bool) -> int:  # noqa: FBT001 -- said by its name
     if not complete:
         _printing.note("interrupted: this is what was measured until then")
     return 0 if complete else INTERRUPTED
@@ -141,13 +176,10 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
 def _measured(suites: Sequence[HandshakeSuite], rounds: int, warm_up: int) -> list[MeasuredSuite]:
     """Each suite in turn, until Ctrl-C, with a progress bar on a terminal."""
     found: list[MeasuredSuite] = []
-    hidden, length = not sys.stderr.isatty(), len(suites) * (rounds + warm_up)
-    with click.progressbar(
-        length=length, label="handshakes", show_pos=True, file=sys.stderr, hidden=hidden
-    ) as bar:
+    with _bench_bar.bar(len(suites) * (rounds + warm_up), "handshakes") as bar:
         for suite in suites:
             one = measured_rounds(
-                suite, rounds=rounds, warm_up=warm_up, now=_settings.now(), each=bar.update
+                suite, rounds=rounds, warm_up=warm_up, now=_settings.now(), each=bar
             )
             found += [one] if one else []
             if one is None or len(one.rounds) < rounds:

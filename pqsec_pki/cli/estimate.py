@@ -26,25 +26,6 @@ from pqsec_pki.handshake import MessageSizes
 _TIMES = (1, 2, 5, 10, 30, 60)
 
 
-class _Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
-    """2 or 2%, as 0.02."""
-
-    name = "percent"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        if isinstance(value, float):
-            return value
-        try:
-            share = float(str(value).removesuffix("%")) / 100
-        except ValueError:
-            share = -1.0
-        if not 0 <= share <= 0.5:  # noqa: PLR2004 -- beyond, hardly a message of 15 datagrams arrives
-            self.fail(f"{value!r} is not a loss from 0% to 50%", param, ctx)
-        return share
-
-
 @_help.command(
     examples={
         "Predict 500 robots on a network that loses 2 % of frames": (
@@ -73,7 +54,11 @@ class _Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     help="Predict this profile.  [default: pq, or the keystore's]",
 )
 @click.option(
-    "--loss", type=_Percent(), default="0%", show_default=True, help="Lose this part of frames."
+    "--loss",
+    type=_settings.Percent(),
+    default="0%",
+    show_default=True,
+    help="Lose this part of frames.",
 )
 @click.option(
     "--fragment",

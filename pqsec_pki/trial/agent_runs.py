@@ -14,12 +14,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Self
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
 from pqsec_pki.plugin.building import SOURCES, CompileError, command
 from pqsec_pki.trial.building import cache, is_own, run_tool
+from pqsec_pki.trial.host_process import processor_seconds
 from pqsec_pki.trial.installation import MACHINE, Installation
 from pqsec_pki.vendors import FastDds, examine
 from pqsec_pki.vendors.fastdds_adapter import Compilers, commands, here, install, sources
@@ -59,6 +61,36 @@ def plugin(
         place.prepare()
         with _agent(place):
             yield TrialPlugin(folder, {"XDG_RUNTIME_DIR": own, "PQSEC_AGENT": ""})
+
+
+@dataclass(frozen=True, slots=True)
+class AgentUse:
+    """What the agent and its workers have taken until now."""
+
+    cpu: Mapping[int, float]
+    """Process -> seconds of the processor."""
+    memory: int
+    """Kilobytes; what processes share is counted once."""
+
+    @classmethod
+    def of(cls, plugin: TrialPlugin) -> Self:
+        """Of a running agent; nothing if it is too busy to answer."""
+        try:
+            status = agent_status(AgentFolder.of(plugin.environment))
+        except FileError:
+            status = None
+        running = (status.process, *status.workers) if status else ()
+        cpu = {each: processor_seconds(each) for each in running}
+        return cls(cpu, sum(map(_proportional, running)))
+
+
+def _proportional(process: int) -> int:
+    """Kilobytes of a process (proc_pid_smaps(5)); 0 if it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
 
 
 def _built(fastdds: Installation | None) -> Path:

@@ -51,7 +51,7 @@ def _fastdds(major: int, header: str, macro: str, *libraries: str, package: str)
         header=header,
         macro=macro,
         library=f"{libraries[0].replace('-l', 'lib')}.so",
-        sources=("fastdds.cpp",),
+        sources=("fastdds.cpp", "fastdds_host.hpp"),
         commands=(
             ("g++", "-O0", "-I{include}", *_LIBRARY, "-o", "peer", "fastdds.cpp", *libraries),
         ),
@@ -67,7 +67,7 @@ PEER_BUILDS = (
         header="dds/version.h",
         macro="DDS_VERSION",
         library="libddsc.so",
-        sources=("Sample.idl", "cyclonedds.c"),
+        sources=("Sample.idl", "cyclonedds.c", "cyclonedds_host.h"),
         commands=(
             ("{bin}/idlc", "Sample.idl"),
             (

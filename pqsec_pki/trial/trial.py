@@ -133,7 +133,7 @@ def run_trial(trial: Trial, topic_route: TopicRoute) -> TrialReport:
     installation = trial.installation
     with (
         disk_errors(Path(tempfile.gettempdir())),
-        tempfile.TemporaryDirectory(prefix="pqsec-trial-", dir=_in_memory()) as name,
+        tempfile.TemporaryDirectory(prefix="pqsec-trial-", dir=in_memory()) as name,
     ):
         folder = Path(name)
         roles = [
@@ -162,7 +162,7 @@ def run_trial(trial: Trial, topic_route: TopicRoute) -> TrialReport:
     )
 
 
-def _in_memory() -> Path | None:
+def in_memory() -> Path | None:
     """A folder in memory, if there is one: configurations may hold a passphrase, and a killed
     trial cannot remove them. Fast DDS 3.1.2 reads them only from a path."""
     return _IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None

@@ -87,5 +87,28 @@ def test_what_cannot_be_measured_is_refused(pqsec):
         ("bench --kem ml-kem", "no key agreement named 'ml-kem'"),
         ("bench --all --kem mlkem768", "--all measures everything"),
         ("bench --rounds 0", "--rounds"),
+        ("bench --hosts 3", "--hosts is for hosts of a stack"),
+        ("bench --loss 0", "--loss is for hosts of a stack"),
+        ("bench --samples 0", "--samples is for hosts of a stack"),
+        ("bench --plugins stock", "--plugins is for hosts of a stack"),
+        ("bench --stack ros2", "--stack"),
+        ("bench --stack cyclonedds --kem mlkem768", "--kem is for handshakes in memory"),
+        ("bench --stack cyclonedds --all", "--all is for handshakes in memory"),
+        ("bench --stack cyclonedds --warm-up 0", "--warm-up is for handshakes in memory"),
+        ("bench --stack cyclonedds --hosts 1", "--hosts"),
+        ("bench --stack cyclonedds --hosts 201", "--hosts"),
+        ("bench --stack cyclonedds --loss 51%", "not a loss from 0% to 50%"),
+        ("bench --stack cyclonedds --loss nan", "not a loss from 0% to 50%"),
+        ("bench --stack cyclonedds --delay nan", "not a finite number"),
+        ("bench --stack cyclonedds --mtu 68", "--mtu"),
+        ("bench --stack cyclonedds --timeout 0", "--timeout"),
+        ("bench --stack cyclonedds --plugins ours", "--plugins"),
+        ("bench --stack cyclonedds --json --format csv", "exclude each other"),
     ):
         pqsec(line).refused(2, words)
+
+
+def test_a_missing_stack_is_named_with_its_packages(pqsec, tmp_path):
+    (tmp_path / "root").mkdir()
+    done = pqsec("bench --stack cyclonedds --root root")
+    done.refused(3, "is not installed", hint="cyclonedds-dev")

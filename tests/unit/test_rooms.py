@@ -80,7 +80,10 @@ MAY_IMPORT["migration"] = {
     *("selfcheck", "lifecycle", "vendors", "keystore", "credentials", "documents"),
     *("algorithms", "domain"),
 }
-MAY_IMPORT["benchmark"] = {"handshake", "documents", "smime", "certificates", "algorithms"}
+MAY_IMPORT["benchmark"] = {
+    *("handshake", "documents", "smime", "certificates", "algorithms"),
+    *("trial", "vendors", "lifecycle", "keystore"),
+}
 MAY_IMPORT["estimation"] = {"handshake", "keystore", "credentials", "algorithms"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 

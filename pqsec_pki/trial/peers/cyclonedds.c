@@ -1,6 +1,7 @@
-/* A participant of Cyclone DDS that sends or receives one text.
+/* A participant of Cyclone DDS that sends or receives one text, or meets many others.
  *
  * usage: peer send|receive DOMAIN TOPIC TEXT SECONDS
+ *        peer host DOMAIN TOPIC TEXT SECONDS          see cyclonedds_host.h
  *
  * Its configuration is the one that CYCLONEDDS_URI names. On stdout it says how far it came, a
  * line each: joined, matched, received TEXT, or refused WHAT: REASON. The stack's own messages go
@@ -59,10 +60,13 @@ static void receive_until(dds_entity_t reader, dds_time_t end) {
   }
 }
 
+#include "cyclonedds_host.h"
+
 int main(int count, char **words) {
   if (count != 6) return 2;
   prctl(PR_SET_PDEATHSIG, SIGKILL); /* nobody is left to end it */
   dds_time_t end = dds_time() + (dds_time_t)(atof(words[5]) * 1e9);
+  if (strcmp(words[1], "host") == 0) await_go();
   dds_entity_t participant = made(dds_create_participant(atoi(words[2]), NULL, NULL), "participant");
   say("joined", "");
   dds_entity_t topic =
@@ -70,6 +74,10 @@ int main(int count, char **words) {
   dds_qos_t *qos = dds_create_qos();
   dds_qset_reliability(qos, DDS_RELIABILITY_RELIABLE, DDS_SECS(1));
   dds_qset_durability(qos, DDS_DURABILITY_TRANSIENT_LOCAL);
+  if (strcmp(words[1], "host") == 0) {
+    host(participant, topic, words[4]);
+    _Exit(0);
+  }
   if (strcmp(words[1], "send") == 0)
     send_until(made(dds_create_writer(participant, topic, qos, NULL), "writer"), words[4], end);
   else

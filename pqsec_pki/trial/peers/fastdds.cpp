@@ -1,6 +1,7 @@
-// A participant of Fast DDS, 2.x or 3.x, that sends or receives one text.
+// A participant of Fast DDS, 2.x or 3.x, that sends or receives one text, or meets many others.
 //
 // usage: peer send|receive DOMAIN TOPIC TEXT SECONDS
+//        peer host DOMAIN TOPIC TEXT SECONDS          see cyclonedds_host.h
 //
 // Its configuration is the default profile of a participant in the file that
 // FASTRTPS_DEFAULT_PROFILES_FILE (2.x) or FASTDDS_DEFAULT_PROFILES_FILE (3.x) names. What it says
@@ -160,18 +161,23 @@ Qos lasting(Qos qos) {
   return qos;
 }
 
+#include "fastdds_host.hpp"
+
 int main(int count, char** words) {
   if (count != 6) return 2;
   prctl(PR_SET_PDEATHSIG, SIGKILL);  // nobody is left to end it
   auto over = Clock::now() + std::chrono::duration_cast<Clock::duration>(
                                  std::chrono::duration<double>(atof(words[5])));
   Log::SetVerbosity(Log::Kind::Warning);
+  if (strcmp(words[1], "host") == 0) await_go();
   auto own = made(participant(atoi(words[2])), "participant");
   say("joined");
   TypeSupport type(new Sample);
   type.register_type(own);
   auto topic = made(own->create_topic(words[3], "pqsec::Sample", TOPIC_QOS_DEFAULT), "topic");
-  if (strcmp(words[1], "send") == 0) {
+  if (strcmp(words[1], "host") == 0) {
+    host(own, topic, words[4]);
+  } else if (strcmp(words[1], "send") == 0) {
     auto publisher = made(own->create_publisher(PUBLISHER_QOS_DEFAULT), "publisher");
     auto writer = publisher->create_datawriter(topic, lasting(DATAWRITER_QOS_DEFAULT));
     send_until(made(writer, "writer"), words[4], over);

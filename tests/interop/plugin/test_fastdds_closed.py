@@ -315,6 +315,7 @@ def linked(plugins, tmp_path_factory) -> list[str]:
     """The command of a peer that is linked with our library, before Fast DDS."""
     folder = tmp_path_factory.mktemp("linked")
     (folder / "peer.cpp").write_bytes(source("fastdds.cpp"))
+    (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
     library = plugins("bookworm")[1].folder / PRELOAD
     first = f"-Wl,--no-as-needed,{library},--as-needed"
     words = ["g++", "-O0", first, "-o", "peer", "peer.cpp", "-lfastrtps"]
@@ -341,6 +342,7 @@ def test_with_more_rights_it_runs_that_plugin_which_is_refused_the_agent(
 def opened(fastdds_here, tmp_path_factory) -> Callable[[str], list[str]]:
     """opened("deep") is what runs a peer in a library that is opened so."""
     folder = tmp_path_factory.mktemp("hosted")
+    (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
     (folder / "peer.cpp").write_bytes(
         source("fastdds.cpp").replace(b"int main(", b'extern "C" int run(')
     )

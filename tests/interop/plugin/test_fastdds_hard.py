@@ -136,6 +136,7 @@ def many(there) -> Iterator[Callable[[str], list[str]]]:
             parent = None if installation.root == MACHINE else installation.root / "tmp"
             folder = Path(stack.enter_context(TemporaryDirectory(dir=parent)))
             (folder / "fastdds.cpp").write_bytes(text)
+            (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
             for command in installation.build.commands:
                 place = f"/{folder.relative_to(installation.root)}"
                 code, said = run_tool(command[0], installation.tool(command, place))

@@ -120,6 +120,7 @@ def lasting(there) -> Iterator[Callable[[str], list[str]]]:
             parent = None if installation.root == MACHINE else installation.root / "tmp"
             folder = Path(stack.enter_context(TemporaryDirectory(dir=parent)))
             (folder / "fastdds.cpp").write_bytes(text.replace(once, line))
+            (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
             place = f"/{folder.relative_to(installation.root)}"
             for command in installation.build.commands:
                 code, said = run_tool(command[0], installation.tool(command, place))

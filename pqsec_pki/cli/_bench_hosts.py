@@ -1,0 +1,206 @@
+"""`pqsec bench --stack`: the options that only it has, and its runs."""
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from statistics import median
+from typing import Any
+
+import click
+
+from pqsec_pki.algorithms import PROFILES
+from pqsec_pki.benchmark import (
+    MESH_COLUMNS,
+    Environment,
+    MeasuredMeshes,
+    MeshCase,
+    MeshPlan,
+    MeshRun,
+    Plugins,
+    measured_meshes,
+    percentile,
+)
+from pqsec_pki.cli import _bench_bar, _formats, _printing, _settings
+from pqsec_pki.errors import UsageError
+from pqsec_pki.trial import HOSTS, MACHINE, STACKS, Link, find, refuse_without_hosts
+
+ROUNDS = 3
+_USUAL: dict[str, Any] = {
+    "plugins": (Plugins.PQSEC.value,),
+    "hosts": (2,),
+    "loss": (0.0,),
+    "delay": (0.0,),
+    "mtu": (1500,),
+    "timeout": 60.0,
+    "samples": 20,
+    "root": MACHINE,
+}
+_HEADERS = (
+    *("profile", "plugins", "hosts", "loss", "delay", "mtu", "complete", "full s", "to"),
+    *("met p50", "p95", "datagrams", "repeats", "samples lost"),
+)
+_OPTIONS = (
+    click.option(
+        "--stack",
+        type=click.Choice([*map(str, STACKS)]),
+        help="Run hosts of this stack on a network of their own.",
+    ),
+    click.option(
+        "--plugins",
+        multiple=True,
+        type=click.Choice([each.value for each in Plugins]),
+        help="With --stack: run pqsec's plugins, the stack's own, or none.  [default: pqsec]",
+    ),
+    click.option(
+        "--hosts",
+        multiple=True,
+        type=click.IntRange(2, HOSTS),
+        help="With --stack: run so many hosts.  [default: 2]",
+    ),
+    click.option(
+        "--loss",
+        multiple=True,
+        type=_settings.Percent(),
+        help="With --stack: lose this part of frames.  [default: 0%]",
+    ),
+    click.option(
+        "--delay",
+        multiple=True,
+        type=_settings.FiniteRange(0, 10_000),
+        metavar="MS",
+        help="With --stack: delay each frame by so many milliseconds.  [default: 0]",
+    ),
+    click.option(
+        "--mtu",
+        multiple=True,
+        type=click.IntRange(256, 9000),
+        help="With --stack: the longest IP packet in a frame.  [default: 1500]",
+    ),
+    click.option(
+        "--timeout",
+        type=_settings.FiniteRange(1, 3600),
+        metavar="SECONDS",
+        help="With --stack: end a run when its hosts have not met by then.  [default: 60]",
+    ),
+    click.option(
+        "--samples",
+        type=click.IntRange(0, 10_000),
+        help="With --stack: send so many from each host to all others.  [default: 20]",
+    ),
+    click.option(
+        "--root",
+        type=_settings.FOLDER,
+        metavar="DIR",
+        help="With --stack: use the one in this root file system.  [default: the installed one]",
+    ),
+)
+
+
+def options(command: _settings.Command) -> _settings.Command:
+    """Add --stack and the options that need it."""
+    for each in reversed(_OPTIONS):
+        command = each(command)
+    return command
+
+
+def refuse_without_stack(given: dict[str, Any]) -> None:
+    """UsageError for an option that needs --stack."""
+    named = [name for name in _USUAL if given[name] not in (None, ())]
+    if named:
+        raise UsageError(
+            f"--{named[0]} is for hosts of a stack", hint=f"name one: --stack {STACKS[0]}"
+        )
+
+
+def run(
+    stack: str, profiles: Sequence[str], rounds: int, form: str, given: dict[str, Any]
+) -> tuple[MeasuredMeshes, bool]:
+    """Measure and print; the runs, and whether all of them were finished."""
+    chosen = {name: given[name] or usual for name, usual in _USUAL.items()}
+    if given["samples"] == 0:
+        chosen["samples"] = 0
+    environment = Environment.here(_settings.now())
+    installation = find(stack, chosen["root"])
+    refuse_without_hosts()
+    plan = MeshPlan(
+        installation=installation,
+        cases=list(_cases(profiles or [each.name for each in PROFILES], chosen)),
+        rounds=rounds,
+        timeout=chosen["timeout"],
+        samples=chosen["samples"],
+        now=_settings.now(),
+    )
+    length = len(plan.cases) * rounds
+    with _bench_bar.bar(length, "runs") as bar:
+        runs = measured_meshes(plan, bar)
+    found = MeasuredMeshes(stack=stack, version=installation.version, runs=runs)
+    complete = len(runs) == length
+    value = {"environment": environment, "complete": complete, **found.to_json()}
+    lines = _lines(environment, installation.title, found)
+    _formats.emit(form, value, lines, columns=MESH_COLUMNS, items=found.rows(environment))
+    for each in runs:
+        _note(each)
+    return found, complete
+
+
+def _cases(profiles: Sequence[str], chosen: dict[str, Any]) -> Iterator[MeshCase]:
+    kinds = [
+        (plugins, profile)
+        for plugins in map(Plugins, chosen["plugins"])
+        for profile in ([None] if plugins is Plugins.NONE else profiles)
+    ]
+    axes = (chosen[name] for name in ("hosts", "loss", "delay", "mtu"))
+    for hosts, loss, delay, mtu in product(*axes):
+        link = Link(loss=loss, delay=delay / 1000, mtu=mtu)
+        for plugins, profile in dict.fromkeys(kinds):
+            yield MeshCase(plugins=plugins, profile=profile, hosts=hosts, link=link)
+
+
+def _lines(environment: Environment, title: str, found: MeasuredMeshes) -> Iterator[str]:
+    cases = dict.fromkeys(each.case for each in found.runs)
+    rows = (_row(case, [each for each in found.runs if each.case == case]) for case in cases)
+    yield from _printing.table(_HEADERS, rows)
+    yield ""
+    yield "complete: hosts that met all others, in all runs. full: seconds until the last had met"
+    yield "all, median and longest of complete runs. met: seconds until a host had met another."
+    yield "datagrams: sent by all hosts until then; repeats: of handshake messages; median of runs."
+    yield f"{title}, pqsec {environment.pqsec}, {environment.system}"
+    yield (
+        f"{environment.processor or environment.machine}, {environment.cores} cores,"
+        f" load {environment.load[0]:.1f}"
+    )
+
+
+def _row(case: MeshCase, runs: Sequence[MeshRun]) -> tuple[str, ...]:
+    full = [each.full for each in runs if each.full is not None]
+    met = [when for each in runs for when in each.meetings]
+    lost = [each.result.samples_lost for each in runs if each.result.samples_lost is not None]
+    totals = [each.totals for each in runs]
+    return (
+        case.profile or "",
+        case.plugins.value,
+        f"{case.hosts:>5}",
+        f"{case.link.loss:.3g}",
+        f"{case.link.delay * 1000:.3g}",
+        str(case.link.mtu),
+        f"{sum(each.result.complete for each in runs)}/{case.hosts * len(runs)}",
+        *(_seconds(full, 50), _seconds(full, 100)),
+        *(_seconds(met, 50), _seconds(met, 95)),
+        *(
+            f"{median(int(each[name] or 0) for each in totals):g}"
+            for name in ("datagrams", "handshake_repeats")
+        ),
+        f"{sum(lost)}" if lost else "",
+    )
+
+
+def _seconds(values: Sequence[float], percent: float) -> str:
+    return f"{percentile(values, percent):>6.2f}" if values else ""
+
+
+def _note(run: MeshRun) -> None:
+    """What a host that did not meet all others said first."""
+    if not run.complete:
+        others = run.case.hosts - 1
+        silent = [each for each in run.result.hosts if len(each.met) < others]
+        said = next((each.log[0] for each in silent if each.log), "the stack printed no reason")
+        _printing.note(f"run {run.number} of {run.case} is incomplete: {said}")
