@@ -26,6 +26,7 @@ ADDED = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "SECURITY.md": "security.md",
+    "tests/interop/README.md": "explanation/tested.md",
     **{str(path.relative_to(ROOT)): f"tutorials/{path.parent.name}.md" for path in EXAMPLES},
 }
 """A document outside docs/ -> its page."""

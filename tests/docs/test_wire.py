@@ -46,23 +46,19 @@ from pqsec_pki.handshake.wire import (
     MAX_TOKENS,
     encode_properties,
 )
-from pqsec_pki.selfcheck import HandshakeSetup, matrix
-from pqsec_pki.selfcheck.matrix import DATAGRAM, FRAGMENT, suites
-from pqsec_pki.selfcheck.run import AROUND_TOKEN
 from pqsec_pki.selfcheck.session import _STATELESS_WRITER as STATELESS_WRITER
 from pqsec_pki.smime.document import MAX_CARRIED, MAX_CARRIED_VALUES
+from tests.docs import wire_sizes
 from tests.docs.tables import Document, missing, number
 from tests.vectors.handshake import make_pq
 
 WIRE = Document("reference/wire.md")
 TABLES = Document("reference/wire-tables.md")
+MEASURED = Document("reference/sizes.md")
 PAPER = Document("explanation/paper.md")
 CHECKS = Document("../tests/docs/checks.md")
-IN_CYCLONE = (612, 676)
-"""Octets of the sample of a Request or Reply beyond pqsec's token, with Cyclone DDS's c.pdata."""
 MOST_RATIO = 1.12
 """The target for the second version."""
-SMALL_FRAGMENT = 1300
 AFEW = 40
 """Octets by which a message varies: ECDSA signatures in it, in PEM, and serial numbers."""
 
@@ -447,70 +443,35 @@ def test_limits():
 
 @pytest.mark.slow
 def test_sizes_are_those_that_are_measured(now):
-    measured = {
-        (each.profile.name, each.signature, each.agreement.wire_name): [
-            each.sizes[name].token for name in ("request", "reply", "final")
-        ]
-        for each in suites(now, 1)
-    }
-    for row in WIRE.table("Profile", "c.dsign_algo"):
+    measured = wire_sizes.measured_suites(now)
+    for row in MEASURED.table("Profile", "c.dsign_algo"):
         profile, signature, agreement, *sizes, fragments, share = row.values()
         sizes = [int(size) for size in sizes]
         assert measured[profile, signature, agreement] == pytest.approx(sizes, abs=AFEW)
-        request, reply, final = sizes
-        most = max(IN_CYCLONE)
-        samples = [request + most, reply + most, final + AROUND_TOKEN]
-        assert fragments == ", ".join(str(-(-size // FRAGMENT)) for size in samples)
-        assert share == f"{max(samples) / DATAGRAM:.0%}"
-    assert f"A sample is {AROUND_TOKEN} octets longer" in WIRE.text
-    longer = "their samples are {} to {} octets longer".format(*IN_CYCLONE)
-    assert longer in " ".join(WIRE.text.split())
-
-
-def irreducible(profile):
-    """Octets of public keys, ciphertext and signatures of Request, Reply and Final."""
-    keys = [key for key in (profile.participant_key, profile.alternative_key) if key]
-    own = sum(key.signature_size for key in keys)
-    credentials = sum(key.public_key_size for key in keys)
-    for authority in (profile.identity_key, profile.permissions_key):
-        both = (authority, profile.alternative_key)
-        credentials += sum(key.signature_size for key in both if key)
-    agreement = profile.key_agreement
-    reply = credentials + agreement.ciphertext_size + own
-    return credentials + agreement.public_size, reply, own
-
-
-def measured_tokens(now, folder, profile):
-    """Octets of the three tokens of the second version, with the profile's key agreement."""
-    keystore = matrix._keystore(folder / profile.name, profile, now)
-    versions = (compact.WireVersion.SECOND,)
-    setup = HandshakeSetup(keystore=keystore, domain=0, now=now, versions=versions)
-    return list(matrix._met(setup).token_bytes.values())
-
-
-def small_fragments(sizes):
-    return ", ".join(str(-(-(int(size) + AROUND_TOKEN) // SMALL_FRAGMENT)) for size in sizes)
+        assert (fragments, share) == wire_sizes.fragments(sizes)
 
 
 def test_sizes_of_the_second_version_and_their_ratio(now, tmp_path):
     firsts = {
-        (row["Profile"], row["c.kagree_algo"]): row for row in WIRE.table("Profile", "c.dsign_algo")
+        (row["Profile"], row["c.kagree_algo"]): row
+        for row in MEASURED.table("Profile", "c.dsign_algo")
     }
-    rows = WIRE.table("Profile", "Request 2")
+    rows = MEASURED.table("Profile", "Request 2")
     assert [row["Profile"] for row in rows] == ["transition", "hybrid", "pq", "cnsa2"]
     for row in rows:
         profile = profile_named(row["Profile"])
         sizes = [int(row[name]) for name in ("Request 2", "Reply 2", "Final 2")]
-        measured = measured_tokens(now, tmp_path, profile)
+        measured = wire_sizes.second_version(now, tmp_path, profile)
         assert measured == pytest.approx(sizes, abs=2 * AFEW)
-        least = irreducible(profile)
+        least = wire_sizes.irreducible(profile)
         assert all(size <= MOST_RATIO * due for size, due in zip(measured, least, strict=True))
-        ratios = [f"{size / due:.2f}" for size, due in zip(sizes, least, strict=True)]
-        assert [row[name] for name in ("Ratio", "Ratio 1", "Ratio 2")] == ratios
+        assert [row[name] for name in ("Ratio", "Ratio 1", "Ratio 2")] == wire_sizes.ratios(
+            profile, sizes
+        )
         first = firsts[profile.name, profile.key_agreement.wire_name]
-        before = [first[name] for name in ("Request", "Reply", "Final")]
-        assert row["Small fragments, before"] == small_fragments(before)
-        assert row["After"] == small_fragments(sizes)
+        before = [int(first[name]) for name in ("Request", "Reply", "Final")]
+        assert row["Small fragments, before"] == wire_sizes.small_fragments(before)
+        assert row["After"] == wire_sizes.small_fragments(sizes)
 
 
 # The text

@@ -1,6 +1,6 @@
 """Real participants of real stacks meet, or are refused, as they should be: processes and wire.
 
-The table of what came of it stands in stacks.md. PQSEC_WRITE_RESULTS=1 writes it there.
+The table of what came of it stands in measured.md. PQSEC_WRITE_RESULTS=1 writes it there.
 """
 
 import os
@@ -42,7 +42,7 @@ pytestmark = pytest.mark.interop
 
 AT_ONCE = 4 if os.geteuid() == 0 else 1
 """Most of what they do is waiting. Who is not root has but one network for all."""
-RESULTS = Path(__file__).parents[2] / "docs/reference/stacks.md"
+RESULTS = Path(__file__).parents[2] / "docs/reference/measured.md"
 BLOCK = re.compile(r"(?s)(<!-- results: [^\n]*-->\n).*(<!-- end of results -->)")
 TRIXIE = os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie"
 STACKS = {
