@@ -115,11 +115,17 @@ def add_public_key(assets: Assets, spki: bytes, *places: str) -> str:
 
 
 def add_private_key(
-    assets: Assets, place: str, spki: bytes | None, encryption: AlgorithmIdentifier | None
+    assets: Assets,
+    place: str,
+    spki: bytes | None,
+    encryption: AlgorithmIdentifier | None,
+    *,
+    elsewhere: bool = False,
 ) -> str:
     """Add a private key, by its public key if that is known, else by its place; its ref.
 
-    `encryption` is how the key is encrypted, if it is.
+    `encryption` is how the key is encrypted, if it is; with `elsewhere` a token or another signer
+    has it.
     """
     public = add_public_key(assets, spki) if spki is not None else None
     algorithm, words = _key_algorithm(assets, spki) if spki is not None else (None, "encrypted")
@@ -132,17 +138,20 @@ def add_private_key(
             mechanism="passphrase", algorithm_ref=BomRef(mechanism)
         )
         needs += (mechanism,)
+    if elsewhere:
+        secured = RelatedCryptoMaterialSecuredBy(mechanism="HSM")
+    kind = ":elsewhere" if elsewhere else ":encrypted" if secured else ""
     where = "" if spki is not None else "@"
     return _material(
         assets,
         # One key, stored encrypted here and open there, is two assets.
-        f"private-key:{where}{digest}{':encrypted' if secured else ''}",
+        f"private-key:{where}{digest}{kind}",
         by_known if spki is not None else f"private key in {place}",
         RelatedCryptoMaterialProperties(
             type=Kind.PRIVATE_KEY,
             id=digest if spki is not None else None,
             algorithm_ref=bom_ref(algorithm),
-            format="PEM",
+            format=None if elsewhere else "PEM",
             secured_by=secured,
         ),
         needs,

@@ -15,6 +15,7 @@ from pqsec_pki.documents import DomainRule
 from pqsec_pki.errors import MalformedError, PqsecError
 from pqsec_pki.keystore import GENERATIONS
 from pqsec_pki.lint import CertificateFile, File, GovernanceFile, Inventory, take_inventory
+from pqsec_pki.tokens import is_reference
 
 _REQUEST = "CERTIFICATE REQUEST"
 _HINT = "pass certificates, keys, lists and documents, or folders with them"
@@ -78,7 +79,7 @@ class _Reader:
         if "PUBLIC KEY" in file.labels:
             for _, der in unpem(file.data, "public key"):
                 _material.add_public_key(self.assets, der, place)
-        if file.is_private_key:
+        if file.is_private_key or is_reference(file.data):
             self._add_private_key(file, place)
         elif not file.labels and file.data[:1] == b"\x30" and not file.is_signed:
             self._add_binary(file, place)
@@ -105,6 +106,10 @@ class _Reader:
             _material.add_list(self.assets, crl, place, self._issuers)
 
     def _add_private_key(self, file: File, place: str) -> None:
+        if is_reference(file.data):
+            spki = self._spki_beside(file.path)
+            _material.add_private_key(self.assets, place, spki, None, elsewhere=True)
+            return
         found = file.private_key
         if found.reason:
             # After a colon it could quote the key.

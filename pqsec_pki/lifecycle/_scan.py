@@ -25,6 +25,7 @@ from pqsec_pki.keystore import (
     load_revocation_list,
 )
 from pqsec_pki.lifecycle._issuer import domains_of
+from pqsec_pki.tokens import is_reference, uri_in
 
 
 @dataclass(slots=True, kw_only=True)
@@ -167,8 +168,12 @@ class KeystoreScan:
 def _check_key(path: Path, ca: Certificate) -> None:
     """KeystoreError, FileError or MalformedError if the key at `path` is not usable for `ca`.
 
-    An encrypted key is only checked when it is used.
+    An encrypted key, and one in a token, is only checked when it is used.
     """
+    data = read(path)
+    if is_reference(data):
+        uri_in(data)
+        return
     with suppress(PassphraseError):
-        if load_private_key(read(path)).public_key.spki != ca.spki:
+        if load_private_key(data).public_key.spki != ca.spki:
             raise KeystoreError("the key does not match the CA's certificate: it cannot issue")

@@ -33,6 +33,7 @@ from pqsec_pki.lifecycle import (
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.selfcheck import verify_handshake
 from pqsec_pki.smime import verify
+from pqsec_pki.tokens import reference_to
 from tests.unit.keystores import DAY, NOW, made, rotate
 from tests.unit.sros2_keystore import NO_CA, SROS2, permissions
 
@@ -165,6 +166,17 @@ def test_a_keystore_of_ours_that_lost_its_settings_and_ledger_is_adopted(tmp_pat
     audit(done.keystore)
     renew(done.keystore, done.keystore.unlock(None), ["/talker"], now=NOW + DAY)
     revoke(done.keystore, done.keystore.unlock(None), ["/talker"], now=NOW + DAY)
+
+
+def test_a_keystore_whose_ca_keys_are_in_tokens_is_adopted(tmp_path):
+    keystore = made(tmp_path / "k", "transition")
+    for path in (keystore.root / "private").glob("*.key.pem"):
+        path.write_bytes(reference_to(f"pkcs11:token=lab;object={path.stem}"))
+    (keystore.root / "pqsec.json").unlink()
+    (keystore.root / "private/ledger.sqlite3").unlink()
+    done = adopt(keystore.root, now=NOW)
+    assert (done.refused, done.fitting) == ({}, True)
+    assert len(done.keystore.key_uris) == 4
 
 
 def test_what_a_profile_promised_is_promised_again(tmp_path):

@@ -1,6 +1,7 @@
 """Bills of materials: valid CycloneDX 1.7, exact, the same for the same files, without keys."""
 
 import base64
+import hashlib
 import json
 import shutil
 from datetime import timedelta
@@ -16,6 +17,7 @@ from pqsec_pki.cbom._assets import Assets
 from pqsec_pki.cbom._document import written
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore
+from pqsec_pki.tokens import reference_to
 from tests.unit.keystores import DAY, NOW, made
 
 VALIDATOR = JsonStrictValidator(SchemaVersion.V1_7)
@@ -190,6 +192,16 @@ def test_an_encrypted_key_is_known_by_its_certificate(tmp_path):
             "mechanism": "passphrase",
             "algorithmRef": "algorithm:PBES2 with PBKDF2 and AES256-CBC",
         }
+
+
+def test_a_key_in_a_token_is_known_by_its_certificate(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    path = keystore.root / "private/identity_ca.key.pem"
+    path.write_bytes(reference_to("pkcs11:token=lab;object=identity-ca"))
+    components = parsed(bill_of([keystore.root], now=NOW).document)
+    digest = hashlib.sha256(keystore.identity_ca.spki).hexdigest()
+    material = kinds(components, "related-crypto-material")[f"private-key:{digest}:elsewhere"]
+    assert material["securedBy"] == {"mechanism": "HSM"}
 
 
 def test_every_row_of_the_tables_is_in_the_schema():

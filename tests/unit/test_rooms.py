@@ -74,7 +74,7 @@ for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "at
     MAY_IMPORT[room] = MAY_IMPORT[room] | {"credentials"}
 MAY_IMPORT["cbom"] = {
     *("lint", "inspection", "keystore", "credentials", "certificates", "smime", "documents"),
-    "algorithms",
+    *("algorithms", "tokens"),
 }
 MAY_IMPORT["migration"] = {
     *("selfcheck", "lifecycle", "vendors", "keystore", "credentials", "documents"),
