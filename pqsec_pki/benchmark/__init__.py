@@ -6,6 +6,7 @@
     results        samples, percentiles and sizes of one suite
     meshes         hosts of a real stack on a network of their own: credentials, runs
     mesh_results   times, counts and losses of such runs
+    drawing        which plots there are of both; `plots` draws them
     environment    what the numbers depend on: versions, processor, load
 
 What is measured in memory is what the Authentication plugin does; room `trial` runs the stacks.
@@ -16,6 +17,13 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.benchmark.drawing import (
+        MESH_PLOTS,
+        SUITES,
+        meshes_drawn,
+        refuse_without_library,
+        suites_drawn,
+    )
     from pqsec_pki.benchmark.environment import Environment
     from pqsec_pki.benchmark.measuring import measured_rounds
     from pqsec_pki.benchmark.mesh_results import (
@@ -42,6 +50,8 @@ else:
 __all__ = [
     "CSV_COLUMNS",
     "MESH_COLUMNS",
+    "MESH_PLOTS",
+    "SUITES",
     "Environment",
     "HandshakeSizes",
     "HandshakeSuite",
@@ -57,6 +67,9 @@ __all__ = [
     "every_suite",
     "measured_meshes",
     "measured_rounds",
+    "meshes_drawn",
     "percentile",
+    "refuse_without_library",
+    "suites_drawn",
     "suites_of",
 ]

@@ -113,8 +113,8 @@ def refuse_without_stack(given: dict[str, Any]) -> None:
 
 def run(
     stack: str, profiles: Sequence[str], rounds: int, form: str, given: dict[str, Any]
-) -> tuple[MeasuredMeshes, bool]:
-    """Measure and print; the runs, and whether all of them were finished."""
+) -> tuple[list[dict[str, object]], bool]:
+    """Measure and print; the rows of CSV, and whether all runs were finished."""
     chosen = {name: given[name] or usual for name, usual in _USUAL.items()}
     if given["samples"] == 0:
         chosen["samples"] = 0
@@ -136,10 +136,11 @@ def run(
     complete = len(runs) == length
     value = {"environment": environment, "complete": complete, **found.to_json()}
     lines = _lines(environment, installation.title, found)
-    _formats.emit(form, value, lines, columns=MESH_COLUMNS, items=found.rows(environment))
+    rows = list(found.rows(environment))
+    _formats.emit(form, value, lines, columns=MESH_COLUMNS, items=rows)
     for each in runs:
         _note(each)
-    return found, complete
+    return rows, complete
 
 
 def _cases(profiles: Sequence[str], chosen: dict[str, Any]) -> Iterator[MeshCase]:

@@ -1,20 +1,28 @@
 """pqsec bench: measure the handshake of suites, in memory or in a real stack."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import click
 
+from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, SIGNATURES, profile_named
 from pqsec_pki.benchmark import (
     CSV_COLUMNS,
+    MESH_PLOTS,
+    SUITES,
     Environment,
     HandshakeSuite,
     MeasuredSuite,
     Operation,
     every_suite,
     measured_rounds,
+    meshes_drawn,
     percentile,
+    refuse_without_library,
+    suites_drawn,
     suites_of,
 )
 from pqsec_pki.cli import (
@@ -45,13 +53,14 @@ _ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
             "pqsec bench --signature ml-dsa-65 --kem mlkem768 --kem x25519mlkem768"
         ),
         "Keep all samples, for your own statistics": ("pqsec bench --profile pq --format csv"),
+        "Draw time and bytes of all profiles": "pqsec bench --plot plots",
         "Run 3 hosts of Cyclone DDS on a network that loses 5 % of frames": (
             "pqsec bench --stack cyclonedds --profile pq --hosts 3 --loss 5%"
         ),
     },
     exit_codes={
         0: "all suites are measured",
-        3: "the stack or a permission is missing, or the result cannot be printed",
+        3: "the stack, a right or the plots' library is missing, or a result cannot be written",
         130: "Ctrl-C ended it; what was measured until then is printed",
     },
 )
@@ -96,6 +105,13 @@ _ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
     help="Bytes of a sample in one datagram.  [default: 1344, Cyclone DDS's]",
 )
 @_bench_hosts.options
+@click.option(
+    "--plot",
+    type=_settings.FOLDER,
+    metavar="DIR",
+    help="Draw the results as SVG files in this folder.",
+)
+@click.option("--force", is_flag=True, help="Replace such files.")
 @_formats.option()
 @_settings.command_options
 def bench(  # noqa: PLR0913 -- one for each option, by name
@@ -109,6 +125,8 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     fragment: int | None,
     form: str,
     stack: str | None,
+    plot: Path | None,
+    force: bool,
     **hosts: Any,
 ) -> int:
     """Measure the time, message sizes and memory of the handshake.
@@ -124,15 +142,17 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     times are combined. CSV has one line for each measured value.
     """
     form = _formats.chosen(form)
-    if stack:
-        _refuse_with_stack(signatures or None, agreements or None, every or None, warm_up, fragment)
-        _, complete = _bench_hosts.run(stack, profiles, rounds or _bench_hosts.ROUNDS, form, hosts)
-        return _ended(complete)
-    _bench_hosts.refuse_without_stack(hosts)
-    rounds, warm_up = rounds or _ROUNDS, _WARM_UP if warm_up is None else warm_up
-    fragment = fragment or _FRAGMENT
     if every and (profiles or signatures or agreements):
         raise UsageError("--all measures everything: leave out --profile, --signature and --kem")
+    if stack:
+        _refuse_with_stack(signatures or None, agreements or None, every or None, warm_up, fragment)
+        with _plots(plot, MESH_PLOTS, force=force) as draw:
+            rows, complete = _bench_hosts.run(
+                stack, profiles, rounds or _bench_hosts.ROUNDS, form, hosts
+            )
+            draw(lambda: meshes_drawn(rows))
+        return _ended(complete)
+    _bench_hosts.refuse_without_stack(hosts)
     suites = (
         every_suite()
         if every
@@ -142,19 +162,34 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
             [KEY_AGREEMENTS.named(name) for name in agreements],
         )
     )
-    environment = Environment.here(_settings.now())
-    found = _measured(suites, rounds, warm_up)
-    complete = len(found) == len(suites) and all(len(each.rounds) == rounds for each in found)
+    rounds, warm_up = rounds or _ROUNDS, _WARM_UP if warm_up is None else warm_up
+    fragment = fragment or _FRAGMENT
+    with _plots(plot, (SUITES,), force=force) as draw:
+        environment = Environment.here(_settings.now())
+        found = _measured(suites, rounds, warm_up)
+        complete = len(found) == len(suites) and all(len(each.rounds) == rounds for each in found)
+        _print(form, environment, found, fragment, complete=complete)
+        draw(lambda: suites_drawn([each.to_json(fragment) for each in found]))
+    return _ended(complete)
+
+
+def _print(
+    form: str,
+    environment: Environment,
+    found: Sequence[MeasuredSuite],
+    fragment: int,
+    *,
+    complete: bool,
+) -> None:
     value = {
         "environment": environment,
         "complete": complete,
         "fragment_bytes": fragment,
         "suites": [each.to_json(fragment) for each in found],
     }
-    rows = (row for each in found for row in each.rows())
+    samples = (row for each in found for row in each.rows())
     lines = _lines(environment, found, fragment)
-    _formats.emit(form, value, lines, columns=CSV_COLUMNS, items=rows)
-    return _ended(complete)
+    _formats.emit(form, value, lines, columns=CSV_COLUMNS, items=samples)
 
 
 def _refuse_with_stack(*given: object) -> None:
@@ -165,6 +200,38 @@ def _refuse_with_stack(*given: object) -> None:
             f"{unfit[0]} is for handshakes in memory",
             hint="with --stack choose keys by --profile: hosts need a keystore",
         )
+
+
+@contextmanager
+def _plots(
+    folder: Path | None, names: Sequence[str], *, force: bool
+) -> Iterator[Callable[[Callable[[], Mapping[str, bytes]]], None]]:
+    """What writes plots into the folder, which is there before anything is measured.
+
+    PqsecError without the library, ExistsError for a plot that is there already.
+    """
+    if folder is None:
+        yield lambda _: None
+        return
+    refuse_without_library()
+    for name in names:
+        if not force:
+            refuse_existing(folder / name)
+    is_new = not folder.exists()
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield lambda drawn: _write(folder, drawn(), force=force)
+    except BaseException:
+        if is_new:
+            with suppress(OSError):  # something is in it
+                folder.rmdir()
+        raise
+
+
+def _write(folder: Path, drawn: Mapping[str, bytes], *, force: bool) -> None:
+    for name, content in drawn.items():
+        write(folder / name, content, force=force)
 
 
 def _ended(complete: bool) -> int:  # noqa: FBT001 -- said by its name

@@ -112,3 +112,21 @@ def test_a_missing_stack_is_named_with_its_packages(pqsec, tmp_path):
     (tmp_path / "root").mkdir()
     done = pqsec("bench --stack cyclonedds --root root")
     done.refused(3, "is not installed", hint="cyclonedds-dev")
+
+
+PLOT = f"{PQ} --plot plots"
+
+
+def test_a_plot_is_drawn_beside_the_table(pqsec, tmp_path):
+    assert pqsec(PLOT).done().out.startswith("profile ")
+    assert b"<svg" in (tmp_path / "plots/suites.svg").read_bytes()
+    pqsec(PLOT).refused(3, "suites.svg exists", hint="--force")
+    pqsec(f"{PLOT} --force").done()
+
+
+def test_without_the_library_nothing_is_measured(pqsec, tmp_path, monkeypatch, interrupted):
+    interrupted(1)
+    monkeypatch.delitem(sys.modules, "pqsec_pki.benchmark.plots", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    pqsec(PLOT).refused(3, "the library for plots is not installed", hint="pip install 'matplotlib")
+    assert not (tmp_path / "plots").exists()

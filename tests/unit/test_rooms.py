@@ -94,6 +94,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cyclonedx": {"cbom"},
     "lxml": {"documents"},
+    "matplotlib": {"benchmark"},
     "pkcs11": {"tokens"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"documents", "vendors", "report"},
