@@ -15,6 +15,7 @@ from pqsec_pki.handshake import (
     Reply,
     Request,
     Transcript,
+    WireVersion,
     adjusted_guid,
 )
 from pqsec_pki.problems import Code
@@ -99,6 +100,12 @@ class _Between:
         )
 
 
+def _second_version(session: HandshakeSession) -> str | None:
+    if session.version is WireVersion.FIRST:
+        return None
+    return "its messages are of the first version, which is refused here"
+
+
 ATTACKS = (
     Attack(
         name="insider-in-the-middle",
@@ -109,5 +116,6 @@ ATTACKS = (
         also=(Code.NOT_SIGNED,),
         because="it has no permissions here, since the permissions CA's key is not available",
         act=relay_key_shares,
+        not_applicable=_second_version,
     ),
 )

@@ -4,13 +4,15 @@ It recorded an earlier handshake of the two participants. In their next handshak
 the way between them, or in the place of one of them. An attempt is that second handshake.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-from pqsec_pki.handshake import DataHolder, GenericMessage
+from pqsec_pki.handshake import DataHolder, GenericMessage, compacted, expanded
 from pqsec_pki.selfcheck import HandshakeSession, Relay, Sent, SessionSide
 
+_VERSION = "ver"
+"""The property that only tokens of the second version have."""
 Impersonation = Callable[[SessionSide, SessionSide], SessionSide]
 """Takes the side that is impersonated and its peer, and returns the attacker's side."""
 
@@ -83,5 +85,23 @@ def token_in(sample: bytes) -> DataHolder:
 
 
 def value_in(sample: bytes, name: str) -> bytes:
-    """A binary property of the token of a message sample."""
-    return dict(token_in(sample).binary_properties)[name]
+    """A value of the token of a message sample, by its name in the first version."""
+    return values_in(token_in(sample))[name]
+
+
+def values_in(token: DataHolder) -> dict[str, bytes]:
+    """The values of a token by their names in the first version."""
+    found = dict(token.binary_properties)
+    return expanded(token.class_id, found) if _VERSION in found else found
+
+
+def with_values(token: DataHolder, values: Mapping[str, bytes | None]) -> DataHolder:
+    """The token with other values, by their names in its own version or in the first; None
+    removes one. What its version does not have is left out."""
+    found = dict(token.binary_properties)
+    second = _VERSION in found and not values.keys() <= found.keys()
+    before = values_in(token) if second else found
+    after = ((name, values.get(name, value)) for name, value in before.items())
+    kept = {name: value for name, value in after if value is not None}
+    pairs = compacted(token.class_id, kept) if second else tuple(kept.items())
+    return replace(token, binary_properties=pairs)

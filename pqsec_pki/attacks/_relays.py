@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from pqsec_pki.attacks._context import values_in, with_values
 from pqsec_pki.handshake import DataHolder, GenericMessage
 from pqsec_pki.selfcheck import Relay
 
@@ -45,25 +46,17 @@ def instead(message: str, token: DataHolder, occurrence: int = 1) -> Relay:
 
 
 def putting(message: str, values: Mapping[str, bytes | None], occurrence: int = 1) -> Relay:
-    """Sets fields to other values; None removes a field."""
-
-    def change(token: DataHolder) -> DataHolder:
-        items = ((name, values.get(name, value)) for name, value in token.binary_properties)
-        kept = tuple((name, value) for name, value in items if value is not None)
-        return replace(token, binary_properties=kept)
-
-    return changing_token(message, change, occurrence)
+    """Sets fields to other values; None removes a field (`with_values`)."""
+    return changing_token(message, lambda token: with_values(token, values), occurrence)
 
 
 def editing(message: str, name: str, edit: Edit) -> Relay:
     """Edits the value of one field."""
 
     def change(token: DataHolder) -> DataHolder:
-        items = (
-            (each, edit(value) if each == name else value)
-            for each, value in token.binary_properties
-        )
-        return replace(token, binary_properties=tuple(items))
+        found = dict(token.binary_properties)
+        value = found[name] if name in found else values_in(token)[name]
+        return with_values(token, {name: edit(value)})
 
     return changing_token(message, change)
 

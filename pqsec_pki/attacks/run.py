@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UsageError
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import (
     CheckedStep,
@@ -20,6 +21,9 @@ from pqsec_pki.selfcheck import (
     StoppedError,
 )
 
+OF_SECOND = (Code.C7, Code.C21, Code.C24, Code.C27, Code.C28)
+"""Checks that refuse messages of the second version: their form comes before the others, and as
+they repeat no values, the signatures refuse what comparisons refuse in the first."""
 _HINT = "a check of pqsec is broken: please report it as SECURITY.md says"
 
 
@@ -180,6 +184,8 @@ def attempted(attack: Attack, context: AttackContext) -> AttackOutcome:
     """Run one attack."""
     if reason := attack.not_applicable(context.session):
         return AttackOutcome(attack=attack, skipped=reason)
+    second = context.session.version is WireVersion.SECOND
+    attack = replace(attack, checks=(*attack.checks, *OF_SECOND)) if second else attack
     results = tuple(_result(attempt, attack) for attempt in attack.act(context))
     return AttackOutcome(attack=attack, results=results)
 

@@ -101,7 +101,9 @@ def _handshake(
     """The time of each operation, and the three tokens."""
     one, other = participants.initiator, participants.responder
     policy = PeerRequirements(
-        agreements=(suite.agreement,), require_alternative=suite.alternative is not None
+        agreements=(suite.agreement,),
+        versions=(suite.version,),
+        require_alternative=suite.alternative is not None,
     )
     ours = Terms(own=one, policy=policy, discovered=Discovered(guid=other.guid))
     theirs = Terms(own=other, policy=policy, discovered=Discovered(guid=one.guid))

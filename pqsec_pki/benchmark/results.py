@@ -11,7 +11,7 @@ PERCENTILES = (50, 95, 99)
 _MICRO = 10**6
 CSV_COLUMNS = (
     *("profile", "signature", "key_agreement", "round", "side", "operation"),
-    *("wall_us", "cpu_us"),
+    *("wall_us", "cpu_us", "wire_version"),
 )
 
 
@@ -81,6 +81,7 @@ class MeasuredSuite:
             "profile": self.suite.profile,
             "signature": self.suite.keys,
             "key_agreement": self.suite.agreement.name,
+            "wire_version": self.suite.version,
             "rounds": len(self.rounds),
             "wall_ms": {name: summary(self.wall_ms(*part)) for name, part in parts.items()},
             "cpu_ms": {name: summary(self.cpu_ms(*part)) for name, part in parts.items()},
@@ -98,7 +99,7 @@ class MeasuredSuite:
             for operation, timing in each.items():
                 values = (
                     *(*own, number, operation.side, operation.value),
-                    *(timing.wall / 1000, timing.cpu / 1000),
+                    *(timing.wall / 1000, timing.cpu / 1000, self.suite.version),
                 )
                 yield dict(zip(CSV_COLUMNS, values, strict=True))
 

@@ -1,8 +1,9 @@
 """Which signature keys and key agreements are measured together."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Self
 
 from pqsec_pki.algorithms import (
     KEY_AGREEMENTS,
@@ -13,6 +14,7 @@ from pqsec_pki.algorithms import (
     Profile,
     SignatureAlgorithm,
 )
+from pqsec_pki.handshake import WireVersion
 
 _USUAL = {
     Family.CLASSICAL: "ecdh-p256",
@@ -32,6 +34,12 @@ class HandshakeSuite:
     """The second key of certificates with two (X.509, 9.8)."""
     profile: str | None = None
     """The profile that has exactly these algorithms."""
+    version: WireVersion = WireVersion.FIRST
+    """The version of the messages."""
+
+    def in_version(self, version: WireVersion) -> Self:
+        """The same with messages of that version, if there are such with its key agreement."""
+        return replace(self, version=version) if self.agreement.binds_transcript else self
 
     @property
     def keys(self) -> str:

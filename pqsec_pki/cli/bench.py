@@ -33,6 +33,7 @@ from pqsec_pki.cli import (
     _help,
     _printing,
     _settings,
+    _wire_version,
 )
 from pqsec_pki.errors import UsageError
 
@@ -104,6 +105,9 @@ _ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
     type=click.IntRange(64, 65_000),
     help="Bytes of a sample in one datagram.  [default: 1344, Cyclone DDS's]",
 )
+@_wire_version.option(
+    "Measure messages of this version; with key agreements of stock stacks always 1."
+)
 @_bench_hosts.options
 @click.option(
     "--plot",
@@ -123,6 +127,7 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     rounds: int | None,
     warm_up: int | None,
     fragment: int | None,
+    wire_version: str,
     form: str,
     stack: str | None,
     plot: Path | None,
@@ -145,7 +150,10 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     if every and (profiles or signatures or agreements):
         raise UsageError("--all measures everything: leave out --profile, --signature and --kem")
     if stack:
-        _refuse_with_stack(signatures or None, agreements or None, every or None, warm_up, fragment)
+        version = None if wire_version == "1" else wire_version
+        _refuse_with_stack(
+            signatures or None, agreements or None, every or None, warm_up, fragment, version
+        )
         with _plots(plot, MESH_PLOTS, force=force) as draw:
             rows, complete = _bench_hosts.run(
                 stack, profiles, rounds or _bench_hosts.ROUNDS, form, hosts
@@ -162,6 +170,7 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
             [KEY_AGREEMENTS.named(name) for name in agreements],
         )
     )
+    suites = tuple(each.in_version(_wire_version.version_of(wire_version)) for each in suites)
     rounds, warm_up = rounds or _ROUNDS, _WARM_UP if warm_up is None else warm_up
     fragment = fragment or _FRAGMENT
     with _plots(plot, (SUITES,), force=force) as draw:
@@ -194,7 +203,7 @@ def _print(
 
 def _refuse_with_stack(*given: object) -> None:
     """UsageError for an option of the handshake in memory."""
-    names = ("--signature", "--kem", "--all", "--warm-up", "--fragment-size")
+    names = ("--signature", "--kem", "--all", "--warm-up", "--fragment-size", _wire_version.NAME)
     if unfit := [name for name, value in zip(names, given, strict=True) if value is not None]:
         raise UsageError(
             f"{unfit[0]} is for handshakes in memory",

@@ -188,7 +188,7 @@ def _lines(profile: str, found: Estimate) -> Iterator[str]:
     frames = "/".join(
         str(sum(scenario.datagrams(each))) for each in (sizes.request, sizes.reply, sizes.final)
     )
-    busy, count = sum(scenario.seconds), scenario.participants
+    busy, count = scenario.busy, scenario.participants
     hosts = _printing.counted(scenario.machines, "host")
     cores = _printing.counted(scenario.cores, "core")
     who = f"{count} participants of profile {profile} on {hosts} of {cores}"

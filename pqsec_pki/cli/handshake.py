@@ -8,10 +8,11 @@ import click
 from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, KeyAgreement, Profile
-from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _printing, _settings, _wire_version
 from pqsec_pki.cli._handshake_lines import lines_of
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore, is_several, regular_name
 from pqsec_pki.selfcheck import (
     PQSEC,
@@ -27,13 +28,13 @@ from pqsec_pki.selfcheck import verify_handshake as run_between
 
 MATRIX_ROUNDS = 5
 _PAIR = 2
-_PAIR_OPTIONS = {"--domain", "--kem", "--as"}
+_PAIR_OPTIONS = {"--domain", "--kem", "--as", _wire_version.NAME}
 _MODE_OPTIONS = {
     "two participants": _PAIR_OPTIONS,
     "--all": _PAIR_OPTIONS | {"--jobs"},
     "--matrix": {"--rounds"},
     "--trace": _PAIR_OPTIONS | {"--force", "--insecure-show-secrets"},
-    "--attack": {"--domain", "--kem"},
+    "--attack": {"--domain", "--kem", _wire_version.NAME},
 }
 """Mode -> options that it accepts."""
 
@@ -54,6 +55,9 @@ _MODE_OPTIONS = {
         "Run all pairs of the keystore": "pqsec verify-handshake --all",
         "Run all pairs of a robot's nodes and another participant": (
             "pqsec verify-handshake --all '/fleet/*' /talker"
+        ),
+        "Run it with the shorter messages of version 2": (
+            "pqsec verify-handshake /talker /listener --wire-version 2"
         ),
         "Measure all profiles and key agreements": "pqsec verify-handshake --matrix",
     },
@@ -101,6 +105,7 @@ _MODE_OPTIONS = {
     help="Let B behave like this DDS stack; given twice, A and then B. With --all, in both orders.",
     shell_complete=_completion.among(each.name for each in STACKS),
 )
+@_wire_version.option("Send messages of this version between pqsec peers; 2 is the shorter one.")
 @click.option(
     "--jobs",
     type=click.IntRange(1, 256),
@@ -170,13 +175,15 @@ def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
 
 
 def _report(names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
+    keystore = _keystore(given["kem"])
     return run_between(
-        _keystore(given["kem"]),
+        keystore,
         *names,
         now=_settings.now(),
         domain=given["domain"],
         stacks=_stacks(given["stacks"]),
         agreement=_agreement(given["kem"]),
+        versions=_versions(keystore, given),
     )
 
 
@@ -192,6 +199,7 @@ def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
         domain=given["domain"],
         key_agreement=given["kem"],
         stacks=(first.name, second.name),
+        versions=_versions(keystore, given),
     )
     chosen = list(dict.fromkeys(map(regular_name, names))) or keystore.names()
     for name in chosen:
@@ -225,7 +233,13 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     attacks = _handshake_attacks.attacks_named(given["attack"])
     keystore, now, domain = _keystore(given["kem"]), _settings.now(), given["domain"]
     agreement = _agreement(given["kem"])
-    setup = HandshakeSetup(keystore=keystore, domain=domain or 0, now=now, agreement=agreement)
+    setup = HandshakeSetup(
+        keystore=keystore,
+        domain=domain or 0,
+        now=now,
+        agreement=agreement,
+        versions=_versions(keystore, given),
+    )
     joinable = JoinableDomains.of(setup, names)
     if domain is None:
         joinable.refuse_split()
@@ -244,6 +258,15 @@ def _keystore(kem: str | None) -> Keystore:
 
 def _agreement(kem: str | None) -> KeyAgreement | None:
     return None if kem is None else KEY_AGREEMENTS.named(kem)
+
+
+def _versions(keystore: Keystore, given: dict[str, Any]) -> tuple[WireVersion, ...]:
+    """The version that was chosen; UsageError if these handshakes have no such messages."""
+    version = _wire_version.version_of(given["wire_version"])
+    agreement = _agreement(given["kem"]) or keystore.profile.key_agreement
+    stock = any(each.is_stock for each in _stacks(given["stacks"]))
+    _wire_version.refuse_unknown(version, agreement, stock=stock)
+    return (version,)
 
 
 def _stacks(names: tuple[str, ...]) -> tuple[SimulatedStack, SimulatedStack]:

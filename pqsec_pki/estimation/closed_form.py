@@ -10,7 +10,16 @@ from dataclasses import dataclass
 from itertools import accumulate
 from math import exp, log1p
 
-from pqsec_pki.estimation.scenario import ANNOUNCE, BASE, RESEND, Scenario
+from pqsec_pki.estimation.scenario import (
+    ANNOUNCE,
+    ANSWER,
+    BASE,
+    LATE,
+    LATE_SHARE,
+    RESEND,
+    SETTLE,
+    Scenario,
+)
 
 STEP = 0.1
 """Seconds of the grid."""
@@ -41,7 +50,10 @@ class ClosedForm:
 
     def apart(self, time: float) -> float:
         """The share of pairs that have not met `time` seconds after the first start."""
-        since = time - BASE
+        return sum(share * self._apart(time - BASE - wait) for wait, share in _settling())
+
+    def _apart(self, since: float) -> float:
+        """The share of pairs whose handshake or whose processors need longer."""
         late = (1.0 if since < busy else self._late(since - start) for start, busy in self.turns)
         return sum(late) / len(self.turns)
 
@@ -81,33 +93,57 @@ def _turns(scenario: Scenario, prompt: float) -> Iterator[tuple[float, float]]:
     pairs that the processors meet while they are busy. If a host has more work than time, its
     handshakes are done before it turns to what the stack does for each pair.
     """
-    handshakes, stack = (prompt * each for each in scenario.seconds)
     costs = scenario.costs
     alone = (costs.initiator + costs.responder + costs.stack) / 1000
+    is_busy = prompt * sum(scenario.seconds) > scenario.start_within
     for each in range(_TURNS):
         place = (each + 1) / _TURNS
         start = scenario.start_within * place**0.5
-        is_busy = handshakes + stack > scenario.start_within
-        yield start + alone, handshakes + stack * place if is_busy else 0.0
+        yield start + alone, prompt * scenario.served(prompt * place) if is_busy else 0.0
 
 
 def _delays(scenario: Scenario) -> list[float]:
     """The probability of each delay by losses, in steps."""
     request, reply, final = scenario.deliveries
-    found = _discovery(1 - scenario.loss)
+    found = _discovery(1 - scenario.loss, together=scenario.start_within == 0)
     for success in (request, reply * final):
         found = _repeated(found, success, RESEND)
     return found
 
 
-def _discovery(arrives: float) -> list[float]:
-    """At once if the announcement of who came later arrives, and its answer; else it is the next
-    announcement of either that arrives, evenly spread over the interval."""
-    at_once, width = arrives * arrives, int(ANNOUNCE / STEP)
-    later = [(1 - at_once) / width] * width + [0.0] * (_BINS - width)
-    later = _repeated(later, arrives, ANNOUNCE)
-    later[0] += at_once
-    return later
+def _settling() -> Iterator[tuple[float, float]]:
+    """Seconds after its handshake until a pair has met, each with its share of the pairs."""
+    first, last = (round(each / STEP) for each in SETTLE)
+    even = 0.5 / (last - first)
+    for late, part in ((0.0, 1 - LATE_SHARE), (LATE, LATE_SHARE)):
+        for each in range(first, last + 1):
+            yield late + each * STEP, part * even * (1 + (first < each < last))
+
+
+def _discovery(arrives: float, *, together: bool) -> list[float]:
+    """At once if an announcement arrives, of one or of both that start together; else it is the
+    next one that arrives. Who hears the first answers until an answer arrives."""
+    width, found = int(ANNOUNCE / STEP), [0.0] * _BINS
+    if together:
+        found[0] = 1.0
+        at_once = 1 - (1 - arrives) ** 2
+        found = _repeated(found, at_once, ANNOUNCE)
+        answered = arrives * arrives / at_once  # both were heard: nobody waits for the answer
+        return _answered(found, answered + (1 - answered) * arrives, arrives)
+    found[:width] = [(1 - arrives) / width] * width
+    found = _repeated(found, arrives, ANNOUNCE)
+    found[0] += arrives
+    return _answered(found, arrives, arrives)
+
+
+def _answered(found: list[float], first: float, arrives: float) -> list[float]:
+    """`found`, later until an answer arrives: the first one, or one a second later."""
+    again = _repeated(found, arrives, ANSWER)
+    back = round(ANSWER / STEP)
+    return [
+        first * each + (1 - first) * (again[index - back] if index >= back else 0)
+        for index, each in enumerate(found)
+    ]
 
 
 def _repeated(found: list[float], success: float, period: float) -> list[float]:

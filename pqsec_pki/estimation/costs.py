@@ -11,9 +11,12 @@ from pqsec_pki.errors import MalformedError
 
 STACK_MS = 9.0
 """Of each side for each pair: discovery, permissions, tokens and endpoints, in Cyclone DDS 0.10.2
-and the agent. Fitted to runs of 10 participants (bench/mesh.csv); with 20 it was 19."""
-START_MS = 40.0
-"""Of each participant: its creation in the stack and in the agent. A rough value, not measured."""
+and the agent. Fitted to bench/calibration.csv, as the two that follow."""
+REPEAT_MS = 2.4
+"""Of each side, for each second until a pair has met: Cyclone DDS repeats messages and heartbeats
+to all who are not matched, about 70 datagrams a second for each pair."""
+START_MS = 25.0
+"""Of each participant: its creation in the stack and in the agent."""
 _MOST_MS = 1e6
 """Of a side of one handshake: ten times what Cyclone DDS waits for all of it."""
 STORED = "stored: one core of an AMD EPYC, 2026-11, medians of 20; other machines: --costs"
@@ -36,6 +39,8 @@ class Costs:
     source: str
     stack: float = STACK_MS
     """Of each side of a pair, beside the handshake."""
+    repeat: float = REPEAT_MS
+    """Of each side of a pair, for each second that it waits."""
     start: float = START_MS
     """Of each participant, once."""
 

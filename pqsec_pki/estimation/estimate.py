@@ -20,7 +20,7 @@ _WORTH = 0.8
 VALIDITY = (
     "valid for Cyclone DDS's timers, participants that all meet each other, and frames lost"
     " independently of each other; not for losses in bursts, networks without capacity for the"
-    " bytes, or hosts with other work. Compared with real meshes of 2 to 20 participants on one"
+    " bytes, or hosts with other work. Compared with real meshes of 2 to 40 participants on one"
     " machine: see bench/README.md"
 )
 
@@ -51,7 +51,7 @@ class Estimate:
                 f" its {self.scenario.threshold}: the closed form leaves that out, so look at the"
                 " simulation"
             )
-        busy = sum(self.scenario.seconds)
+        busy = self.scenario.busy
         if busy > RESEND:
             yield f"each host computes for {busy:.1f} s: stacks repeat messages meanwhile"
         if busy > GIVE_UP or not isfinite(self.simulation.pairs[-1]):
@@ -112,8 +112,8 @@ class Estimate:
             "frames": frames,
             "handshakes": scenario.pairs,
             "bytes": round(scenario.bytes),
-            "cpu_s": round(sum(scenario.seconds) * scenario.machines * scenario.cores, 3),
-            "busy_s": round(sum(scenario.seconds), 3),
+            "cpu_s": round(scenario.busy * scenario.machines * scenario.cores, 3),
+            "busy_s": round(scenario.busy, 3),
             "costs": scenario.costs,
             "closed_form": {
                 "mesh_median_s": _rounded(closed.mesh(0.5)),

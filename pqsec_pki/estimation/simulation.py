@@ -14,10 +14,16 @@ from statistics import median
 
 from pqsec_pki.estimation.scenario import (
     ANNOUNCE,
+    ANSWER,
+    ANSWERS,
     BASE,
+    FINALS,
     GIVE_UP,
+    LATE,
+    LATE_SHARE,
     REASSEMBLY,
     RESEND,
+    SETTLE,
     Scenario,
 )
 from pqsec_pki.stacks import FRAME_MEMORY
@@ -28,6 +34,9 @@ MOST_RUNS = 200
 _MILLI = 1000
 _ANSWERED, _SENT, _DONE = 1, 2, 4
 """Bits of a pair: the responder works on its Reply, the initiator on its Final, both have met."""
+
+_BOTH = 3
+"""Each side of a pair was heard by the other: a bit for each."""
 
 Event = tuple[float, int, Callable[..., None], tuple[int, ...]]
 
@@ -91,6 +100,7 @@ def _represented(scenario: Scenario, most: int) -> Scenario:
         initiator=costs.initiator * more,
         responder=costs.responder * more,
         stack=costs.stack * more,
+        repeat=costs.repeat * more,
         start=costs.start * on_host / (count / hosts),
     )
     return replace(
@@ -140,7 +150,8 @@ class _Run:
             one, two = self._sides[pair]
             later = int(self._starts[two] >= self._starts[one])
             self._at(began, self._announce, pair, later)
-            phase = self._random.uniform(0, ANNOUNCE)
+            together = self._starts[one] == self._starts[two]  # then both hear the first
+            phase = 0.0 if together else self._random.uniform(0, ANNOUNCE)
             self._at(began + phase, self._announce, pair, 1 - later)
         while self._queue:
             time, _, run, words = heappop(self._queue)
@@ -184,20 +195,28 @@ class _Run:
         self._work(participant, now, self._costs.start)
 
     def _announce(self, now: float, pair: int, side: int) -> None:
-        """Who hears an announcement answers it with its own."""
-        if self._known[pair] == 3:  # noqa: PLR2004 -- both bits
+        """Of a participant to all, again and again."""
+        if self._known[pair] != _BOTH:
+            self._heard(now, pair, side)
+            self._at(now + ANNOUNCE, self._announce, pair, side)
+
+    def _answer(self, now: float, pair: int, side: int, left: int) -> None:
+        """To one peer, whose announcement was the first that was heard of it."""
+        if self._known[pair] != _BOTH:
+            self._heard(now, pair, side)
+            if left > 1:
+                self._at(now + ANSWER, self._answer, pair, side, left - 1)
+
+    def _heard(self, now: float, pair: int, side: int) -> None:
+        """Each hears of the other once, and answers."""
+        known = self._known[pair] | 1 << side
+        if known == self._known[pair] or self._random.random() < self._loss:
             return
-        known = self._known[pair]
-        if self._random.random() >= self._loss:
-            first = not known & (1 << side)
-            known |= 1 << side
-            if first and self._random.random() >= self._loss:
-                known |= 2 >> side
         self._known[pair] = known
-        if known == 3:  # noqa: PLR2004
+        if known == _BOTH:
             self._at(now, self._request, pair)
         else:
-            self._at(now + ANNOUNCE, self._announce, pair, side)
+            self._at(now, self._answer, pair, 1 - side, ANSWERS)
 
     def _gave_up(self, now: float, pair: int) -> bool:
         return now - self._began[pair] > GIVE_UP + ANNOUNCE
@@ -225,8 +244,17 @@ class _Run:
 
     def _final(self, now: float, pair: int) -> None:
         one, two = self._sides[pair]
-        if self._state[pair] & _DONE or not self._arrives(now, one, two, 2):
+        arrived = [self._arrives(now, one, two, 2) for _ in range(FINALS)]
+        if self._state[pair] & _DONE or not any(arrived):
             return
         self._state[pair] |= _DONE
-        end = max(self._work(each, now, self._costs.stack) for each in (one, two))
-        self.met[pair] = end + BASE
+        end = max(self._settle(each, now, pair) for each in (one, two))
+        late = LATE if self._random.random() < LATE_SHARE else 0.0
+        self.met[pair] = end + BASE + self._random.uniform(*SETTLE) + late
+
+    def _settle(self, participant: int, now: float, pair: int) -> float:
+        """When the host of `participant` has done what the stack does for the pair, and what it
+        has repeated for it meanwhile."""
+        served = max(now, self._free[self._host(participant)][0])
+        waited = served - self._began[pair]
+        return self._work(participant, now, self._costs.stack + waited * self._costs.repeat)

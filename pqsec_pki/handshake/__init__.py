@@ -11,7 +11,13 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.handshake._cdr import ByteOrder
     from pqsec_pki.handshake._checks import check
-    from pqsec_pki.handshake.compact import CREDENTIALS_DICTIONARY, WireVersion, check_carried
+    from pqsec_pki.handshake.compact import (
+        CREDENTIALS_DICTIONARY,
+        WireVersion,
+        check_carried,
+        compacted,
+        expanded,
+    )
     from pqsec_pki.handshake.confirming import confirmation, confirmed, token_message
     from pqsec_pki.handshake.dialect import Dialect
     from pqsec_pki.handshake.guid import (
@@ -101,8 +107,10 @@ __all__ = [
     "belongs_to",
     "check",
     "check_carried",
+    "compacted",
     "confirmation",
     "confirmed",
+    "expanded",
     "initiates",
     "key_exchange_material",
     "participant_data",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck.handshake_check import (
     HandshakeCheck,
@@ -37,6 +38,8 @@ class AllPairsJob:
     """Its name; None: the profile's, or the one that the stacks ask for."""
     stacks: tuple[str, str] = (PQSEC.name, PQSEC.name)
     """Names of the stacks of a pair; if they differ, each pair is run in both assignments."""
+    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+    """The versions of pqsec's messages."""
 
 
 class PartyRef(NamedTuple):
@@ -95,6 +98,7 @@ class Worker:
             domain=job.domain or 0,
             now=job.now,
             agreement=None if wanted is None else KEY_AGREEMENTS.named(wanted),
+            versions=job.versions,
         )
         return cls(job, setup)
 

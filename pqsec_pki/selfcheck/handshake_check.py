@@ -12,7 +12,14 @@ from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.handshake import Identity, Terms, WireVersion, adjusted_guid, initiates
+from pqsec_pki.handshake import (
+    Identity,
+    Terms,
+    WireVersion,
+    adjusted_guid,
+    check_carried,
+    initiates,
+)
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
@@ -127,6 +134,8 @@ def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> Non
                 error.hint = _to_add_domain(setup.keystore)
             raise
         stack.check_documents_ca(participant.permissions_ca)
+        if WireVersion.SECOND in setup.versions and not stack.is_stock:
+            check_carried(participant.certificate.pem, participant.permissions)
 
 
 def _to_add_domain(keystore: Keystore) -> str:

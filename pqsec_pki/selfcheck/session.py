@@ -6,7 +6,7 @@ from datetime import datetime
 
 from pqsec_pki.algorithms import KeyAgreement, Profile
 from pqsec_pki.credentials import Credentials
-from pqsec_pki.handshake import Terms
+from pqsec_pki.handshake import Terms, WireVersion
 from pqsec_pki.selfcheck.stacks import SimulatedStack
 
 _STATELESS_WRITER = bytes.fromhex("000201c3")
@@ -65,6 +65,11 @@ class HandshakeSession:
     def sides(self) -> tuple[SessionSide, SessionSide]:
         """The initiator and the replier."""
         return self.initiator, self.replier
+
+    @property
+    def version(self) -> WireVersion:
+        """The version of the Request that the initiator sends."""
+        return self.initiator.terms.policy.versions_with(self.agreement)[0]
 
     def peer_of(self, side: SessionSide) -> bytes:
         """The GUID (16 bytes) of the peer that `side` has discovered."""

@@ -8,6 +8,7 @@ from datetime import datetime
 from pqsec_pki.access import may_join, topics_between
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.handshake_check import (
     HandshakeCheck,
@@ -84,15 +85,19 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
     domain: int | None = None,
     stacks: tuple[SimulatedStack, SimulatedStack] = (PQSEC, PQSEC),
     agreement: KeyAgreement | None = None,
+    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,),
 ) -> HandshakeReport:
     """Run the handshake between two participants, and report its steps and their common topics.
 
     The report ends at the first step that fails. Without `domain`, the handshake is on the first
     domain that both may join; if there is none, each is checked alone, and the step `common
     domain` fails. `stacks` are those that the two behave like; `agreement` replaces the
-    profile's key agreement. KeystoreError if a participant does not exist.
+    profile's key agreement; pqsec's messages have one of `versions`. KeystoreError if a participant
+    does not exist.
     """
-    setup = HandshakeSetup(keystore=keystore, domain=domain or 0, now=now, agreement=agreement)
+    setup = HandshakeSetup(
+        keystore=keystore, domain=domain or 0, now=now, agreement=agreement, versions=versions
+    )
     joinable = JoinableDomains.of(setup, (first, second))
     if domain is None:
         setup = replace(setup, domain=joinable.domain)

@@ -47,6 +47,17 @@ def test_a_domain_withstands_all_attacks(pqsec, keystore, profile):
     assert snapshot(root) == before
 
 
+@pytest.mark.parametrize("profile", ["transition", "hybrid", "pq", "cnsa2"])
+def test_a_domain_withstands_all_attacks_on_the_second_version(pqsec, keystore, profile):
+    keystore(profile)
+    said = pqsec(f"{LINE} --attack all --wire-version 2 --json").done().json
+    assert [each["name"] for each in said["attacks"] if not each["ok"]] == []
+    skipped = {each["name"] for each in said["attacks"] if "skipped" in each}
+    assert "insider-in-the-middle" in skipped
+    assert len(skipped) == {"transition": 1}.get(profile, 6)
+    assert sum(len(each.get("attempts", ())) for each in said["attacks"]) > 300
+
+
 def test_each_attack_is_told_to_a_person(pqsec, keystore):
     keystore("pq")
     told = pqsec(f"{LINE} --attack all").done().out.splitlines()

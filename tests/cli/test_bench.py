@@ -41,6 +41,15 @@ def test_csv_has_a_line_for_each_operation(pqsec):
     assert all(float(row["wall_us"]) > 0 for row in rows)
 
 
+def test_the_second_version_is_measured_where_there_is_one(pqsec):
+    line = "bench --rounds 1 --warm-up 0 --profile pq --profile classical --json"
+    first, second = (pqsec(f"{line} {more}").done().json for more in ("", "--wire-version 2"))
+    assert [each["wire_version"] for each in first["suites"]] == [1, 1]
+    assert [each["wire_version"] for each in second["suites"]] == [2, 1]
+    one, other = (sum(each["suites"][0]["token_bytes"]) for each in (first, second))
+    assert other < 0.72 * one
+
+
 @pytest.fixture
 def interrupted(monkeypatch):
     """interrupted(n): Ctrl-C comes in the n-th round."""

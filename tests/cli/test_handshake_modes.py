@@ -45,6 +45,11 @@ LAST = re.compile(
         ("--matrix --domain 0", "--domain is for "),
         ("--matrix --kem mlkem768", "--kem is for "),
         ("--matrix --as fastdds", "--as is for "),
+        ("--matrix --wire-version 2", "--wire-version is for "),
+        ("/a /b --wire-version 3", "--wire-version"),
+        ("/talker /listener --wire-version 2", "ECDH+prime256v1-CEUM have only version 1"),
+        ("--all --wire-version 2", "ECDH+prime256v1-CEUM have only version 1"),
+        ("/talker /listener --attack all --wire-version 2", "have only version 1"),
         ("/a /b --attack all --as fastdds", "--as is for "),
         ("/a /b --jobs 2", "--jobs is for --all, not for two participants"),
         ("--all --rounds 2", "--rounds is for --matrix, not for --all"),
@@ -229,6 +234,40 @@ def test_less_than_two_participants_are_no_pair(pqsec, names, count):
         pqsec(f"-k k issue {names} --publish x").done()
     said = pqsec(ALL)
     said.refused(3, f"k has {count} participants", hint="pqsec issue NAME NAME")
+
+
+@pytest.mark.parametrize("mode", ["", "--trace -"])
+def test_messages_of_the_second_version_are_a_third_shorter(pqsec, keystore, mode):
+    keystore("pq")
+    first, second = (
+        sum(pqsec(f"{TWO} {mode} --json {more}").done().json["token_bytes"].values())
+        for more in ("", "--wire-version 2")
+    )
+    assert second < 0.72 * first
+
+
+def test_all_pairs_can_have_messages_of_the_second_version(pqsec, keystore):
+    keystore("pq")
+    said = pqsec(f"{ALL} --wire-version 2 --json").done().json
+    assert (said["ok"], len(said["pairs"])) == (True, 1)
+
+
+def test_the_second_version_is_not_for_stacks_own_plugins(pqsec, keystore):
+    keystore("transition")
+    for options in ("/talker /listener --as cyclonedds", "--all --as fastdds"):
+        pqsec(f"-k k verify-handshake {options} --wire-version 2").refused(2, "version 1 only")
+
+
+def test_documents_that_the_second_version_cannot_carry_fail_a_step(pqsec, keystore):
+    file = keystore("pq") / "enclaves/talker/permissions.p7s"
+    plain = b"Content-Type: text/plain\n"
+    assert plain in file.read_bytes()
+    file.chmod(0o644)
+    file.write_bytes(file.read_bytes().replace(plain, plain[:-1] + b"; charset=us-ascii\n"))
+    for options in (TWO, ALL):
+        failed = pqsec(f"{options} --wire-version 2")
+        assert failed.code == 1
+        assert "version 2 of the messages cannot carry" in failed.out
 
 
 def test_another_key_agreement_can_be_tried_by_all(pqsec, keystore):
