@@ -71,8 +71,11 @@ def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) 
 
 
 def _all_of(file: BinaryIO, path: Path, limit: int) -> bytes:
+    size = os.fstat(file.fileno()).st_size  # 0 for a pipe; `read` takes memory for what it is asked
     data = _begin(file)
-    data += file.read(limit + 1 - len(data))
+    data += file.read(min(size, limit) + 1 - len(data))
+    if size < len(data) <= limit:
+        data += file.read(limit + 1 - len(data))
     if len(data) > limit:
         raise FileError(f"larger than {limit} bytes, so it cannot be the expected file", where=path)
     return data
@@ -143,8 +146,9 @@ def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
     for folder, folders, names in os.walk(root, onerror=refuse):
         folders.sort()
-        for path in (Path(folder, name) for name in folders):
-            if os.path.islink(path):  # noqa: PTH114 -- no error where a folder is closed
+        for name in folders:
+            if os.path.islink(f"{folder}/{name}"):  # noqa: PTH114 -- no error where it is closed
+                path = Path(folder, name)
                 hint = "replace the link by the folder itself, or remove the link"
                 raise FileError("a link to a folder, which is not followed", where=path, hint=hint)
         yield Path(folder), [*folders, *names]

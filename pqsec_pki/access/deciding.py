@@ -73,10 +73,15 @@ class InterpretedPolicy:
         subject, domain, now = join.subject, join.domain, join.now
         for action, names in topics.items():
             for name in names:
-                asked = self._context(
-                    Question(subject=subject, domain=domain, action=action, now=now, topic=name)
+                asked = EvaluationContext(
+                    question=Question(
+                        subject=subject, domain=domain, action=action, now=now, topic=name
+                    ),
+                    interpretation=self.interpretation,
+                    domain_rules=context.domain_rules,
+                    grant=context.grant,
                 )
-                if asked and all(check(asked).allowed for check in checks):
+                if all(check(asked).allowed for check in checks):
                     yield action, name
 
     def _context(self, question: Question) -> EvaluationContext | None:

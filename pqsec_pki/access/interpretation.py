@@ -73,7 +73,7 @@ class Interpretation:
         return own[0] if own else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True, eq=False)  # not frozen: a fleet has thousands for each answer
 class EvaluationContext:
     """A question, and what an interpretation finds for it in the documents."""
 

@@ -41,9 +41,9 @@ class Question:
     data_tags: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        if self.now.utcoffset() is None:
-            raise UsageError(f"the time {self.now} has no time zone")
         if self.now.tzinfo is not UTC:
+            if self.now.utcoffset() is None:
+                raise UsageError(f"the time {self.now} has no time zone")
             object.__setattr__(self, "now", self.now.astimezone(UTC))
         if (self.topic is None) is not (self.action is Action.JOIN):
             raise UsageError(
@@ -51,7 +51,5 @@ class Question:
             )
         if self.topic == "":
             raise UsageError("the topic's name is empty")
-        if len(self.topic or "") > MAX_NAME or any(
-            len(each) > MAX_NAME for each in self.partitions
-        ):
+        if len(max((self.topic or "", *self.partitions), key=len)) > MAX_NAME:
             raise UsageError(f"a name is longer than {MAX_NAME} characters")

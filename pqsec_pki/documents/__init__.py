@@ -12,6 +12,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.documents import ros, sros2
     from pqsec_pki.documents._schema import Kind, validate
+    from pqsec_pki.documents._xml import with_line_feeds
     from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
     from pqsec_pki.documents.governance_yaml import (
@@ -73,4 +74,5 @@ __all__ = [
     "same_subject",
     "sros2",
     "validate",
+    "with_line_feeds",
 ]

@@ -55,6 +55,15 @@ def _parser() -> "XMLParser":
     )
 
 
+def with_line_feeds(xml: bytes) -> bytes:
+    """`xml` with LF for CRLF, as parsers read it (XML 1.0, 2.11): so signed and unsigned are equal.
+
+    Unchanged if it has another CR, or a code in which these octets may be something else.
+    """
+    plain = xml.replace(b"\r\n", b"\n")
+    return plain if xml.startswith(b"<") and b"\0" not in xml and b"\r" not in plain else xml
+
+
 def invalid(message: str, line: int | None = None) -> InvalidDocumentError:
     """The error for a document with one problem."""
     return InvalidDocumentError([Problem(message, line=line)])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Self
 from weakref import WeakValueDictionary
 
 from pqsec_pki.documents import _reading, _render, _schema
+from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.subject import parse_subject, same_subject
 from pqsec_pki.errors import UsageError
@@ -139,9 +140,11 @@ class Permissions:
         """The permissions in the XML document.
 
         InvalidDocumentError if it is not XML, or breaks its schema, or has
-        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits. The same XML
-        gives the same value while one is in use: several questions about a fleet read it once.
+        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits. The same XML,
+        with LF or CRLF, gives the same value while one is in use: several questions about a fleet
+        read it once.
         """
+        xml = with_line_feeds(xml)
         found = _IN_USE.get(xml)
         if found is None:
             [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)

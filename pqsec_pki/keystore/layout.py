@@ -13,6 +13,7 @@ enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from pqsec_pki import credentials
@@ -48,6 +49,7 @@ GOVERNANCE_XML, GOVERNANCE = "governance.xml", credentials.GOVERNANCE
 
 OWN = (CERTIFICATE, *KEYS, PERMISSIONS, REQUEST)
 """The files of one participant: a folder with one of them is a participant's."""
+_OWN = frozenset(OWN)
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")
@@ -129,13 +131,12 @@ def incomplete_in(root: Path) -> list[str]:
 
     FileError if a folder cannot be read.
     """
-    enclaves = root / ENCLAVES
     return sorted(
-        "/" + folder.relative_to(enclaves).as_posix()
-        for folder, names in walk(enclaves)
-        if folder != enclaves
-        and not set(OWN).isdisjoint(names)
-        and not (CERTIFICATE in names and exists(folder / CERTIFICATE))
+        name
+        for name, files in _enclaves_in(root)
+        if name
+        and not _OWN.isdisjoint(files)
+        and not (CERTIFICATE in files and exists(f"{root}/{ENCLAVES}{name}/{CERTIFICATE}"))
     )
 
 
@@ -144,9 +145,18 @@ def names_in(root: Path) -> list[str]:
 
     FileError if a folder cannot be read.
     """
-    enclaves = root / ENCLAVES
     return sorted(
-        "/" + folder.relative_to(enclaves).as_posix()
-        for folder, names in walk(enclaves)
-        if CERTIFICATE in names and exists(folder / CERTIFICATE)
+        name or "/."
+        for name, files in _enclaves_in(root)
+        if CERTIFICATE in files and exists(f"{root}/{ENCLAVES}{name}/{CERTIFICATE}")
     )
+
+
+def _enclaves_in(root: Path) -> Iterator[tuple[str, list[str]]]:
+    """Each folder below `enclaves/` as a name, such as /fleet/robot1, with what is in it.
+
+    The name of `enclaves/` itself is empty.
+    """
+    enclaves = root / ENCLAVES
+    for folder, files in walk(enclaves):
+        yield str(folder)[len(str(enclaves)) :], files

@@ -52,7 +52,7 @@ def is_signed_by(certificate: Certificate, issuer: Certificate) -> bool:
     if key is None or (family_of(issuer) is Family.CLASSICAL and not is_marked_for_it):
         return _is_signed_otherwise(certificate, issuer)
     try:
-        key.verify(certificate.signature, certificate.tbs, certificate.identifier)
+        certificate.verify_signature(key)
     except PqsecError:
         return False
     return True

@@ -13,6 +13,7 @@ from pqsec_pki.documents import (
     Tree,
     read_tree,
     validate,
+    with_line_feeds,
 )
 from pqsec_pki.errors import InvalidDocumentError, PqsecError
 from pqsec_pki.lint.file import Content, File
@@ -49,6 +50,8 @@ class ParsedText:
     @cached_property
     def problems(self) -> tuple[Problem, ...]:
         """Differences from the schema, of text that is well-formed."""
+        if self.permissions or self.governance:  # which are read if they are valid only
+            return ()
         try:
             validate(self.xml)
         except InvalidDocumentError as error:
@@ -182,6 +185,4 @@ class Documents:
         return document
 
     def _text(self, xml: bytes) -> ParsedText:
-        is_ascii = xml.startswith(b"<") and b"\0" not in xml  # or another code with its line ends
-        alike = xml.replace(b"\r\n", b"\n") if is_ascii else xml  # as parsers of XML do
-        return self._texts.setdefault(alike, ParsedText(xml))
+        return self._texts.setdefault(with_line_feeds(xml), ParsedText(xml))

@@ -25,6 +25,12 @@ _BASE64 = re.compile(rb"(?:[A-Za-z0-9+/]{1,76}\r\n)*[A-Za-z0-9+/]{1,76}={0,2}(?:
 """Lines of base64 that every decoder reads completely (RFC 2045 6.8)."""
 _LINE_END = re.compile(rb"(?<!\r)\r*+\n")
 """Matches only at the first CR, so that a million of them are scanned once."""
+_MICALG = re.compile(
+    rb"MIME-Version: 1\.0\nContent-Type: multipart/signed;"
+    rb' protocol="application/x-pkcs7-signature"; micalg="([a-z0-9-]{1,20})"; boundary="'
+)
+_MARKS = [b"", b"", b"--"]
+"""What follows the boundary in its three lines."""
 _NOT_BASE64 = "the signature part of the document is not base64"
 _HEADER = """\
 MIME-Version: 1.0
@@ -85,18 +91,35 @@ def join(content: bytes, signature: bytes, micalg: str) -> bytes:
 
     A text with the boundary in it would have to contain its own digest.
     """
-    boundary = f"----{hashlib.sha256(content).hexdigest()[:32].upper()}"
+    before, after = _around_signature(content, micalg)
     text = base64.b64encode(signature)
     lines = b"\n".join(text[start : start + _LINE] for start in range(0, len(text), _LINE))
-    return b"".join(
-        (
-            _HEADER.format(micalg=micalg, boundary=boundary).encode(),
-            content.replace(b"\r\n", b"\n"),
-            _SIGNATURE.format(boundary=boundary).encode(),
-            lines,
-            f"\n\n--{boundary}--\n\n".encode(),
-        )
+    return b"".join((before, lines, after))
+
+
+def is_plain(message: bytes, found: SignedMessage) -> bool:
+    """Whether `message`, which has these parts, is framed as `join` does it, without any CR.
+
+    All readers find the same in such a file: its headers are known, and no line in a part begins
+    like its boundary.
+    """
+    kind = _MICALG.match(message)
+    if not kind or b"\r" in message or not found.content.startswith(TEXT_HEADER):
+        return False
+    before, after = _around_signature(found.content, kind[1].decode())
+    marks = message.count(b"--" + found.boundary)
+    return marks == len(_MARKS) and message.startswith(before) and message.endswith(after)
+
+
+def _around_signature(content: bytes, micalg: str) -> tuple[bytes, bytes]:
+    """What is before and after the lines of base64."""
+    boundary = f"----{hashlib.sha256(content).hexdigest()[:32].upper()}"
+    before = (
+        _HEADER.format(micalg=micalg, boundary=boundary).encode(),
+        content.replace(b"\r\n", b"\n"),
+        _SIGNATURE.format(boundary=boundary).encode(),
     )
+    return b"".join(before), f"\n\n--{boundary}--\n\n".encode()
 
 
 def content_of(document: bytes) -> bytes:
@@ -157,7 +180,7 @@ def _parts(body: bytes, boundary: bytes) -> list[slice]:
     """Positions of the two parts between boundary lines (RFC 2046 5.1.1)."""
     found = _boundary_lines(body, b"\r\n--" + boundary)
     lines = list(islice(found, 4))  # a fourth is one too many
-    if [end[1] for _, end in lines] != [b"", b"", b"--"]:
+    if [end[1] for _, end in lines] != _MARKS:
         raise MalformedError("a signed document has two parts: the text and its signature")
     return [
         slice(min(end.end() + len(b"\r\n"), start), start)

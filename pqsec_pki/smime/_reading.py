@@ -33,12 +33,14 @@ class ParsedMessage:
     cms: bytes
     """The CMS structure, BER or DER."""
     _message: _mime.SignedMessage
+    is_plain: bool = False
+    """Whether it has the form in which all readers find the same."""
 
     @property
     def document(self) -> bytes:
         """The document. MalformedError unless it is text/plain; AmbiguousError as in read()."""
         _, text = self._message.header_and_text
-        if _of_openssl(_openssl_reader.text, self.content) != text:
+        if not self.is_plain and _of_openssl(_openssl_reader.text, self.content) != text:
             raise AmbiguousError("OpenSSL ends the header of the signed part elsewhere")
         return text
 
@@ -58,6 +60,8 @@ def read(message: bytes) -> ParsedMessage:
     own = _mime.split(message)
     if b"\0" in message:
         raise AmbiguousError("it has a NUL, where some stacks stop reading")
+    if _mime.is_plain(message, own):
+        return ParsedMessage(own.content, own.cms, own, is_plain=True)
     other = _of_openssl(_openssl_reader.read, message)
     if other.content != own.content or other.signature.rstrip() != own.signature.rstrip():
         raise AmbiguousError(_difference(own, other))

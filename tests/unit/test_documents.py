@@ -565,3 +565,13 @@ def test_importing_the_rooms_loads_neither_lxml_nor_jinja2():
         [sys.executable, "-c", code], cwd=root, check=True, capture_output=True, text=True
     )
     assert run.stdout == "set()\n"
+
+
+def test_a_document_with_other_carriage_returns_is_not_taken_for_one_with_line_feeds():
+    """The readers of XML make two line ends of CR CR LF (XML 1.0, 2.11), and one of CR LF."""
+    xml = Permissions(grants=(least(),)).to_xml()
+    found = Permissions.from_xml(xml)
+    assert Permissions.from_xml(xml.replace(b"\n", b"\r\n")) is found
+    other = Permissions.from_xml(xml.replace(b"\n", b"\r\r\n"))
+    assert other == found
+    assert other.grants[0].line == 2 * found.grants[0].line - 1
