@@ -19,13 +19,15 @@ from pqsec_pki._asn1 import (
     plain_words,
     whole_bytes,
 )
-from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem
+from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 
 MAX_REQUEST = 256 << 10
 """Bytes of PEM or DER, as for a certificate."""
+MAX_REQUESTS = 2_000
+"""Requests in one file: as many participants as an archive may have."""
 _LABELS = {"CERTIFICATE REQUEST", "NEW CERTIFICATE REQUEST"}
 
 
@@ -71,6 +73,19 @@ class CertificateRequest:
     def from_pem(cls, data: bytes) -> Self:
         """The first request in PEM `data`; MalformedError if there is none."""
         return cls.from_der(first_pem(data, _LABELS, "certificate request", limit=MAX_REQUEST))
+
+    @classmethod
+    def all_from_pem(cls, data: bytes) -> tuple[Self, ...]:
+        """All requests in PEM `data`; `from_pem` returns the first.
+
+        MalformedError if there is none, one of them is broken, or there are over MAX_REQUESTS.
+        """
+        found = [der for label, der in unpem(data, "certificate request") if label in _LABELS]
+        if not found:
+            raise MalformedError("no certificate request in PEM")
+        if len(found) > MAX_REQUESTS:
+            raise MalformedError(f"more than {MAX_REQUESTS} certificate requests")
+        return tuple(map(cls.from_der, found))
 
     @property
     def pem(self) -> bytes:

@@ -37,7 +37,7 @@ COMMANDS = {
     "domain": ("domain", "Write a domain file from keystores and policies."),
     "adopt": ("adopt", "Turn a keystore of SROS2 or OpenSSL into a pqsec keystore, and check it."),
     "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
-    "request": ("request", "Generate keys and a certificate request on the robot."),
+    "request": ("request", "Generate keys and certificate requests on the robot."),
     "bundle-key": ("request", "Generate the robot's key for opening sealed bundles."),
     "bundle": ("bundle", "Write everything that one robot needs into one file."),
     "install": ("install", "Check a bundle and install it on this robot."),

@@ -34,12 +34,12 @@ compromised_option = click.option(
 )
 
 
-def load_requests(paths: Sequence[Path]) -> list[CertificateRequest]:
-    """The requests in these PEM files. Errors name the file."""
+def load_requests(paths: Sequence[Path]) -> list[tuple[Path, CertificateRequest]]:
+    """The requests in these PEM files, each of which may have several. Errors name the file."""
     found = []
     for path in paths:
         with located(path):
-            found.append(CertificateRequest.from_pem(_files.read(path)))
+            found += [(path, each) for each in CertificateRequest.all_from_pem(_files.read(path))]
     return found
 
 

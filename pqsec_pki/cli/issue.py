@@ -51,7 +51,7 @@ from pqsec_pki.smime import document_in
     multiple=True,
     type=_settings.FILE,
     metavar="FILE",
-    help="Certify the keys of this request from a robot, and write a bundle for it.",
+    help="Certify the keys of the requests in this file from a robot, and write bundles for it.",
 )
 @click.option(
     "--allow-name",
@@ -97,7 +97,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     keystore = _settings.open_keystore(to_change=True)
     keys = dict[str, PublicKeys]()
     if requests:
-        found = _bundles.load_requests(requests)
+        found = [request for _, request in _bundles.load_requests(requests)]
         keys = enrolment.validate_csrs(found, keystore.profile, names=names, patterns=patterns)
     else:
         names = _matching(keystore, wanted, names)

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki import _files
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli import _completion, _help, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.enrolment import make_sealing_key
-from pqsec_pki.enrolment import request as make_request
+from pqsec_pki.enrolment import requests as make_requests
 
 folder_option = click.option(
     "--dir",
@@ -25,16 +26,20 @@ folder_option = click.option(
 @_help.command(
     examples={
         "Generate keys on the robot": "pqsec request /fleet/robot3",
+        "Request for all nodes of a robot, in one file": (
+            "pqsec request /tb3/nav /tb3/arm --csr tb3.csr"
+        ),
         "Use the profile of the keystore": (
             "pqsec request /fleet/robot4 --profile pq --dir credentials"
         ),
     },
     exit_codes={
-        0: "the request is written",
-        3: "there is a request already, or DIR cannot be written",
+        0: "all requests are written",
+        3: "nothing is written: there is a request or FILE already, a pattern matches nothing, or"
+        " DIR cannot be written",
     },
 )
-@click.argument("name")
+@click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @profile_option
 @click.option(
     "--participant-key",
@@ -49,28 +54,43 @@ folder_option = click.option(
     shell_complete=_completion.signatures,
 )
 @folder_option
-@click.option("--force", is_flag=True, help="Replace an existing request for NAME, and its keys.")
+@click.option("--csr", type=_settings.FILE, metavar="FILE", help="Write all requests to FILE too.")
+@click.option(
+    "--force", is_flag=True, help="Replace FILE, and existing requests for NAME, with their keys."
+)
 @_settings.command_options
 def request(  # noqa: PLR0913 -- one for each option, by name
-    name: str,
+    names: tuple[str, ...],
     profile_name: str,
     participant_key: str | None,
     alt_key: str | None,
     folder: Path,
     *,
+    csr: Path | None,
     force: bool,
 ) -> None:
-    """Generate keys and a certificate request on the robot.
+    """Generate keys and certificate requests on the robot.
 
-    The keys stay in DIR. Copy the request.csr that is printed to the machine with the CAs,
-    for `pqsec issue --csr`. The profile must be the same as the keystore's.
+    The keys stay in DIR. Copy each request.csr that is printed, or the FILE with all of them, to
+    the machine with the CAs, for `pqsec issue --csr` or `pqsec sign-request export`. The profile
+    must be the same as the keystore's. A pattern such as '/tb3/*' stands for the participants
+    that were requested or installed in DIR before: with --force they get new keys.
     """
+    if csr and not force:
+        _files.refuse_existing(csr)
     profile = profile_named(profile_name).changed(
         {"participant_key": participant_key, "alternative_key": alt_key}
     )
-    made = make_request(name, profile, folder, force=force)
-    value = {"name": made.name, "request": made.path, "sha256": made.request.fingerprint}
-    _printing.emit(value, [f"{made.name}  {made.path}"])
+    made = make_requests(names, profile, folder, force=force)
+    if csr:
+        with _printing.with_hint(f"the requests are in {folder}: join their files"):
+            _files.write(csr, b"".join(each.request.pem for each in made), force=force)
+    rows = [
+        {"name": each.name, "request": each.path, "sha256": each.request.fingerprint}
+        for each in made
+    ]
+    lines = [f"{each.name}  {each.path}" for each in made]
+    _printing.emit({"requests": rows, "csr": csr}, [*lines, *([str(csr)] if csr else [])])
 
 
 @_help.command(

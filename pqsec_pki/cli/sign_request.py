@@ -66,7 +66,7 @@ def export(
     """
     found = _bundles.load_requests(requests)
     names = []
-    for path, request in zip(requests, found, strict=True):
+    for path, request in found:
         with located(path):
             request.verify()
             name = name_asked_for(request)
@@ -76,7 +76,7 @@ def export(
     if len(set(names)) < len(names):
         raise UsageError("two requests have the same name")
     specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
-    data = SignRequest(tuple(found), tuple(specs)).to_bytes(now=_settings.now())
+    data = SignRequest(tuple(each for _, each in found), tuple(specs)).to_bytes(now=_settings.now())
     _files.write(output, data, force=force)
     sha256 = hashlib.sha256(data).hexdigest()
     value = {"written": output, "names": names, "sha256": sha256}

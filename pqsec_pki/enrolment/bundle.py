@@ -157,6 +157,11 @@ def flat_name(name: str) -> str:
     return name.removeprefix("/").replace("/", "+")
 
 
+def name_of(flat: str) -> str:
+    """The participant's name of which `flat_name` made this."""
+    return f"/{flat.replace('+', '/')}"
+
+
 def bundle_path(folder: Path, name: str) -> Path:
     """Where the bundle of the participant is written: fleet+robot1.bundle for /fleet/robot1."""
     return folder / f"{flat_name(name)}.bundle"

@@ -33,7 +33,7 @@ from pqsec_pki._files import (
 )
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
-from pqsec_pki.enrolment.bundle import flat_name
+from pqsec_pki.enrolment.bundle import flat_name, name_of
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, MalformedError, located
 from pqsec_pki.keystore import bundle_number
@@ -133,6 +133,13 @@ class CredentialStore:
         yield _files_in(self.request_folder(name))
         for each in sorted(self._sets(), reverse=True):
             yield _files_in(self.root / SETS / str(each) / ENCLAVES / name.removeprefix("/"))
+
+    @property
+    def names(self) -> list[str]:
+        """The participants for which there is a request or current credentials, sorted."""
+        folder = self.root / REQUESTS
+        asked = [name_of(each.name) for each in folder.iterdir()] if folder.is_dir() else []
+        return sorted({*asked, *(self.current.enclaves if self.current else ())})
 
     def request_folder(self, name: str) -> Path:
         """The folder with the keys for `name` until their certificate is installed."""

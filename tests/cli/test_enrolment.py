@@ -80,6 +80,85 @@ def test_several_requests_have_a_bundle_each(pqsec, asked, tmp_path):
     assert len(list((tmp_path / "out").iterdir())) == 2
 
 
+TWELVE = [f"/tb3/node{number}" for number in range(12)]
+
+
+def test_a_robot_of_twelve_nodes_requests_and_is_answered_in_one_file_each(pqsec, asked, tmp_path):
+    asked()
+    line = f"request {' '.join(TWELVE)} --profile classical --dir r --csr tb3.csr"
+    found = pqsec(f"{line} --json").done().json
+    assert [each["name"] for each in found["requests"]] == TWELVE
+    assert found["csr"] == "tb3.csr"
+    pqsec(f"-k k issue --csr tb3.csr --allow-name '/tb3/*' --bundles out {TOPIC}").done()
+    pqsec("-k k bundle '/tb3/*' -o tb3.bundle").done()
+    found = pqsec(f"install tb3.bundle --dir r --json {fingerprints(pqsec)}").done().json
+    assert sorted(found["installed"]) == sorted(TWELVE)
+    assert (tmp_path / f"r/{CSR}").exists()  # of another participant, not answered yet
+
+
+def test_requests_in_one_file_go_to_cas_offline_together(pqsec, asked):
+    asked()
+    pqsec("request /tb3/nav /tb3/arm --profile classical --dir r --csr tb3.csr").done()
+    pqsec(f"sign-request export tb3.csr {TOPIC} -o asked").done()
+    pqsec("-k k sign-request sign asked --allow-name '/tb3/*' -o answer").done()
+    line = f"sign-request import answer --request asked --bundles out {fingerprints(pqsec)} --json"
+    found = pqsec(line).done().json["bundles"]
+    assert sorted(each["name"] for each in found) == ["/tb3/arm", "/tb3/nav"]
+
+
+def test_a_pattern_requests_new_keys_for_all_that_a_robot_has(pqsec, asked, tmp_path):
+    asked()
+    installed = f"-k k issue --csr tb3.csr --allow-name '/tb3/*' --bundles out {TOPIC}"
+    pqsec("request /tb3/nav --profile classical --dir r --csr tb3.csr").done()
+    pqsec(installed).done()
+    pqsec("install out/tb3+nav.bundle --dir r --trust-first").done()
+    pqsec("request /tb3/arm --profile classical --dir r").done()
+    line = "request '/tb3/*' --profile classical --dir r --csr tb3.csr"
+    before = snapshot(tmp_path / "r")
+    pqsec(line).refused(3, "tb3.csr exists")
+    pqsec(line.replace("tb3.csr", "new.csr")).refused(3, "tb3+arm exists")
+    assert snapshot(tmp_path / "r") == before
+    assert not (tmp_path / "new.csr").exists()
+    found = pqsec(f"{line} --force --json").done().json["requests"]
+    assert [each["name"] for each in found] == ["/tb3/arm", "/tb3/nav"]
+    pqsec(f"{installed} --force").done()
+    for name in ("nav", "arm"):
+        pqsec(f"install out/tb3+{name}.bundle --dir r").done()
+
+
+@pytest.mark.parametrize(
+    ("names", "code", "words"),
+    [
+        ("'/none/*'", 3, "no participant matches /none/*"),
+        ("@group", 3, "there is no group @group"),
+        ("/new /fleet/robot1", 3, "fleet+robot1 exists"),
+        ("/new 'a b'", 2, "cannot be a participant's name"),
+        ("", 2, "Missing argument"),
+    ],
+)
+def test_of_several_requests_all_are_made_or_none(pqsec, asked, names, code, words):
+    robot = asked()
+    before = snapshot(robot)
+    line = f"request {names} --profile classical --dir r --csr all.csr"
+    pqsec(line).refused(code, words)
+    assert snapshot(robot) == before
+    assert not (robot.parent / "all.csr").exists()
+
+
+def test_a_file_of_requests_with_one_that_is_not_allowed_is_not_answered(pqsec, asked, tmp_path):
+    asked()
+    pqsec("request /tb3/nav /other --profile classical --dir r --csr all.csr").done()
+    line = "-k k issue --allow-name '/tb3/*' --csr"
+    before = snapshot(tmp_path / "k")
+    pqsec(f"{line} all.csr {TOPIC}").refused(1, "CN=/other: its name is not one of the allowed")
+    whole = (tmp_path / "all.csr").read_bytes()
+    (tmp_path / "broken.csr").write_bytes(whole[:-80])
+    pqsec(f"{line} broken.csr {TOPIC}").refused(3, "broken.csr: certificate request: broken PEM")
+    (tmp_path / "twice.csr").write_bytes(whole * 2)
+    pqsec(f"sign-request export twice.csr {TOPIC} -o x").refused(2, "have the same name")
+    assert snapshot(tmp_path / "k") == before
+
+
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [

@@ -24,7 +24,7 @@ from pqsec_pki._asn1 import (
     encode,
     raw,
 )
-from pqsec_pki.algorithms import SIGNATURES
+from pqsec_pki.algorithms import SIGNATURES, pem
 from pqsec_pki.certificates import (
     Authority,
     Certificate,
@@ -123,6 +123,31 @@ def with_alternative(der, ca, signer=None):
     kept = {name: getattr(tbs, name) for name in (*names, "crl_extensions")}
     add(ALT_VALUE, encode(bits(signer.sign(encode(PreTBSCertList(**kept))))))
     return signed(encode(tbs), ca.key)
+
+
+def in_pem(der):
+    return pem("CERTIFICATE REQUEST", der)
+
+
+def test_all_requests_of_a_file_are_read_in_their_order_whatever_else_is_in_it():
+    one, other = request(key("p256")), request(other_key("p256"))
+    text = b"Comment\n" + in_pem(one) + authority().certificate.pem + in_pem(other)
+    assert [each.der for each in CertificateRequest.all_from_pem(text)] == [one, other]
+
+
+def test_a_file_is_refused_if_a_request_in_it_is_broken_or_there_are_none_or_too_many():
+    one, broken = in_pem(request(key("p256"))), in_pem(b"\x30\x00")
+    for data in (
+        b"",
+        authority().certificate.pem,
+        one + broken,
+        one + one[:-20],
+        one + b"\0" + one,
+    ):
+        with pytest.raises(MalformedError):
+            CertificateRequest.all_from_pem(data)
+    with pytest.raises(MalformedError, match="more than 2000 certificate requests"):
+        CertificateRequest.all_from_pem(broken * 2001)
 
 
 @pytest.mark.parametrize(
