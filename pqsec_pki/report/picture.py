@@ -38,6 +38,12 @@ class PictureFlow:
     publishers: tuple[Holder, ...]
     subscribers: tuple[Holder, ...]
 
+    @property
+    def folded(self) -> tuple[str, ...]:
+        """The topics that others stand for, so that Find on the page finds them too."""
+        several = (each.rows for each in self.topics if len(each.rows) > 1)
+        return tuple(row.label for rows in several for row in rows)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:

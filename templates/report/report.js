@@ -104,7 +104,7 @@
 
   const show = () => {
     const wanted = filter.value.trim().toLowerCase();
-    const has = (row) => wanted === "" || row.textContent.toLowerCase().includes(wanted);
+    const has = (row) => wanted === "" || `${row.textContent} ${row.dataset.words ?? ""}`.toLowerCase().includes(wanted);
     const groups = new Set(rows.filter((row) => row.dataset.group && has(row)).map((row) => row.dataset.group));
     let count = 0;
     for (const row of rows) {

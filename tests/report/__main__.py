@@ -81,7 +81,7 @@ def report_of_fleet(root: Path, profile: str, robots: int, now: datetime) -> Rep
 
 
 def fleet(robots: int) -> Iterator[ParticipantSpec]:
-    """Robots with topics of their own, a manager, a dock with a service, and tools."""
+    """Robots with topics of their own, a manager, a dock with a service and action, and tools."""
     for number in range(1, robots + 1):
         name = f"/amr{number:04}"
         if robots > 100:
@@ -92,8 +92,10 @@ def fleet(robots: int) -> Iterator[ParticipantSpec]:
         yield robot(f"{name}/nav", [f"rt{name}/cmd_vel"], [f"rt{name}/odom", f"rt{name}/scan"])
         yield robot(f"{name}/lidar", [f"rt{name}/scan"], [])
     request, reply = ros.service_topics("/dock")
-    yield robot("/fleet/manager", ["rt/fleet/stop", request], [reply])
-    yield robot("/fleet/dock", [reply], [request])
+    client, server = ros.action_client("/charge"), ros.action_server("/charge")
+    asked = ["rt/fleet/stop", request, *client.publish]
+    yield robot("/fleet/manager", asked, [reply, *client.subscribe])
+    yield robot("/fleet/dock", [reply, *server.publish], [request, *server.subscribe])
     yield robot("/tools/recorder", [], ["rt/*"])
     yield robot("/tools/joystick", ["rt/*/cmd_vel"], [])
 

@@ -60,6 +60,12 @@ const used = async (page) => {
   await page.locator("#filter").fill("no such text anywhere");
   expect(await page.locator("[data-row]:not([hidden])").count() === 0, "a text that is nowhere is found");
   expect((await page.locator("#found").textContent()).startsWith(`0 of ${all}`), "the count of rows is not told");
+  for (const box of await page.locator(".flow[data-words]").all()) {
+    for (const word of (await box.getAttribute("data-words")).split(" ")) {
+      await page.locator("#filter").fill(word.split("/").at(-1));
+      expect(!(await box.evaluate((each) => each.hidden)), `Find does not find ${word}, which is folded`);
+    }
+  }
   await page.locator("#filter").fill("");
   expect(await page.locator("[data-row]:not([hidden])").count() === all, "rows stay hidden without a filter");
   await page.locator("#unfold").click();

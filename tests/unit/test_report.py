@@ -531,7 +531,17 @@ def test_the_picture_has_an_action_as_one_topic_in_each_direction(tmp_path):
         ("requests of action /dock", "rt/all"): ["/boss"],
         ("replies, feedback and status of action /dock",): ["/arm"],
     }
-    assert "requests of action /dock 3 topics" in " ".join(Page(html_of(report)).text.split())
+    page = html_of(report)
+    assert "requests of action /dock 3 topics" in " ".join(Page(page).text.split())
+    words = [each.split() for each in re.findall(r'data-words="([^"]*)"', page)]
+    assert sorted(words, key=len) == [
+        [f"rq/dock/_action/{each}Request" for each in ("cancel_goal", "get_result", "send_goal")],
+        [
+            *("rr/dock/_action/cancel_goalReply", "rr/dock/_action/get_resultReply"),
+            *("rr/dock/_action/send_goalReply", "rt/dock/_action/feedback"),
+            "rt/dock/_action/status",
+        ],
+    ]
 
 
 def test_groups_with_one_label_are_told_apart_by_a_member(tmp_path):
