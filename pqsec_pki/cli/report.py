@@ -112,16 +112,8 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     policy and weaknesses: it is readable for its owner only.
     """
     is_signed = is_signed or signer is not None
-    if is_signed and output is None:
-        raise UsageError("a signature is written beside the report", hint="name it: -o FILE")
     form = "json" if _settings.settings().json else form
-    if output is None and form == "html" and sys.stdout.isatty():
-        raise UsageError(
-            "a page is for a browser, not for a terminal", hint="write it: -o report.html"
-        )
-    for path in (output, signature_path(output) if is_signed else None) if output else ():
-        if path and not force:
-            refuse_existing(path)
+    _refuse_places(form, output, is_signed=is_signed, force=force)
     before = read_earlier(earlier) if earlier else None
     keystore = _settings.open_keystore()
     planning = _planning(keystore, target, stacks, domain_file)
@@ -131,16 +123,41 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     changes = changes_since(before, found, keystore) if before else None
     text = _text(form, found, changes)
     if output:
-        data = text.encode()
-        signature = signing(statement_of(output, data)) if signing else None
-        write(output, data, private=True, force=force)
-        if signature:
-            write(signature_path(output), signature, private=True, force=force)
+        _write(output, text.encode(), signing, force=force)
     else:
         _printing.say(text.rstrip("\n"))
+    _refuse_gaps(found)
+
+
+def _refuse_places(form: str, output: Path | None, *, is_signed: bool, force: bool) -> None:
+    """Refuse where the report or its signature would be written, before any work."""
+    if output is None:
+        if is_signed:
+            raise UsageError("a signature is written beside the report", hint="name it: -o FILE")
+        if form == "html" and sys.stdout.isatty():
+            raise UsageError(
+                "a page is for a browser, not for a terminal", hint="write it: -o report.html"
+            )
+    elif not force:
+        refuse_existing(output)
+        if is_signed:
+            refuse_existing(signature_path(output))
+
+
+def _write(
+    output: Path, data: bytes, signing: Callable[[bytes], bytes] | None, *, force: bool
+) -> None:
+    signature = signing(statement_of(output, data)) if signing else None
+    write(output, data, private=True, force=force)
+    if signature:
+        write(signature_path(output), signature, private=True, force=force)
+
+
+def _refuse_gaps(found: Report) -> None:
+    """KeystoreError if the report is incomplete; a note for each gap."""
+    for gap in found.gaps:
+        _printing.note(f"incomplete: {gap.section}: {gap.reason}")
     if found.gaps:
-        for gap in found.gaps:
-            _printing.note(f"incomplete: {gap.section}: {gap.reason}")
         raise KeystoreError(
             "the report is incomplete: a part could not be read or is not valid",
             hint="the report begins with what it lacks; `pqsec check` has the reasons",

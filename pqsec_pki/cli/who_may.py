@@ -1,5 +1,6 @@
 """pqsec who-may: show which participants may publish and subscribe to each topic."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -139,39 +140,15 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     where = None if domains is None else DomainSet.parse(domains)
     interpretation = interpretation_named(stack)
     fleet = _fleet(paths, governance, now, interpretation)
-    for text in fleet.notes:
-        _printing.note(text)
-    for name, reason in fleet.refused.items():
-        _printing.note(f"{printable(name)} is left out: {printable(reason)}")
     form = _formats.chosen(form)
     if matrix and form in {"dot", "md"}:
         raise UsageError("--matrix is printed as table, json or csv")
     chosen = _chosen(fleet, participants)
-    wanted = (
-        *topics,
-        *map(_ros_patterns.topic, ros_topics),
-        *(
-            each
-            for name in ros_services
-            for each in _ros_patterns.both(_ros_patterns.service_server(name))
-        ),
-        *(
-            each
-            for name in ros_actions
-            for each in _ros_patterns.both(_ros_patterns.action_server(name))
-        ),
-        *(each for name in ros_nodes for each in _parameters(name)),
-    )
+    wanted = (*topics, *_of_ros(ros_topics, ros_services, ros_actions, ros_nodes))
     if "" in wanted:
         raise UsageError("the topic is empty")
     found = who_may_use(fleet, wanted, domains=where, now=now, interpretation=interpretation)
-    for topic, instead in found.unknown.items():
-        _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
-    if found.ungoverned:
-        _printing.note(
-            f"the governance does not name {domains_said(found.ungoverned)}: no participant can"
-            " join it"
-        )
+    _note_doubts(found)
     if chosen:
         found = replace(found, rows=rows_of(found.rows, chosen))
     if matrix:
@@ -179,21 +156,54 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         return
     _formats.emit(
         form,
-        found.to_json(),
+        found.to_json() if form == _formats.JSON else {},
         FORMS[form](found.rows, len(fleet.members)),
         columns=_COLUMNS,
         items=found.rows_as_json(),
     )
 
 
+def _of_ros(
+    topics: tuple[str, ...],
+    services: tuple[str, ...],
+    actions: tuple[str, ...],
+    nodes: tuple[str, ...],
+) -> Iterator[str]:
+    """The DDS topics of these ROS 2 names."""
+    yield from map(_ros_patterns.topic, topics)
+    for name in services:
+        yield from _ros_patterns.both(_ros_patterns.service_server(name))
+    for name in actions:
+        yield from _ros_patterns.both(_ros_patterns.action_server(name))
+    for name in nodes:
+        yield from _parameters(name)
+
+
+def _note_doubts(found: WhoMay) -> None:
+    """Notes about unknown topics and ungoverned domains."""
+    for topic, instead in found.unknown.items():
+        _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
+    if found.ungoverned:
+        words = domains_said(found.ungoverned)
+        _printing.note(f"the governance does not name {words}: no participant can join it")
+
+
 def _fleet(
     paths: tuple[Path, ...], governance: Path | None, now: datetime, interpretation: Interpretation
 ) -> Fleet:
-    if paths:
-        return fleet_of(paths, governance, now, interpretation)
-    if governance:
+    """The participants, with a note for each assumption and for each that is left out."""
+    if governance and not paths:
         raise UsageError("--governance is for files: a keystore has its own governance")
-    return fleet_in(_settings.open_keystore(), now, interpretation)
+    fleet = (
+        fleet_of(paths, governance, now, interpretation)
+        if paths
+        else fleet_in(_settings.open_keystore(), now, interpretation)
+    )
+    for text in fleet.notes:
+        _printing.note(text)
+    for name, reason in fleet.refused.items():
+        _printing.note(f"{printable(name)} is left out: {printable(reason)}")
+    return fleet
 
 
 def _parameters(node: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from pqsec_pki.keystore import Keystore, Line, Status, audit, robot_states
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
 from pqsec_pki.migration import MigrationPlan
-from pqsec_pki.policy import fleet_in
+from pqsec_pki.policy import Fleet, fleet_in
 from pqsec_pki.report.dates import KINDS, endings_of
 from pqsec_pki.report.history import events_of
 from pqsec_pki.report.quantum import algorithm_of, exposures_of
@@ -65,12 +65,7 @@ def report_of(
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
     lines = made.part(EVENTS, keystore.lines)
-    # What one part verified, the other one does not verify again.
-    anchors = made.part(RIGHTS, lambda: replace(keystore.anchors, remembers_all=True))
-    checked = made.part(FINDINGS, lambda: check([keystore.root], now=now, anchors=anchors))
-    fleet = _of(
-        anchors, lambda read: made.part(RIGHTS, lambda: fleet_in(keystore, now, SPEC, read))
-    )
+    checked, fleet = made.verified()
     authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
     if checked:
         made.note_unread(checked)
@@ -82,20 +77,17 @@ def report_of(
         command=command,
         participants=_of(status, lambda found: tuple(_participants(found))),
         authorities=_authorities(keystore, status, authorities),
-        rights=_of(
-            fleet,
-            lambda found: made.part(RIGHTS, lambda: rights_of(found, keystore.root, now)),
-        ),
+        rights=made.of(fleet, RIGHTS, lambda found: rights_of(found, keystore.root, now)),
         endings=_of(status, lambda found: endings_of(found, fleet)),
         exposures=made.part(
             QUANTUM, lambda: exposures_of(keystore, authorities, checked, status, fleet)
         ),
-        migration=_of(migration, lambda plan: made.part(MIGRATION, plan)),
+        migration=made.of(migration, MIGRATION, lambda plan: plan()),
         findings=_of(checked, made.findings),
         events=_of(lines, events_of),
         sizes=_of(checked, lambda found: _sizes(found.inventory)),
-        robots=_of(status, lambda found: made.part(ROBOTS, lambda: _robots(keystore, found))),
-        evidence=_of(lines, lambda found: made.part(EVIDENCE, lambda: _evidence(keystore, found))),
+        robots=made.of(status, ROBOTS, lambda found: _robots(keystore, found)),
+        evidence=made.of(lines, EVIDENCE, lambda found: _evidence(keystore, found)),
         gaps=tuple(dict.fromkeys(made.gaps)),
     )
 
@@ -120,6 +112,18 @@ class _ReportMaker:
         except PqsecError as error:
             self.gaps += (Gap(section, line) for line in error.lines)
             return None
+
+    def of(self, given: Given | None, section: str, make: Callable[[Given], Value]) -> Value | None:
+        """The part that `make` returns for what is given; None without it."""
+        return _of(given, lambda found: self.part(section, lambda: make(found)))
+
+    def verified(self) -> tuple[LintReport | None, Fleet | None]:
+        """The findings, and the participants' rights: what one verified, the other does not."""
+        keystore, now = self.keystore, self.now
+        anchors = self.part(RIGHTS, lambda: replace(keystore.anchors, remembers_all=True))
+        checked = self.part(FINDINGS, lambda: check([keystore.root], now=now, anchors=anchors))
+        fleet = self.of(anchors, RIGHTS, lambda read: fleet_in(keystore, now, SPEC, read))
+        return checked, fleet
 
     def note_unread(self, checked: LintReport) -> None:
         """A gap for each file that could not be checked."""

@@ -19,14 +19,10 @@ Kind = TypeVar("Kind", dict[str, Any], list[Any])
 Value = TypeVar("Value")
 
 
-@dataclass(frozen=True, slots=True)
-class EarlierReport:
-    """What a comparison needs of an earlier report."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportState:
+    """What a comparison needs of either report."""
 
-    path: str
-    at: str
-    head: str
-    lines: int
     participants: dict[str, str] | None
     """Name -> serial number and state; None if that report could not tell."""
     rights: frozenset[Right] | None
@@ -37,6 +33,16 @@ class EarlierReport:
     """(rule, path, message) -> severity; None likewise."""
     authorities: frozenset[tuple[str, str]] | None
     """(name, fingerprint); None likewise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlierReport(ReportState):
+    """The same of an earlier report, with its place in the ledger."""
+
+    path: str
+    at: str
+    head: str
+    lines: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,53 +155,72 @@ def _state(serial: str, state: str) -> str:
 
 def changes_since(earlier: EarlierReport, report: Report, keystore: Keystore) -> Changes:
     """What changed in the keystore, of which `report` was made."""
-    broken, lines = "", list[Line]()
-    try:
-        lines = keystore.lines()
-    except PqsecError as error:
-        broken = str(error)
-    broken = broken or _ledger_problem(earlier, lines)
-    participants = None
-    if report.participants is not None:
-        participants = {e.name: _state(e.serial, e.state.value) for e in report.participants}
-    rights = None if report.rights is None else frozenset(report.rights.every)
-    topics = frozenset(report.rights.topics) if report.rights else frozenset()
-    findings = None if report.findings is None else _findings(report.findings)
-    authorities = None
-    if report.authorities is not None:
-        authorities = frozenset((each.name, each.fingerprint) for each in report.authorities)
-    there, before = _both(participants, earlier.participants, {})
-    new, old = _both(authorities, earlier.authorities, frozenset())
+    now = _state_of(report)
+    ledger, events = _events_since(earlier, keystore)
+    there, before = _both(now.participants, earlier.participants, {})
     return Changes(
         since=earlier.at,
-        ledger=broken,
-        events=() if broken else events_of(lines, after=earlier.lines),
+        ledger=ledger,
+        events=events,
         appeared=tuple(sorted(there.keys() - before.keys())),
         disappeared=tuple(sorted(before.keys() - there.keys())),
         changed=tuple(
-            f"{name}: {before[name]}; now {now}"
-            for name, now in sorted(there.items())
-            if name in before and before[name] != now
+            f"{name}: {before[name]}; now {state}"
+            for name, state in sorted(there.items())
+            if name in before and before[name] != state
         ),
-        granted=_less(rights, earlier.rights, earlier.topics),
-        removed=_less(earlier.rights, rights, topics),
-        new_findings=tuple(_words(findings, earlier.findings)),
-        resolved=tuple(_words(earlier.findings, findings)),
-        authorities=tuple(
-            [f"new: {name}, {digest}" for name, digest in sorted(new - old)]
-            + [f"no longer: {name}, {digest}" for name, digest in sorted(old - new)]
-        ),
-        unknown=tuple(
-            what
-            for what, values in (
-                ("participants", (participants, earlier.participants)),
-                ("CAs and revocation list", (authorities, earlier.authorities)),
-                ("rights", (rights, earlier.rights)),
-                ("findings", (findings, earlier.findings)),
-            )
-            if None in values
-        ),
+        granted=_less(now.rights, earlier.rights, earlier.topics),
+        removed=_less(earlier.rights, now.rights, now.topics),
+        new_findings=tuple(_words(now.findings, earlier.findings)),
+        resolved=tuple(_words(earlier.findings, now.findings)),
+        authorities=tuple(_authorities(now, earlier)),
+        unknown=tuple(_unknown(now, earlier)),
     )
+
+
+def _state_of(report: Report) -> ReportState:
+    """The same of a report that was just made."""
+    participants, rights, authorities = report.participants, report.rights, report.authorities
+    return ReportState(
+        participants=None
+        if participants is None
+        else {each.name: _state(each.serial, each.state.value) for each in participants},
+        rights=None if rights is None else frozenset(rights.every),
+        topics=frozenset(rights.topics) if rights else frozenset(),
+        findings=None if report.findings is None else _findings(report.findings),
+        authorities=None
+        if authorities is None
+        else frozenset((each.name, each.fingerprint) for each in authorities),
+    )
+
+
+def _events_since(
+    earlier: EarlierReport, keystore: Keystore
+) -> tuple[str, tuple[LedgerEvent, ...]]:
+    """(what is wrong with the ledger, no events), or ("", the events)."""
+    try:
+        lines = keystore.lines()
+    except PqsecError as error:
+        return str(error), ()
+    broken = _ledger_problem(earlier, lines)
+    return broken, () if broken else events_of(lines, after=earlier.lines)
+
+
+def _authorities(now: ReportState, earlier: ReportState) -> Iterator[str]:
+    new, old = _both(now.authorities, earlier.authorities, frozenset())
+    yield from (f"new: {name}, {digest}" for name, digest in sorted(new - old))
+    yield from (f"no longer: {name}, {digest}" for name, digest in sorted(old - new))
+
+
+def _unknown(now: ReportState, earlier: ReportState) -> Iterator[str]:
+    """What one of the reports could not tell."""
+    values = {
+        "participants": (now.participants, earlier.participants),
+        "CAs and revocation list": (now.authorities, earlier.authorities),
+        "rights": (now.rights, earlier.rights),
+        "findings": (now.findings, earlier.findings),
+    }
+    return (what for what, both in values.items() if None in both)
 
 
 def _both(one: Value | None, other: Value | None, empty: Value) -> tuple[Value, Value]:
