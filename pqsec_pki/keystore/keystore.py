@@ -14,7 +14,7 @@ from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
+from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError, located
 from pqsec_pki.keystore import _journal, _settings, layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
@@ -226,10 +226,14 @@ class Keystore:
     def key_uris(self) -> dict[str, str]:
         """The URIs of the CA keys that are not in files, by the names of the files.
 
-        Errors as of `read_ca_key`.
+        MalformedError for a damaged reference; other errors as of `read_ca_key`.
         """
-        files = self._ca_key_files()
-        return {name: uri_in(data) for name, data in files.items() if is_reference(data)}
+        found = {}
+        for name, data in self._ca_key_files().items():
+            with located(self.root / layout.PRIVATE / name):
+                if is_reference(data):
+                    found[name] = uri_in(data)
+        return found
 
     def _ca_key_files(self) -> dict[str, bytes]:
         private = self.root / layout.PRIVATE

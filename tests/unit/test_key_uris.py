@@ -11,6 +11,7 @@ from pqsec_pki._asn1 import KeyReference, encode, raw
 from pqsec_pki.algorithms import pem
 from pqsec_pki.errors import MalformedError, UsageError
 from pqsec_pki.tokens import KeyUri, is_reference, reference_to, uri_in
+from tests.unit.keystores import made
 
 LAB = "pkcs11:token=lab;object=identity-ca"
 
@@ -111,3 +112,12 @@ def test_no_bytes_end_the_reader_otherwise(data):
     for each in (data, b"\n".join((begin, base64.b64encode(data), end, b""))):
         with suppress(MalformedError):
             uri_in(each)
+
+
+def test_a_damaged_reference_in_a_keystore_is_named(tmp_path):
+    keystore = made(tmp_path / "k", "classical")
+    path = keystore.root / "private/identity_ca.key.pem"
+    path.write_bytes(reference_to(LAB)[:-5])
+    with pytest.raises(MalformedError) as refused:
+        _ = keystore.key_uris
+    assert refused.value.where == str(path)
