@@ -33,7 +33,7 @@ from pqsec_pki.cli import COMMANDS, GROUPS, pqsec
 from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
 from tests.docs.forking import forking_pqsec
-from tests.interop.fastdds import find_compiler
+from tests.interop.fastdds_shim import find_compiler
 from tests.printed import same
 
 ROOT = Path(__file__).parents[2]

@@ -4,7 +4,6 @@ A lab is a keystore with two participants, /lab/alice and /lab/bob: in the folde
 are the six files that a DDS stack reads.
 """
 
-import ctypes
 import os
 import re
 import shutil
@@ -22,10 +21,12 @@ from pqsec_pki.algorithms import PROFILES, Family, Profile, profile_named
 from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
 from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.trial import Installation, MissingStackError, find
 from tests.interop.cyclone import find_plugins
-from tests.interop.fastdds import build, find_compiler
 from tests.interop.fastdds_meeting import Both, meeting
+from tests.interop.fastdds_shim import FastDdsShim, build, find_compiler
 from tests.interop.nodes import Nodes, compiled
+from tests.interop.roots import ROOTS
 from tests.interop.ros2 import Ros2
 
 YEAR = timedelta(days=365)
@@ -168,11 +169,24 @@ def plugins(requires) -> Path:
 
 
 @pytest.fixture(scope="session")
-def fastdds(requires, tmp_path_factory) -> ctypes.CDLL:
+def fastdds(requires, tmp_path_factory) -> FastDdsShim:
     """Fast DDS's security plugins, behind a shim that is compiled for this run."""
     remedy = "apt-get install --no-install-recommends g++ libfastrtps-dev"
     compiler = requires(find_compiler(), "g++ with Fast DDS's headers", remedy)
     return build(compiler, tmp_path_factory.mktemp("fastdds"))
+
+
+@pytest.fixture(scope="session")
+def stack_in(requires) -> Callable[[str, str], Installation]:
+    """stack_in("fastdds", "trixie") is the Fast DDS that is there."""
+
+    def of(stack: str, where: str) -> Installation:
+        try:
+            return find(stack, ROOTS[where])
+        except MissingStackError as error:
+            return requires(None, f"{stack} of {where}", f".ci/trixie, or {error.hint}")
+
+    return of
 
 
 @pytest.fixture

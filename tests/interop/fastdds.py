@@ -1,28 +1,18 @@
 """A participant of Fast DDS without Fast DDS: only its security plugins.
 
-Debian's libfastrtps-dev has them. In shape it is cyclone.py's participant. Plugins in C++
-cannot be called from Python: fastdds_shim.cpp is compiled to stand between.
+Debian's libfastrtps-dev has them. In shape it is cyclone.py's participant.
 """
 
-import ctypes
 import os
-import re
-import shutil
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from ctypes import POINTER, byref, c_char_p, c_int32, c_size_t, c_void_p
 from pathlib import Path
 
 from pqsec_pki.handshake import ByteOrder, DataHolder, participant_data
 from tests.interop.cyclone import Meeting, RefusedError, Secret, Token
+from tests.interop.fastdds_shim import Answer, FastDdsShim
 
-__all__ = ["Participant", "build", "find_compiler", "participant"]
-
-_SHIM = Path(__file__).with_name("fastdds_shim.cpp")
-_HEADER = Path("/usr/include/fastdds/rtps/security/authentication/Authentication.h")
-_SOURCE_LINE = re.compile(r" \(\S+\.cpp:\d+\)")
-"""Where in its source Fast DDS says something: not what a test should depend on."""
+__all__ = ["Participant", "participant"]
 
 _AUTHENTICATION = "dds.sec.auth.builtin.PKI-DH."
 _ACCESS_CONTROL = "dds.sec.access.builtin.Access-Permissions."
@@ -44,54 +34,9 @@ _FILES = {
 _OK, _FAILED, _RETRY, _PENDING_REQUEST, _PENDING_MESSAGE, _OK_FINAL_MESSAGE = range(6)
 
 
-class _Answer(ctypes.Structure):
-    _fields_ = (
-        ("code", c_int32),
-        ("handle", c_size_t),
-        ("_words", c_void_p),
-        ("_words_size", c_size_t),
-        ("_data", c_void_p),
-        ("_size", c_size_t),
-    )
-
-    @property
-    def words(self) -> str:
-        words = ctypes.string_at(self._words, self._words_size).decode(errors="replace")
-        return _SOURCE_LINE.sub("", words)
-
-    @property
-    def octets(self) -> bytes:
-        return ctypes.string_at(self._data, self._size)
-
-    @property
-    def token(self) -> Token:
-        holder = DataHolder.decode(self.octets, ByteOrder.LITTLE)
-        return Token(holder.class_id, holder.properties, holder.binary_properties)
-
-
-def find_compiler() -> str | None:
-    """The compiler, if the headers of Fast DDS are there too."""
-    return shutil.which("g++") if _HEADER.exists() else None
-
-
-def build(compiler: str, folder: Path, *first: str | Path) -> ctypes.CDLL:
-    """The shim, compiled into `folder` and loaded; linked to `first` before Fast DDS."""
-    library = folder / "libfastdds_shim.so"
-    options = ["-std=c++17", "-shared", "-fPIC", "-o", library, _SHIM, *first, "-lfastrtps"]
-    done = subprocess.run([compiler, *options], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    shim = ctypes.CDLL(str(library))
-    shim.fastdds_new.argtypes = [POINTER(c_char_p), c_size_t]
-    shim.fastdds_new.restype = c_void_p
-    shim.fastdds_delete.argtypes = [c_void_p]
-    octets = (c_char_p, c_size_t)
-    shim.fastdds_call.argtypes = [c_void_p, POINTER(_Answer), c_char_p, c_size_t, *octets, *octets]
-    return shim
-
-
 @contextmanager
 def participant(
-    shim: ctypes.CDLL, enclave: Path, *, passphrase: str = "", **authentication: str
+    fastdds: FastDdsShim, enclave: Path, *, passphrase: str = "", **authentication: str
 ) -> Iterator["Participant"]:
     """A participant with the six files in `enclave`, alone with its plugins.
 
@@ -101,20 +46,18 @@ def participant(
     more = {_AUTHENTICATION + name: value for name, value in authentication.items()}
     files = {name: f"file://{enclave / file}" for name, file in _FILES.items()}
     properties = _PLUGINS | files | more | {_AUTHENTICATION + "password": passphrase}
-    strings = [text.encode() for pair in properties.items() for text in pair]
-    instance = shim.fastdds_new((c_char_p * len(strings))(*strings), len(strings))
-    assert instance, "this Fast DDS has no security plugins"
+    number = fastdds.new(properties)
     try:
-        yield Participant(shim, instance)
+        yield Participant(fastdds, number)
     finally:
-        shim.fastdds_delete(instance)
+        fastdds.delete(number)
 
 
 class Participant:
     """A participant's authentication, access control and cryptography."""
 
-    def __init__(self, shim: ctypes.CDLL, instance: int) -> None:
-        self._shim, self._instance = shim, instance
+    def __init__(self, fastdds: FastDdsShim, number: int) -> None:
+        self._fastdds, self._number = fastdds, number
         self.words = ""
         """What the plugins said of the last call; they do not mean all of it."""
         self.candidate = os.urandom(12) + b"\0\0\1\xc1"
@@ -207,11 +150,9 @@ class Participant:
         first: bytes = b"",
         second: bytes = b"",
         good: tuple[int, ...] = (_OK,),
-    ) -> _Answer:
+    ) -> Answer:
         """The plugin's answer; RefusedError unless its code is in `good`."""
-        answer = _Answer()
-        inputs = first, len(first), second, len(second)
-        self._shim.fastdds_call(self._instance, byref(answer), function.encode(), number, *inputs)
+        answer = self._fastdds.call(self._number, function, number, first, second)
         self.words = answer.words
         if answer.code not in good:
             raise RefusedError(function, answer.code, self.words)

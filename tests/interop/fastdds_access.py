@@ -4,7 +4,6 @@ It is the real plugin, called as a participant's stack and as its peers call it:
 is itself, met once more, since the plugin knows a peer by its certificate alone.
 """
 
-import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from pqsec_pki.access import Action, Question
 from tests.interop.cyclone import Meeting
 from tests.interop.cyclone_access import KINDS, refusal
 from tests.interop.fastdds import Participant, participant
+from tests.interop.fastdds_shim import FastDdsShim
 
 _MYSELF = Meeting(0, begins=False, auth_request=None)
 _REMOTE_KINDS = KINDS | {Action.RELAY: "datareader"}
@@ -20,9 +20,9 @@ _REMOTE_KINDS = KINDS | {Action.RELAY: "datareader"}
 
 
 @contextmanager
-def access_control(shim: ctypes.CDLL, enclave: Path, domain: int) -> Iterator["AccessControl"]:
+def access_control(fastdds: FastDdsShim, enclave: Path, domain: int) -> Iterator["AccessControl"]:
     """The plugin with the six files in `enclave`, on that domain."""
-    with participant(shim, enclave) as one:
+    with participant(fastdds, enclave) as one:
         yield AccessControl(one, domain)
 
 

@@ -2,8 +2,9 @@
 //
 // The library's own factory makes authentication, access control and cryptography, as it
 // does for a DomainParticipant; here there is none. Tokens come and go as the CDR that
-// travels, little-endian, read and written by the library's own code. Built against the
-// public headers of Fast DDS 2.9.
+// travels, little-endian, read and written by the library's own code. PQSEC_FASTDDS is 2, built
+// against the public headers of Fast DDS 2.9, or 3, which installs fewer: there it has no
+// cryptography, and no endpoints of others.
 
 #include <algorithm>
 #include <cstddef>
@@ -17,20 +18,45 @@
 #include <utility>
 #include <vector>
 
-#include <fastrtps/config.h>
-
 #include <fastdds/dds/log/Log.hpp>
-#include <fastdds/rtps/attributes/RTPSParticipantAttributes.h>
+
+#include "stack.hpp"
+
+#if PQSEC_FASTDDS == 2
 #include <fastdds/rtps/builtin/data/ParticipantProxyData.h>
-#include <fastdds/rtps/builtin/data/ReaderProxyData.h>
-#include <fastdds/rtps/builtin/data/WriterProxyData.h>
 #include <fastdds/rtps/messages/CDRMessage.h>
-#include <fastdds/rtps/security/accesscontrol/AccessControl.h>
-#include <fastdds/rtps/security/authentication/Authentication.h>
 #include <fastdds/rtps/security/common/SharedSecretHandle.h>
 #include <fastdds/rtps/security/cryptography/Cryptography.h>
+#else
+namespace eprosima::fastdds::rtps {
 
-namespace eprosima::fastrtps::rtps::security {
+class CDRMessage {
+public:
+    static bool addData(CDRMessage_t*, const octet*, const std::uint32_t);
+    static bool add_string(CDRMessage_t*, const std::string&);
+    static bool addPropertySeq(CDRMessage_t*, const PropertySeq&);
+    static bool addBinaryPropertySeq(CDRMessage_t*, const BinaryPropertySeq&, bool);
+    static bool readDataHolder(CDRMessage_t*, DataHolder&, const std::uint32_t size);
+    static bool readDataHolder(CDRMessage_t* message, DataHolder& token) {
+        return readDataHolder(message, token, message->length);
+    }
+};
+
+namespace security {
+
+using IdentityHandle = Handle;
+using PermissionsHandle = Handle;
+using HandshakeHandle = Handle;
+using SecretHandle = Handle;
+using HandshakeMessageToken = DataHolder;
+
+}  // namespace security
+}  // namespace eprosima::fastdds::rtps
+#endif
+
+namespace PQSEC_RTPS::security {
+
+class Cryptography;
 
 // Exported by the library, declared in none of its public headers.
 class SecurityPluginFactory {
@@ -40,19 +66,21 @@ public:
     Cryptography* create_cryptography_plugin(const PropertyPolicy&);
 };
 
-}  // namespace eprosima::fastrtps::rtps::security
+}  // namespace PQSEC_RTPS::security
 
 namespace {
 
 using eprosima::fastdds::dds::Log;
 using eprosima::fastdds::dds::LogConsumer;
-using namespace eprosima::fastrtps::rtps;
-using namespace eprosima::fastrtps::rtps::security;
+using namespace rtps;
+using namespace rtps::security;
 
 using Octets = std::vector<octet>;
 using Result = ValidationResult_t;
 
+#if PQSEC_FASTDDS == 2
 constexpr std::size_t PROTECTION = 256;  // more bytes than it adds to a submessage
+#endif
 
 // The arguments of a call; what it does not need is empty.
 struct Question {
@@ -126,11 +154,13 @@ Names names_of(const Octets& data) {
     return {texts.at(0), {texts.begin() + 1, texts.end()}};
 }
 
+#if PQSEC_FASTDDS == 2
 template<typename ProxyData>
 void fill(ProxyData& data, Names names) {
     data.topicName(names.topic);
     data.m_qos.m_partition.setNames(names.partitions);
 }
+#endif
 
 std::uint32_t domain_of(const Question& of) {
     return static_cast<std::uint32_t>(of.number);
@@ -193,8 +223,12 @@ public:
         SecurityPluginFactory factory;
         authentication_.reset(factory.create_authentication_plugin(properties));
         access_.reset(factory.create_access_control_plugin(properties));
+        bool complete = authentication_ && access_;
+#if PQSEC_FASTDDS == 2
         cryptography_.reset(factory.create_cryptography_plugin(properties));
-        if (!authentication_ || !access_ || !cryptography_) {
+        complete = complete && cryptography_;
+#endif
+        if (!complete) {
             throw std::runtime_error("no such plugins");
         }
     }
@@ -313,12 +347,15 @@ public:
     // Secret, challenge1 and challenge2, one after the other.
     Result get_shared_secret(const Question& of) {
         auto secret = shared_secret(handshakes_.at(of.number));
+        auto& data = static_cast<SharedSecretHandle&>(*secret)->data_;
         for (const char* name : {"SharedSecret", "Challenge1", "Challenge2"}) {
-            const Octets* value = SharedSecretHelper::find_data_value(*secret, name);
-            if (value == nullptr) {
+            const auto found = std::find_if(data.begin(), data.end(), [&](const auto& each) {
+                return each.name() == name;
+            });
+            if (found == data.end()) {
                 throw std::logic_error(std::string("there is no ") + name);
             }
-            output.insert(output.end(), value->begin(), value->end());
+            output.insert(output.end(), found->value().begin(), found->value().end());
         }
         return VALIDATION_OK;
     }
@@ -353,6 +390,7 @@ public:
             *permissions_.at(0), domain_of(of), names.topic, names.partitions, exception));
     }
 
+#if PQSEC_FASTDDS == 2
     // The permissions validated last are those of the peer.
     Result check_remote_participant(const Question& of) {
         const ParticipantProxyData data{RTPSParticipantAllocationAttributes()};
@@ -404,18 +442,19 @@ public:
         return given(plain, cryptography_->cryptotransform()->decode_datawriter_submessage(
             plain, encoded, writer, writer, exception));
     }
+#endif
 
     void forget() {
         output.clear();
         handle = 0;
-        exception = SecurityException();
+        exception = SecurityException(std::string());
         words.clear();
     }
 
     // Of the last call: what it gave, and what was said.
     Octets output;
     std::size_t handle = 0;
-    SecurityException exception;
+    SecurityException exception{std::string()};
     std::string words;
 
 private:
@@ -423,7 +462,9 @@ private:
         std::size_t peer;
         HandshakeHandle* handle;
         bool done;
+#if PQSEC_FASTDDS == 2
         std::shared_ptr<ParticipantCryptoHandle> keys;
+#endif
     };
 
     IdentityHandle& self() {
@@ -447,7 +488,7 @@ private:
             std::size_t peer, HandshakeHandle* made, const DataHolder* message, Result result) {
         if (made != nullptr) {
             handle = handshakes_.size();
-            handshakes_.push_back({peer, made, false, nullptr});
+            handshakes_.push_back(Handshake{peer, made, false});
             output = octets_of(*message);
         }
         return result;
@@ -467,6 +508,7 @@ private:
         return authentication_->get_shared_secret(*handshake.handle, exception);
     }
 
+#if PQSEC_FASTDDS == 2
     ParticipantCryptoHandle& peer_keys(Handshake& handshake) {
         CryptoKeyFactory& factory = *cryptography_->cryptokeyfactory();
         // The plugin does not look at identities and permissions.
@@ -489,12 +531,15 @@ private:
         return *cryptography_->cryptokeyfactory()->register_local_datawriter(
             peer_keys(handshake), name, EndpointSecurityAttributes(), exception);
     }
+#endif
 
     RTPSParticipantAttributes attributes_;
     std::unique_ptr<Authentication> authentication_;
     std::unique_ptr<AccessControl> access_;
+#if PQSEC_FASTDDS == 2
     std::unique_ptr<Cryptography> cryptography_;
     std::shared_ptr<ParticipantCryptoHandle> own_keys_;
+#endif
     std::vector<IdentityHandle*> identities_;
     std::vector<PermissionsHandle*> permissions_;
     std::vector<Handshake> handshakes_;
@@ -519,12 +564,14 @@ const std::map<std::string, Function> FUNCTIONS = {
     NAMED(validate_remote_permissions),
     NAMED(check_create_datawriter),
     NAMED(check_create_datareader),
+#if PQSEC_FASTDDS == 2
     NAMED(check_remote_participant),
     NAMED(check_remote_datawriter),
     NAMED(check_remote_datareader),
     NAMED(create_local_participant_crypto_tokens),
     NAMED(encode_datawriter_submessage),
     NAMED(decode_datawriter_submessage),
+#endif
 };
 
 }  // namespace

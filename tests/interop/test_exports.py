@@ -15,7 +15,8 @@ from pqsec_pki.stacks import stack_named
 from pqsec_pki.vendors import Options, StackEnclave, export, exporter_of, write
 from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins, read_plugin
 from tests.interop.conftest import NOT_STOCK, STOCK
-from tests.interop.fastdds import find_compiler
+from tests.interop.fastdds_shim import find_compiler
+from tests.interop.roots import TRIXIE
 
 pytestmark = pytest.mark.interop
 
@@ -253,8 +254,7 @@ def test_opendds_header_compiles_and_holds_the_values_that_were_meant(own, tmp_p
 
 def test_the_plugins_of_two_real_cyclones_are_told_apart(requires, plugins, labs, now):
     """Debian 12 and 13 give libddsc one soname, 0debian: the file beside the plugins differs."""
-    trixie = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
-    newer = requires(find_cyclone_plugins(trixie), "Cyclone DDS of Debian trixie", "run .ci/trixie")
+    newer = requires(find_cyclone_plugins(TRIXIE), "Cyclone DDS of Debian trixie", "run .ci/trixie")
     folders = {
         ".".join(map(str, read_plugin(folder / "libdds_security_auth.so").release)): folder
         for folder in (plugins, newer)

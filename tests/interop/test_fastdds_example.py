@@ -14,10 +14,8 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.stacks import stack_named
-from pqsec_pki.trial import MissingStackError, find
 from pqsec_pki.vendors import Options, export, write
 from tests.interop.conftest import LAB_PROFILES
-from tests.interop.test_trials import TRIXIE
 
 pytestmark = pytest.mark.interop
 
@@ -26,13 +24,9 @@ PLAIN = re.compile(r"(?s)<propertiesPolicy>.*</propertiesPolicy>")
 
 
 @pytest.fixture
-def hello(requires, tmp_path):
+def hello(stack_in, tmp_path):
     """hello(profile, "send") is the program, started with that file of profiles."""
-    try:
-        installation = find("fastdds", Path(TRIXIE))
-    except MissingStackError:
-        installation = None
-    found = requires(installation, "Fast DDS 3", "run .ci/trixie")
+    found = stack_in("fastdds", "trixie")
     with tempfile.TemporaryDirectory(dir=found.root / "tmp") as folder:
         shutil.copy(SOURCE, folder)
         compiling = ("g++", "-o", "hello", SOURCE.name, "-lfastdds", "-lfastcdr")

@@ -5,26 +5,22 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from pathlib import Path
 
 import pytest
 
 from pqsec_pki.lint import check
 from pqsec_pki.trial import (
-    MACHINE,
     Act,
-    MissingStackError,
     TrialSetup,
     built,
     credentialed,
-    find,
     run_peers,
     unauthenticated,
     unique_text,
 )
 from tests.interop.conftest import TOPIC
-from tests.interop.test_trials import AT_ONCE, TRIXIE
+from tests.interop.test_trials import AT_ONCE
 from tests.interop.trials import RECEIVER, SENDER, Case, Laboratory
 from tests.longer import LONG
 
@@ -66,7 +62,7 @@ VARIANTS = {
     "blank": (added("password", " "), {"PQS805"}, UNSECURED),
 }  # fmt: skip
 """How the profile is changed, the rules that say so, and what comes of it."""
-PLACES = {"bookworm": MACHINE, **({"trixie": Path(TRIXIE)} if LONG else {})}
+PLACES = ["bookworm", "trixie"] if LONG else ["bookworm"]
 CASES = [(where, variant) for where in PLACES for variant in VARIANTS]
 
 
@@ -76,19 +72,12 @@ def laboratory(tmp_path_factory, now) -> Laboratory:
 
 
 @pytest.fixture(scope="module")
-def outcome(requires, laboratory, now) -> Iterator[Callable[[str, str], tuple[set[str], str]]]:
+def outcome(stack_in, laboratory, now) -> Iterator[Callable[[str, str], tuple[set[str], str]]]:
     """outcome("bookworm", variant) is what is found in that profile, and what came of it."""
-
-    @cache
-    def there(where):
-        try:
-            return find("fastdds", PLACES[where])
-        except MissingStackError as error:
-            return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
 
     def run(where, variant):
         change, _, expected = VARIANTS[variant]
-        installation = there(where)
+        installation = stack_in("fastdds", where)
         seconds = REFUSAL if expected == NOTHING else LONGEST
         trial = laboratory.trial(installation, Case("", profile="classical"), timeout=seconds)
         folder = trial.keystore.root.parent
@@ -107,7 +96,7 @@ def outcome(requires, laboratory, now) -> Iterator[Callable[[str, str], tuple[se
         return found, said_of(went)
 
     for where in PLACES:
-        built(there(where))
+        built(stack_in("fastdds", where))
     with ThreadPoolExecutor(AT_ONCE) as pool:
         began = {each: pool.submit(run, *each) for each in CASES}
         yield lambda *case: began[case].result()

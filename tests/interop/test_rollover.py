@@ -20,17 +20,14 @@ import pytest
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Rollover, Scope
 from pqsec_pki.trial import (
-    MACHINE,
     Act,
     Installation,
-    MissingStackError,
     TopicRoute,
     Trial,
     TrialPlugin,
     TrialSetup,
     built,
     credentialed,
-    find,
     plugin,
     run_peers,
     run_trial,
@@ -45,8 +42,6 @@ ALICE, BOB = "/lab/alice", "/lab/bob"
 ROUNDS = ("old", "begun", "switched", "finished")
 NEIGHBOURS = [("old", "begun"), ("begun", "switched"), ("switched", "finished")]
 APART = [("old", "switched"), ("begun", "finished")]
-TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
-ROOTS = {"": MACHINE, " trixie": TRIXIE}
 AT_ONCE = 4 if os.geteuid() == 0 else 1
 """Most of what they do is waiting. Who is not root has but one network for all."""
 LONGEST, LEAST = 30.0, 4.0
@@ -134,25 +129,11 @@ class Fleet:
 
 
 @pytest.fixture
-def installed(requires):
-    """installed("fastdds", MACHINE) is that stack."""
-
-    def look(stack: str, root: Path) -> Installation:
-        try:
-            return find(stack, root)
-        except MissingStackError as error:
-            remedy = "run .ci/trixie" if root == TRIXIE else error.hint
-            return requires(None, f"the stack {stack} in {root}", remedy)
-
-    return look
-
-
-@pytest.fixture
-def fleet(request, rounds, installed, tmp_path, now) -> Iterator[Fleet]:
+def fleet(request, rounds, stack_in, tmp_path, now) -> Iterator[Fleet]:
     """Robots with Fast DDS, or with Cyclone DDS and pqsec's plugin or its own ones."""
     stack, _, of = request.param.partition(" of ")
     name, _, ours = stack.partition(" with ")
-    which = installed(name, ROOTS[f" {of}" if of else ""])
+    which = stack_in(name, of or "bookworm")
     with ExitStack() as opened:
         yield Fleet(
             installation=which,
@@ -230,10 +211,10 @@ def permissions_rounds(tmp_path_factory, now):
 
 
 @pytest.fixture
-def permissions_fleet(installed, permissions_rounds, tmp_path, now):
-    """permissions_fleet(root, name) are robots with Fast DDS that go over to such a CA."""
-    return lambda root, name: Fleet(
-        installation=installed("fastdds", root),
+def permissions_fleet(stack_in, permissions_rounds, tmp_path, now):
+    """permissions_fleet(where, name) are robots with Fast DDS that go over to such a CA."""
+    return lambda where, name: Fleet(
+        installation=stack_in("fastdds", where),
         rounds=permissions_rounds(name),
         folder=tmp_path,
         now=now,
@@ -242,18 +223,18 @@ def permissions_fleet(installed, permissions_rounds, tmp_path, now):
 
 
 @pytest.mark.parametrize(
-    ("root", "name", "gap"),
+    ("where", "name", "gap"),
     [
-        (TRIXIE, "Lab", None),  # the name that the old one has
-        (TRIXIE, "Other", ("switched", "finished")),
-        (MACHINE, "Lab", ("begun", "switched")),
-        (MACHINE, "Other", ("switched", "finished")),
+        ("trixie", "Lab", None),  # the name that the old one has
+        ("trixie", "Other", ("switched", "finished")),
+        ("bookworm", "Lab", ("begun", "switched")),
+        ("bookworm", "Other", ("switched", "finished")),
     ],
 )
 def test_fast_dds_goes_over_to_a_permissions_ca_at_most_of_the_same_name(
-    permissions_fleet, root, name, gap
+    permissions_fleet, where, name, gap
 ):
-    fleet = permissions_fleet(root, name)
+    fleet = permissions_fleet(where, name)
     if gap is None:
         assert fleet.failures(*NEIGHBOURS) == []
     else:

@@ -28,6 +28,7 @@ from pqsec_pki.trial import (
 )
 from pqsec_pki.trial.words import words
 from tests.interop.conftest import TOPIC
+from tests.interop.roots import TRIXIE
 from tests.interop.trials import (
     CASES,
     LONGEST_MEETING,
@@ -44,12 +45,11 @@ AT_ONCE = 4 if os.geteuid() == 0 else 1
 """Most of what they do is waiting. Who is not root has but one network for all."""
 RESULTS = Path(__file__).parents[2] / "docs/reference/measured.md"
 BLOCK = re.compile(r"(?s)(<!-- results: [^\n]*-->\n).*(<!-- end of results -->)")
-TRIXIE = os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie"
 STACKS = {
     "cyclonedds": ("cyclonedds", MACHINE),
-    "cyclonedds trixie": ("cyclonedds", Path(TRIXIE)),
+    "cyclonedds trixie": ("cyclonedds", TRIXIE),
     "fastdds": ("fastdds", MACHINE),
-    "fastdds trixie": ("fastdds", Path(TRIXIE)),
+    "fastdds trixie": ("fastdds", TRIXIE),
 }
 """Those of this machine, and the newer ones of Debian trixie."""
 PAIRS = [pytest.param(stack, name, id=f"{stack}-{name}") for stack in STACKS for name in CASES]

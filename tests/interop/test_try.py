@@ -18,6 +18,7 @@ from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import MACHINE, STACKS, MissingStackError, built, find
 from tests.docs.tables import Document
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, YEAR
+from tests.interop.roots import TRIXIE
 
 pytestmark = pytest.mark.interop
 
@@ -126,7 +127,6 @@ def test_json_says_who_ran_the_plugin(pqsec):
 
 CYCLONE = ("include/dds", "include/ddsc", "include/idl", "include/idlc", "bin/idlc")
 """Of a prefix, beside its libraries."""
-TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
 
 
 @pytest.fixture(scope="module")

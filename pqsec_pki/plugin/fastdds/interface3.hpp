@@ -80,6 +80,7 @@ class SharedSecret {
    public:
     BinaryData(std::string&& name, std::vector<uint8_t>&& value)
         : name_(std::move(name)), value_(std::move(value)) {}
+    const std::string& name() const { return name_; }
     std::vector<uint8_t>& value() { return value_; }
 
    private:

@@ -1,22 +1,24 @@
 """The plugin, compiled for this run, and an agent of its own that nobody else meets."""
 
-import ctypes
 import os
 import shutil
 import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from pqsec_pki.plugin import AgentFolder, agent_status, build, stop_agent
-from pqsec_pki.trial import Installation, MissingStackError, find, plugin
+from pqsec_pki.trial import Installation, TrialPlugin, plugin
 from pqsec_pki.vendors.own_plugin import PRELOAD
-from tests.interop import fastdds
+from tests.interop import fastdds_shim
+from tests.interop.fastdds_shim import FastDdsShim
+from tests.interop.roots import compiled
 
 
 @dataclass(frozen=True)
@@ -78,33 +80,35 @@ def shim(compiler, tmp_path_factory) -> Iterator[Shim]:
 
 
 @pytest.fixture(scope="session")
-def fastdds_here(requires) -> Installation:
+def fastdds_here(stack_in) -> Installation:
     """The Fast DDS of this machine."""
-    try:
-        return find("fastdds")
-    except MissingStackError as error:
-        return requires(None, "Fast DDS to compile against", error.hint or str(error))
+    return stack_in("fastdds", "bookworm")
 
 
-@pytest.fixture(scope="session")
-def adapter(fastdds_here) -> Path:
-    """The folder with the plugin for it, which `pqsec try` compiles once."""
-    with plugin(fastdds=fastdds_here) as found:
-        return found.folder
+@pytest.fixture(scope="module")
+def plugin_for(stack_in) -> Iterator[Callable[[str], TrialPlugin]]:
+    """plugin_for("trixie") is the plugin for the Fast DDS that is there, with an agent.
 
-
-@pytest.fixture(scope="session")
-def ours_in_fastdds(adapter, fastdds_here, shim, tmp_path_factory) -> ctypes.CDLL:
-    """Our plugin as Fast DDS gets it, behind the shim that its own has in other tests.
-
-    That shim has the build ID of Fast DDS: the preload library takes it for the caller.
+    `pqsec try` compiles it once.
     """
-    compiler = fastdds.find_compiler()
-    identity = f"-Wl,--build-id=0x{fastdds_here.library.build_id}"
-    where = f"-Wl,-rpath,{adapter}"
-    return fastdds.build(
-        compiler, tmp_path_factory.mktemp("ours"), adapter / PRELOAD, identity, where
-    )
+    with ExitStack() as stack:
+        yield cache(lambda where: stack.enter_context(plugin(fastdds=stack_in("fastdds", where))))
+
+
+@pytest.fixture(scope="session")
+def fastdds_with_ours(stack_in, shim) -> Iterator[Callable[[str], FastDdsShim]]:
+    """fastdds_with_ours("trixie") is the Fast DDS that is there, in a process with our plugin."""
+    with ExitStack() as stack:
+
+        def started(where: str) -> FastDdsShim:
+            installation = stack_in("fastdds", where)
+            sources, options = fastdds_shim.program(installation)
+            command = stack.enter_context(compiled(installation, sources, *options))
+            with plugin(fastdds=installation) as found:
+                preload = {"LD_PRELOAD": str(found.folder / PRELOAD)}
+            return stack.enter_context(fastdds_shim.process(command, preload))
+
+        yield cache(started)
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Two participants with only their plugins; the messages between them are the test's."""
 
-import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -9,10 +8,11 @@ from pathlib import Path
 from tests.interop.cyclone import Meeting, Participant, Token
 from tests.interop.cyclone import participant as cyclone_participant
 from tests.interop.fastdds import participant as fastdds_participant
+from tests.interop.fastdds_shim import FastDdsShim
 
 DOMAIN = 0
 
-Plugins = Path | ctypes.CDLL
+Plugins = Path | FastDdsShim
 """The folder of Cyclone DDS's, or Fast DDS's behind the tests' shim."""
 Relay = Callable[[str, Token], Token]
 
@@ -71,7 +71,7 @@ def couple(*sides: tuple[Plugins, Path], announce: bool = True) -> Iterator[Coup
 
 @contextmanager
 def _ready(plugins: Plugins, enclave: Path) -> Iterator[tuple[Participant, Token]]:
-    start = fastdds_participant if isinstance(plugins, ctypes.CDLL) else cyclone_participant
+    start = cyclone_participant if isinstance(plugins, Path) else fastdds_participant
     with start(plugins, enclave) as one:
         credential, token = one.join(DOMAIN)
         one.show(credential, token)

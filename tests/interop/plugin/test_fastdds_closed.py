@@ -9,10 +9,8 @@ import re
 import shutil
 import stat
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,14 +20,11 @@ from pqsec_pki.plugin import AgentFolder, stop_agent
 from pqsec_pki.trial import (
     Act,
     Installation,
-    MissingStackError,
     Trial,
     TrialPlugin,
     TrialRole,
     built,
     credentialed,
-    find,
-    plugin,
     unauthenticated,
     unique_text,
 )
@@ -110,35 +105,27 @@ class Outcome:
         return self.code == 0 and "joined" in self.log.splitlines()
 
 
-@pytest.fixture(scope="module")
-def plugins(requires) -> Iterator[Callable[[str], tuple[Installation, TrialPlugin]]]:
-    """plugins("trixie") are the Fast DDS that is there, and our plugin for it."""
-    with ExitStack() as stack:
-
-        def of(where: str) -> tuple[Installation, TrialPlugin]:
-            try:
-                installation = find("fastdds", ROOTS[where])
-            except MissingStackError as error:
-                return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
-            return installation, stack.enter_context(plugin(fastdds=installation))
-
-        yield cache(of)
+@pytest.fixture
+def trial(request, stack_in, plugin_for, labs, now) -> Trial:
+    """In Debian 12, or where the parameter says."""
+    where = getattr(request, "param", "bookworm")
+    return Trial(
+        installation=stack_in("fastdds", where),
+        keystore=labs("pq").keystore,
+        timeout=LONGEST,
+        plugin=plugin_for(where),
+        now=now,
+    )
 
 
 @pytest.fixture
-def stage(request, plugins, labs, now, tmp_path) -> Stage:
-    """Of Debian 12, or of the parameter's."""
-    installation, ours = plugins(getattr(request, "param", "bookworm"))
-    lab = labs("pq")
-    trial = Trial(
-        installation=installation, keystore=lab.keystore, timeout=LONGEST, plugin=ours, now=now
-    )
+def stage(trial, tmp_path) -> Stage:
     role = credentialed(trial, "/lab/alice", Act.RECEIVE, tmp_path / "alice", unique_text())
     other = credentialed(trial, "/lab/bob", Act.SEND, tmp_path / "bob", unique_text())
-    return Stage(installation, ours, role, other, tmp_path)
+    return Stage(trial.installation, trial.plugin, role, other, tmp_path)
 
 
-EVERYWHERE = pytest.mark.parametrize("stage", ROOTS, indirect=True)
+EVERYWHERE = pytest.mark.parametrize("trial", ROOTS, indirect=True)
 
 
 @pytest.fixture
@@ -311,12 +298,12 @@ def privileged(tmp_path_factory, requires) -> Callable[[Path, str], str]:
 
 
 @pytest.fixture(scope="module")
-def linked(plugins, tmp_path_factory) -> list[str]:
+def linked(plugin_for, tmp_path_factory) -> list[str]:
     """The command of a peer that is linked with our library, before Fast DDS."""
     folder = tmp_path_factory.mktemp("linked")
     (folder / "peer.cpp").write_bytes(source("fastdds.cpp"))
     (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
-    library = plugins("bookworm")[1].folder / PRELOAD
+    library = plugin_for("bookworm").folder / PRELOAD
     first = f"-Wl,--no-as-needed,{library},--as-needed"
     words = ["g++", "-O0", first, "-o", "peer", "peer.cpp", "-lfastrtps"]
     subprocess.run(words, cwd=folder, check=True, capture_output=True)
@@ -393,13 +380,10 @@ MORE = " get_participant_guid set_event_resource"
 
 @pytest.mark.skipif(not LONG, reason="in .ci/long: it compiles the adapter once more")
 @pytest.mark.parametrize("more", ["", MORE], ids=["3.6.2", "3.2.5"])
-def test_the_adapter_for_later_versions_has_their_functions(requires, more):
+def test_the_adapter_for_later_versions_has_their_functions(stack_in, more):
     """They tell their plugins of a participant by a PropertyPolicy. They are not in a
     distribution, so it is compiled with the public headers of 3.1.2, and not run."""
-    try:
-        installation = find("fastdds", ROOTS["trixie"])
-    except MissingStackError as error:
-        requires(None, "Fast DDS 3", f".ci/trixie, or {error.hint}")
+    installation = stack_in("fastdds", "trixie")
     stack = replace(
         examine(installation.library.path, installation.root),
         by_properties=True,

@@ -1,15 +1,23 @@
 """Our plugin through the adapter for Fast DDS: with itself, with our plugin for Cyclone DDS, and
-with Fast DDS's own. The library calls it as a DomainParticipant would."""
+with Fast DDS's own. The library calls it as a DomainParticipant would, in a process of its own."""
 
 import pytest
 
 from tests.interop.conftest import LAB_PROFILES, STOCK
 from tests.interop.cyclone import RefusedError
 from tests.interop.fastdds import participant
+from tests.interop.fastdds_shim import FastDdsShim
 from tests.interop.plugin.couple import couple
 from tests.interop.plugin.test_plugin_handshake import FIELDS, STOCK_PEERS, flipped
+from tests.interop.roots import ROOTS
 
 pytestmark = pytest.mark.interop
+
+
+@pytest.fixture(params=ROOTS)
+def ours_in_fastdds(request, fastdds_with_ours) -> FastDdsShim:
+    """Of each version."""
+    return fastdds_with_ours(request.param)
 
 
 @pytest.mark.parametrize("profile", LAB_PROFILES)

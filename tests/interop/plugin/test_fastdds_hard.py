@@ -8,31 +8,25 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 
 from pqsec_pki.trial import (
-    MACHINE,
     Act,
     Installation,
-    MissingStackError,
-    TrialPlugin,
     TrialRole,
     TrialRun,
     TrialSetup,
     built,
     credentialed,
-    find,
-    plugin,
     run_peers,
     unique_text,
 )
-from pqsec_pki.trial.building import run_tool, source
+from pqsec_pki.trial.building import source
 from pqsec_pki.trial.network import alone
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.processes import PATIENCE
-from tests.interop.plugin.test_plugin_try import ROOTS
+from tests.interop.roots import ROOTS, compiled
 from tests.interop.trials import RECEIVER, SENDER, Case, Laboratory
 from tests.longer import LONG
 
@@ -44,23 +38,6 @@ CYCLES, MANY = (100, 6) if LONG else (10, 3)
 LONGEST = 5 * PATIENCE
 """Seconds; with loss, one pair took 4 and another 48."""
 PLACES = list(ROOTS) if LONG else ["bookworm"]
-
-
-@pytest.fixture(scope="module")
-def there(requires) -> Callable[[str], Installation]:
-    def of(where: str) -> Installation:
-        try:
-            return find("fastdds", ROOTS[where])
-        except MissingStackError as error:
-            return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
-
-    return of
-
-
-@pytest.fixture(scope="module")
-def ours(there) -> Iterator[Callable[[str], TrialPlugin]]:
-    with ExitStack() as stack:
-        yield cache(lambda where: stack.enter_context(plugin(fastdds=there(where))))
 
 
 @pytest.fixture(scope="module")
@@ -78,13 +55,13 @@ def lossy(compiler, tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def meeting(there, ours, laboratory) -> Callable[..., TrialRun]:
+def meeting(stack_in, plugin_for, laboratory) -> Callable[..., TrialRun]:
     """meeting(where, profile, preload) is what came of two with datagrams of 1400 bytes."""
 
     def run(where: str, profile: str, preload: str = "") -> TrialRun:
-        installation = there(where)
+        installation = stack_in("fastdds", where)
         trial = laboratory.trial(
-            installation, Case("", profile=profile), plugin=ours(where), timeout=LONGEST
+            installation, Case("", profile=profile), plugin=plugin_for(where), timeout=LONGEST
         )
         folder = trial.keystore.root.parent
         roles = [
@@ -124,36 +101,25 @@ def test_two_meet_where_one_datagram_in_ten_is_lost(meeting, lossy, where):
 
 
 @pytest.fixture(scope="module")
-def many(there) -> Iterator[Callable[[str], list[str]]]:
+def many(stack_in) -> Iterator[Callable[[str], list[str]]]:
     """many("trixie") is the command of fastdds_many.cpp there."""
     text = source("fastdds.cpp").replace(b"int main(", b"int peer_main(")
-    text += (HERE / "fastdds_many.cpp").read_bytes()
+    sources = {"fastdds.cpp": text + (HERE / "fastdds_many.cpp").read_bytes()}
     with ExitStack() as stack:
-
-        @cache
-        def made(where: str) -> list[str]:
-            installation = there(where)
-            parent = None if installation.root == MACHINE else installation.root / "tmp"
-            folder = Path(stack.enter_context(TemporaryDirectory(dir=parent)))
-            (folder / "fastdds.cpp").write_bytes(text)
-            (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
-            for command in installation.build.commands:
-                place = f"/{folder.relative_to(installation.root)}"
-                code, said = run_tool(command[0], installation.tool(command, place))
-                assert code == 0, said
-            return installation.peer(folder / "peer")
-
-        yield made
+        yield cache(
+            lambda where: stack.enter_context(compiled(stack_in("fastdds", where), sources))
+        )
 
 
 @pytest.fixture
-def run_alone(there, ours, laboratory, many) -> Callable[..., subprocess.CompletedProcess[str]]:
+def run_alone(
+    stack_in, plugin_for, laboratory, many
+) -> Callable[..., subprocess.CompletedProcess[str]]:
     """run_alone(where, "meet", 3) runs it in a network of its own."""
 
     def run(where: str, act: str, count: int) -> subprocess.CompletedProcess[str]:
-        trial = laboratory.trial(
-            there(where), Case("", profile="pq"), plugin=ours(where), timeout=PATIENCE
-        )
+        case, ours = Case("", profile="pq"), plugin_for(where)
+        trial = laboratory.trial(stack_in("fastdds", where), case, plugin=ours, timeout=PATIENCE)
         role = credentialed(trial, SENDER, Act.SEND, trial.keystore.root.parent, "")
         words = [*many(where), act, str(count), TOPIC, str(int(PATIENCE))]
         environment = os.environ | dict(role.environment)

@@ -60,10 +60,11 @@ def sanitized(fastdds_here, compiler, tmp_path_factory) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def installed(requires, fastdds_here, adapter, tmp_path_factory) -> list[str]:
+def installed(requires, fastdds_here, plugin_for, tmp_path_factory) -> list[str]:
     """The program under valgrind, with the adapter as it is installed."""
     valgrind = requires(shutil.which("valgrind"), "valgrind", "apt-get install valgrind")
     folder = tmp_path_factory.mktemp("installed")
+    adapter = plugin_for("bookworm").folder
     library = adapter / ADAPTER.format(fastdds_here.library.build_id)
     words = [*OF_2, "-o", "program", PROGRAM, library, f"-Wl,-rpath,{adapter}"]
     compiled("g++", *words, "-lfastrtps", "-lfastcdr", where=folder)

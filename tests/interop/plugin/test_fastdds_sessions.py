@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from functools import cache
 from threading import Thread
 
 import pytest
@@ -19,21 +18,16 @@ from pqsec_pki.certificates import Reason
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list, revoke
 from pqsec_pki.plugin import AgentFolder, agent_status
 from pqsec_pki.trial import (
-    MACHINE,
     Act,
-    Installation,
-    MissingStackError,
     Trial,
-    TrialPlugin,
     credentialed,
-    find,
-    plugin,
     unique_text,
 )
-from pqsec_pki.trial.building import run_tool, source
+from pqsec_pki.trial.building import source
 from pqsec_pki.trial.network import alone
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, Lab
-from tests.interop.plugin.test_plugin_try import AT_ONCE, ROOTS
+from tests.interop.plugin.test_plugin_try import AT_ONCE
+from tests.interop.roots import ROOTS, compiled
 from tests.interop.trials import RECEIVER, SENDER
 from tests.longer import LONG
 
@@ -96,47 +90,21 @@ def wait(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:
 
 
 @pytest.fixture(scope="module")
-def there(requires) -> Callable[[str], Installation]:
-    def of(where: str) -> Installation:
-        try:
-            return find("fastdds", ROOTS[where])
-        except MissingStackError as error:
-            return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
-
-    return of
-
-
-@pytest.fixture(scope="module")
-def lasting(there) -> Iterator[Callable[[str], list[str]]]:
+def lasting(stack_in) -> Iterator[Callable[[str], list[str]]]:
     """lasting("trixie") is the command of a peer that receives until its time is over."""
     text = source("fastdds.cpp")
     line = b'      say("received " + text);\n'
     once = line + b"      return;\n"
     assert once in text
+    sources = {"fastdds.cpp": text.replace(once, line)}
     with ExitStack() as stack:
-        made = {}
-        for where in ROOTS:
-            installation = there(where)
-            parent = None if installation.root == MACHINE else installation.root / "tmp"
-            folder = Path(stack.enter_context(TemporaryDirectory(dir=parent)))
-            (folder / "fastdds.cpp").write_bytes(text.replace(once, line))
-            (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
-            place = f"/{folder.relative_to(installation.root)}"
-            for command in installation.build.commands:
-                code, said = run_tool(command[0], installation.tool(command, place))
-                assert code == 0, said
-            made[where] = installation.peer(folder / "peer")
-        yield made.__getitem__
+        yield cache(
+            lambda where: stack.enter_context(compiled(stack_in("fastdds", where), sources))
+        )
 
 
 @pytest.fixture(scope="module")
-def plugins(there) -> Iterator[dict[str, TrialPlugin]]:
-    with ExitStack() as stack:
-        yield {where: stack.enter_context(plugin(fastdds=there(where))) for where in ROOTS}
-
-
-@pytest.fixture(scope="module")
-def session(there, plugins, lasting, tmp_path_factory):
+def session(stack_in, plugin_for, lasting, tmp_path_factory):
     """session(where, sending, change, until) is what a receiver heard of a sender until then."""
 
     def run(where, sending, how, during):
@@ -153,15 +121,21 @@ def session(there, plugins, lasting, tmp_path_factory):
         commands = []
         for name, act, place in ((SENDER, Act.SEND, sending), (RECEIVER, Act.RECEIVE, where)):
             trial = Trial(
-                installation=there(place), keystore=lab.keystore, timeout=PATIENCE,
-                plugin=plugins[place], now=now,
-            )  # fmt: skip
+                installation=stack_in("fastdds", place),
+                keystore=lab.keystore,
+                timeout=PATIENCE,
+                plugin=plugin_for(place),
+                now=now,
+            )
             text = unique_text() if act is Act.SEND else ""
             role = credentialed(trial, name, act, folder, text)
             words = [*lasting(place), act.value, "5", TOPIC, text, str(2 * PATIENCE)]
             commands.append((words, role.environment))
         return alone(lambda network: _watch(commands, lambda heard: during(lab, heard)))
 
+    for each in ROOTS:
+        plugin_for(each)
+        lasting(each)
     return run
 
 
@@ -236,14 +210,14 @@ def test_peers_of_two_versions_stay_connected(session, receiving):
 @pytest.mark.skipif(not LONG, reason="in .ci/long: it takes longer than Fast DDS waits for a peer")
 @pytest.mark.parametrize("where", ROOTS)
 def test_a_participant_announces_itself_also_while_the_agent_does_not_answer(
-    session, plugins, monkeypatch, where
+    session, plugin_for, monkeypatch, where
 ):
     """Who waits for the list of the revoked is not the thread that announces."""
     monkeypatch.setenv("PQSEC_AGENT_TIMEOUT", "120000")
     ends = []
 
     def during(lab, heard):
-        workers = agent_status(AgentFolder.of(plugins[where].environment)).workers
+        workers = agent_status(AgentFolder.of(plugin_for(where).environment)).workers
         assert workers
         for each in workers:
             os.kill(each, signal.SIGSTOP)

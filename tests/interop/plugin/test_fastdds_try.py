@@ -4,25 +4,20 @@ configures them. The circumstances are those of Cyclone DDS's."""
 import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 import pytest
 
 from pqsec_pki.trial import (
     Act,
     Installation,
-    MissingStackError,
     TopicRoute,
-    TrialPlugin,
     TrialReport,
     TrialRun,
     TrialSetup,
     built,
     credentialed,
-    find,
-    plugin,
     run_peers,
     run_trial,
     unauthenticated,
@@ -33,11 +28,11 @@ from tests.interop.plugin.processes import PATIENCE
 from tests.interop.plugin.test_plugin_try import (
     AT_ONCE,
     REFUSAL,
-    ROOTS,
     come_from_another_ca,
     logs,
     meet_stock_peers,
 )
+from tests.interop.roots import ROOTS
 from tests.interop.trials import (
     OTHER,
     RECEIVER,
@@ -105,44 +100,25 @@ REFUSED = {
 
 
 @pytest.fixture(scope="module")
-def there(requires) -> Callable[[str], Installation]:
-    """there("trixie") is the Fast DDS that is there."""
-
-    def of(where: str) -> Installation:
-        try:
-            return find("fastdds", ROOTS[where])
-        except MissingStackError as error:
-            return requires(None, f"Fast DDS of {where}", f".ci/trixie, or {error.hint}")
-
-    return of
-
-
-@pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
     return Laboratory.create(tmp_path_factory.mktemp("trials"), LAB_PROFILES, now)
 
 
 @pytest.fixture(scope="module")
-def ours(there) -> Iterator[Callable[[str], TrialPlugin]]:
-    """ours("trixie") is the plugin for the Fast DDS that is there, with an agent."""
-    with ExitStack() as stack:
-        yield cache(lambda where: stack.enter_context(plugin(fastdds=there(where))))
-
-
-@pytest.fixture(scope="module")
-def reports(there, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
+def reports(stack_in, laboratory, plugin_for) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
 
     def run(where: str, case: Case, sender: str, stock: tuple[str, ...], **how) -> TrialReport:
-        trial = laboratory.trial(there(where), case, plugin=ours(where), stock=stock, **how)
+        installation, ours = stack_in("fastdds", where), plugin_for(where)
+        trial = laboratory.trial(installation, case, plugin=ours, stock=stock, **how)
         receiver = RECEIVER if sender == SENDER else SENDER
         return run_trial(
             trial, TopicRoute(sender=sender, receiver=receiver, domain=0, topic=case.topic)
         )
 
     for where in ROOTS:
-        built(there(where))
-        ours(where)
+        built(stack_in("fastdds", where))
+        plugin_for(where)
     with ThreadPoolExecutor(AT_ONCE) as pool:
         found: dict[str, Future[TrialReport]] = {}
         for name, (where, case, stock) in MET.items():
@@ -183,17 +159,17 @@ class Meeting:
     receiving: str
     sender: str
 
-    def run(self, found, laboratory: Laboratory, ours) -> TrialRun:
+    def run(self, found, laboratory: Laboratory, plugin_for) -> TrialRun:
         first, second = found(self.sending), found(self.receiving)
         receiver = next(each for each in (SENDER, RECEIVER) if each != self.sender)
         trial = laboratory.trial(
             first,
             Case("", profile="pq"),
             receiving=second,
-            plugin=ours(self.sending.split()[1]),
+            plugin=plugin_for(self.sending.split()[1]),
             timeout=PATIENCE,
         )
-        others = replace(trial, plugin=ours(self.receiving.split()[1]))
+        others = replace(trial, plugin=plugin_for(self.receiving.split()[1]))
         folder = trial.keystore.root.parent
         roles = [
             credentialed(trial, self.sender, Act.SEND, folder, unique_text()),
@@ -222,23 +198,18 @@ MIXED = [
 
 
 @pytest.fixture(scope="module")
-def meetings(requires, laboratory, ours) -> Iterator[Callable[[Meeting], TrialRun]]:
+def meetings(stack_in, laboratory, plugin_for) -> Iterator[Callable[[Meeting], TrialRun]]:
     """What came of a meeting; several run at once."""
 
-    @cache
     def found(name: str) -> Installation:
-        stack, where = name.split()
-        try:
-            return find(stack, ROOTS[where])
-        except MissingStackError as error:
-            return requires(None, f"{stack} of {where}", f".ci/trixie, or {error.hint}")
+        return stack_in(*name.split())
 
     for meeting in MIXED:
         for each in (meeting.sending, meeting.receiving):
             built(found(each))
-            ours(each.split()[1])
+            plugin_for(each.split()[1])
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        began = {each: pool.submit(each.run, found, laboratory, ours) for each in MIXED}
+        began = {each: pool.submit(each.run, found, laboratory, plugin_for) for each in MIXED}
         yield lambda meeting: began[meeting].result()
 
 

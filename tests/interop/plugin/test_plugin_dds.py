@@ -15,6 +15,7 @@ from pqsec_pki.trial import MissingStackError, TrialRole, find, unauthenticated
 from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins
 from tests.interop.conftest import LAB_PROFILES, TOPIC
 from tests.interop.plugin.processes import DOMAIN, REFUSAL, Stage, logs, met
+from tests.interop.roots import TRIXIE
 
 pytestmark = pytest.mark.interop
 
@@ -22,7 +23,6 @@ OURS, OWN_AC, CYCLONES = "ours ours", "ours cyclones", "cyclones cyclones"
 STOCK_PEERS = 'peers = "stock"\n'
 NO_HANG = 300.0
 """Seconds for a process that has to end by itself within three."""
-TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
 HOST = Path(__file__).with_name("gil_host.py")
 
 
@@ -60,12 +60,9 @@ def test_data_flows_after_messages_of_the_second_version_alone(stage, labs, sett
 
 
 @pytest.mark.parametrize("profile", ["transition", "pq"])
-def test_the_same_library_runs_in_a_newer_cyclone(requires, shim, labs, tmp_path, profile):
+def test_the_same_library_runs_in_a_newer_cyclone(stack_in, shim, labs, tmp_path, profile):
     """Debian trixie's 0.10.5, in a root file system of its own."""
-    try:
-        newer = find("cyclonedds", TRIXIE)
-    except MissingStackError as error:
-        requires(None, "Cyclone DDS in Debian trixie", f"run .ci/trixie ({error})")
+    newer = stack_in("cyclonedds", "trixie")
     stage = Stage(newer, shim, find_cyclone_plugins(TRIXIE), tmp_path)
     went = stage.run_peers(stage.sender(labs(profile).alice), stage.receiver(labs(profile).bob))
     assert met(went), logs(went)

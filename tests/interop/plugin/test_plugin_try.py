@@ -19,11 +19,8 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status
 from pqsec_pki.stacks import stack_named
 from pqsec_pki.trial import (
-    MACHINE,
     Act,
     AgentError,
-    Installation,
-    MissingStackError,
     TopicRoute,
     Trial,
     TrialPlugin,
@@ -31,7 +28,6 @@ from pqsec_pki.trial import (
     TrialSetup,
     built,
     credentialed,
-    find,
     plugin,
     run_peers,
     run_trial,
@@ -40,6 +36,7 @@ from pqsec_pki.trial import (
 from pqsec_pki.vendors import Options, export
 from tests.interop.conftest import LAB_PROFILES, TOPIC, Lab
 from tests.interop.plugin.processes import PATIENCE
+from tests.interop.roots import ROOTS, TRIXIE
 from tests.interop.trials import (
     OTHER,
     RECEIVER,
@@ -57,8 +54,6 @@ pytestmark = pytest.mark.interop
 AT_ONCE = 3 if os.geteuid() == 0 else 1
 """Most of what they do is waiting. Who is not root has but one network for all."""
 REFUSAL = 5.0
-TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
-ROOTS = {"bookworm": MACHINE, "trixie": TRIXIE}
 
 
 def meet_stock_peers(lab, root, now):
@@ -97,19 +92,6 @@ REFUSED = {
 
 
 @pytest.fixture(scope="module")
-def there(requires) -> Callable[[str], Installation]:
-    """there("trixie") is the Cyclone DDS that is there."""
-
-    def of(where: str) -> Installation:
-        try:
-            return find("cyclonedds", ROOTS[where])
-        except MissingStackError as error:
-            return requires(None, f"Cyclone DDS of {where}", f".ci/trixie, or {error.hint}")
-
-    return of
-
-
-@pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
     return Laboratory.create(tmp_path_factory.mktemp("trials"), LAB_PROFILES, now)
 
@@ -122,17 +104,18 @@ def ours(compiler) -> Iterator[TrialPlugin]:
 
 
 @pytest.fixture(scope="module")
-def reports(there, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
+def reports(stack_in, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
 
     def run(where: str, case: Case, stock: tuple[str, ...], **how) -> TrialReport:
-        trial = laboratory.trial(there(where), case, plugin=ours, stock=stock, **how)
+        installation = stack_in("cyclonedds", where)
+        trial = laboratory.trial(installation, case, plugin=ours, stock=stock, **how)
         return run_trial(
             trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
         )
 
     for where in ROOTS:
-        built(there(where))
+        built(stack_in("cyclonedds", where))
     with ThreadPoolExecutor(AT_ONCE) as pool:
         found: dict[str, Future[TrialReport]] = {}
         for name, (where, case, stock) in MET.items():
@@ -170,10 +153,10 @@ def test_nothing_passes_and_it_is_said_why(reports, name):
 
 
 def test_the_script_for_ros_2_puts_the_plugin_in_the_place_of_cyclones_own(
-    there, laboratory, ours, requires
+    stack_in, laboratory, ours, requires
 ):
     """Its variables, read in twice by a shell; the libraries are named as rmw_cyclonedds does."""
-    cyclone = there("bookworm")
+    cyclone = stack_in("cyclonedds", "bookworm")
     trial = laboratory.trial(cyclone, Case("", profile="pq"), timeout=PATIENCE, plugin=ours)
     roles = []
     for name, act, text in ((SENDER, Act.SEND, unique_text()), (RECEIVER, Act.RECEIVE, "")):
@@ -214,9 +197,9 @@ def _sourced(script: str, role) -> dict[str, str]:
 
 
 @pytest.fixture
-def shared(there) -> Iterator[Path]:
+def shared(stack_in) -> Iterator[Path]:
     """A folder that has the same path outside of trixie's root file system and inside of it."""
-    there("trixie")
+    stack_in("cyclonedds", "trixie")
     inside = Path(tempfile.mkdtemp(prefix="pqsec-shared-", dir=TRIXIE / "tmp"))
     outside = Path("/tmp", inside.name)
     outside.symlink_to(inside)
@@ -226,9 +209,9 @@ def shared(there) -> Iterator[Path]:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may change its root folder")
-def test_a_process_in_another_root_asks_the_agent_outside(there, labs, ours, shared, now):
+def test_a_process_in_another_root_asks_the_agent_outside(stack_in, labs, ours, shared, now):
     """All that it has of pqsec is the library; files and the socket are shared."""
-    newer = there("trixie")
+    newer = stack_in("cyclonedds", "trixie")
     own = shared / "cyclone" / newer.plugins.name
     shutil.copytree(newer.plugins, own)  # the same path leads to them outside and inside
     shutil.copy(newer.library.path, own.parent)
@@ -255,8 +238,8 @@ def test_a_process_in_another_root_asks_the_agent_outside(there, labs, ours, sha
     assert went.outcomes[1].received == roles[0].text, went.outcomes
 
 
-def test_the_users_own_agent_is_left_alone(laboratory, there, compiler, tmp_path, monkeypatch):
-    cyclone = there("bookworm")
+def test_the_users_own_agent_is_left_alone(laboratory, stack_in, compiler, tmp_path, monkeypatch):
+    cyclone = stack_in("cyclonedds", "bookworm")
     runtime = tmp_path / "run"
     runtime.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
@@ -303,9 +286,9 @@ def _agents(parent: int) -> list[int]:
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_a_trial_that_is_stopped_leaves_no_agent(laboratory, there, how):
+def test_a_trial_that_is_stopped_leaves_no_agent(laboratory, stack_in, how):
     case = Case("", profile="pq", alter=come_from_another_ca)
-    trial = laboratory.trial(there("bookworm"), case, timeout=PATIENCE)
+    trial = laboratory.trial(stack_in("cyclonedds", "bookworm"), case, timeout=PATIENCE)
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "pqsec_pki", "-k", str(trial.keystore.root)),
