@@ -40,12 +40,19 @@ class Shim:
         return self.place.log.read_text() if self.place.log.exists() else ""
 
     def kill_agent(self, process: int = 0) -> None:
-        """Kill the agent, or the one that is meant, and see it gone."""
+        """Kill the agent, or the one that is meant, with its workers, and see them gone."""
         process = process or self.wait_for_agent()
-        with suppress(ProcessLookupError):
-            os.kill(process, signal.SIGKILL)
-        while _runs(process):
+        them = [process, *_children(process)]
+        for each in them:
+            with suppress(ProcessLookupError):
+                os.kill(each, signal.SIGKILL)
+        while any(map(_runs, them)):
             time.sleep(0.01)
+
+
+def _children(process: int) -> list[int]:
+    path = Path(f"/proc/{process}/task/{process}/children")
+    return list(map(int, path.read_text().split())) if path.exists() else []
 
 
 def _runs(process: int) -> bool:

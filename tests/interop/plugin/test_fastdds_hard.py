@@ -96,8 +96,9 @@ def test_two_meet_in_datagrams_of_1400_bytes(meeting, where, profile):
 @pytest.mark.parametrize("where", ROOTS)
 def test_two_meet_where_one_datagram_in_ten_is_lost(meeting, lossy, where):
     went = meeting(where, "pq", f":{lossy}")
-    assert not any(each.signal or each.refused for each in went.outcomes)
-    assert went.outcomes[1].received == went.outcomes[0].role.text, went.outcomes[1].log
+    log = "\n".join(each.log for each in went.outcomes)
+    assert not any(each.signal or each.refused for each in went.outcomes), log
+    assert went.outcomes[1].received == went.outcomes[0].role.text, log
 
 
 @pytest.fixture(scope="module")
