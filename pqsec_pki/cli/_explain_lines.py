@@ -7,40 +7,6 @@ from pqsec_pki.documents import ros
 from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Use
 
 
-def value_of(policy_input: PolicyInput, found: list[DomainsAnswer]) -> dict[str, object]:
-    """The answers for one topic, for --json."""
-    question = found[0].question
-    return {
-        "participant": policy_input.who,
-        "subject": question.subject,
-        "action": question.action.value,
-        "topic": question.topic,
-        "partitions": question.partitions,
-        "data_tags": list(map("=".join, question.data_tags)),
-        "at": question.now,
-        "verified": policy_input.governance.verified and policy_input.permissions.verified,
-        **found[0].to_json(policy_input),
-        "elsewhere": [each.to_json(policy_input) for each in found[1:]],
-    }
-
-
-def right_value(found: RightAnswer) -> dict[str, object]:
-    """The answers for all topics of a right, for --json; `ros` is the topic in words of ROS 2."""
-    return {
-        "participant": found.policy_input.who,
-        "right": found.right.words,
-        "allowed": found.allowed,
-        "topics": [
-            {
-                **value_of(found.policy_input, each.answers),
-                "rule_topic": each.topic,
-                "ros": None if each.topic is None else ros.said(each.topic),
-            }
-            for each in found.uses
-        ],
-    }
-
-
 def right_lines(found: RightAnswer) -> Iterator[str]:
     """One line for each topic that is allowed; of the others also the reason."""
     word = "YES" if found.allowed else "NO"

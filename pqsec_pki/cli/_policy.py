@@ -1,20 +1,17 @@
 """Shared by commands with policies: read and write documents, find grants by name."""
 
-from collections.abc import Callable, Container
+from collections.abc import Container
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Protocol, TypeVar
 
 import click
 
 from pqsec_pki import _files, documents
-from pqsec_pki._assets import asset
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import DomainSet, Grant, lasting
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.lifecycle import ParticipantSpec
-from pqsec_pki.smime import document_in, is_signed
 
 
 def output_options(command: _settings.Command) -> _settings.Command:
@@ -27,6 +24,15 @@ def output_options(command: _settings.Command) -> _settings.Command:
     ):
         command = option(command)
     return command
+
+
+validity_option = click.option(
+    "--validity",
+    type=_settings.Duration(),
+    default="1y",
+    show_default=True,
+    help="Grant the rights for this long: 1y, 26w, 90d or 12h.",
+)
 
 
 def put(document: bytes, output: Path | None, *, force: bool) -> None:
@@ -44,94 +50,6 @@ def duration_text(duration: timedelta) -> str:
     """The duration in YAML, such as 90d or 12h."""
     hours = int(duration / timedelta(hours=1))
     return f"{hours}h" if hours % 24 else f"{hours // 24}d"
-
-
-class PolicyValue(Protocol):
-    """A governance or permissions value."""
-
-    def to_xml(self) -> bytes:
-        """The XML document that stacks read."""
-
-
-Value = TypeVar("Value", bound=PolicyValue)
-
-
-def add_commands(
-    group: click.Group,
-    from_yaml: Callable[[bytes], Value],
-    to_yaml: Callable[[Value], bytes],
-    from_xml: Callable[[bytes], Value],
-    *,
-    warn: Callable[[Value], None] = lambda _: None,
-) -> None:
-    """Add the commands that both kinds of documents have: render, read and schema."""
-
-    @group.command(
-        examples={
-            "Write the XML": f"pqsec {group.name} render {group.name}.yaml -o {group.name}.xml",
-        },
-        exit_codes={
-            0: "the XML is written",
-            1: "FILE is not valid",
-            3: "a file cannot be read or written",
-        },
-    )
-    @click.argument("file", type=_settings.FILE)
-    @output_options
-    @_settings.command_options
-    def render(file: Path, output: Path | None, *, force: bool) -> None:
-        """Convert YAML to the XML that DDS stacks read.
-
-        Every mistake in FILE is reported with its line, and nothing is written then. Sign the
-        result with `pqsec sign-governance` or `pqsec sign-permissions`.
-        """
-        data = _files.read(file)
-        with located(file):
-            value = from_yaml(data)
-            document = value.to_xml()
-        warn(value)
-        put(document, output, force=force)
-
-    @group.command(
-        examples={
-            "Read a signed document": f"pqsec {group.name} read {group.name}.p7s",
-        },
-        exit_codes={
-            0: "the YAML is written",
-            1: "the document is not valid",
-            3: "a file cannot be read or written",
-        },
-    )
-    @click.argument("file", type=_settings.FILE)
-    @output_options
-    @_settings.command_options
-    def read(file: Path, output: Path | None, *, force: bool) -> None:
-        """Convert a document, signed or not, to YAML.
-
-        Signatures are not checked: use `pqsec verify`.
-        """
-        data = _files.read(file)
-        with located(file):
-            document = to_yaml(from_xml(document_in(data) if is_signed(data) else data))
-        put(document, output, force=force)
-
-    @group.command(
-        examples={
-            "Write the schema for an editor": (
-                f"pqsec {group.name} schema -o {group.name}.schema.json"
-            ),
-        },
-        exit_codes={
-            0: "the schema is written",
-            3: "the file exists, or cannot be written",
-        },
-    )
-    @output_options
-    @_settings.command_options
-    def schema(output: Path | None, *, force: bool) -> None:
-        """Write the JSON Schema of the YAML, for editors."""
-        text = asset("schemas", f"{group.name}.schema.json").read_bytes()
-        put(text, output, force=force)
 
 
 UNNAMED = "/"

@@ -98,28 +98,38 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
     desired, now = read_domain(file), _settings.now()
     keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
-    done = list[Step]()
-    if found.steps and not check:
-        if yes:
-            if not revoke_most:
-                refuse_mass_revocation(desired, found)
-        else:
+    changes, done = bool(found.steps) and not check, list[Step]()
+    if changes:
+        if not yes:
             _ask(found, desired)
-        if keystore and found.changes_profile:
-            passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
-            keystore = change_profile(desired, keystore, found, passphrase=passphrase, now=now)
-            done = [*found.steps]
-        else:
-            keystore, authorities = _opened(desired, keystore, passphrase_file, none=no_passphrase)
-            bundles = _BundleWriter(desired, keystore, found, folder)
-            done = _apply_steps(desired, keystore, authorities, found, bundles)
+        elif not revoke_most:
+            refuse_mass_revocation(desired, found)
+        passphrases = _CaPassphrases(passphrase_file, none=no_passphrase)
+        keystore, done = _made(desired, keystore, found, passphrases, folder)
     written = _BundleWriter(desired, keystore, found, folder).fill(len(done)) if keystore else []
-    if keystore and (written or (found.steps and not check)):
+    if keystore and (written or changes):
         _report(found, done, keystore, written)
     else:
         show(found, desired)
     if found.blocked or (check and found.steps):
         click.get_current_context().exit(1)
+
+
+def _made(
+    desired: Desired,
+    keystore: Keystore | None,
+    found: Plan,
+    passphrases: "_CaPassphrases",
+    folder: Path | None,
+) -> tuple[Keystore, list[Step]]:
+    """Make the changes: the keystore, created if it does not exist, and the steps made."""
+    if keystore and found.changes_profile:
+        passphrase, now = passphrases.new(), _settings.now()
+        changed = change_profile(desired, keystore, found, passphrase=passphrase, now=now)
+        return changed, [*found.steps]
+    keystore, authorities = passphrases.opened(desired, keystore)
+    bundles = _BundleWriter(desired, keystore, found, folder)
+    return keystore, _apply_steps(desired, keystore, authorities, found, bundles)
 
 
 def _ask(found: Plan, desired: Desired) -> None:
@@ -131,18 +141,28 @@ def _ask(found: Plan, desired: Desired) -> None:
     )
 
 
-def _opened(
-    desired: Desired, keystore: Keystore | None, passphrase_file: Path | None, *, none: bool
-) -> tuple[Keystore, Authorities]:
-    """The keystore, created if it does not exist, and its CAs."""
-    if keystore:
-        return keystore, _passphrases.unlock(keystore, passphrase_file)
-    path = _settings.keystore_path()
-    passphrase = _passphrases.new(passphrase_file, none=none)
-    keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
-    if none:
-        _printing.note(f"the CA keys in {path / 'private'} are not encrypted: protect that folder")
-    return keystore, keystore.unlock(passphrase)
+@dataclass(frozen=True, slots=True)
+class _CaPassphrases:
+    """The passphrases of CA keys, old and new."""
+
+    file: Path | None
+    none: bool
+
+    def new(self) -> bytes | None:
+        """For new CAs; None if their keys are left unencrypted."""
+        return _passphrases.new(self.file, none=self.none)
+
+    def opened(self, desired: Desired, keystore: Keystore | None) -> tuple[Keystore, Authorities]:
+        """The keystore, created if it does not exist, and its CAs."""
+        if keystore:
+            return keystore, _passphrases.unlock(keystore, self.file)
+        path, passphrase = _settings.keystore_path(), self.new()
+        keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
+        if self.none:
+            _printing.note(
+                f"the CA keys in {path / 'private'} are not encrypted: protect that folder"
+            )
+        return keystore, keystore.unlock(passphrase)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """pqsec bundle: write what one robot needs from a keystore into one file."""
 
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -9,7 +9,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
 from pqsec_pki.cli._names import admitted, named
-from pqsec_pki.enrolment import Bundle, bundle_path, refuse_plain_keys, write_bundle
+from pqsec_pki.enrolment import Bundle, BundleFile, bundle_path, write_bundles
 from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore import (
     BundleNumbers,
@@ -103,30 +103,33 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     alone = not wanted or (outdated and not output)
     together = [[name] for name in wanted] if alone else [wanted]
     paths = [output or bundle_path(folder or Path(), _common(each)) for each in together]
-    now, recipient = _settings.now(), _bundles.recipient(seal_for)
-    numbers = BundleNumbers.of(keystore)
-    bundles = [
-        Bundle.of(keystore, each, now=now, keys=not no_keys, numbers=numbers) for each in together
+    recipient = _bundles.recipient(seal_for)
+    files = [
+        BundleFile(made, path, recipient, plain_key)
+        for made, path in zip(_made(keystore, together, keys=not no_keys), paths, strict=True)
     ]
-    for made, path in zip(bundles, paths, strict=True):  # all or none
-        if not plain_key:
-            refuse_plain_keys(made, recipient)
-        if not force:
-            _files.refuse_existing(path)
-    for made, path in zip(bundles, paths, strict=True):
-        write_bundle(made, path, recipient, force=force, plain_key=plain_key)
-        if made.has_keys and plain_key:
+    write_bundles(files, force=force)
+    _print(files, outdated=outdated)
+
+
+def _made(keystore: Keystore, together: list[list[str]], *, keys: bool) -> Iterator[Bundle]:
+    now, numbers = _settings.now(), BundleNumbers.of(keystore)
+    for names in together:
+        yield Bundle.of(keystore, names, now=now, keys=keys, numbers=numbers)
+
+
+def _print(files: Sequence[BundleFile], *, outdated: bool) -> None:
+    for each in files:
+        if each.has_plain_keys:
             _printing.note(
-                f"{path} has private keys without encryption: anybody with the file can read them"
+                f"{each.path} has private keys without encryption: anybody with the file can read"
+                " them"
             )
-    values = [
-        _value(*each, sealed=seal_for is not None) for each in zip(bundles, paths, strict=True)
-    ]
-    lines = [f"{', '.join(made.names)}  {path}" for made, path in zip(bundles, paths, strict=True)]
+    lines = [f"{', '.join(each.bundle.names)}  {each.path}" for each in files]
     if outdated:
-        _printing.emit({"bundles": values}, lines or ["every robot runs what it should"])
+        _printing.emit({"bundles": files}, lines or ["every robot runs what it should"])
     else:
-        _printing.emit(values[0], lines)
+        _printing.emit(files[0].to_json(), lines)
 
 
 def _common(names: Sequence[str]) -> str:
@@ -145,17 +148,6 @@ def _refuse_keys(seal_for: Path | None, *, named: bool, plain_key: bool, no_keys
         )
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")
-
-
-def _value(made: Bundle, path: Path, *, sealed: bool) -> dict[str, object]:
-    return {
-        "bundle": path,
-        "names": made.names,
-        "number": made.number,
-        "keys": made.has_keys,
-        "sealed": sealed,
-        "ca_sha256": made.fingerprints,
-    }
 
 
 def _outdated(keystore: Keystore, names: Sequence[str]) -> list[str]:

@@ -1,7 +1,6 @@
 """pqsec explain: show whether a participant may do something, and why."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from pqsec_pki.access import (
     topics_named,
 )
 from pqsec_pki.cli import _completion, _explain_asked, _help, _printing, _settings
-from pqsec_pki.cli._explain_lines import lines_of, right_lines, right_value, value_of
+from pqsec_pki.cli._explain_lines import lines_of, right_lines
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import parse_subject, ros
@@ -26,7 +25,6 @@ from pqsec_pki.keystore import is_several
 from pqsec_pki.policy import (
     NamedRight,
     PolicyInput,
-    RightAnswer,
     Use,
     answer_right,
     governance_in,
@@ -133,25 +131,12 @@ def explain(name: str | None, stack: str | None, **asked: Any) -> int:
         if _settings.settings().json:
             _printing.emit({"allowed": False, "problems": error.lines}, [])
         raise
-    found = _answer(policy_input, right, asked_of, stack, everywhere=everywhere)
+    found = answer_right(policy_input, right, asked_of, stack, everywhere=everywhere)
     if len(found.uses) > 1:
-        value = {"allowed": found.allowed, "answers": [right_value(found)]}
-        _printing.emit(value, right_lines(found))
-        return 0 if found.allowed else 1
-    _print_one(policy_input, found.uses[0])
+        _printing.emit({"allowed": found.allowed, "answers": [found]}, right_lines(found))
+    else:
+        _print_one(policy_input, found.uses[0])
     return 0 if found.allowed else 1
-
-
-def _answer(
-    policy_input: PolicyInput,
-    right: NamedRight,
-    question: Question,
-    stack: str | None,
-    *,
-    everywhere: bool,
-) -> RightAnswer:
-    own = replace(question, subject=policy_input.subject)
-    return answer_right(policy_input, right, own, stack, everywhere=everywhere)
 
 
 def _participants(given: str | None) -> list[str | None]:
@@ -180,9 +165,9 @@ def _of_several(
             values.append({"participant": name, "allowed": False, "problems": error.lines})
             lines += [f"NO    {name}: {printable(line)}" for line in error.lines]
             continue
-        found = _answer(policy_input, right, question, stack, everywhere=everywhere)
+        found = answer_right(policy_input, right, question, stack, everywhere=everywhere)
         all_may = all_may and found.allowed
-        values.append(right_value(found))
+        values.append(found.to_json())
         lines += right_lines(found)
     _printing.emit({"allowed": all_may, "answers": values}, lines)
     return 0 if all_may else 1
@@ -193,7 +178,7 @@ def _print_one(policy_input: PolicyInput, use: Use) -> None:
     if use.topic is not None and use.topic != answers[0].question.topic:
         _printing.note(f"{printable(use.topic)} is a pattern: the answer is for one such topic")
     lines = (line for each in answers for line in lines_of(policy_input, each))
-    _printing.emit(value_of(policy_input, answers), lines)
+    _printing.emit(use.to_json(policy_input), lines)
     question = answers[0].question
     if not answers[0].allowed and question.topic:
         _note_similar_topic(policy_input, question.action, question.topic)

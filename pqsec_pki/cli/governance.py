@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _help, _policy, _printing, _settings
+from pqsec_pki.cli._document_commands import DocumentCommands
 from pqsec_pki.documents import (
     PRESETS,
     DomainSet,
@@ -89,6 +90,9 @@ def _warn(value: Governance) -> None:
             )
 
 
-_policy.add_commands(
-    governance, governance_from_yaml, governance_to_yaml, Governance.from_xml, warn=_warn
-)
+DocumentCommands(
+    from_yaml=governance_from_yaml,
+    to_yaml=governance_to_yaml,
+    from_xml=Governance.from_xml,
+    warn=_warn,
+).add_to(governance)

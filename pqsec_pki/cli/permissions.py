@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _help, _permissions_learn, _policy, _printing, _settings
+from pqsec_pki.cli._document_commands import DocumentCommands
 from pqsec_pki.documents import (
     DomainSet,
     Permissions,
@@ -17,6 +18,14 @@ from pqsec_pki.documents import (
     sros2,
 )
 from pqsec_pki.errors import UsageError, meant
+
+_domains_option = click.option(
+    "--domain",
+    "domains",
+    default="0",
+    show_default=True,
+    help="Allow these DDS domains: 0, or 0-3, or 0,5.",
+)
 
 
 @_help.group()
@@ -38,20 +47,8 @@ def permissions() -> None:
     },
 )
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
-@click.option(
-    "--domain",
-    "domains",
-    default="0",
-    show_default=True,
-    help="Allow these DDS domains: 0, or 0-3, or 0,5.",
-)
-@click.option(
-    "--validity",
-    type=_settings.Duration(),
-    default="1y",
-    show_default=True,
-    help="Grant the rights for this long: 1y, 26w, 90d or 12h.",
-)
+@_domains_option
+@_policy.validity_option
 @click.option(
     "--dds", is_flag=True, help="Write DDS topics only, for participants that are not ROS 2 nodes."
 )
@@ -96,20 +93,8 @@ def new(  # noqa: PLR0913 -- one for each option, by name
 @click.option(
     "--enclave", "wanted", multiple=True, metavar="PATH", help="Import only this enclave."
 )
-@click.option(
-    "--domain",
-    "domains",
-    default="0",
-    show_default=True,
-    help="Allow these DDS domains: 0, or 0-3, or 0,5.",
-)
-@click.option(
-    "--validity",
-    type=_settings.Duration(),
-    default="1y",
-    show_default=True,
-    help="Grant the rights for this long: 1y, 26w, 90d or 12h.",
-)
+@_domains_option
+@_policy.validity_option
 @click.option(
     "--complete", is_flag=True, help="Add the topics that ROS 2 Jazzy nodes need to start."
 )
@@ -181,10 +166,9 @@ def _warn(enclaves: tuple[sros2.PolicyProfiles, ...]) -> None:
             )
 
 
-_permissions_learn.add_command(permissions)
-_policy.add_commands(
-    permissions,
-    lambda data: permissions_from_yaml(data, now=_settings.now()),
-    permissions_to_yaml,
-    Permissions.from_xml,
-)
+permissions.add_command(_permissions_learn.learn)
+DocumentCommands(
+    from_yaml=lambda data: permissions_from_yaml(data, now=_settings.now()),
+    to_yaml=permissions_to_yaml,
+    from_xml=Permissions.from_xml,
+).add_to(permissions)

@@ -10,16 +10,11 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
+    from pqsec_pki.enrolment.bundle_file import BundleFile, write_bundles
     from pqsec_pki.enrolment.credential_store import InstalledSet
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
     from pqsec_pki.enrolment.installing import Installed, install, removed_alone, rollback
-    from pqsec_pki.enrolment.issuing import (
-        IssuedBundle,
-        bundle_paths,
-        issue_with_bundles,
-        refuse_plain_keys,
-        write_bundle,
-    )
+    from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
     from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
     from pqsec_pki.enrolment.outbox import refresh
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
@@ -37,6 +32,7 @@ __all__ = [
     "NAMELESS",
     "Accepted",
     "Bundle",
+    "BundleFile",
     "ImportedReceipt",
     "Installed",
     "InstalledSet",
@@ -63,7 +59,6 @@ __all__ = [
     "pins_of",
     "read_receipts",
     "refresh",
-    "refuse_plain_keys",
     "removed_alone",
     "request",
     "requests",
@@ -73,5 +68,5 @@ __all__ = [
     "sign",
     "validate_csrs",
     "verify_bundle",
-    "write_bundle",
+    "write_bundles",
 ]

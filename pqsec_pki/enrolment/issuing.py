@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pqsec_pki import _files
 from pqsec_pki.algorithms import SealingPublicKey
-from pqsec_pki.enrolment.bundle import Bundle, bundle_path, save
-from pqsec_pki.enrolment.sealed import seal
+from pqsec_pki.enrolment.bundle import Bundle, bundle_path
+from pqsec_pki.enrolment.bundle_file import BundleFile
 from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, issue
@@ -57,7 +57,7 @@ def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by n
     for each, path in zip(issued, paths, strict=True):
         bundle = Bundle.of(keystore, [each.name], now=now, numbers=numbers)
         try:
-            write_bundle(bundle, path, recipient, force=force)
+            BundleFile(bundle, path, recipient).write(force=force)
         except FileError as error:
             error.hint = f"{each.name} is issued: write its bundle with `pqsec bundle {each.name}`"
             raise
@@ -71,32 +71,3 @@ def bundle_paths(names: Iterable[str], folder: Path, *, force: bool = False) -> 
         for path in paths:
             _files.refuse_existing(path)
     return paths
-
-
-def refuse_plain_keys(bundle: Bundle, recipient: SealingPublicKey | None) -> None:
-    """UsageError if the bundle has private keys, and no recipient to encrypt it for."""
-    if bundle.has_keys and not recipient:
-        raise UsageError(
-            f"the bundle has private keys of {', '.join(bundle.names)}",
-            hint="encrypt it for its robot: --seal-for FILE; or use --plain-key and protect it",
-        )
-
-
-def write_bundle(
-    bundle: Bundle,
-    path: Path,
-    recipient: SealingPublicKey | None = None,
-    *,
-    plain_key: bool = False,
-    force: bool = False,
-) -> None:
-    """Write the bundle, sealed if there is a recipient.
-
-    UsageError if it has private keys, and neither a recipient nor `plain_key` is given. Other
-    errors as in `save`.
-    """
-    if not plain_key:
-        refuse_plain_keys(bundle, recipient)
-    data = bundle.to_bytes()
-    data = seal(data, recipient) if recipient else data
-    save(path, data, private=bundle.has_keys, force=force)

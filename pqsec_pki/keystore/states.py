@@ -139,23 +139,17 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
     `due` is as in `State.at`. KeystoreError for a damaged ledger.
     """
     authority = keystore.identity_ca.fingerprint
-    compromised = compromised_keys_in(keystore.root, ledger)
+    compromised = compromised_keys_in(keystore.root, ledger).keys()
     for row in ledger.participants(names):
         name, sha256, serial, at, end, issuer, requests, profile, domains, keys, *others = row
         digest, permissions, line, revoked = others
         made_at, not_after = _times(name, at, end)
         files = compare(name, sha256, permissions)
         previous = issuer not in {"", authority}
-        state = State.at(now, made_at, not_after, due)
-        if files is Files.GONE:
-            state = State.GONE
-        elif revoked:
-            state = State.REVOKED
-        elif previous:
-            state = State.PREVIOUS_CA
+        by_time = State.at(now, made_at, not_after, due)
         yield ParticipantState(
             name=name,
-            state=state,
+            state=_state(by_time, files, revoked=bool(revoked), previous=previous),
             sha256=sha256,
             serial=serial,
             made_at=made_at,
@@ -166,12 +160,20 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
             requested=requests > 0,
             revoked=bool(revoked),
             issued_by_previous_ca=previous,
-            compromised=not compromised.keys().isdisjoint(keys.split()),
+            compromised=not compromised.isdisjoint(keys.split()),
             config_digest=intern(digest),  # thousands share one
             permissions=permissions,
             permissions_line=line,
             files=files,
         )
+
+
+def _state(by_time: State, files: Files, *, revoked: bool, previous: bool) -> State:
+    if files is Files.GONE:
+        return State.GONE
+    if revoked:
+        return State.REVOKED
+    return State.PREVIOUS_CA if previous else by_time
 
 
 def _times(name: str, *texts: str) -> list[datetime]:

@@ -6,6 +6,7 @@
     recording       reads files of either kind, names participants and merges them
     proposing       the permissions that allow what was seen
     comparing       the differences to the permissions in a keystore
+    learned         all of these as one value
 
 What was seen is not proof of what is needed, and whoever is in an unsecured domain can pretend
 to be any participant: a proposal is for people to review.
@@ -16,7 +17,8 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.learning.comparing import Comparison, Learned, compare
+    from pqsec_pki.learning.comparing import Comparison, Comparisons, compare
+    from pqsec_pki.learning.learned import Learned, learn
     from pqsec_pki.learning.proposing import Proposal, Proposed, document_of, propose
     from pqsec_pki.learning.recording import Recording, read_recordings
     from pqsec_pki.learning.seen import Endpoint, NotProposed, SeenParticipant, UnreadLine
@@ -25,6 +27,7 @@ else:
 
 __all__ = [
     "Comparison",
+    "Comparisons",
     "Endpoint",
     "Learned",
     "NotProposed",
@@ -35,6 +38,7 @@ __all__ = [
     "UnreadLine",
     "compare",
     "document_of",
+    "learn",
     "propose",
     "read_recordings",
 ]

@@ -27,7 +27,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
+class Comparisons:
     """All comparisons."""
 
     comparisons: tuple[Comparison, ...]
@@ -40,7 +40,7 @@ class Learned:
         return not any(each.not_granted for each in self.comparisons)
 
 
-def compare(keystore: Keystore, proposals: Sequence[Proposal], *, now: datetime) -> Learned:
+def compare(keystore: Keystore, proposals: Sequence[Proposal], *, now: datetime) -> Comparisons:
     """Compare each proposal with the participant's permissions. Signatures are not checked.
 
     Validity is not compared. FileError if a permissions document cannot be read.
@@ -48,7 +48,7 @@ def compare(keystore: Keystore, proposals: Sequence[Proposal], *, now: datetime)
     names = set(keystore.names())
     comparisons = tuple(_compared(keystore, each, names, now) for each in proposals)
     never = names - {each.name for each in proposals}
-    return Learned(comparisons, tuple(sorted(never)))
+    return Comparisons(comparisons, tuple(sorted(never)))
 
 
 def _compared(keystore: Keystore, proposal: Proposal, names: set[str], now: datetime) -> Comparison:

@@ -13,6 +13,7 @@ from pqsec_pki.access import (
     topics_asked,
     topics_named,
 )
+from pqsec_pki.documents import ros
 from pqsec_pki.policy.answers import DomainsAnswer, answer_of, answers_by_domain
 from pqsec_pki.policy.participants import PolicyInput
 
@@ -34,6 +35,23 @@ class Use:
     topic: str | None
     """As the rules have it: a pattern is answered with a sample, the question's topic."""
     answers: list[DomainsAnswer]
+
+    def to_json(self, policy_input: PolicyInput) -> dict[str, object]:
+        """The answers: first what decides, then those of other domains."""
+        first, *others = self.answers
+        question = first.question
+        return {
+            "participant": policy_input.who,
+            "subject": question.subject,
+            "action": question.action.value,
+            "topic": question.topic,
+            "partitions": question.partitions,
+            "data_tags": list(map("=".join, question.data_tags)),
+            "at": question.now,
+            "verified": policy_input.governance.verified and policy_input.permissions.verified,
+            **first.to_json(policy_input),
+            "elsewhere": [each.to_json(policy_input) for each in others],
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +75,22 @@ class RightAnswer:
         )
         return list(dict.fromkeys(found))
 
+    def to_json(self) -> dict[str, object]:
+        """The answers for all topics; `ros` is the topic in words of ROS 2."""
+        return {
+            "participant": self.policy_input.who,
+            "right": self.right.words,
+            "allowed": self.allowed,
+            "topics": [
+                {
+                    **each.to_json(self.policy_input),
+                    "rule_topic": each.topic,
+                    "ros": None if each.topic is None else ros.said(each.topic),
+                }
+                for each in self.uses
+            ],
+        }
+
 
 def answer_right(
     policy_input: PolicyInput,
@@ -66,12 +100,13 @@ def answer_right(
     *,
     everywhere: bool,
 ) -> RightAnswer:
-    """The answer for all topics of the right; `question` has the subject, domain, time and tags.
+    """The answer for all topics of the right; `question` has the domain, time and tags.
 
     A pattern is all topics and patterns of the participant's rules that it matches; if it matches
     none, one topic of its own. `stack` and `everywhere` as in `answers_by_domain`.
     """
-    asked = list(_questions(policy_input, right, question))
+    own = replace(question, subject=policy_input.subject)
+    asked = list(_questions(policy_input, right, own))
     uses = [
         Use(topic, answers_by_domain(policy_input, each, stack, everywhere=everywhere))
         for topic, each in asked

@@ -61,50 +61,49 @@ def export(enclave: StackEnclave, options: Options) -> Export:
             "a header is not a place for a passphrase",
             hint=f"leave --password-file out, and set {PASSWORD_VARIABLE} for the process",
         )
-    here = _installed(options)
-    release = options.release or (here.release if here else ())
-    problem = _unprotectable(enclave, release)
-    certain = len(release) >= len(PROTECTS_RTPS)
-    if problem and certain and not options.anyway:
-        raise VerificationError(problem, hint=_WAY_OUT)
-    warnings = [problem] if problem else []
-    if release != RUN:
-        warnings += [_NOT_RUN]
-    notes = password_note(enclave, options)
     properties, directive = standard_properties(enclave), None
+    warnings = _warnings(enclave, options)
     if options.plugin:
         directive = _directive(options.plugin)
-        notes += (
-            own_plugin.NOTE,
-            _UNMODIFIED.format(options.plugin.absolute() / OPENDDS_LINK.parent),
-        )
         if enclave.has_crl:
             properties[_CRL] = enclave.uri(REVOCATION_LIST)
-            warnings += [_STAYS]
-    else:
-        notes += (_WRONG,) if enclave.key_is_encrypted else ()
-        if enclave.has_crl:
-            warnings += [_NO_LIST]
+    header = render(
+        "opendds.h",
+        enclave=enclave,
+        properties=properties,
+        directive=directive,
+        password_variable=PASSWORD_VARIABLE if enclave.key_is_encrypted else None,
+    )
     return Export(
         stack=Stack.OPENDDS,
         participant=enclave.name,
-        files={
-            INI: render("opendds.ini"),
-            HEADER: render(
-                "opendds.h",
-                enclave=enclave,
-                properties=properties,
-                directive=directive,
-                password_variable=PASSWORD_VARIABLE if enclave.key_is_encrypted else None,
-            ),
-        },
+        files={INI: render("opendds.ini"), HEADER: header},
         steps=(
             f"# in your program: #include <{HEADER}> (-I {FOLDER}) and pqsec::secure(qos)",
             f"your_program -DCPSConfigFile {FOLDER}/{INI}",
         ),
-        notes=notes,
-        warnings=tuple(warnings),
+        notes=(*password_note(enclave, options), *_notes(enclave, options)),
+        warnings=warnings,
     )
+
+
+def _warnings(enclave: StackEnclave, options: Options) -> tuple[str, ...]:
+    """What that OpenDDS cannot do; VerificationError if it would create no participant."""
+    here = _installed(options)
+    release = options.release or (here.release if here else ())
+    problem = _unprotectable(enclave, release)
+    if problem and len(release) >= len(PROTECTS_RTPS) and not options.anyway:
+        raise VerificationError(problem, hint=_WAY_OUT)
+    unread = _STAYS if options.plugin else _NO_LIST
+    found = (problem, _NOT_RUN if release != RUN else "", unread if enclave.has_crl else "")
+    return tuple(filter(None, found))
+
+
+def _notes(enclave: StackEnclave, options: Options) -> tuple[str, ...]:
+    if options.plugin:
+        first = options.plugin.absolute() / OPENDDS_LINK.parent
+        return own_plugin.NOTE, _UNMODIFIED.format(first)
+    return (_WRONG,) if enclave.key_is_encrypted else ()
 
 
 def _installed(options: Options) -> InstalledOpenDds | None:
