@@ -31,9 +31,18 @@ constexpr Prefix PREFIXES[] = {
 
 constexpr char SECURITY[] = "dds.sec.", LOGGING[] = "dds.sec.log.";
 
+// How often Fast DDS sends a handshake message again, which it decides itself.
+constexpr const char* RESENDING[] = {
+    "dds.sec.auth.builtin.PKI-DH.max_handshake_requests",
+    "dds.sec.auth.builtin.PKI-DH.initial_handshake_resend_period",
+    "dds.sec.auth.builtin.PKI-DH.handshake_resend_period_gain",
+};
+
 bool is_of_the_stack(const std::string& name) {
   for (const auto& each : PLUGINS)
     if (name == each.property) return true;
+  for (const auto* each : RESENDING)
+    if (name == each) return true;
   return begins(name, LOGGING);
 }
 

@@ -101,6 +101,16 @@ def test_a_participant_does_what_it_is_granted_and_is_told_why_not(ours_in_fastd
                 one.check(f"check_create_{what}", 200, "rt/chatter")
 
 
+def test_how_often_fast_dds_sends_again_is_its_own_affair(ours_in_fastdds, labs):
+    resending = {
+        "max_handshake_requests": "100",
+        "initial_handshake_resend_period": "250",
+        "handshake_resend_period_gain": "1.1",
+    }
+    with participant(ours_in_fastdds, labs("pq").alice, **resending) as one:
+        one.join(0)
+
+
 @pytest.mark.parametrize("name", ["preferred_key_agreement", "ocsp"])
 def test_a_property_that_is_not_understood_is_refused(ours_in_fastdds, labs, name):
     with (
