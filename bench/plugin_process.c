@@ -1,4 +1,4 @@
-/* A participant of Cyclone DDS for bench/plugin.py: what it takes to be made, and to be matched.
+/* A participant of Cyclone DDS for bench/plugin_process.py: what it takes to be made, and to be matched.
  *
  * usage: host write|read DOMAIN COUNT SECONDS
  *

@@ -1,9 +1,9 @@
 """How long a first sample takes in three stacks with the plugin, against their own in the same run.
 
 Real processes on the loopback, started together: each loads its credentials, finds the other,
-shakes hands and matches, and then the reader gets a sample. Medians of rounds in turn.
-Run: python bench/stacks.py [ROUNDS]. It takes what `pqsec try` does; OpenDDS is among them if
-PQSEC_OPENDDS_ROOT names a build of it (ACE_ROOT and TAO_ROOT as for the build).
+shakes hands and matches, and then the reader gets a sample. Medians of rounds in turn. It takes
+what `pqsec try` does; OpenDDS is among them if PQSEC_OPENDDS_ROOT names a build of it (ACE_ROOT and
+TAO_ROOT as for the build).
 """
 
 import os
@@ -17,8 +17,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # tests/ has what runs OpenDDS
 
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.plugin import AgentFolder, stop_agent
@@ -151,8 +149,7 @@ def stacks(folder: Path) -> Iterator[tuple[str, Meeting]]:
             print(f"OpenDDS: {VARIABLE} names no build of it")
 
 
-def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+def measure(rounds: int) -> None:
     with tempfile.TemporaryDirectory(prefix="pqsec-") as name:
         folder, os.environ["XDG_RUNTIME_DIR"] = Path(name), name
         for profile in PROFILES:
@@ -164,7 +161,3 @@ def main() -> None:
             print(("{:<22} " + "{:>16} " * 5).format(title, *cells), flush=True)
     print("seconds from the start of both processes to the first sample; in brackets, against the")
     print("stack's own plugins with classical keys")
-
-
-if __name__ == "__main__":
-    main()
