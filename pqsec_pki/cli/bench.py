@@ -1,13 +1,11 @@
 """pqsec bench: measure the handshake of suites, in memory or in a real stack."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, SIGNATURES, profile_named
 from pqsec_pki.benchmark import (
     CSV_COLUMNS,
@@ -21,13 +19,13 @@ from pqsec_pki.benchmark import (
     measured_rounds,
     meshes_drawn,
     percentile,
-    refuse_without_library,
     suites_drawn,
     suites_of,
 )
 from pqsec_pki.cli import (
     _bench_bar,
     _bench_hosts,
+    _bench_plots,
     _completion,
     _formats,
     _help,
@@ -154,7 +152,7 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
         _refuse_with_stack(
             signatures or None, agreements or None, every or None, warm_up, fragment, version
         )
-        with _plots(plot, MESH_PLOTS, force=force) as draw:
+        with _bench_plots.plots(plot, MESH_PLOTS, force=force) as draw:
             rows, complete = _bench_hosts.run(
                 stack, profiles, rounds or _bench_hosts.ROUNDS, form, hosts
             )
@@ -173,7 +171,7 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     suites = tuple(each.in_version(_wire_version.version_of(wire_version)) for each in suites)
     rounds, warm_up = rounds or _ROUNDS, _WARM_UP if warm_up is None else warm_up
     fragment = fragment or _FRAGMENT
-    with _plots(plot, (SUITES,), force=force) as draw:
+    with _bench_plots.plots(plot, (SUITES,), force=force) as draw:
         environment = Environment.here(_settings.now())
         found = _measured(suites, rounds, warm_up)
         complete = len(found) == len(suites) and all(len(each.rounds) == rounds for each in found)
@@ -209,38 +207,6 @@ def _refuse_with_stack(*given: object) -> None:
             f"{unfit[0]} is for handshakes in memory",
             hint="with --stack choose keys by --profile: hosts need a keystore",
         )
-
-
-@contextmanager
-def _plots(
-    folder: Path | None, names: Sequence[str], *, force: bool
-) -> Iterator[Callable[[Callable[[], Mapping[str, bytes]]], None]]:
-    """What writes plots into the folder, which is there before anything is measured.
-
-    PqsecError without the library, ExistsError for a plot that is there already.
-    """
-    if folder is None:
-        yield lambda _: None
-        return
-    refuse_without_library()
-    for name in names:
-        if not force:
-            refuse_existing(folder / name)
-    is_new = not folder.exists()
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    try:
-        yield lambda drawn: _write(folder, drawn(), force=force)
-    except BaseException:
-        if is_new:
-            with suppress(OSError):  # something is in it
-                folder.rmdir()
-        raise
-
-
-def _write(folder: Path, drawn: Mapping[str, bytes], *, force: bool) -> None:
-    for name, content in drawn.items():
-        write(folder / name, content, force=force)
 
 
 def _ended(complete: bool) -> int:  # noqa: FBT001 -- said by its name

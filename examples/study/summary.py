@@ -1,0 +1,218 @@
+"""Tables and plots of the study's results, with confidence intervals.
+
+Run: python summary.py RESULTS, the folder that study.py filled. It prints Markdown, and writes
+plots beside the results. study.py ends with it.
+
+Medians have intervals by order statistics, without an assumption about the distribution: of n runs,
+the interval from the k-th to the (n-k+1)-th has a coverage of 1 - 2 P(B < k), B binomial with n and
+1/2. The narrowest with at least 95 % is told; if even the whole range has less, the range with its
+own coverage.
+"""
+
+import argparse
+import csv
+import gzip
+import json
+from collections import defaultdict
+from math import comb
+from pathlib import Path
+from statistics import median
+
+from pqsec_pki.benchmark import meshes_drawn, suites_drawn
+
+LEVEL = 0.95
+
+
+def coverage(n, k):
+    """Of the interval between the k-th and the k-th last of n values, for the median."""
+    return 1 - 2 * sum(comb(n, each) for each in range(k)) / 2**n
+
+
+def interval(values):
+    """(low, high, coverage) of the median."""
+    n, ordered = len(values), sorted(values)
+    k = max((k for k in range(1, n // 2 + 1) if coverage(n, k) >= LEVEL), default=1)
+    return ordered[k - 1], ordered[n - k], coverage(n, k) if n > 1 else 0.0
+
+
+def told(values, missing=0):
+    """`0.52 [0.48, 0.61]`, and how many runs did not end; these count as later than all others."""
+    if not values:
+        return "none" if missing else ""
+    values = [*values, *[float("inf")] * missing]
+    low, high, share = interval(values)
+    middle = median(values)
+    text = f"{number(middle)} [{number(low)}, {number(high)}]"
+    return text if share >= LEVEL else f"{text} ({share:.0%})"
+
+
+def number(value):
+    return "-" if value == float("inf") else f"{value:.3g}"
+
+
+def read(folder, part):
+    """The rows of all stacks, and (case, run) -> its measures."""
+    rows, runs = [], defaultdict(dict)
+    for path in sorted(folder.glob(f"{part}-*.csv.gz")):
+        with gzip.open(path, "rt") as file:
+            rows += csv.DictReader(file)
+    for row in rows:
+        if row["run"] and not row["host"]:
+            kind = (row["plugins"], row["profile"])
+            case = (row["stack"], kind, int(row["hosts"]), float(row["loss"]), int(row["mtu"]))
+            runs[case, int(row["run"])][row["measure"]] = float(row["value"] or "nan")
+    cases = defaultdict(list)
+    for (case, _), measures in sorted(runs.items()):
+        cases[case].append(measures)
+    return rows, cases
+
+
+def seconds(runs):
+    """The time to full mesh of the runs that got there."""
+    full = [each["full_s"] for each in runs if each["full_s"] == each["full_s"]]
+    return told(full, len(runs) - len(full))
+
+
+def table(head, lines):
+    yield "| " + " | ".join(head) + " |"
+    yield "|" + "---|" * len(head)
+    for line in lines:
+        yield "| " + " | ".join(line) + " |"
+    yield ""
+
+
+def name(kind):
+    plugins, profile = kind
+    return {"none": "unsecured", "stock": f"{profile}, the stack's own"}.get(plugins, profile)
+
+
+def of_losses(cases, stack, mtu):
+    """A line for each kind of participants, a column for each loss."""
+    mine = {case: runs for case, runs in cases.items() if case[0] == stack and case[4] == mtu}
+    losses = sorted({case[3] for case in mine})
+    kinds = sorted({case[1] for case in mine}, key=KINDS.index)
+    head = ["Participants", *(f"{loss:.0%} loss" for loss in losses), "runs"]
+    lines = []
+    for kind in kinds:
+        found = [mine.get((stack, kind, 2, loss, mtu), []) for loss in losses]
+        count = max(map(len, found))
+        lines.append([name(kind), *(seconds(runs) for runs in found), str(count)])
+    return table(head, lines)
+
+
+KINDS = [
+    ("none", ""),
+    ("stock", "classical"),
+    *(("pqsec", each) for each in ("classical", "transition", "hybrid", "pq", "cnsa2")),
+]
+
+
+def of_costs(cases):
+    """What a pair costs without loss."""
+    head = [
+        "Stack",
+        "Participants",
+        "datagrams",
+        "kB on the wire",
+        "hosts, ms",
+        "agent, ms",
+        "repeats",
+    ]
+    lines = []
+    for (stack, kind, hosts, loss, mtu), runs in sorted(cases.items(), key=order):
+        if (hosts, loss, mtu) == (2, 0.0, 1500):
+            lines.append(
+                [
+                    stack,
+                    name(kind),
+                    number(median(each["datagrams"] for each in runs)),
+                    number(median(each["frame_bytes"] for each in runs) / 1000),
+                    number(1000 * median(each["hosts_cpu_s"] for each in runs)),
+                    number(1000 * median(each["agent_cpu_s"] for each in runs)),
+                    number(median(each["handshake_repeats"] for each in runs)),
+                ]
+            )
+    return table(head, lines)
+
+
+def order(item):
+    stack, kind, *rest = item[0]
+    return stack, KINDS.index(kind), *rest
+
+
+def of_hosts(cases):
+    head = [
+        *("Stack", "Participants", "hosts", "loss", "full mesh, s", "complete", "processor, s"),
+        *("datagrams", "handshake messages", "repeats", "samples lost"),
+    ]
+    lines = []
+    for (stack, kind, hosts, loss, _), runs in sorted(cases.items(), key=order):
+        lost = [
+            each["samples_lost"] for each in runs if each["samples_lost"] == each["samples_lost"]
+        ]
+        lines.append(
+            [
+                *(stack, name(kind), str(hosts), f"{loss:.0%}", seconds(runs)),
+                " ".join(f"{each['complete']:.0f}/{hosts}" for each in runs),
+                number(median(each["hosts_cpu_s"] + each["agent_cpu_s"] for each in runs)),
+                number(median(each["datagrams"] for each in runs)),
+                number(median(each["handshake_messages"] for each in runs)),
+                number(median(each["handshake_repeats"] for each in runs)),
+                " ".join(f"{each:.0f}" for each in lost),
+            ]
+        )
+    return table(head, lines)
+
+
+def of_suites(suites):
+    head = ["Profile", "initiator, ms", "responder, ms", "both, p95", "messages, bytes"]
+    return table(
+        head,
+        (
+            [
+                each["profile"],
+                *(number(each["cpu_ms"][side]["p50"]) for side in ("initiator", "responder")),
+                number(each["cpu_ms"]["handshake"]["p95"]),
+                "/".join(map(str, each["token_bytes"])),
+            ]
+            for each in suites
+        ),
+    )
+
+
+def summarize(folder):
+    """The lines of all tables; plots are written into the folder."""
+    suites = folder / "suites.json.gz"
+    if suites.exists():
+        with gzip.open(suites, "rt") as file:
+            found = json.load(file)["suites"]
+        yield from ["## Suites in memory", "", *of_suites(found)]
+        draw(folder, "", suites_drawn(found))
+    rows, pairs = read(folder, "pairs")
+    for stack, mtu in sorted({(case[0], case[4]) for case in pairs}):
+        yield from [f"## Two hosts, {stack}, MTU {mtu}", "", *of_losses(pairs, stack, mtu)]
+    if pairs:
+        yield from ["## Costs of two hosts", "", *of_costs(pairs)]
+        draw(folder, "pairs-", meshes_drawn(rows))
+    rows, many = read(folder, "hosts")
+    if many:
+        yield from ["## Many hosts", "", *of_hosts(many)]
+        draw(folder, "hosts-", meshes_drawn(rows))
+    loads = [each["load"] for runs in (*pairs.values(), *many.values()) for each in runs]
+    if loads:
+        yield f"Load before the runs: median {number(median(loads))}, at most {number(max(loads))}."
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0], allow_abbrev=False)
+    parser.add_argument("results", type=Path)
+    print("\n".join(summarize(parser.parse_args().results)))
+
+
+def draw(folder, prefix, drawn):
+    for file, content in drawn.items():
+        (folder / f"{prefix}{file}").write_bytes(content)
+
+
+if __name__ == "__main__":
+    main()
