@@ -11,8 +11,8 @@ import select
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from pqsec_pki._owners import user
 from pqsec_pki.errors import ExistsError, FileError, MissingError
@@ -23,6 +23,8 @@ MAX_FILE = 8 << 20
 PIPE_PATIENCE = 5.0
 """Seconds to wait for a writer of a pipe; a writer may take any time."""
 
+_PIECE = 1 << 16
+"""Bytes that are read at once beyond the size that the system tells: that of a pipe is 0."""
 _KINDS = {
     errno.EEXIST: ExistsError,
     errno.ENOENT: MissingError,
@@ -42,7 +44,7 @@ def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
     A pipe is read to its end, and refused if it gets no writer within PIPE_PATIENCE.
     """
     try:
-        with open(path, "rb", opener=_without_waiting) as file:
+        with open(path, "rb", buffering=0, opener=_without_waiting) as file:
             return _all_of(file, path, limit)
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
@@ -57,7 +59,7 @@ def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) 
     flags = 0 if follow else os.O_NOFOLLOW
     try:
         with open(
-            path, "rb", opener=lambda path, mode: _without_waiting(path, mode | flags)
+            path, "rb", buffering=0, opener=lambda path, mode: _without_waiting(path, mode | flags)
         ) as file:
             place = Path(f"/proc/self/fd/{file.fileno()}").readlink()  # opened once, so no race
             if not place.is_relative_to(root.resolve()):
@@ -70,33 +72,34 @@ def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) 
         raise _refused(path, error) from error
 
 
-def _all_of(file: BinaryIO, path: Path, limit: int) -> bytes:
-    size = os.fstat(file.fileno()).st_size  # 0 for a pipe; `read` takes memory for what it is asked
-    data = _begin(file)
-    data += file.read(min(size, limit) + 1 - len(data))
-    if size < len(data) <= limit:
-        data += file.read(limit + 1 - len(data))
-    if len(data) > limit:
+def _all_of(file: FileIO, path: Path, limit: int) -> bytes:
+    found = os.fstat(file.fileno())
+    pieces = [_begin(file) if stat.S_ISFIFO(found.st_mode) else b""]
+    if not stat.S_ISREG(found.st_mode):
+        os.set_blocking(file.fileno(), True)
+    size, most = len(pieces[0]), found.st_size + 1  # `read` takes memory for what it is asked
+    while size <= limit and (piece := file.read(min(most, limit + 1 - size))):
+        pieces.append(piece)
+        size, most = size + len(piece), _PIECE
+    if size > limit:
         raise FileError(f"larger than {limit} bytes, so it cannot be the expected file", where=path)
-    return data
+    return b"".join(pieces)
 
 
 def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)
 
 
-def _begin(file: BinaryIO) -> bytes:
-    """The first byte of a pipe, once there is one; b"" for a file. Makes `file` blocking."""
-    handle, byte = file.fileno(), b""
-    if stat.S_ISFIFO(os.fstat(handle).st_mode):
-        waiting = select.poll()
-        waiting.register(handle, select.POLLIN)
-        came = waiting.poll(PIPE_PATIENCE * 1000)
-        with suppress(BlockingIOError):  # there is a writer; it may take any time
-            byte = os.read(handle, 1)
-            if not (byte or came):
-                raise TimeoutError(errno.ETIMEDOUT, "a pipe without a writer")
-    os.set_blocking(handle, True)
+def _begin(pipe: FileIO) -> bytes:
+    """The first byte of a pipe, once there is one."""
+    handle, byte = pipe.fileno(), b""
+    waiting = select.poll()
+    waiting.register(handle, select.POLLIN)
+    came = waiting.poll(PIPE_PATIENCE * 1000)
+    with suppress(BlockingIOError):  # there is a writer; it may take any time
+        byte = os.read(handle, 1)
+        if not (byte or came):
+            raise TimeoutError(errno.ETIMEDOUT, "a pipe without a writer")
     return byte
 
 

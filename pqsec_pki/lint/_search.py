@@ -132,7 +132,7 @@ class Search:
     def _looked_at(self, folder: Path, names: list[str]) -> Iterator[tuple[str, os.stat_result]]:
         for name in filter(_RELEVANT.search, names):
             try:
-                yield name, (folder / name).lstat()
+                yield name, os.lstat(f"{folder}/{name}")
             except OSError as error:
                 self._unlisted(error)
 
