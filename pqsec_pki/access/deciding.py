@@ -45,6 +45,9 @@ class InterpretedPolicy:
         default_factory=dict, init=False, repr=False
     )
 
+    _names: set[str] = field(default_factory=set, init=False, repr=False)
+    """Subjects that are names."""
+
     def __post_init__(self) -> None:
         self._flaw = self.interpretation.flaw(self.governance, self.permissions)
 
@@ -88,7 +91,9 @@ class InterpretedPolicy:
         """None if no question is allowed: the documents have a flaw, or no grant is for it."""
         key = question.subject, question.domain, question.now
         if key not in self._found:
-            parse_subject(question.subject)
+            if question.subject not in self._names:
+                parse_subject(question.subject)
+                self._names.add(question.subject)
             self._found[key] = ((), None) if self._flaw else self._find(question)
         rules, grant = self._found[key]
         if grant is None:

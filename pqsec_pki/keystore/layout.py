@@ -14,6 +14,7 @@ enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
 import os
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 from pqsec_pki import credentials
@@ -56,6 +57,7 @@ _RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")
 """Names like those of files in enclave folders: a folder with such a name could replace one."""
 
 
+@lru_cache(maxsize=64)
 def enclave_name(text: str) -> str:
     """`text` as an enclave path: absolute, with single slashes.
 

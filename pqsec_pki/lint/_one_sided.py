@@ -32,14 +32,16 @@ def _in_keystore(
     enclaves: Iterable["EnclaveFolder"],
 ) -> Iterator[tuple[PermissionsFile, Alone]]:
     documents: dict[str, PermissionsFile] = {}
-    known = []
+    known, governed = [], set[Path]()
     for enclave in enclaves:
         permissions, governance = enclave.permissions(), enclave.governance()
         if not (permissions and permissions.permissions and governance and governance.governance):
             return
         documents[enclave.name] = permissions
         known.append(rights_of(enclave.name, permissions.grants))
-        known.append(open_rights(governance.governance))
+        if governance.path not in governed:  # enclaves share it
+            governed.add(governance.path)
+            known.append(open_rights(governance.governance))
     rights = list(dict.fromkeys(right for each in known for right in each))
     asked = (right for right in rights if right.owner in documents)
     for found in without_counterpart(asked, rights):
