@@ -4,9 +4,11 @@ Codes are stable and documented. Messages may be reworded at any time, so code m
 parse them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from typing import Self
+
+from pqsec_pki._dataclass import dataclass
 
 
 class Code(StrEnum):

@@ -3,11 +3,11 @@
 A stack can be exported for, run, simulated or interpreted if the room for that has a row for it.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import groupby
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError
 
 

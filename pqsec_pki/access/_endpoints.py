@@ -1,8 +1,9 @@
 """The sets of partitions, or of data tags, of an endpoint that suffice to compare policies."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+from pqsec_pki._dataclass import dataclass
 
 Item = TypeVar("Item")
 

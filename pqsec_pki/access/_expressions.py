@@ -15,8 +15,8 @@ by then, an allow_rule does not match, and a deny_rule does.
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._brackets import ANY
 from pqsec_pki.access._patterns import LONGEST, Compiled, compiled, read
 

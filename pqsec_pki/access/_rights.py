@@ -1,11 +1,12 @@
 """Everything that some grants allow their subject, as `decide` answers."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
 from typing import Any, TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._checks import met
 from pqsec_pki.access._criteria import named_partitions
 from pqsec_pki.access._domains import domains_said, stretches

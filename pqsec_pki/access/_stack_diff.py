@@ -1,10 +1,11 @@
 """Changes for a stack only: its answers differ, but those of the standard are the same."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice, product
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._rights import World
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation

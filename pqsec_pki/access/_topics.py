@@ -1,9 +1,9 @@
 """Sets of topics, or of partitions, expressed with the patterns of the documents."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._witnesses import is_wildcard, witnesses
 

@@ -7,10 +7,10 @@ patterns; its states are sets of places in the patterns.
 
 import re
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass
 from string import ascii_letters, digits
 from typing import TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._patterns import bits, compiled
 
 MAX_WORK = 2_000_000

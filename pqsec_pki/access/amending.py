@@ -6,8 +6,9 @@ if no other rule still allows it: otherwise nothing is changed, and the error na
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._expressions import Budget, meets, within
 from pqsec_pki.access.question import Action
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, PermissionRule

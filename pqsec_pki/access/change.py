@@ -1,8 +1,8 @@
 """The changes from one policy to another, as values and as text."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._topics import Topics
 from pqsec_pki.access.question import Action
 

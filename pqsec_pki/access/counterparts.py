@@ -6,10 +6,10 @@ as overlapping. What ROS 2 gives every node, used or not, is left out.
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard

@@ -1,9 +1,10 @@
 """Decide a question by governance and permissions."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access.decision import Decision, Protection, no
 from pqsec_pki.access.interpretation import Check, EvaluationContext, Interpretation, Viewpoint
 from pqsec_pki.access.interpretations import SPEC

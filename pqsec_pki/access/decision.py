@@ -1,8 +1,8 @@
 """The answer to a question about access."""
 
-from dataclasses import dataclass
 from typing import Self, TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import (
     Criteria,
     DomainRule,

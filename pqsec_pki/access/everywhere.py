@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 -- callers use it
 from pqsec_pki.access._domains import domains_said as domains_said  # noqa: PLC0414 -- likewise
 from pqsec_pki.access._domains import stretches

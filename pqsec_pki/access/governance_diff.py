@@ -1,9 +1,9 @@
 """The protection that a change of governance makes stronger and weaker."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._domains import domains_said, stretches
 from pqsec_pki.access._topics import Universe
 from pqsec_pki.access.change import Change, Difference, Sense

@@ -1,11 +1,12 @@
 """What an interpretation of the documents consists of, and what a check receives."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from typing import TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._expressions import Budget
 from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access._subjects import IsFor

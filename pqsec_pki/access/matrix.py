@@ -1,9 +1,9 @@
 """Who may publish and subscribe to what: many participants, many topics."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._index import Names
 from pqsec_pki.access._witnesses import is_wildcard, sample
 from pqsec_pki.access.deciding import InterpretedPolicy

@@ -1,9 +1,9 @@
 """A question about access: may this subject do this action, on this domain, at this time?"""
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError
 
 MAX_NAME = 256

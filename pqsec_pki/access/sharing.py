@@ -4,12 +4,12 @@ Two participants can authenticate each other without having such a topic.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 from itertools import product
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._patterns import posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
 from pqsec_pki.access.deciding import InterpretedPolicy

@@ -7,9 +7,10 @@ key object of the library that does the arithmetic; only rows use it.
 
 import hashlib
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.errors import VerificationError
 

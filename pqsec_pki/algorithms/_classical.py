@@ -1,6 +1,6 @@
 """ECDSA, RSA and EdDSA: the algorithms of today's stacks, and components of composites."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from pqsec_pki._asn1 import ECPrivateKey, Oid, algorithm, encode
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._row import SignatureAlgorithm
 from pqsec_pki.algorithms.digest import Digest
 

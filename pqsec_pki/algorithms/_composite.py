@@ -5,7 +5,7 @@ rows.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from pqsec_pki._asn1 import (
@@ -15,6 +15,7 @@ from pqsec_pki._asn1 import (
     bits,
     encode,
 )
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._ml_dsa import MLDSA, SEED_SIZE
 from pqsec_pki.algorithms._row import SignatureAlgorithm
 

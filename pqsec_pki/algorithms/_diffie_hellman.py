@@ -1,12 +1,13 @@
 """Diffie-Hellman as a KEM: over elliptic curves, X25519, and RFC 5114."""
 
 import secrets
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec, x25519
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._agreement import KeyAgreement
 
 

@@ -2,12 +2,13 @@
 
 import hashlib
 import hmac
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import mldsa
 
 from pqsec_pki._asn1 import SeedAndExpandedKey, decode
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._row import PrivateKey, SignatureAlgorithm
 from pqsec_pki.errors import MalformedError
 

@@ -1,10 +1,11 @@
 """ML-KEM (FIPS 203)."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import mlkem
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._agreement import KeyAgreement
 
 

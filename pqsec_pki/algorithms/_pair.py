@@ -4,12 +4,13 @@ X.509 (10/2019) 9.8 defines how such a certificate is signed, but not how its ho
 signs. Between two pqsec peers the holder signs handshakes with both keys.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from functools import cache
 from typing import Any
 
 from cryptography.exceptions import InvalidSignature
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms._table import Family, Registered
 

@@ -4,7 +4,7 @@ A handle is the key object of `cryptography` (or a pair of them); only rows use 
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from cryptography.exceptions import InvalidSignature
@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, encode, whole_bytes
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.algorithms.digest import Digest
 from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError

@@ -2,10 +2,10 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Generic, Protocol, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import ForeignAlgorithmWarning, ForeignPackageError, UnknownAlgorithmError
 
 

@@ -5,10 +5,10 @@ docs/reference/algorithms.md explains this file as an example of an added algori
 
 import hashlib
 import secrets
-from dataclasses import dataclass
 
 from cryptography.hazmat.primitives.asymmetric import mlkem, x25519
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement, KeyPair
 from pqsec_pki.algorithms._table import Family, Registered
 
@@ -31,11 +31,11 @@ class XWing(Hybrid):
         return self.from_seed(secrets.token_bytes(_SEED_SIZE))
 
     def _encapsulate(self, public: bytes) -> tuple[bytes, bytes]:
-        ciphertext, both = super(XWing, self)._encapsulate(public)
+        ciphertext, both = super(XWing, self)._encapsulate(public)  # noqa: UP008 -- slots make another class
         return ciphertext, _combined(both, ciphertext, public)
 
     def _decapsulate(self, handle: tuple[KeyPair, KeyPair], ciphertext: bytes) -> bytes:
-        both = super(XWing, self)._decapsulate(handle, ciphertext)
+        both = super(XWing, self)._decapsulate(handle, ciphertext)  # noqa: UP008 -- slots make another class
         return _combined(both, ciphertext, handle[1].public)
 
 

@@ -1,8 +1,8 @@
 """Digests that CMS signers may name, with their S/MIME micalg."""
 
 import hashlib
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UnknownAlgorithmError
 
 

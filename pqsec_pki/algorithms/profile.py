@@ -4,9 +4,10 @@ A profile has promised properties; each is a check that a modified profile must 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._agreement import KeyAgreement
 from pqsec_pki.algorithms._row import SignatureAlgorithm
 from pqsec_pki.algorithms._table import Family

@@ -4,13 +4,14 @@ HPKE (RFC 9180) in base mode as cryptography has it, with MLKEM768-X25519, HKDF-
 AES-256-GCM. Who sealed does not show.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Self
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives import hpke
 from cryptography.hazmat.primitives.asymmetric import mlkem, x25519
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._pem import first_pem, pem
 from pqsec_pki.errors import MalformedError, VerificationError
 

@@ -1,8 +1,9 @@
 """The attacker is a participant, between two others that each have a handshake with it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks._forgery import Keys, issued
 from pqsec_pki.attacks._impostors import issue_by_unknown_intermediate

@@ -5,9 +5,10 @@ the way between them, or in the place of one of them. An attempt is that second 
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.handshake import DataHolder, GenericMessage, compacted, expanded
 from pqsec_pki.selfcheck import HandshakeSession, Relay, Sent, SessionSide
 

@@ -4,7 +4,7 @@ It has only the certificates and documents that are sent in every handshake.
 """
 
 from base64 import b64decode, encodebytes
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime, timedelta
 from email import message_from_bytes
 from typing import Self
@@ -20,6 +20,7 @@ from pqsec_pki._asn1 import (
     encode,
     raw,
 )
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PrivateKey, pair_private
 from pqsec_pki.certificates import (
     Authority,

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from datetime import datetime
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KeyAgreement, KeyPair
 from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks._forgery import Keys, issued, signed_alike, without_countersignature

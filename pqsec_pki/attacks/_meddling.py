@@ -1,8 +1,9 @@
 """The attacker on the way substitutes its own challenges, keys and algorithm names."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, KeyAgreement
 from pqsec_pki.attacks._context import AttackContext, Attempt, value_in
 from pqsec_pki.attacks._relays import putting

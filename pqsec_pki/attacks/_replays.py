@@ -1,9 +1,10 @@
 """The attacker on the way sends recorded messages again, to their sender or their receiver."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.attacks._context import AttackContext, Attempt, token_in, value_in
 from pqsec_pki.attacks._relays import instead, on, putting
 from pqsec_pki.attacks.attack import COVERED, TRANSCRIPT, Attack, Attacker

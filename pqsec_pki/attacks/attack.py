@@ -1,9 +1,10 @@
 """An attack: one row of the table, with the function that carries it out."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HandshakeSession

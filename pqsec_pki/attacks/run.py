@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.attacks._context import AttackContext, Attempt
 from pqsec_pki.attacks.attack import Attack
 from pqsec_pki.errors import UsageError

@@ -2,7 +2,6 @@
 
 import os
 import platform
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Self
@@ -11,6 +10,7 @@ import cryptography
 from cryptography.hazmat.backends.openssl import backend
 
 from pqsec_pki import __version__
+from pqsec_pki._dataclass import dataclass
 
 _CPUS = Path("/proc/cpuinfo")
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")

@@ -1,9 +1,10 @@
 """What a mesh of hosts took, as values that can be kept."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from enum import StrEnum
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.benchmark.environment import Environment
 from pqsec_pki.trial import HostsRun, Link
 

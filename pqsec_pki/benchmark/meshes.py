@@ -4,10 +4,11 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.benchmark.mesh_results import MeshCase, MeshRun, Plugins
 from pqsec_pki.documents import DomainSet, Governance, ProtectionKind

@@ -1,10 +1,10 @@
 """A CA and two participants in memory, whose handshakes are measured."""
 
 import os
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, SignatureAlgorithm, pair_private
 from pqsec_pki.benchmark.suites import HandshakeSuite
 from pqsec_pki.certificates import Authority

@@ -1,10 +1,10 @@
 """Samples of one suite, their percentiles, and the sizes of its messages."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from statistics import fmean
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.benchmark.suites import HandshakeSuite
 
 PERCENTILES = (50, 95, 99)

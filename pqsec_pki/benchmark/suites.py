@@ -1,10 +1,11 @@
 """Which signature keys and key agreements are measured together."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
     KEY_AGREEMENTS,
     PROFILES,

@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from cyclonedx.model.bom_ref import BomRef
 from cyclonedx.model.crypto import CryptoProperties
+
+from pqsec_pki._dataclass import dataclass
 
 
 @dataclass(slots=True, kw_only=True)

@@ -1,10 +1,11 @@
 """A bill of materials of files and folders; the library for CycloneDX is loaded when needed."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError
 
 

@@ -9,7 +9,6 @@ attributes with the same OIDs, as BouncyCastle does.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Self
 
 from cryptography import x509
@@ -30,6 +29,7 @@ from pqsec_pki._asn1 import (
     encode,
     whole_bytes,
 )
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PrivateKey, PublicKey
 from pqsec_pki.errors import MalformedError
 

@@ -5,7 +5,7 @@ CAs without intermediates, participants with digitalSignature only.
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime, timedelta
 from functools import lru_cache
 from typing import Self
@@ -27,6 +27,7 @@ from pqsec_pki._asn1 import (
     raw,
     time_of,
 )
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import _alternative
 from pqsec_pki.certificates.certificate import Certificate

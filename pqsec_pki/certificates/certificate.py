@@ -5,7 +5,7 @@ Here everything is parsed at the start, so nothing can fail later.
 """
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from functools import cached_property
 from typing import Self, TypeVar
@@ -14,6 +14,7 @@ from weakref import WeakValueDictionary
 from cryptography import x509
 
 from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements, plain_words
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text

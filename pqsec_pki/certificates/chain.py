@@ -6,12 +6,12 @@ Ed25519 authorities and does not know alternative signatures (docs/explanation/a
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 
 from cryptography import x509
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import broken_digest
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError

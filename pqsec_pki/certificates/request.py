@@ -5,7 +5,7 @@ With an alternative key it has a second proof (see _alternative).
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Self
 
 from cryptography import x509
@@ -19,6 +19,7 @@ from pqsec_pki._asn1 import (
     plain_words,
     whole_bytes,
 )
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text

@@ -5,7 +5,7 @@ certificates only, has a critical extension and is refused.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from functools import cached_property, lru_cache
 from typing import Self
@@ -13,6 +13,7 @@ from typing import Self
 from cryptography import x509
 
 from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, moment_of, plain_words, whole_bytes
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import first_pem, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text

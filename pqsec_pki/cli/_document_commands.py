@@ -1,7 +1,6 @@
 """The commands that governance and permissions documents both have: render, read and schema."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
@@ -9,6 +8,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki._assets import asset
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.cli import _help, _settings
 from pqsec_pki.cli._policy import output_options, put
 from pqsec_pki.errors import located

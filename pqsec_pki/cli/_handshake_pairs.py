@@ -4,11 +4,12 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, TypeVar
 
 import click
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.selfcheck import (

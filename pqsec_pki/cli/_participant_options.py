@@ -1,7 +1,6 @@
 """Options for the rights of participants, shared by commands that issue or request."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Self
@@ -9,6 +8,7 @@ from typing import Any, Self
 import click
 
 from pqsec_pki import policy
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.cli import _completion, _policy, _printing, _settings
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import UsageError

@@ -2,11 +2,12 @@
 
 import sys
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import watched
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm

@@ -1,12 +1,12 @@
 """Signed governance and permissions; each document is verified and parsed once."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime
 from functools import update_wrapper
 from threading import Lock
 from typing import Concatenate, Generic, ParamSpec, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.smime import Require, Verified, verify

@@ -1,12 +1,13 @@
 """The trust anchors of a participant, each with its role, and what they alone decide."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from functools import cached_property, partial
 from itertools import combinations
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family
 from pqsec_pki.certificates import (
     Certificate,

@@ -1,9 +1,10 @@
 """An enclave's files as one value, decoded from bytes; nothing is verified here."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials._pem_files import only_certificate

@@ -6,10 +6,10 @@ permissions, the grant. The room `access` decides which domains the grant is for
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC, Action, Decision, Interpretation, Question, decide
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, common_name

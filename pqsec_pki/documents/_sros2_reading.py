@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import ros
 from pqsec_pki.documents._reading import line, text
 from pqsec_pki.documents._sros2_words import KINDS

@@ -7,10 +7,11 @@ or the network. Files are opened here, never by libxml2.
 
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.documents._xml import parse, problem
 from pqsec_pki.errors import InvalidDocumentError, located, shown

@@ -9,11 +9,11 @@ unnoticed mistake. Parsing is by events, so the limits apply during parsing.
 import codecs
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents._yaml_guesses import TAG, add_guesses
 from pqsec_pki.errors import InvalidDocumentError, UsageError, shown
 from pqsec_pki.problems import Problem

@@ -1,9 +1,9 @@
 """The DDS domains of a rule."""
 
 import re
-from dataclasses import dataclass
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError
 
 MAX_DOMAIN = 230

@@ -1,9 +1,10 @@
 """The governance document: how a domain and its topics are protected."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading, _render, _schema
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.errors import UsageError

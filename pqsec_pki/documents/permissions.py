@@ -1,12 +1,13 @@
 """The permissions document: what each participant may publish, subscribe to and relay."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Self
 from weakref import WeakValueDictionary
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading, _render, _schema
 from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet

@@ -15,13 +15,13 @@ list of `rules`, each `allow:` or `deny:`. Nothing else is allowed, unless the g
 """
 
 import re
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import partial
 from string import Template
 from typing import Any
 
 from pqsec_pki._assets import asset
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents._domains_yaml import domains
 from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, built_rule, rule, rules_as_yaml
 from pqsec_pki.documents._yaml import Item, Text, dump, refused

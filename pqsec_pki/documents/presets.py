@@ -7,9 +7,10 @@ topic to all (its issue 5007).
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
 from pqsec_pki.errors import UsageError

@@ -5,9 +5,10 @@ validates none of them. The same safe parser reads it.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading
 from pqsec_pki.documents._xml import invalid, parse
 

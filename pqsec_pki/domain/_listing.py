@@ -5,10 +5,11 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.documents.parts_yaml import all_of, refused
 from pqsec_pki.errors import InvalidDocumentError, UsageError, located, shown

@@ -3,13 +3,13 @@
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from datetime import timedelta
 from difflib import get_close_matches
 from pathlib import Path
 from sys import intern
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents.parts_yaml import Readers, Text, chosen, domains, refused, text
 from pqsec_pki.domain._listing import (
     MAX_PARTICIPANTS,

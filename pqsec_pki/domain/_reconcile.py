@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there

@@ -3,10 +3,11 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import timedelta
 from os.path import commonprefix
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, PermissionRule
 from pqsec_pki.domain._placeholders import own_values
 

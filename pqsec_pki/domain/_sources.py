@@ -1,10 +1,11 @@
 """What was found in one source of a domain file."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.documents import Governance, Grant, parse_subject
 from pqsec_pki.domain._shared_rules import FoundParticipant

@@ -3,11 +3,12 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, PermissionRule
 from pqsec_pki.documents.parts_yaml import (
     ALLOWED,

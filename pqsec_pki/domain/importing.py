@@ -5,12 +5,13 @@ Participants with the same rights share a role, and names that count become a pa
 
 from collections import Counter
 from collections.abc import Container, Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, is_folder
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.documents import PRESETS, DefaultAction, DomainSet, Governance

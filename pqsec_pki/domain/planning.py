@@ -5,9 +5,9 @@ participants whose config digest differs, and no others.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.domain._profile_change import is_wanted, plan_profile_change
 from pqsec_pki.domain._reconcile import Reconciler

@@ -13,7 +13,6 @@ Every error names the file and the line.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from string import Template
 from typing import Any
 
 from pqsec_pki._assets import asset
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read as read_file
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.certificates import common_name

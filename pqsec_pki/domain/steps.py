@@ -1,7 +1,9 @@
 """The values of a plan: its steps, and the participants that are blocked."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
+
+from pqsec_pki._dataclass import dataclass
 
 
 class StepAction(StrEnum):

@@ -7,10 +7,11 @@ signatures in the files.
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import UTC, datetime
 from typing import Any, Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.enrolment import tarball
 from pqsec_pki.errors import MalformedError, VerificationError, shown
 

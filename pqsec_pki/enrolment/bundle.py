@@ -7,12 +7,13 @@ enclaves/fleet/robot1/cert.pem. It has no private key if the robot generated the
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, write
 from pqsec_pki.credentials import (
     CA_FILES,

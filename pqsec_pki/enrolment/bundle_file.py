@@ -1,10 +1,10 @@
 """Bundles in files: sealed for their robot, or without private keys, or plain on request."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.enrolment.bundle import Bundle, save
 from pqsec_pki.enrolment.sealed import seal

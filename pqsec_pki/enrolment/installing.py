@@ -2,10 +2,10 @@
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
 from pqsec_pki.credentials import KEYS, REVOCATION_LIST, Credentials, VerifiedCredentials

@@ -1,11 +1,11 @@
 """Issuing to robots: their requests are certified, and each robot gets a bundle."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path
 from pqsec_pki.enrolment.bundle_file import BundleFile

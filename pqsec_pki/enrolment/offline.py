@@ -7,11 +7,12 @@ request is authentic if the person who signs compares its SHA-256.
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest

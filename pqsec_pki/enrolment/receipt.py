@@ -10,10 +10,10 @@ were issued to whom: `receipt_import.py`.
 import hashlib
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from pqsec_pki import __version__
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials import (

@@ -5,11 +5,12 @@ renewed: its receipt then shows that the robot is outdated.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE

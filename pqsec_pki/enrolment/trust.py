@@ -9,10 +9,11 @@ import hashlib
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import UTC, datetime
 from typing import Any, Self, TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import (
     CA_FILES,
     CERTIFICATE,

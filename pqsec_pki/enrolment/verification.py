@@ -6,9 +6,9 @@ the room `credentials` verifies everything else.
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.credentials import (
     ALT_KEY,

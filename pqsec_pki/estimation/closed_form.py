@@ -6,10 +6,10 @@ those that wait for a repetition leave the processors to the others.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import accumulate
 from math import exp, log1p
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.estimation.scenario import (
     ANNOUNCE,
     ANSWER,

@@ -1,9 +1,10 @@
 """The estimate of a scenario: both models, what would help, and where they hold."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.estimation.closed_form import ClosedForm
 from pqsec_pki.estimation.messages import sizes_of

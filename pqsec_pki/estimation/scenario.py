@@ -5,10 +5,10 @@ bench/README.md has an observation of 0.10.2 that announcements were repeated af
 SETTLE and LATE are fitted to bench/calibration.csv.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 from math import exp
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.estimation.costs import Costs
 from pqsec_pki.handshake import MessageSizes
 from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH

@@ -7,11 +7,12 @@ a pair meets.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from heapq import heappop, heappush, heapreplace
 from random import Random
 from statistics import median
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.estimation.scenario import (
     ANNOUNCE,
     ANSWER,

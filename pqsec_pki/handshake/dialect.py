@@ -5,9 +5,9 @@ optional properties may be absent. A dialect is one choice for all of these.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.handshake.messages import Final, Reply, Request
 
 Message = TypeVar("Message", Request, Reply, Final)

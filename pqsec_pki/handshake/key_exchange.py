@@ -10,10 +10,11 @@ import hashlib
 import hmac
 import os
 import secrets
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import IntEnum
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError, UsageError
 from pqsec_pki.handshake._cdr import ByteOrder, CdrReader, CdrWriter
 from pqsec_pki.handshake._secured import KEY_ID_SIZE

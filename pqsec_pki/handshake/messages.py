@@ -7,10 +7,11 @@ Values keep the octets as received, because the hashes cover these.
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from operator import attrgetter
 from typing import Any, ClassVar, Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake import compact
 from pqsec_pki.handshake.compact import WireVersion

@@ -3,12 +3,13 @@
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from itertools import chain
 from typing import Self
 from weakref import WeakValueDictionary
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KeyAgreement, PrivateKey, PublicKey
 from pqsec_pki.certificates import (
     Certificate,

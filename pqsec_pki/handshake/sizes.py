@@ -1,7 +1,6 @@
 """Bytes of the samples of a handshake's messages, without running it."""
 
-from dataclasses import dataclass
-
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.handshake.messages import (
     CHALLENGE_SIZE,

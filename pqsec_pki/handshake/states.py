@@ -14,11 +14,12 @@ No message confirms the key: only the first protected message shows that both ha
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from functools import lru_cache
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KeyAgreement, KeyPair, PublicKey
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake._checks import check

@@ -1,9 +1,10 @@
 """Discovery tokens: what a participant announces about itself, not authenticated."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import ClassVar, Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import SIGNATURES, Family, KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown

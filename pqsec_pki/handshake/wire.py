@@ -5,10 +5,10 @@ order; hashes and signatures always cover the big-endian form (DDS-Security 1.1,
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake._cdr import ByteOrder, CdrReader, CdrWriter
 

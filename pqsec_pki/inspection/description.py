@@ -1,7 +1,8 @@
 """The description of a file: facts, each as text for people and as a value for programs."""
 
-from dataclasses import dataclass
 from typing import Any, Self, TypeAlias
+
+from pqsec_pki._dataclass import dataclass
 
 Value: TypeAlias = "str | int | tuple[Value, ...] | dict[str, Value] | None"
 """A JSON value. A bool is an int."""

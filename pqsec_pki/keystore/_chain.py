@@ -7,10 +7,11 @@ only against a head that was noted elsewhere, or as files of the keystore withou
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from typing import TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import KeystoreError
 
 Value = TypeVar("Value")

@@ -9,10 +9,10 @@ import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, create
 from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import KeystoreError

@@ -12,9 +12,10 @@ import secrets
 import shutil
 import stat
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from operator import attrgetter
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _ledger, _shredding, layout

@@ -7,8 +7,9 @@ import os
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
 from pqsec_pki._owners import user
 from pqsec_pki.errors import KeystoreError

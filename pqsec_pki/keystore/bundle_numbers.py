@@ -6,9 +6,10 @@ participant's files adds lines, so the number grows with it.
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._file_comparison import pem_fingerprint

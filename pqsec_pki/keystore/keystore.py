@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from shlex import quote
 from typing import Self
 
 from pqsec_pki import credentials
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList

@@ -7,11 +7,11 @@ CA first, then the other. Stacks that read only the first one are not affected
 
 import hashlib
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import KeystoreError, located

@@ -7,10 +7,10 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import FILES, KEYS
 from pqsec_pki.errors import KeystoreError, MalformedError, PqsecError, shown

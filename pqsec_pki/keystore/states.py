@@ -5,12 +5,12 @@ parsed. Files are compared with the ledger only if asked for (`_file_comparison.
 """
 
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
 from functools import lru_cache
 from sys import intern
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import KeystoreError, shown
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in

@@ -3,9 +3,10 @@
 import hashlib
 from collections.abc import Container, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
 from pqsec_pki.documents import Governance, Grant, Permissions
 from pqsec_pki.errors import KeystoreError, MissingError, located, meant

@@ -1,9 +1,10 @@
 """Compares what was seen with the permissions in a keystore."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Difference, Sense, permissions_diff
 from pqsec_pki.documents import Permissions, parse_subject, same_subject
 from pqsec_pki.keystore import Keystore

@@ -12,8 +12,9 @@ Cyclone DDS cut, for want of space.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action
 from pqsec_pki.documents import MAX_DOMAIN, ros
 from pqsec_pki.errors import MalformedError, UsageError

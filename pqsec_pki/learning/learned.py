@@ -1,9 +1,9 @@
 """What was learned from recordings: a proposal, and how it differs from a keystore."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.learning.comparing import Comparisons, compare
 from pqsec_pki.learning.proposing import Proposal, document_of, propose

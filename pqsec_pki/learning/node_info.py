@@ -13,8 +13,9 @@ It does not show enclaves, partitions, or the topics of DDS that are not of ROS 
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import MalformedError, shown

@@ -1,9 +1,9 @@
 """Permissions that allow what was seen, and what ROS 2 nodes need to start; nothing else."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action
 from pqsec_pki.documents import DomainSet, Grant, permissions_from_yaml, ros
 from pqsec_pki.documents.parts_yaml import domains_as_yaml, dump, node_as_yaml

@@ -1,9 +1,10 @@
 """Reads what was recorded in a domain, names the participants, and merges those of one name."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import MalformedError, UsageError, located, meant, shown

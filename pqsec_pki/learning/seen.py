@@ -1,9 +1,9 @@
 """What was seen in a domain: participants and their endpoints."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action
 
 

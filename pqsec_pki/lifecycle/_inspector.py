@@ -6,11 +6,11 @@ signature was verified.
 
 import hashlib
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors

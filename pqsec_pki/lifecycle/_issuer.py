@@ -1,11 +1,12 @@
 """Creates the files of one participant, for issuing and for renewing."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PublicKey, private_key_pem
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Permissions

@@ -6,10 +6,11 @@ and the ledger are added and, if the enclaves have a revocation list, a copy of 
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate

@@ -1,10 +1,11 @@
 """Issuing participants: key, certificate and permissions for each, all or none."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import partial
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
 from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions

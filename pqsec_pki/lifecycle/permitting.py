@@ -5,9 +5,10 @@ permissions and edits them, and `sign_changed` signs the result, unless they wer
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
 from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, located

@@ -6,9 +6,10 @@ verified; they must be the newest in the ledger.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
@@ -41,7 +42,7 @@ def renew(
     keystore: Keystore,
     authorities: Authorities,
     names: Sequence[str],
-    terms: Renewal = Renewal(),
+    terms: Renewal = Renewal(),  # noqa: B008 -- a frozen value
     *,
     now: datetime,
 ) -> list[Issued]:

@@ -5,9 +5,10 @@ each enclave links to it, so one rename gives all enclaves the new list.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import (
     Authority,
     Reason,

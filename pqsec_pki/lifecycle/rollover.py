@@ -1,11 +1,12 @@
 """The values of a rollover: its options, and the plan that is shown and executed."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import timedelta
 from enum import StrEnum
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import UsageError

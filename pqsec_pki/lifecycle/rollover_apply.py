@@ -6,10 +6,11 @@ old CAs are archived in private/generations/, or their keys destroyed.
 """
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki._processes import shared_out
 from pqsec_pki.errors import KeystoreError, UsageError, located

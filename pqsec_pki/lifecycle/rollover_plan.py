@@ -5,9 +5,10 @@ that takes long for thousands.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile

@@ -5,10 +5,11 @@ line is written, in one change.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.documents import Governance, Kind

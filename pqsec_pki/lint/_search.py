@@ -6,10 +6,11 @@ import re
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, KEY, PERMISSIONS
 from pqsec_pki.errors import FileError, PqsecError

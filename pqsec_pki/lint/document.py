@@ -1,9 +1,9 @@
 """Governance and permissions documents for rules, parsed when first needed."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import (
     DomainRule,
     Governance,

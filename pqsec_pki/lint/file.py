@@ -2,11 +2,12 @@
 
 import re
 import stat
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import is_encrypted, load_private_key
 from pqsec_pki.certificates import RevocationList
 from pqsec_pki.errors import PqsecError, UnknownAlgorithmError

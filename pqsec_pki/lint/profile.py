@@ -1,8 +1,8 @@
 """Profiles of Fast DDS: what a participant's properties say about security."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import Node
 from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.file import Content

@@ -20,12 +20,12 @@ texts, and `tests/cli/test_rule_examples.py` tries each example. `table` finds a
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from enum import StrEnum
 from inspect import cleandoc
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.problems import Code
 from pqsec_pki.stacks import Stack
 

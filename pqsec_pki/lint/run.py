@@ -2,11 +2,12 @@
 
 import os
 from collections.abc import Container, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import ENCLAVES, TrustAnchors
 from pqsec_pki.lint.collect import take_inventory
 from pqsec_pki.lint.enclaves.trust import without_repetitions

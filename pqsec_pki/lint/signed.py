@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.errors import PqsecError, VerificationError

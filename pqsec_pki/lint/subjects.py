@@ -5,11 +5,12 @@ cannot be parsed is None, with a separate reason: subjects raise no errors.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Alone
 from pqsec_pki.algorithms import unpem
 from pqsec_pki.certificates import Certificate, RevocationList

@@ -11,13 +11,14 @@ In `.pqsec-check.yaml`, in the folder that is checked:
 
 import re
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import date
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents.parts_yaml import Item, Text, each, fields, read, refused
 from pqsec_pki.errors import InvalidDocumentError, PqsecError, UsageError, shown
 from pqsec_pki.lint.rule import Finding, Violation

@@ -1,7 +1,8 @@
 """Dates that laws and authorities set for post-quantum cryptography, with their sources."""
 
-from dataclasses import dataclass
 from datetime import date
+
+from pqsec_pki._dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,10 +2,10 @@
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError

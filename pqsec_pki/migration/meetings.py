@@ -1,9 +1,9 @@
 """Whether two participants can meet, also of different generations: by running their handshake."""
 
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck import (
     CheckedStep,

@@ -1,9 +1,9 @@
 """Plans a migration from what sample participants can do in each profile and stack."""
 
-from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, Profile, profile_named
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Rollover, RolloverPlan, plan_rollover

@@ -1,9 +1,9 @@
 """Rehearses a migration on a copy of the keystore: every rollover, and handshakes between them."""
 
-from dataclasses import dataclass
 from datetime import datetime
 from itertools import combinations, pairwise
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.credentials import ENCLAVES, KEY

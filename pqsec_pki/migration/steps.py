@@ -1,8 +1,8 @@
 """The values of a migration plan."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.migration.deadlines import DEADLINES, Deadline
 
 

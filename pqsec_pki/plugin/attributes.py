@@ -3,8 +3,7 @@
 DDS-Security 1.1, 7.4.8, 8.4.2.7 to 8.4.2.9 and 9.4.2.3 to 9.4.2.6.
 """
 
-from dataclasses import dataclass
-
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import DomainRule, ProtectionKind, TopicRule
 
 VALID = 1 << 31

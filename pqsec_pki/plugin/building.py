@@ -2,10 +2,10 @@
 
 import os
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin.units import planned_units, write_units

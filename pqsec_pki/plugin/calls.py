@@ -4,10 +4,10 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 
 VERSION = 3

@@ -1,10 +1,11 @@
 """One connection of the agent: reads frames, makes calls, writes frames. It has no socket."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from pqsec_pki import __version__
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import Authentication, LateError

@@ -1,9 +1,9 @@
 """Asks the agent for its status, and stops it."""
 
 import socket
-from dataclasses import dataclass
 from typing import Any, cast
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import FileError, MalformedError, PqsecError
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION, Arguments

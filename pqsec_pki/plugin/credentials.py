@@ -9,10 +9,11 @@ and `pqsec.toml` beside the identity certificate.
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import MAX_FILE, disk_errors, exists, read
 from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.certificates import Certificate, RevocationList

@@ -1,10 +1,11 @@
 """A local participant: the result of validate_local_identity."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KeyAgreement, PrivateKey, pair_private
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import (

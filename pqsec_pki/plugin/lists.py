@@ -13,10 +13,11 @@ protects it: `pqsec install` refuses an older one.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from typing import TypeAlias
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.errors import VerificationError
 

@@ -8,9 +8,10 @@ Cyclone DDS returns it, unless a newer handshake with it is finished too.
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import CHALLENGE_SIZE, Done, IdentityToken, ReplySent, RequestSent

@@ -19,11 +19,12 @@ up the answers for others.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from itertools import count
 from weakref import WeakKeyDictionary
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError
 

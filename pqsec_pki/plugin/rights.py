@@ -1,10 +1,11 @@
 """What participants may do: signed documents, applied to one subject."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime, timedelta
 from typing import ClassVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC, Action, Question, Viewpoint
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import (

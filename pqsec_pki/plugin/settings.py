@@ -1,8 +1,8 @@
 """What a participant requires in handshakes: from its keys, or from `pqsec.toml`."""
 
-from dataclasses import dataclass
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
     KEY_AGREEMENTS,
     STOCK_AGREEMENTS,

@@ -11,9 +11,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import channel
 from pqsec_pki.plugin.calls import WORKING

@@ -13,8 +13,9 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.plugin import channel
 from pqsec_pki.plugin.octets import MessageReader
 from pqsec_pki.plugin.shared_lists import ListStore

@@ -1,8 +1,9 @@
 """The answer of each stack to one access question, on each domain."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import timedelta
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
     FASTDDS,
     INTERPRETATIONS,

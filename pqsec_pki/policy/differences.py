@@ -1,10 +1,10 @@
 """The rights that a change of documents, or of a keystore, grants and removes."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_folder, read
 from pqsec_pki.access import Change, Difference, permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff

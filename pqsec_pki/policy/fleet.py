@@ -3,11 +3,12 @@
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, is_folder, walk
 from pqsec_pki.access import Action, DocumentOwner, Interpretation, Question
 from pqsec_pki.credentials import TrustAnchors

@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Generic, TypeAlias, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.credentials import TrustAnchors, only_certificate
 from pqsec_pki.documents import (

@@ -1,8 +1,9 @@
 """Whether a participant may do what takes several topics, such as to serve a ROS 2 service."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
     SPEC,
     Action,

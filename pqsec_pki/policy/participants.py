@@ -1,10 +1,10 @@
 """The policy of a participant: its verified governance and permissions, from a keystore."""
 
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
 from pqsec_pki.access import Decision
 from pqsec_pki.certificates import Certificate

@@ -1,9 +1,9 @@
 """Why a participant may use a topic, and where its documents say so."""
 
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action, Interpretation, InterpretedPolicy, Question
 from pqsec_pki.policy.participants import PolicyInput
 

@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
     DocumentOwner,
     Interpretation,

@@ -6,8 +6,8 @@ report longer, not wrong.
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import DocumentOwner
 from pqsec_pki.documents import Criteria
 from pqsec_pki.report.values import ParticipantGroup

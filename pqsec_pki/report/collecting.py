@@ -3,12 +3,13 @@
 import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
 from pqsec_pki import __version__
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError

@@ -9,13 +9,13 @@ import base64
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import shown
 from pqsec_pki.keystore import InstallState

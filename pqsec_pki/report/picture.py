@@ -5,8 +5,8 @@ Both leave out what ROS 2 gives every node and nobody else may use; the table of
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import ros
 from pqsec_pki.report.values import Holder, ParticipantGroup, RightsRow, RightsSection
 

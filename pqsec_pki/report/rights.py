@@ -2,10 +2,10 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC, Action, Placed
 from pqsec_pki.documents import DomainRange, DomainSet
 from pqsec_pki.policy import Fleet, WhoMay, reason_of, who_may_use

@@ -1,9 +1,9 @@
 """The sections of a report, as values. Names of participants, topics and files are as read."""
 
-from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.keystore import InstallState, State
 from pqsec_pki.lint import Severity
 from pqsec_pki.migration import MigrationPlan

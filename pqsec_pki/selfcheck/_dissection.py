@@ -1,9 +1,10 @@
 """Decode messages into values, each with its name, its meaning and its parts."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from typing import Any, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS, Family, KeyAgreement, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.handshake import (

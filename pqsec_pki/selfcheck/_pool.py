@@ -11,13 +11,13 @@ import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from itertools import cycle
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.selfcheck._worker import AllPairsJob, Worker
 

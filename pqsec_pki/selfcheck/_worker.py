@@ -5,11 +5,12 @@ Only names, numbers and steps pass between processes; no key does.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore

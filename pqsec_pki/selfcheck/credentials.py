@@ -5,9 +5,10 @@ the keystore's profile requires in addition.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import may_join
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate

@@ -3,10 +3,11 @@
 import os
 import shlex
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from typing import NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import ParticipantDocuments
 from pqsec_pki.algorithms import KeyAgreement, Profile, pair_private
 from pqsec_pki.credentials import Credentials

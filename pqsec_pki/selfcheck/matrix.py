@@ -5,13 +5,14 @@ Each profile gets its own keystore, in a temporary folder that is always removed
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, KeyAgreement, Profile
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, VerificationError

@@ -7,10 +7,10 @@ come one by one, in the order of the names, so that half a million of them take 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import combinations, islice
 from typing import TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.selfcheck._pool import WorkerPool, worker_pool
 from pqsec_pki.selfcheck._worker import (
     AllPairsJob,

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import FileError, MissingError, PqsecError, problems_of
 from pqsec_pki.handshake import DataHolder, Done, GenericMessage
 from pqsec_pki.problems import Code

@@ -8,8 +8,9 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.handshake import (
     CHALLENGE_SIZE,

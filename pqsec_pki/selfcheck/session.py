@@ -1,9 +1,9 @@
 """The two sides of a handshake, and the network between them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KeyAgreement, Profile
 from pqsec_pki.credentials import Credentials
 from pqsec_pki.handshake import Terms, WireVersion

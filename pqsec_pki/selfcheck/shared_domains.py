@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import may_join, topics_between
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.errors import PqsecError, VerificationError

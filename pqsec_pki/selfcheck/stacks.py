@@ -6,8 +6,9 @@ participants never send that.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
     KEY_AGREEMENTS,
     MODP_DER,

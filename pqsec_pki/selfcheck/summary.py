@@ -2,9 +2,10 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.selfcheck.pairs import PairOutcome, ParticipantCheck
 from pqsec_pki.selfcheck.report import CheckedStep
 

@@ -7,9 +7,10 @@ a trace; the shared secrets are, and are marked as secret.
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.handshake import (
     Done,

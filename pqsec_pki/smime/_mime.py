@@ -10,9 +10,9 @@ import binascii
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import islice, pairwise
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 
 MAX_MESSAGE = 8 << 20

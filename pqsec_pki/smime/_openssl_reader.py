@@ -7,8 +7,9 @@ Checked against OpenSSL 3.0 and 3.5 by tests/fuzz/differential.py.
 
 import itertools
 import re
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 
 _LONGEST = 1023

@@ -5,9 +5,9 @@ file only if its own reader and the model of OpenSSL's reader find the same.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.smime import _mime, _openssl_reader
 

@@ -4,7 +4,7 @@ A countersignature (11.4) is a SignerInfo too: it signs another signature's valu
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 
 from pqsec_pki._asn1 import (
@@ -22,6 +22,7 @@ from pqsec_pki._asn1 import (
     read_time,
     time_of,
 )
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Digest, PrivateKey, PublicKey, digest_of
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, problems_of

@@ -5,12 +5,13 @@ certificate. Certificates inside the file are for stock stacks; verify() ignores
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from itertools import islice
 
 from pqsec_pki._asn1 import SignedData, SignerInfo, raw
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError

@@ -5,12 +5,12 @@ checks whether the signature is that signer's.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 
 from cryptography import x509
 
 from pqsec_pki._asn1 import IssuerAndSerialNumber, SignerInfo, encode
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import digest_of
 from pqsec_pki.certificates import name_text
 from pqsec_pki.errors import MalformedError, UnknownAlgorithmError

@@ -7,12 +7,13 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from typing import Any
 
 import pkcs11
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import stay_alone
 from pqsec_pki.algorithms import ExternalKey, SignatureAlgorithm, load_public_key
 from pqsec_pki.errors import PassphraseError, PqsecError, UsageError

@@ -1,11 +1,11 @@
 """URIs of keys in PKCS#11 tokens (RFC 7512), as pqsec accepts them."""
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 from urllib.parse import quote, unquote_to_bytes
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError
 
 SCHEME = "pkcs11"

@@ -7,7 +7,9 @@ second one of a kind between the same two was repeated. What other writers repea
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from pqsec_pki._dataclass import dataclass
 
 _HEADER = 20
 """Bytes of an RTPS header (RTPS 2.5, 9.4.4)."""

@@ -15,10 +15,11 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from select import EPOLLIN, epoll
 from typing import NamedTuple
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.trial._handshake_traffic import HandshakeTraffic
 
 _LARGEST = 1 << 16

@@ -11,11 +11,11 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build

@@ -1,8 +1,8 @@
 """Explains why a trial failed: the stacks' messages, with cause and remedy."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import shown
 from pqsec_pki.trial.peer import Act, PeerOutcome
 from pqsec_pki.trial.words import words

@@ -6,9 +6,10 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.trial.words import words
 
 ENDPOINTS = ("writer", "reader")

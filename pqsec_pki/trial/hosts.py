@@ -4,8 +4,8 @@ import selectors
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.trial.host_process import (
     HostProcess,
     kernel_counters,

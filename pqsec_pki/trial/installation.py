@@ -8,9 +8,9 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.trial.peer_builds import PEER_BUILDS, STACKS, Command, PeerBuild

@@ -13,10 +13,12 @@ import struct
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from threading import Event, Thread
 from typing import TypeVar
+
+from pqsec_pki._dataclass import dataclass
 
 Result = TypeVar("Result")
 

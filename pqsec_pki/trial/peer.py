@@ -6,10 +6,11 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import IO
+
+from pqsec_pki._dataclass import dataclass
 
 MAX_LOG = 1 << 20
 """Bytes of one participant's output that are read."""

@@ -1,9 +1,9 @@
 """How the peers of each stack are compiled, one row for each series of versions."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import find_cyclone_plugins
 

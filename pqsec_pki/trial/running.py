@@ -4,8 +4,8 @@ import secrets
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.trial.network import Network, Wire, alone, watched
 from pqsec_pki.trial.peer import PeerOutcome, PeerProcess, TrialRole, running_peer
 

@@ -1,11 +1,11 @@
 """Finds a topic that one participant may publish and another may subscribe to."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Self, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.access import Action, InterpretedPolicy, Question
 from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS

@@ -3,10 +3,11 @@
 import os
 import tempfile
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import Keystore, regular_name

@@ -3,11 +3,12 @@
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from string import ascii_lowercase, ascii_uppercase
 from typing import Self
+
+from pqsec_pki._dataclass import dataclass
 
 MAX_VALUE = 300
 """Most characters between two parts of a message, such as a path; more do not match."""

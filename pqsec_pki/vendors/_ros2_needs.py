@@ -1,10 +1,10 @@
 """What a ROS 2 participant may do: the domains that it can join, and whether a node can run."""
 
 import re
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.access import Action, InterpretedPolicy, Question
 from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS

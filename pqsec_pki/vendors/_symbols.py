@@ -7,9 +7,9 @@ Itanium C++ ABI, 2.5.2: two words, and then a pointer to each function.
 
 import struct
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.vendors.elf import Image, opened
 

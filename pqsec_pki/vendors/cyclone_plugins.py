@@ -7,10 +7,10 @@ it, both libraries are loaded, and it crashes with SIGSEGV (11.0.1 with the plug
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import resolved
 from pqsec_pki.errors import PqsecError, shown
 from pqsec_pki.vendors.elf import Library, read_library, release_in, runs_here

@@ -11,12 +11,13 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from stat import S_ISREG
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, resolved
 from pqsec_pki.errors import MalformedError, PqsecError, located
 from pqsec_pki.vendors.exports import Version

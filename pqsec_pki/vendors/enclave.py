@@ -1,11 +1,11 @@
 """The folder of one participant, which a stack's configuration names."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Self
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
 from pqsec_pki.algorithms import Profile, is_encrypted
 from pqsec_pki.credentials import (

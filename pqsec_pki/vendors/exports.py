@@ -6,9 +6,10 @@ import shlex
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path, PurePosixPath
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import (
     PRIVATE_MODE,
     PUBLIC_MODE,

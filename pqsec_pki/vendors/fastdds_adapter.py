@@ -12,11 +12,11 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from os import environ
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.building import SOURCES, CompileError, compiler, make_folder
 from pqsec_pki.plugin.calls import VERSION

@@ -7,9 +7,9 @@ symbols decide this, never its version.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, resolved
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.vendors._symbols import Symbols, read_symbols

@@ -7,12 +7,13 @@ anywhere; the time to search it is linear in its length.
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
 from itertools import accumulate, pairwise
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import shown
 from pqsec_pki.stacks import Stack, stack_named
 from pqsec_pki.vendors._log import MAX_VALUE, Log, lowered

@@ -10,10 +10,10 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.building import SOURCES, CompileError, make_folder
 from pqsec_pki.plugin.calls import VERSION

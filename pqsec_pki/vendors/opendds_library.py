@@ -7,10 +7,10 @@ is named, by DDS_ROOT as in OpenDDS's own documents, and everything is found fro
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.cyclone_plugins import in_words

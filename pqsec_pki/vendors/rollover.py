@@ -9,7 +9,7 @@ authenticates only peers whose first CA has the same name. If both CAs have the 
 changes over without a gap, and 2.9.1 does not start.
 """
 
-from dataclasses import dataclass
+from pqsec_pki._dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

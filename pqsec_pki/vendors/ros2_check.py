@@ -1,6 +1,6 @@
 """A check of one requirement of ROS 2."""
 
-from dataclasses import dataclass
+from pqsec_pki._dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

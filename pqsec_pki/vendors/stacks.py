@@ -1,9 +1,10 @@
 """The stacks that credentials are exported for, and the check before an export."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from importlib import import_module
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint import Finding, Severity, check, largest_messages

@@ -26,6 +26,7 @@ GROUND = {
     "problems",
     "stacks",
     "_assets",
+    "_dataclass",
     "_files",
     "_lazy",
     "_owners",

@@ -7,9 +7,10 @@ are neither plain names nor a prefix with `*`, only the first ODD_PATTERNS are k
 import re
 from bisect import bisect_left, insort
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Generic, TypeVar
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC
 from pqsec_pki.documents import DomainRange, DomainSet
 

@@ -5,9 +5,9 @@ It is built here as it is sent, with zeros in place of secrets and signatures.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
     MODP_RAW,
     Family,

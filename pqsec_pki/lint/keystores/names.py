@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint.document import PermissionsFile

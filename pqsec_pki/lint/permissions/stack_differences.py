@@ -4,8 +4,9 @@ The decision then depends on the stack. `pqsec explain` shows the decision of ea
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Grant, PermissionRule
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.documents._shadows import Patterns, Starts, covers_domains, domains_meet
