@@ -3,7 +3,6 @@
 Commands are imported when they run: `pqsec --help` does not load cryptography.
 """
 
-import gc
 import io
 import os
 import signal
@@ -182,8 +181,6 @@ def main() -> None:
     # SIGTERM rolls back the change in progress, as Ctrl-C does.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     _open_closed_streams()
-    # Most commands end before a collection finds anything; importing alone caused dozens of them.
-    gc.set_threshold(100_000)
     # pqsec must be able to read its own files: ignore the owner's bits of the umask.
     os.umask(os.umask(0o077) & 0o077)
     if not sys.warnoptions:  # cryptography warns about unusual files: for developers only

@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.documents import _reading, _render, _schema
+from pqsec_pki.documents import _reading, _schema, _writing
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.errors import UsageError
 
@@ -123,7 +123,7 @@ class Governance:
 
         UsageError for a topic expression with a character that XML does not allow.
         """
-        return _render.render(_schema.Kind.GOVERNANCE, domain_rules=self.domain_rules)
+        return _writing.governance_xml(self)
 
     def rule_for(self, domain: int) -> DomainRule | None:
         """The rule that governs `domain`: the first that names it (9.4.1.2.7)."""

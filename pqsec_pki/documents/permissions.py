@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 from weakref import WeakValueDictionary
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.documents import _reading, _render, _schema
+from pqsec_pki.documents import _reading, _schema, _writing
 from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.subject import parse_subject, same_subject
@@ -157,7 +157,7 @@ class Permissions:
 
         UsageError for a time after the year 2261 and for a character that XML does not allow.
         """
-        return _render.render(_schema.Kind.PERMISSIONS, grants=self.grants)
+        return _writing.permissions_xml(self)
 
 
 _IN_USE: WeakValueDictionary[bytes, Permissions] = WeakValueDictionary()

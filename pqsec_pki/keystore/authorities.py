@@ -1,10 +1,9 @@
 """The CAs of a keystore with their private keys, for issuing and signing."""
 
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
@@ -33,6 +32,9 @@ from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import Signer, sign
 from pqsec_pki.tokens import Pin, find_key, is_reference, no_pin, reference_to, uri_in
+
+Done = TypeVar("Done")
+Item = TypeVar("Item")
 
 _KEYLESS = (
     "status, log, check, explain, who-may, diff, verify-handshake, bundle and export need no CA key"
@@ -129,11 +131,9 @@ class Authorities:
     def write_keys(self, private: StagedFolder, passphrase: bytes | None) -> None:
         """Stage the keys, encrypted under `passphrase`; not encrypted for None."""
         keys = list(_keys(self))
-        # Each encryption takes 600,000 hashes, and releases the interpreter lock.
-        with ThreadPoolExecutor() as pool:
-            pems = pool.map(lambda item: ca_key_file(item[1], passphrase), keys)
-            for (name, _), pem in zip(keys, pems, strict=True):
-                private.private(name, pem)
+        pems = _each(lambda item: ca_key_file(item[1], passphrase), keys, passphrase)
+        for (name, _), pem in zip(keys, pems, strict=True):
+            private.private(name, pem)
 
     def refuse_outdated(self, root: Path) -> None:
         """KeystoreError if the CAs of the keystore at `root` have been replaced.
@@ -164,9 +164,8 @@ def unlock(
     """
     private = root / layout.PRIVATE
     names = list(key_algorithms(profile))
-    with ThreadPoolExecutor() as pool:
-        loaded = pool.map(lambda name: load_ca_key(private / name, passphrase, pin), names)
-        keys = dict(zip(names, loaded, strict=True))
+    loaded = _each(lambda name: load_ca_key(private / name, passphrase, pin), names, passphrase)
+    keys = dict(zip(names, loaded, strict=True))
     public = root / layout.PUBLIC
     counter_key = keys.get(layout.PERMISSIONS_ALT_KEY)
     authorities = Authorities(
@@ -187,6 +186,18 @@ def unlock(
     )
     _check_pairs(authorities)
     return authorities
+
+
+def _each(
+    work: Callable[[Item], Done], items: Sequence[Item], passphrase: bytes | None
+) -> list[Done]:
+    """Like map. With a passphrase in threads: a key takes 600,000 hashes, without Python's lock."""
+    if passphrase is None:
+        return [work(item) for item in items]
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 -- it loads logging
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(work, items))
 
 
 def _certificates(authorities: Authorities) -> Iterator[tuple[str, Certificate]]:

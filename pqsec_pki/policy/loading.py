@@ -20,7 +20,7 @@ from pqsec_pki.documents import (
 )
 from pqsec_pki.errors import UsageError, VerificationError, located
 from pqsec_pki.problems import Code
-from pqsec_pki.smime import Verified, document_in, is_signed, lines_before_document
+from pqsec_pki.smime import SignedFile, Verified, document_in, is_signed, lines_before_document
 
 Value = TypeVar("Value", Governance, Permissions)
 Check: TypeAlias = Callable[[bytes], Verified]
@@ -133,7 +133,8 @@ def _loaded(
             if check:
                 found = check(data)
                 return Loaded(path, from_xml(found.document), True, True, found.lines_before)  # noqa: FBT003 -- fields
-            xml, before = document_in(data), lines_before_document(data)
+            file = SignedFile(data)
+            xml, before = document_in(file), lines_before_document(file)
             return Loaded(path, from_xml(xml), True, False, before)  # noqa: FBT003 -- fields
         if check:
             raise VerificationError("the document is not signed", code=Code.NOT_SIGNED)
