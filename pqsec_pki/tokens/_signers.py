@@ -5,7 +5,6 @@ An entry point has the name of its scheme, and is called with the URI. It return
 form of certificates and CMS. What it gives is verified.
 """
 
-from importlib.metadata import entry_points
 from typing import Any
 
 from pqsec_pki.algorithms import ExternalKey, load_public_key
@@ -16,6 +15,8 @@ GROUP = "pqsec.signers"
 
 def find(uri: str) -> ExternalKey:
     """The key with that URI; UsageError if no package handles its scheme."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 -- slow, and few keys are here
+
     scheme = uri.partition(":")[0].lower()
     offered = [each for each in entry_points(group=GROUP) if each.name.lower() == scheme]
     if len(offered) != 1:

@@ -16,7 +16,7 @@ import pytest
 
 from pqsec_pki.cli import COMMANDS, GROUPS
 from pqsec_pki.cli._printing import JSON_VERSION
-from tests.cli.conftest import clean_environment, command_of
+from tests.cli.conftest import PARTICIPANTS, clean_environment, command_of
 
 USAGE = [
     "foo",
@@ -244,32 +244,51 @@ def test_both_help_options_stay_when_a_command_was_looked_at_alone(pqsec):
 HEAVY = ("cryptography", "jinja2", "lxml", "sqlite3", "yaml")
 ROOMS = ("access", "domain", "handshake", "lint", "plugin", "selfcheck")
 HEAVY += tuple(f"pqsec_pki.{room}" for room in ROOMS)
-LIST_HEAVY = f"""\
+LIST_LOADED = """\
 import sys
 from pqsec_pki.cli import main
 try:
     main()
 finally:
-    print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+    print([name for name in {} if name in sys.modules], file=sys.stderr)
 """
 
 
-def loaded_by(folder: Path, *arguments: str) -> list[str]:
+def loaded_by(folder: Path, *arguments: str, names: tuple[str, ...] = HEAVY) -> list[str]:
+    """Which of `names` the command loads."""
     done = subprocess.run(
-        [sys.executable, "-c", LIST_HEAVY, *arguments],
+        [sys.executable, "-c", LIST_LOADED.format(names), *arguments],
         cwd=folder,
         env=clean_environment(PYTHONPATH=os.pathsep.join(sys.path)),
         capture_output=True,
         text=True,
         check=False,
     )
-    names: list[str] = json.loads(done.stderr.splitlines()[-1].replace("'", '"'))
-    return names
+    found: list[str] = json.loads(done.stderr.splitlines()[-1].replace("'", '"'))
+    return found
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["foo"], []])
 def test_help_and_version_load_no_heavy_module(tmp_path, arguments):
     assert loaded_by(tmp_path, *arguments) == []
+
+
+UNUSED = ("asyncio", "concurrent", "http", "importlib.metadata", "jinja2", "logging", "markupsafe")
+UNUSED += ("multiprocessing", "ssl", "subprocess", "zipfile")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "issue /more --publish chatter",
+        "status",
+        f"explain --participant {PARTICIPANTS[0]} --publish rt/chatter",
+        "verify k/enclaves/governance.p7s",
+    ],
+)
+def test_common_commands_load_no_module_that_they_do_not_use(tmp_path, keystore, arguments):
+    keystore()
+    assert loaded_by(tmp_path, "-k", "k", *arguments.split(), names=(*UNUSED, "lxml")) == ["lxml"]
 
 
 def test_the_list_of_what_was_loaded_is_true(tmp_path):
