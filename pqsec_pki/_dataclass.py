@@ -12,7 +12,7 @@ from reprlib import recursive_repr
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dataclasses import dataclass as dataclass  # noqa: PLC0414 -- the same to type checkers
+    from dataclasses import dataclass as dataclass  # noqa: PLC0414, TID251 -- for type checkers
 
 _Kind = type[Any]
 _Methods = dict[str, Callable[..., Any] | None]
@@ -26,7 +26,7 @@ def _dataclass(
 
     def decorated(plain: _Kind) -> _Kind:
         plain.__doc__ = plain.__doc__ or plain.__name__  # without one, inspect makes a signature
-        kind = dataclasses.dataclass(init=False, repr=False, eq=False, **others)(plain)
+        kind = dataclasses.dataclass(init=False, repr=False, eq=False, **others)(plain)  # noqa: TID251 -- its fields
         methods: _Methods = {"__init__": _first_init(kind, frozen=frozen), "__repr__": _repr}
         methods |= _comparing(kind, frozen=frozen) if eq else {}
         methods |= _FROZEN if frozen else {}
