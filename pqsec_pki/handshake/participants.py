@@ -105,8 +105,10 @@ def peer_certificate(octets: bytes) -> Certificate:
     known = _known.get(octets)
     if known is not None:
         return known
+    if found := Certificate.from_exact_pem(octets):
+        return _known.setdefault(octets, found)
     found = Certificate.from_pem(octets)
-    return _known.setdefault(found.pem, found)  # not by `octets`, of which there are many
+    return _known.setdefault(found.pem, found)  # not by other `octets`, of which there are many
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from pqsec_pki.algorithms import (
     SIGNATURES,
+    exact_der,
     is_encrypted,
     load_private_key,
     load_public_key,
@@ -389,6 +390,31 @@ def test_a_mutated_encrypted_private_key_in_der(data):
 @given(st.text(max_size=60) | st.binary(max_size=60).map(lambda data: data.decode("latin-1")))
 def test_any_text_as_pem(text):
     only_ours(lambda: unpem(text.encode("utf-8", "surrogatepass"), "text"))
+
+
+@hostile
+@given(st.binary(min_size=1, max_size=200))
+def test_pem_of_our_form_is_read_as_any_pem(der):
+    text = pem("CERTIFICATE", der)
+    assert exact_der("CERTIFICATE", text) == der == unpem(text, "")[0][1]
+
+
+def altered(text):
+    """PEM with one character removed, replaced or inserted."""
+    places = st.integers(0, len(text) - 1)
+    added = st.sampled_from([b"", b"\n", b"\r\n", b" ", b"=", b"A", b"-", b"\0", b"\xff"])
+    cut = st.integers(0, 1)
+    return st.builds(lambda at, new, size: text[:at] + new + text[at + size :], places, added, cut)
+
+
+@hostile
+@given(st.binary(min_size=1, max_size=120).flatmap(lambda der: altered(pem("CERTIFICATE", der))))
+@example(b"-----BEGIN CERTIFICATE-----\n-----END CERTIFICATE-----\n")
+@example(b"-----BEGIN CERTIFICATE-----\nAAB=\n-----END CERTIFICATE-----\n")
+def test_pem_of_another_form_is_not_read_as_ours(text):
+    """Else one certificate would have several texts, and readers might differ about them."""
+    der = exact_der("CERTIFICATE", text)
+    assert der is None or pem("CERTIFICATE", der) == text
 
 
 # Signed documents
