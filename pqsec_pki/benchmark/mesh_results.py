@@ -86,6 +86,7 @@ class MeshRun:
             "deliveries": counts["deliveries"],
             "lost": counts["lost"],
             "buffer_errors": sum(each.get("RcvbufErrors", 0) for each in kernels),
+            "queue_drops": sum(each.get("QueueDrops", 0) for each in kernels),
             "reassembly_failures": sum(each.get("ReasmFails", 0) for each in kernels),
             "handshake_messages": counts["handshake_messages"],
             "handshake_repeats": counts["handshake_repeats"],

@@ -3,8 +3,9 @@
 The ports are open TAP devices. A frame goes to the port that its destination address ends in, and
 to all others if that is a group. On the way to each port, IP packets are lost with the probability
 LOSS, so each fragment of a datagram is; all are delayed by DELAY seconds. ARP is never lost: the
-kernel would repeat it only after a second, and the result would be about ARP. For each line on
-stdin it prints its counts as a line of JSON. It ends when stdin does.
+kernel would repeat it only after a second, and the result would be about ARP. It runs before other
+processes if it may (sched(7)): hosts that wait for it repeat messages, and so delay it more. For
+each line on stdin it prints its counts as a line of JSON. It ends when stdin does.
 """
 
 import json
@@ -154,6 +155,8 @@ class Switch:
 
 def main(loss: str, delay: str, seed: str, *ports: str) -> None:
     """Serve until stdin ends."""
+    with suppress(OSError):  # only root may
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     chance = random.Random(int(seed))  # noqa: S311 -- of a network, not of a key
     Switch([*map(int, ports)], float(loss), float(delay), chance).serve(sys.stdin.fileno())
 

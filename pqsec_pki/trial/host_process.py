@@ -132,8 +132,14 @@ KERNEL = {
 sent, received, and dropped because their receiver was too slow; and not reassembled."""
 
 
+QUEUE_DROPS = "QueueDrops"
+"""Frames that were lost because the switch was too slow."""
+_DROPPED = 11
+"""The field of /proc/PID/net/dev with them."""
+
+
 def kernel_counters(process: int) -> dict[str, int]:
-    """Those in KERNEL of its network; nothing if it has ended."""
+    """Those in KERNEL of its network, and QUEUE_DROPS; nothing if it has ended."""
     try:
         lines = Path(f"/proc/{process}/net/snmp").read_text().splitlines()
     except OSError:
@@ -143,7 +149,18 @@ def kernel_counters(process: int) -> dict[str, int]:
         protocol, *words = names.split()
         numbers = map(int, values.split()[1:])
         found |= {(protocol.rstrip(":"), word): n for word, n in zip(words, numbers, strict=False)}
-    return {name: found.get((protocol, name), 0) for name, protocol in KERNEL.items()}
+    counters = {name: found.get((protocol, name), 0) for name, protocol in KERNEL.items()}
+    return counters | {QUEUE_DROPS: _queue_drops(process)}
+
+
+def _queue_drops(process: int) -> int:
+    """Frames that its interface could not send; 0 if it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/net/dev").read_text().splitlines()
+    except OSError:
+        return 0
+    fields = (line.partition(":")[2].split() for line in lines if line.strip().startswith("eth0:"))
+    return sum(int(each[_DROPPED]) for each in fields)
 
 
 def processor_seconds(process: int) -> float:

@@ -181,6 +181,28 @@ def test_the_kernel_counts_datagrams():
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+def test_frames_that_the_switch_is_too_slow_for_are_counted(monkeypatch):
+    """It never starts, and a queue of one frame is full at once."""
+    monkeypatch.setattr("pqsec_pki.trial.segment._QUEUE", 1)
+
+    def work(_):
+        with segment(Link()) as ethernet:
+            ethernet.add_host()
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+                for _ in range(1000):
+                    sender.sendto(bytes(100), ("10.77.255.255", 7000))
+            with subprocess.Popen(["sleep", "60"]) as process:
+                found = kernel_counters(process.pid)
+                process.kill()
+            return found
+
+    found = alone(work)
+    assert found["OutDatagrams"] + found["QueueDrops"] >= 1000
+    assert found["QueueDrops"] > 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
 def test_hosts_reach_each_other_over_the_switch_alone():
     """Two namespaces; the datagram is fragmented by the MTU."""
 
