@@ -1,6 +1,6 @@
 """pqsec issue: issue participants."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki import enrolment
+from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._names import admitted, named
 from pqsec_pki.cli._participant_options import (
@@ -17,8 +18,9 @@ from pqsec_pki.cli._participant_options import (
 )
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
+from pqsec_pki.enrolment import IssuedBundle
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Keystore, is_several
+from pqsec_pki.keystore import Authorities, Keystore, is_several
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
 from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -95,40 +97,57 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
-    keys = dict[str, PublicKeys]()
-    if requests:
-        found = [request for _, request in _bundles.load_requests(requests)]
-        keys = enrolment.validate_csrs(found, keystore.profile, names=names, patterns=patterns)
-    else:
-        names = _matching(keystore, wanted, names)
+    keys = _requested(keystore, requests, names, patterns) if requests else {}
+    names = tuple(keys) or _matching(keystore, wanted, names)
+    into = (folder or Path()) if requests else None
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
-    specs = wanted.specs(tuple(keys) or names, domain_set)
-    specs = [replace(spec, keys=keys.get(spec.name)) for spec in specs]
-    if requests:  # refused before the passphrase is asked for
-        enrolment.bundle_paths(keys, folder or Path(), force=force)
-    with located(_governance(keystore)):
-        governance = Governance.from_xml(document_in(keystore.governance))
-    recipient = _bundles.recipient(seal_for)
-    authorities = _passphrases.unlock(keystore, passphrase_file)
-    choices: dict[str, Any] = {
-        "now": _settings.now(),
-        "force": force,
-        "after_revocation": after_revocation,
-        "compromised_keys": compromised_keys,
-    }
-    bundles = dict[str, Path]()
-    if requests:
-        made = enrolment.issue_with_bundles(
-            keystore, authorities, specs, folder or Path(), recipient=recipient, **choices
-        )
-        issued = [each.issued for each in made]
-        bundles = {each.issued.name: each.path for each in made}
-    else:
-        issued = issue_participants(keystore, authorities, specs, **choices)
+    specs = [replace(spec, keys=keys.get(spec.name)) for spec in wanted.specs(names, domain_set)]
+    if into:  # refused before the passphrase is asked for
+        enrolment.bundle_paths(names, into, force=force)
+    governance, recipient = _read_governance(keystore), _bundles.recipient(seal_for)
+    issued, bundles = _made(
+        keystore,
+        _passphrases.unlock(keystore, passphrase_file),
+        specs,
+        into,
+        recipient,
+        now=_settings.now(),
+        force=force,
+        after_revocation=after_revocation,
+        compromised_keys=compromised_keys,
+    )
     _warn(governance, specs)
     note_doubtful_topics(keystore, [spec.name for spec in specs if spec.has_rights])
     note_unsigned_governance(keystore)
     print_issued(keystore, issued, bundles)
+
+
+def _requested(
+    keystore: Keystore,
+    requests: tuple[Path, ...],
+    names: tuple[str, ...],
+    patterns: tuple[str, ...],
+) -> dict[str, PublicKeys]:
+    """The keys that are to be certified, by name."""
+    found = [request for _, request in _bundles.load_requests(requests)]
+    return enrolment.validate_csrs(found, keystore.profile, names=names, patterns=patterns)
+
+
+def _made(
+    keystore: Keystore,
+    authorities: Authorities,
+    specs: list[ParticipantSpec],
+    into: Path | None,
+    recipient: SealingPublicKey | None,
+    **choices: Any,
+) -> tuple[list[Issued], list[IssuedBundle]]:
+    """What was issued, and the bundles that were written, if there is a folder for them."""
+    if into is None:
+        return issue_participants(keystore, authorities, specs, **choices), []
+    bundles = enrolment.issue_with_bundles(
+        keystore, authorities, specs, into, recipient=recipient, **choices
+    )
+    return [each.issued for each in bundles], bundles
 
 
 def _refuse_without_requests(patterns: tuple[str, ...], *others: Path | None) -> None:
@@ -183,23 +202,18 @@ def _governance(keystore: Keystore) -> Path:
     return keystore.root / ENCLAVES / GOVERNANCE
 
 
+def _read_governance(keystore: Keystore) -> Governance:
+    with located(_governance(keystore)):
+        return Governance.from_xml(document_in(keystore.governance))
+
+
 def print_issued(
-    keystore: Keystore, issued: list[Issued], bundles: Mapping[str, Path] | None = None
+    keystore: Keystore, issued: Sequence[Issued], bundles: Sequence[IssuedBundle] = ()
 ) -> None:
     """Print one line for each issued participant, with the path of its folder or bundle."""
-    bundles = bundles or {}
     if issued and issued[0].shortened:
         end = issued[0].not_after
         _printing.note(f"valid only until {end:%Y-%m-%d}, when the identity CA expires")
-    value = {
-        "keystore": keystore.root,
-        "issued": [
-            each.to_json() | ({"bundle": bundles[each.name]} if each.name in bundles else {})
-            for each in issued
-        ],
-    }
-    paths = {each.name: bundles.get(each.name, each.folder) for each in issued}
-    _printing.emit(
-        value,
-        [f"{each.name}  until {each.not_after:%Y-%m-%d}  {paths[each.name]}" for each in issued],
-    )
+    found = bundles or issued
+    value = {"keystore": keystore.root, "issued": found}
+    _printing.emit(value, ["  ".join(each.row) for each in found])

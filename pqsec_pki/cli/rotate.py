@@ -1,8 +1,8 @@
 """pqsec ca rotate: replace the CAs, with a plan of the consequences."""
 
 from contextlib import nullcontext
-from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -80,20 +80,14 @@ from pqsec_pki.lifecycle import (
 @_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the new CA keys unencrypted.")
 @_settings.command_options
-def rotate(  # noqa: PLR0913 -- one for each option, by name
-    profile_name: str | None,
-    scope: str | None,
-    name: str | None,
-    validity: timedelta,
+def rotate(
     passphrase_file: Path | None,
     *,
-    overlap: str | None,
     plan: bool,
     do: bool,
     yes: bool,
-    rekey: bool,
-    destroy: bool,
     no_passphrase: bool,
+    **asked: Any,
 ) -> None:
     """Replace the CAs and reissue everything they signed, or change the profile.
 
@@ -107,15 +101,7 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     if plan and do:
         raise UsageError("--plan and --apply exclude each other")
     keystore = _settings.open_keystore(to_change=do)
-    terms = Rollover(
-        profile=_profile(keystore, profile_name),
-        scope=Scope(scope) if scope else Scope.IDENTITY if overlap else Scope.BOTH,
-        overlap=OverlapStep(overlap) if overlap else None,
-        name=name,
-        validity=validity,
-        rekey=rekey,
-        destroy=destroy,
-    )
+    terms = _terms(keystore, **asked)
     if terms.overlap:
         _overlap.refuse_options(terms.overlap)
     with keystore.hold() if do else nullcontext():  # no other command is in the middle of a change
@@ -127,6 +113,22 @@ def rotate(  # noqa: PLR0913 -- one for each option, by name
     if asks:
         _ask(planned)
     _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase, confirmed=asks)
+
+
+def _terms(
+    keystore: Keystore,
+    *,
+    profile_name: str | None,
+    scope: str | None,
+    overlap: str | None,
+    **how: Any,
+) -> Rollover:
+    return Rollover(
+        profile=_profile(keystore, profile_name),
+        scope=Scope(scope) if scope else Scope.IDENTITY if overlap else Scope.BOTH,
+        overlap=OverlapStep(overlap) if overlap else None,
+        **how,
+    )
 
 
 def _show(plan: RolloverPlan) -> None:

@@ -85,17 +85,32 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         others = {} if alone else _others(before, bundle, found)
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
-        numbers = _numbers(before, bundle, wanted)
-        if before and before.enclaves == wanted:
-            store.trust(newer)
-            store.save_receipt(receipt_of(wanted, numbers, installed_at=before.at, now=now))
-            already = True
-        else:
-            receipt = receipt_of(wanted, numbers, installed_at=now, now=now)
-            store.put(wanted, newer, now, numbers=numbers, receipt=receipt)
-            already = False
+        already = _NextSet(before, wanted, _numbers(before, bundle, wanted)).put(store, newer, now)
         store.tidy(keys)  # also removes what a killed installation left
         return _result(found, store, bundle, already=already)
+
+
+@dataclass(frozen=True, slots=True)
+class _NextSet:
+    """What is to be installed, and what is installed before."""
+
+    before: InstalledSet | None
+    enclaves: dict[str, dict[str, bytes]]
+    numbers: dict[str, int]
+
+    def put(self, store: CredentialStore, trust: TrustState, now: datetime) -> bool:
+        """Make it the current set, with its receipt.
+
+        Whether the same files were installed already: then only trust and receipt are written.
+        """
+        if self.before and self.before.enclaves == self.enclaves:
+            store.trust(trust)
+            since = self.before.at
+            store.save_receipt(receipt_of(self.enclaves, self.numbers, installed_at=since, now=now))
+            return True
+        receipt = receipt_of(self.enclaves, self.numbers, installed_at=now, now=now)
+        store.put(self.enclaves, trust, now, numbers=self.numbers, receipt=receipt)
+        return False
 
 
 def removed_alone(path: Path, root: Path) -> tuple[str, ...]:

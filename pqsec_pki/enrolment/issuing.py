@@ -21,6 +21,16 @@ class IssuedBundle:
     issued: Issued
     path: Path
 
+    @property
+    def row(self) -> tuple[str, str, str]:
+        """Name, end and place."""
+        name, end, _ = self.issued.row
+        return name, end, str(self.path)
+
+    def to_json(self) -> dict[str, object]:
+        """The participant for --json."""
+        return {**self.issued.to_json(), "bundle": self.path}
+
 
 def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,

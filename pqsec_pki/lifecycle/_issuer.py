@@ -48,6 +48,11 @@ class Issued:
     """Bytes of permissions.p7s, which is sent in every handshake."""
     entries: tuple[Entry, Entry] = field(repr=False)
 
+    @property
+    def row(self) -> tuple[str, str, str]:
+        """Name, end and place."""
+        return self.name, f"until {self.not_after:%Y-%m-%d}", str(self.folder)
+
     def to_json(self) -> dict[str, object]:
         """The participant for --json."""
         return {
