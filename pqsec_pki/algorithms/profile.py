@@ -99,6 +99,17 @@ class Profile:
             names[key] = row.name if row else None
         return names
 
+    def to_json(self) -> dict[str, object]:
+        """The profile for --json."""
+        return self.to_names() | {
+            "summary": self.summary,
+            "promises": [promise.text for promise in self.promises],
+            "level": self.level,
+            "runs_in_stock_stacks": self.runs_in_stock,
+            "runs_in": self.runs_in,
+            "default": self is DEFAULT_PROFILE,
+        }
+
     @classmethod
     def from_names(cls, names: dict[str, str | None]) -> "Profile":
         """The inverse of to_names; MalformedError if `names` are not from to_names."""

@@ -135,7 +135,7 @@ def _json(account: _Totals) -> Iterator[str]:
     comma = ""
     for outcome in account.outcomes():
         if outcome.ok is not None:
-            yield comma + json.dumps(_pair_json(outcome))
+            yield comma + json.dumps(outcome.to_json())
             comma = ","
     yield "],"
     yield f'"ok": {json.dumps(account.summary.ok)},'
@@ -147,26 +147,8 @@ def _participant_json(found: PairsCheck, name: str) -> dict[str, Any]:
     return {
         "name": name,
         "domains": sorted(own[0].domains),
-        "faults": [{"as": each.party.stack} | _fault(each.failed) for each in own if each.failed],
+        "faults": [{"as": each.party.stack} | each.failed.fault for each in own if each.failed],
     }
-
-
-def _pair_json(outcome: PairOutcome) -> dict[str, Any]:
-    result = outcome.result
-    return {
-        "pair": [outcome.first.party.name, outcome.second.party.name],
-        "as": [outcome.first.party.stack, outcome.second.party.stack],
-        "domain": outcome.domain,
-        "ok": outcome.ok,
-        "initiator": result.initiator if result else None,
-        "replier": result.replier if result else None,
-        "milliseconds": result.milliseconds if result else None,
-        "topic_flows": [each.to_json() for each in result.talks] if result else [],
-    } | (_fault(outcome.failed) if outcome.failed else {})
-
-
-def _fault(step: CheckedStep) -> dict[str, str | None]:
-    return {"step": step.name, "cause": step.detail, "hint": step.hint}
 
 
 # As text.

@@ -54,14 +54,9 @@ def show(step: OverlapStep, plan: RolloverPlan) -> None:
         "overlap": step.value,
         "steps": plan.steps,
         "robots": _ROBOTS[step],
-        "trust": trust_rows(),
+        "trust": TRUST,
     }
     _printing.emit(value, _lines(step, plan))
-
-
-def trust_rows() -> list[dict[str, str | None]]:
-    """The stacks that can trust two identity CAs, or not, for JSON."""
-    return [{"stack": row.stack, "identity_ca": row.how, "evidence": row.evidence} for row in TRUST]
 
 
 def _lines(step: OverlapStep, plan: RolloverPlan) -> Iterator[str]:

@@ -1,9 +1,8 @@
 """pqsec ca rotate: what a rollover without an overlap does and breaks, in words."""
 
 from collections.abc import Iterator
-from typing import Any
 
-from pqsec_pki.cli import _overlap, _printing
+from pqsec_pki.cli import _printing
 from pqsec_pki.lifecycle import RolloverPlan, RolloverResult, Scope
 from pqsec_pki.vendors import TRUST
 
@@ -16,21 +15,18 @@ CAS = {
 
 def show(plan: RolloverPlan) -> None:
     """Print the plan."""
-    _printing.emit(_plan_value(plan), _plan_lines(plan))
+    value = {
+        **plan.to_json(),
+        "robots": _to_robots(plan),
+        "breaks": _breaks(plan),
+        "overlap": TRUST,
+    }
+    _printing.emit(value, _plan_lines(plan))
 
 
 def print_done(done: RolloverResult) -> None:
     """Print what was replaced, and what the operator does next."""
     plan = done.plan
-    value = {
-        "generation": plan.generation,
-        "profile": plan.terms.profile.name,
-        "scope": plan.terms.scope,
-        "issued": [each.name for each in done.issued],
-        "left_out": plan.left_out,
-        "new_list": plan.new_list,
-        "archive": plan.archive,
-    }
     count = _printing.counted(len(done.issued), "participant")
     keys = (
         "certificates only, the keys are destroyed"
@@ -42,26 +38,7 @@ def print_done(done: RolloverResult) -> None:
         f"generation {plan.generation - 1} is in {plan.archive} ({keys})",
         *(f"next: {step}" for step in _to_robots(plan)),
     ]
-    _printing.emit(value, lines)
-
-
-def _plan_value(plan: RolloverPlan) -> dict[str, Any]:
-    return {
-        "generation": plan.generation,
-        "scope": plan.terms.scope,
-        "profile": {"before": plan.before.name, "after": plan.terms.profile.name},
-        "one_ca": plan.one_ca,
-        "keeping": plan.keeping,
-        "rekeyed": plan.rekeyed,
-        "left_out": plan.left_out,
-        "new_list": plan.new_list,
-        "archive": plan.archive,
-        "destroy": plan.terms.destroy,
-        "steps": plan.steps,
-        "robots": _to_robots(plan),
-        "breaks": _breaks(plan),
-        "overlap": _overlap.trust_rows(),
-    }
+    _printing.emit(done.to_json(), lines)
 
 
 def _plan_lines(plan: RolloverPlan) -> Iterator[str]:

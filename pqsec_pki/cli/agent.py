@@ -38,15 +38,7 @@ def status() -> int:
     if found is None:
         _printing.emit({"running": False}, [_NOT_RUNNING])
         return 1
-    value = {
-        "running": True,
-        "process": found.process,
-        "workers": list(found.workers),
-        "agent_version": found.version,
-        "socket": found.socket,
-        "connections": found.connections,
-    }
-    _printing.emit(value, _lines(found))
+    _printing.emit(found.to_json(), _lines(found))
     return 0
 
 

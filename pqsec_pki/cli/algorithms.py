@@ -28,18 +28,7 @@ from pqsec_pki.cli import _help, _printing, _settings
 def profiles() -> None:
     """List the profiles: algorithms that are used together."""
     lines = [line for profile in PROFILES for line in (*_lines(profile), "")]
-    _printing.emit({"profiles": list(map(_value, PROFILES))}, lines[:-1])
-
-
-def _value(profile: Profile) -> dict[str, object]:
-    return profile.to_names() | {
-        "summary": profile.summary,
-        "promises": [promise.text for promise in profile.promises],
-        "level": profile.level,
-        "runs_in_stock_stacks": profile.runs_in_stock,
-        "runs_in": profile.runs_in,
-        "default": profile is DEFAULT_PROFILE,
-    }
+    _printing.emit({"profiles": PROFILES}, lines[:-1])
 
 
 def _lines(profile: Profile) -> Iterator[str]:

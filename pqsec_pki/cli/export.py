@@ -184,7 +184,7 @@ def _write_all(  # noqa: PLR0913 -- the options of the command
     for each in made:
         folder = output / each.participant.lstrip("/")
         written = write(each, folder, force=force)
-        found.append(_value(each) | _written(each, folder, written))
+        found.append(each.to_json(folder, written))
     return found
 
 
@@ -199,27 +199,11 @@ def _print_all(found: list[dict[str, Any]]) -> None:
 
 
 def _print_export(made: Export, output: Path | None, written: list[Path]) -> None:
-    value = _value(made)
     if output:
-        value |= _written(made, output, written)
+        value = made.to_json(output, written)
         _printing.emit(value, [*map(str, written), "", "To use it:", *made.commands(output)])
         return
     texts = {path: each for path, each in made.files.items() if isinstance(each, str)}
-    _printing.emit(value | {"texts": texts}, [texts[made.main].removesuffix("\n")], verbatim=True)
-
-
-def _value(made: Export) -> dict[str, Any]:
-    return {
-        "stack": made.stack,
-        "participant": made.participant,
-        "notes": made.notes,
-        "warnings": made.warnings,
-    }
-
-
-def _written(made: Export, folder: Path, files: list[Path]) -> dict[str, Any]:
-    return {
-        "files": files,
-        "environment": made.variables(folder),
-        "commands": made.commands(folder),
-    }
+    _printing.emit(
+        {**made.to_json(), "texts": texts}, [texts[made.main].removesuffix("\n")], verbatim=True
+    )

@@ -150,7 +150,7 @@ def _run(stack: str, names: tuple[str, ...], given: dict[str, Any]) -> int:
         report = run_trial(replace(trial, plugin=ours), route)
     for warning in report.warnings:
         _printing.note(warning)
-    _printing.emit(_as_json(report), _lines(report))
+    _printing.emit(report.to_json(), _lines(report))
     return 0 if report.ok else 1
 
 
@@ -195,41 +195,6 @@ def _route(
     if not topic:
         raise UsageError("the topic is empty", hint="omit --topic to use a topic that both may use")
     return TopicRoute(sender=first, receiver=second, domain=domain, topic=topic)
-
-
-def _as_json(report: TrialReport) -> dict[str, Any]:
-    wire = report.trial_run.wire
-    return {
-        "stack": report.installation.build.stack,
-        "stack_version": report.installation.version,
-        "library": report.installation.library.path,
-        "receiving": _receiving(report),
-        "plugin": report.plugged,
-        "domain": report.topic_route.domain,
-        "topic": report.topic_route.topic,
-        "sender": report.sender.role.name,
-        "receiver": report.receiver.role.name,
-        "ok": report.ok,
-        "accepted": report.accepted,
-        "seconds": round(report.trial_run.seconds, 2),
-        "unauthenticated_heard": report.unauthenticated_heard,
-        "readable": report.readable,
-        "packets": wire.packets if wire else None,
-        "own_network": report.trial_run.alone,
-        "findings": report.findings,
-        "warnings": report.warnings,
-    }
-
-
-def _receiving(report: TrialReport) -> dict[str, object] | None:
-    """The receiver's stack, if it is another."""
-    for each in report.installations[1:]:
-        return {
-            "stack": each.build.stack,
-            "stack_version": each.version,
-            "library": each.library.path,
-        }
-    return None
 
 
 def _lines(report: TrialReport) -> Iterator[str]:

@@ -111,6 +111,22 @@ class RolloverPlan:
     drop_list: bool = False
     """Whether the empty revocation list is removed: it would cover only one of two CAs."""
 
+    def to_json(self) -> dict[str, object]:
+        """The plan of a rollover without an overlap, for --json."""
+        return {
+            "generation": self.generation,
+            "scope": self.terms.scope,
+            "profile": {"before": self.before.name, "after": self.terms.profile.name},
+            "one_ca": self.one_ca,
+            "keeping": self.keeping,
+            "rekeyed": self.rekeyed,
+            "left_out": self.left_out,
+            "new_list": self.new_list,
+            "archive": self.archive,
+            "destroy": self.terms.destroy,
+            "steps": self.steps,
+        }
+
     @property
     def steps(self) -> tuple[str, ...]:
         """What changes, in words; all of it is one change."""

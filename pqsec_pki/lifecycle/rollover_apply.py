@@ -76,6 +76,18 @@ class RolloverResult:
     overlap: Overlap | None
     """The overlap that began, continued or ended."""
 
+    def to_json(self) -> dict[str, object]:
+        """What was replaced, for --json."""
+        return {
+            "generation": self.plan.generation,
+            "profile": self.plan.terms.profile.name,
+            "scope": self.plan.terms.scope,
+            "issued": [each.name for each in self.issued],
+            "left_out": self.plan.left_out,
+            "new_list": self.plan.new_list,
+            "archive": self.plan.archive,
+        }
+
 
 def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
     keystore: Keystore,

@@ -23,6 +23,17 @@ class AgentStatus:
     socket: str
     connections: tuple[dict[str, Any], ...]
 
+    def to_json(self) -> dict[str, object]:
+        """The status for --json."""
+        return {
+            "running": True,
+            "process": self.process,
+            "workers": self.workers,
+            "agent_version": self.version,
+            "socket": self.socket,
+            "connections": self.connections,
+        }
+
 
 class Client:
     """A connection to the agent, like the shim's."""

@@ -64,6 +64,21 @@ class PairOutcome:
             return False
         return None if self.domain is None else True
 
+    def to_json(self) -> dict[str, object]:
+        """The outcome for --json; with the fault, if there is one."""
+        result = self.result
+        return {
+            "pair": [self.first.party.name, self.second.party.name],
+            "as": [self.first.party.stack, self.second.party.stack],
+            "domain": self.domain,
+            "ok": self.ok,
+            "initiator": result.initiator if result else None,
+            "replier": result.replier if result else None,
+            "milliseconds": result.milliseconds if result else None,
+            "topic_flows": [each.to_json() for each in result.talks] if result else [],
+            **(self.failed.fault if self.failed else {}),
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class PairsCheck:

@@ -22,6 +22,11 @@ class CheckedStep:
     codes: frozenset[Code] = frozenset()
     """Codes of the checks that failed; empty if the step succeeded."""
 
+    @property
+    def fault(self) -> dict[str, str | None]:
+        """For --json, if it failed."""
+        return {"step": self.name, "cause": self.detail, "hint": self.hint}
+
 
 AUTH_REQUEST = "auth request"
 HANDSHAKE = ("request", "reply", "final")

@@ -114,6 +114,36 @@ class TrialReport:
         """Whether the sample arrived, and the unauthenticated participant did not get it."""
         return self.accepted and self.unauthenticated_heard is False
 
+    def to_json(self) -> dict[str, object]:
+        """The report for --json; `receiving` is the receiver's stack, if it is another."""
+        wire, others = self.trial_run.wire, self.installations[1:]
+        return {
+            **_stack(self.installation),
+            "receiving": _stack(others[0]) if others else None,
+            "plugin": self.plugged,
+            "domain": self.topic_route.domain,
+            "topic": self.topic_route.topic,
+            "sender": self.sender.role.name,
+            "receiver": self.receiver.role.name,
+            "ok": self.ok,
+            "accepted": self.accepted,
+            "seconds": round(self.trial_run.seconds, 2),
+            "unauthenticated_heard": self.unauthenticated_heard,
+            "readable": self.readable,
+            "packets": wire.packets if wire else None,
+            "own_network": self.trial_run.alone,
+            "findings": self.findings,
+            "warnings": self.warnings,
+        }
+
+
+def _stack(installation: Installation) -> dict[str, object]:
+    return {
+        "stack": installation.build.stack,
+        "stack_version": installation.version,
+        "library": installation.library.path,
+    }
+
 
 def refuse_untrusted(keystore: Keystore, names: Iterable[str], now: datetime) -> None:
     """VerificationError if the credentials of one of them cannot be trusted at `now`.

@@ -5,9 +5,10 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import (
@@ -111,6 +112,19 @@ class Export:
         found = [f"export {k}={shlex.quote(v)}" for k, v in self.variables(folder).items()]
         where = shlex.quote(str(folder.absolute()))
         return found + [step.replace(FOLDER, where) for step in self.steps]
+
+    def to_json(self, folder: Path | None = None, files: Sequence[Path] = ()) -> dict[str, Any]:
+        """The export for --json; with `folder`, also the files that were written there."""
+        value: dict[str, Any] = {
+            "stack": self.stack,
+            "participant": self.participant,
+            "notes": self.notes,
+            "warnings": self.warnings,
+        }
+        if folder is None:
+            return value
+        used = {"environment": self.variables(folder), "commands": self.commands(folder)}
+        return value | {"files": files} | used
 
 
 def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:

@@ -21,6 +21,10 @@ class OverlapSupport:
     """How it trusts both; None if it does not."""
     evidence: str
 
+    def to_json(self) -> dict[str, str | None]:
+        """The row for --json."""
+        return {"stack": self.stack, "identity_ca": self.how, "evidence": self.evidence}
+
 
 _FILE = "both certificates in the file identity_ca, as an overlap writes it"
 
