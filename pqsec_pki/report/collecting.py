@@ -13,7 +13,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, Status, audit, robot_states
+from pqsec_pki.keystore import Keystore, Line, RobotState, Status, audit, robot_states
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
 from pqsec_pki.migration import MigrationPlan
@@ -32,7 +32,6 @@ from pqsec_pki.report.values import (
     HandshakeSize,
     ParticipantRow,
     Report,
-    RobotRow,
 )
 
 Given = TypeVar("Given")
@@ -224,19 +223,9 @@ def _sizes(inventory: Inventory) -> tuple[HandshakeSize, ...]:
     )
 
 
-def _robots(keystore: Keystore, status: Status) -> tuple[RobotRow, ...]:
+def _robots(keystore: Keystore, status: Status) -> tuple[RobotState, ...]:
     participants = sorted(status.participants, key=lambda each: each.name)
-    return tuple(
-        RobotRow(
-            name=each.name,
-            state=each.state,
-            runs=each.runs,
-            should_run=each.should_run,
-            changed=each.changed,
-            installed_at=each.installed_at,
-        )
-        for each in robot_states(keystore, participants).values()
-    )
+    return tuple(robot_states(keystore, participants).values())
 
 
 def _evidence(keystore: Keystore, lines: list[Line]) -> Evidence:

@@ -18,7 +18,7 @@ from pqsec_pki._assets import asset
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import shown
-from pqsec_pki.keystore import InstallState
+from pqsec_pki.keystore import InstallState, RobotState
 from pqsec_pki.lint import Severity
 from pqsec_pki.report.comparing import Changes
 from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
@@ -29,7 +29,6 @@ from pqsec_pki.report.values import (
     Report,
     RightsRow,
     RightsSection,
-    RobotRow,
     Strength,
 )
 
@@ -132,9 +131,9 @@ def _by_use(exposures: Iterable[Exposure]) -> list[Exposure]:
     ]
 
 
-def _robots_alike(robots: Iterable[RobotRow]) -> list[list[RobotRow]]:
+def _robots_alike(robots: Iterable[RobotState]) -> list[list[RobotState]]:
     """Robots in the same state, with the same differences; those that lack something first."""
-    alike: dict[tuple[object, ...], list[RobotRow]] = {}
+    alike: dict[tuple[object, ...], list[RobotState]] = {}
     for each in robots:
         alike.setdefault((each.state, each.changed, each.runs, each.should_run), []).append(each)
     rank = [InstallState.OUTDATED, InstallState.UNKNOWN, InstallState.CURRENT, InstallState.NONE]

@@ -4,7 +4,7 @@ from datetime import datetime
 from enum import StrEnum
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.keystore import InstallState, State
+from pqsec_pki.keystore import RobotState, State
 from pqsec_pki.lint import Severity
 from pqsec_pki.migration import MigrationPlan
 
@@ -203,20 +203,6 @@ class ParticipantRow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotRow:
-    """What the robot of one participant runs, by its newest receipt, and what it should run."""
-
-    name: str
-    state: InstallState
-    runs: int | None
-    """The number of its bundle; None if that is not known."""
-    should_run: int | None
-    changed: tuple[str, ...]
-    """The names of the files that differ."""
-    installed_at: datetime | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AuthorityRow:
     """A CA, or the revocation list."""
 
@@ -262,7 +248,7 @@ class Report:
     findings: FindingsSection | None
     events: tuple[LedgerEvent, ...] | None
     sizes: tuple[HandshakeSize, ...] | None
-    robots: tuple[RobotRow, ...] | None
+    robots: tuple[RobotState, ...] | None
     evidence: Evidence | None
     gaps: tuple[Gap, ...]
 
@@ -287,9 +273,14 @@ class Report:
             "findings": self.findings,
             "events": self.events,
             "handshake_sizes": self.sizes,
-            "robots": self.robots,
+            "robots": self.robots and list(map(_robot, self.robots)),
             "evidence": self.evidence,
         }
+
+
+def _robot(each: RobotState) -> dict[str, object]:
+    value = each.to_json()
+    return {"name": each.name, "state": value.pop("robot"), **value}
 
 
 def _rights(rights: RightsSection) -> dict[str, object]:
