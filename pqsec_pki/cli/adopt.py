@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.cli.check import report_lines, report_value
+from pqsec_pki.cli.check import report_lines
 from pqsec_pki.lifecycle import Adopted
 from pqsec_pki.lifecycle import adopt as adopt_folder
 from pqsec_pki.lint import check
@@ -40,7 +40,7 @@ def adopt(folder: Path | None) -> None:
             "participants": found.participants,
             "refused": found.refused,
             "one_ca": found.one_ca,
-            "check": report_value(report, strict=False),
+            "check": report,
         },
         [*_lines(found), *report_lines(report)],
     )

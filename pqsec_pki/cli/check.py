@@ -125,7 +125,7 @@ def check(  # noqa: PLR0913 -- one for each option
     else:
         _formats.emit(
             form,
-            report_value(report, strict=strict),
+            report.to_json(strict=strict),
             [*report_lines(report), *_more(report)],
             columns=_COLUMNS,
             items=(each.to_json() for each in report.findings),
@@ -159,7 +159,7 @@ def report_lines(report: LintReport) -> list[str]:
         for severity in Severity
         if (number := report.count(severity))
     ]
-    checked = f"{_printing.counted(_read(report), 'file')} checked"
+    checked = f"{_printing.counted(report.files_read, 'file')} checked"
     ignored = [f"{len(report.ignored)} ignored"] if report.ignored else []
     summary = f"{checked}: {', '.join([*(counts or ['no findings']), *ignored])}"
     if unread := len(report.unread):
@@ -192,36 +192,7 @@ def _more(report: LintReport) -> list[str]:
     return lines
 
 
-def report_value(report: LintReport, *, strict: bool) -> dict[str, Any]:
-    """The report for --json."""
-    return {
-        "ok": not _exit_code(report, strict=strict),
-        "incomplete": bool(report.unread),
-        "files": _read(report),
-        "counts": {severity.value: report.count(severity) for severity in Severity},
-        "findings": report.findings,
-        "ignored": [each.to_json() | {"reason": reason} for each, reason in report.ignored],
-    }
-
-
-def _read(report: LintReport) -> int:
-    return sum(not file.unreadable for file in report.inventory.files)
-
-
 def _explain(rule: Rule) -> None:
-    value = {
-        "rule": rule.id,
-        "severity": rule.severity.value,
-        "family": rule.family,
-        "title": rule.title,
-        "why": rule.why,
-        "fix": rule.fix,
-        "bad": rule.bad,
-        "good": rule.good,
-        "stacks": sorted(rule.stacks),
-        "measured": rule.measured,
-        "only_when_asked": rule.only_when_asked,
-    }
     lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
     lines += ["Found here:", "", *_indented(rule.bad), "", f"To fix it: {rule.fix}", ""]
     lines += _indented(rule.good)
@@ -230,7 +201,7 @@ def _explain(rule: Rule) -> None:
     if rule.only_when_asked:
         more.append(f"Checked only with --target {' or '.join(sorted(rule.stacks))}")
     lines += ["", *more] if more else []
-    _printing.emit(value, lines)
+    _printing.emit(rule.to_json(), lines)
 
 
 def _indented(example: str) -> list[str]:

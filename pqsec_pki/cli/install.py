@@ -86,17 +86,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         alone=only,
         agreed=removed,
     )
-    value = {
-        "installed": done.names,
-        "current": done.current,
-        "not_after": done.not_after,
-        "already": done.already,
-        "bundle": done.bundle,
-        "receipt": done.receipt,
-    }
     word = "was already installed" if done.already else "installed"
     until = f"until {done.not_after:%Y-%m-%d}"
-    _printing.emit(value, [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
+    _printing.emit(done.to_json(), [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 
 def _ask(removed: Sequence[str]) -> None:

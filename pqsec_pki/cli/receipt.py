@@ -46,21 +46,7 @@ def import_(files: tuple[Path, ...], *, older: bool) -> None:
     """
     keystore = _settings.open_keystore(to_change=True)
     done = import_receipts(keystore, files, now=_settings.now(), older=older)
-    value = {
-        "receipts": [
-            {
-                "name": each.receipt.participant,
-                "file": each.path,
-                "already": each.already,
-                "bundle": each.receipt.bundle,
-                "installed_at": each.receipt.installed_at,
-                "made_at": each.receipt.made_at,
-                "pqsec": each.receipt.pqsec,
-            }
-            for each in done
-        ]
-    }
-    _printing.emit(value, map(_line, done))
+    _printing.emit({"receipts": done}, map(_line, done))
 
 
 def _line(each: ImportedReceipt) -> str:

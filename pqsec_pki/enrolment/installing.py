@@ -45,6 +45,17 @@ class Installed:
     receipt: Path
     """The receipt, which tells the machine with the CAs what is installed."""
 
+    def to_json(self) -> dict[str, object]:
+        """The result for --json."""
+        return {
+            "installed": self.names,
+            "current": self.current,
+            "not_after": self.not_after,
+            "already": self.already,
+            "bundle": self.bundle,
+            "receipt": self.receipt,
+        }
+
 
 def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     path: Path,

@@ -41,6 +41,18 @@ class ImportedReceipt:
     already: bool
     """Whether it was recorded before, so that nothing was done."""
 
+    def to_json(self) -> dict[str, object]:
+        """The receipt for --json."""
+        return {
+            "name": self.receipt.participant,
+            "file": self.path,
+            "already": self.already,
+            "bundle": self.receipt.bundle,
+            "installed_at": self.receipt.installed_at,
+            "made_at": self.receipt.made_at,
+            "pqsec": self.receipt.pqsec,
+        }
+
 
 def import_receipts(
     keystore: Keystore, paths: Iterable[Path], *, now: datetime, older: bool = False

@@ -101,6 +101,22 @@ class Rule:
         """The family that reports name."""
         return FAMILIES[self.id[3]]
 
+    def to_json(self) -> dict[str, object]:
+        """The rule for --json."""
+        return {
+            "rule": self.id,
+            "severity": self.severity.value,
+            "family": self.family,
+            "title": self.title,
+            "why": self.why,
+            "fix": self.fix,
+            "bad": self.bad,
+            "good": self.good,
+            "stacks": sorted(self.stacks),
+            "measured": self.measured,
+            "only_when_asked": self.only_when_asked,
+        }
+
     def matters_to(self, targets: frozenset[Stack]) -> bool:
         """Whether the rule runs for these targets; no targets means all."""
         if not targets:

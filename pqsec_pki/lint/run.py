@@ -52,6 +52,22 @@ class LintReport:
         known = {*self.inventory.folders, *(file.path for file in self.inventory.files)}
         return tuple(each for each in found if not _is_of_ca_keys(each.path, known))
 
+    @property
+    def files_read(self) -> int:
+        """How many files were checked."""
+        return sum(not file.unreadable for file in self.inventory.files)
+
+    def to_json(self, *, strict: bool = False) -> dict[str, object]:
+        """The report for --json; `strict` as in `is_clean`."""
+        return {
+            "ok": self.is_clean(strict=strict) and not self.unread,
+            "incomplete": bool(self.unread),
+            "files": self.files_read,
+            "counts": {severity.value: self.count(severity) for severity in Severity},
+            "findings": self.findings,
+            "ignored": [each.to_json() | {"reason": reason} for each, reason in self.ignored],
+        }
+
 
 def check(
     paths: Iterable[Path],
