@@ -18,7 +18,6 @@ from pqsec_pki.cli._participant_options import (
 )
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.enrolment import IssuedBundle
 from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.keystore import Authorities, Keystore, is_several
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
@@ -140,7 +139,7 @@ def _made(
     into: Path | None,
     recipient: SealingPublicKey | None,
     **choices: Any,
-) -> tuple[list[Issued], list[IssuedBundle]]:
+) -> "tuple[list[Issued], list[enrolment.IssuedBundle]]":
     """What was issued, and the bundles that were written, if there is a folder for them."""
     if into is None:
         return issue_participants(keystore, authorities, specs, **choices), []
@@ -208,7 +207,7 @@ def _read_governance(keystore: Keystore) -> Governance:
 
 
 def print_issued(
-    keystore: Keystore, issued: Sequence[Issued], bundles: Sequence[IssuedBundle] = ()
+    keystore: Keystore, issued: Sequence[Issued], bundles: "Sequence[enrolment.IssuedBundle]" = ()
 ) -> None:
     """Print one line for each issued participant, with the path of its folder or bundle."""
     if issued and issued[0].shortened:
