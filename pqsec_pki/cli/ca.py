@@ -45,11 +45,6 @@ profile_option = click.option(
         "Create one with post-quantum keys only, for tests": (
             "pqsec -k my-test ca init --profile pq --no-passphrase"
         ),
-        "Create one whose CA keys are made in a PKCS#11 token and stay there": (
-            "pqsec -k my-domain ca init --profile classical"
-            " --identity-key-uri 'pkcs11:token=lab;object=identity-ca'"
-            " --permissions-key-uri 'pkcs11:token=lab;object=permissions-ca'"
-        ),
     },
     exit_codes={
         0: "the keystore is created",
