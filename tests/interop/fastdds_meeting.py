@@ -3,10 +3,11 @@
 import os
 from collections.abc import Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import pytest
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS, load_private_key
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.handshake import (

@@ -1,9 +1,10 @@
 """Our handshake with Fast DDS's own: either begins, both end with the same secret."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import pytest
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS, MODP_RAW
 from pqsec_pki.algorithms._diffie_hellman import G, P
 from pqsec_pki.certificates import Certificate
