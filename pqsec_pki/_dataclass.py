@@ -26,7 +26,11 @@ def _dataclass(
 
     def decorated(plain: _Kind) -> _Kind:
         plain.__doc__ = plain.__doc__ or plain.__name__  # without one, inspect makes a signature
-        kind = dataclasses.dataclass(init=False, repr=False, eq=False, **others)(plain)  # noqa: TID251 -- its fields
+        inherits = frozen and any(map(_is_frozen, plain.__bases__))
+        kind = dataclasses.dataclass(  # noqa: TID251 -- its fields and slots
+            init=False, repr=False, eq=False, frozen=inherits, **others
+        )(plain)
+        kind.__dataclass_params__.frozen = frozen  # a class of the library may inherit from it
         methods: _Methods = {"__init__": _first_init(kind, frozen=frozen), "__repr__": _repr}
         methods |= _comparing(kind, frozen=frozen) if eq else {}
         methods |= _FROZEN if frozen else {}
@@ -39,6 +43,10 @@ def _dataclass(
 
 if not TYPE_CHECKING:
     dataclass = _dataclass
+
+
+def _is_frozen(kind: _Kind) -> bool:
+    return dataclasses.is_dataclass(kind) and bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
 
 
 def _first_init(kind: _Kind, *, frozen: bool) -> Callable[..., None]:

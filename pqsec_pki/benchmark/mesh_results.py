@@ -112,7 +112,7 @@ class MeasuredMeshes:
         """For --json."""
         return {
             "stack": self.stack,
-            "version": self.version,
+            "stack_version": self.version,
             "runs": [
                 {
                     **self._key(run),

@@ -44,7 +44,7 @@ _RESENDING = {
 }
 """By default Fast DDS 3.1.2 gives a peer up for good after ten Requests. A post-quantum message has
 many datagrams and is lost with any of them: of six pairs with datagrams of 1400 bytes and a loss of
-one in ten, three never met; with these all of 14 did, within 23 s. 2.9.1 ignores both."""
+one in ten, three never met; with 400 Requests all of 14 did, within 23 s. 2.9.1 ignores both."""
 _UNREAD = (
     f"if Fast DDS cannot read {FILE}, the file that its variable names, it only logs a message and"
     " runs unsecured"

@@ -155,3 +155,30 @@ def test_no_class_of_the_package_has_compiled_methods_before_its_first_value():
         [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=root
     )
     assert ran.stdout.strip().endswith("_dataclass.py")
+
+
+@pytest.mark.parametrize("first", [OURS, dataclasses.dataclass], ids=["ours", "theirs"])
+@pytest.mark.parametrize("second", [OURS, dataclasses.dataclass], ids=["ours", "theirs"])
+def test_each_may_inherit_from_the_other(first, second):
+    """A package with an algorithm of its own inherits from our rows, with the library's."""
+
+    @first(**FROZEN, kw_only=True)
+    class Row:
+        name: str
+        level: int = 0
+
+    @second(**FROZEN, kw_only=True)
+    class Own(Row):
+        secret: bytes = dataclasses.field(default=b"", repr=False)
+
+    own = Own(name="x", secret=b"s")
+    assert (own, own.level, own.secret) == (Own(name="x", secret=b"s"), 0, b"s")
+    assert dataclasses.replace(own, level=3).level == 3
+    assert repr(own).endswith("Own(name='x', level=0)")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        own.level = 1
+    with pytest.raises(TypeError, match="frozen"):
+
+        @dataclasses.dataclass
+        class Changeable(Row):
+            more: int = 0
